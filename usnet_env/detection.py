@@ -1,0 +1,61 @@
+"""The detection: a detector's whole answer to one window."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.config import InvalidArgument, shown
+from usnet_env.window import frozen_array
+
+__all__ = ["Detection"]
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """Who is to be destroyed, and why. All arrays are read-only copies.
+
+    Args:
+        candidates: ``(N,)`` bool, the set named in this round (the paper's Ĥ_r).
+        scores: ``(N,)`` float64, finite; higher is more head-like.
+        clusters: ``(N,)`` int64, a cluster label for every UAV (-1: none), or ``None``.
+        leader: ``(N,)`` int64, the index of the head that each UAV is thought to follow (-1: nobody), or ``None``.
+        attention: ``(N, N)`` float64, row i: how much UAV i attends to each other UAV, or ``None``.
+        extras: anything else worth keeping, by name; probabilities go under ``"probability"``.
+
+    Raises:
+        InvalidArgument: an array of another shape, or with values that are not finite.
+    """
+
+    candidates: NDArray[np.bool_]
+    scores: NDArray[np.float64]
+    clusters: NDArray[np.int64] | None = None
+    leader: NDArray[np.int64] | None = None
+    attention: NDArray[np.float64] | None = None
+    extras: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        candidates = frozen_array("candidates", self.candidates, bool, (None,))
+        uavs = len(candidates)
+        put(self, "candidates", candidates)
+        put(self, "scores", frozen_array("scores", self.scores, np.float64, (uavs,)))
+        for name in ("clusters", "leader"):
+            if (value := getattr(self, name)) is not None:
+                labels = frozen_array(name, value, np.int64, (uavs,))
+                if not np.array_equal(labels, np.asarray(value)):
+                    raise InvalidArgument(f"{name} must hold whole numbers, got {shown(value)}.")
+                put(self, name, labels)
+        if self.leader is not None and not ((self.leader >= -1) & (self.leader < uavs)).all():
+            raise InvalidArgument(
+                f"leader must hold indices from -1 to {uavs - 1}, got {shown(self.leader)}."
+            )
+        if self.attention is not None:
+            put(self, "attention", frozen_array("attention", self.attention, np.float64, (uavs, uavs)))
+        if not isinstance(self.extras, Mapping):
+            raise InvalidArgument(f"extras must be a mapping of names to values, got {shown(self.extras)}.")
+        put(self, "extras", dict(self.extras))

@@ -1,0 +1,119 @@
+"""The window: what an observer hands to a detector in one round, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from usnet_env.config import InvalidArgument, shown
+
+__all__ = ["Window", "frozen_array"]
+
+
+def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
+    """A read-only copy of ``value`` in ``dtype``; refuses another shape (``None``: any length) or non-finite values."""
+    takes = "(" + ", ".join("any" if length is None else str(length) for length in shape) + ")"
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise InvalidArgument(f"{name} must be an array of shape {takes}, got {shown(value)}.") from None
+    if array.ndim != len(shape) or any(
+        want is not None and want != has for want, has in zip(shape, array.shape, strict=True)
+    ):
+        raise InvalidArgument(f"{name} must have shape {takes}, got {array.shape}.")
+    if array.dtype.kind not in "biuf":
+        raise InvalidArgument(f"{name} must hold numbers, got dtype {array.dtype}.")
+    if dtype is bool and not ((array == 0) | (array == 1)).all():
+        raise InvalidArgument(
+            f"{name} must hold only 0 and 1 (or booleans), got {shown(np.unique(array)[:4])}."
+        )
+    if not np.isfinite(array).all():
+        raise InvalidArgument(f"{name} must be finite, got NaN or infinity.")
+    copy = array.astype(dtype, copy=True)
+    copy.setflags(write=False)
+    return copy
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Positions and velocities of N UAVs at T_ob + 1 sampling instants, with masks.
+
+    All arrays are read-only copies. A sample that is unseen, or of a destroyed UAV, is 0 and masked. Velocity ``t``
+    leads from position ``t`` to ``t + 1`` and counts where :attr:`velocity_seen`. Decision (d) of the paper's silent
+    points: one index convention, used everywhere.
+
+    Args:
+        position: ``(T_ob + 1, N, 3)`` float32, metres.
+        velocity: ``(T_ob, N, 3)`` float32, metres per step.
+        seen: ``(T_ob + 1, N)`` bool, whether the UAV was detected at that instant.
+        alive: ``(N,)`` bool, false for destroyed UAVs.
+        round: number of the detection round, from 1.
+
+    Raises:
+        InvalidArgument: an array of another shape, with values that are not finite, or a mask that is not 0/1.
+    """
+
+    position: NDArray[np.float32]
+    velocity: NDArray[np.float32]
+    seen: NDArray[np.bool_]
+    alive: NDArray[np.bool_]
+    round: int = 1
+
+    def __post_init__(self) -> None:
+        position = frozen_array("position", self.position, np.float32, (None, None, 3))
+        instants, uavs = position.shape[:2]
+        if instants < 2 or uavs < 1:
+            raise InvalidArgument(
+                f"position must hold at least 2 instants of at least 1 UAV, got shape {position.shape}."
+            )
+        put = object.__setattr__
+        put(self, "position", position)
+        put(self, "velocity", frozen_array("velocity", self.velocity, np.float32, (instants - 1, uavs, 3)))
+        put(self, "seen", frozen_array("seen", self.seen, bool, (instants, uavs)))
+        put(self, "alive", frozen_array("alive", self.alive, bool, (uavs,)))
+        if isinstance(self.round, bool) or not isinstance(self.round, int | np.integer) or self.round < 1:
+            raise InvalidArgument(f"round must be a whole number from 1, got {shown(self.round)}.")
+        put(self, "round", int(self.round))
+
+    @property
+    def uavs(self) -> int:
+        """N, destroyed UAVs included."""
+        return int(self.position.shape[1])
+
+    @property
+    def observation_steps(self) -> int:
+        """T_ob, the number of velocity samples."""
+        return int(self.velocity.shape[0])
+
+    @property
+    def velocity_seen(self) -> NDArray[np.bool_]:
+        """``(T_ob, N)`` bool: both ends of the velocity were seen, and the UAV is alive."""
+        return self.seen[:-1] & self.seen[1:] & self.alive
+
+    @classmethod
+    def from_observation(cls, observation: Mapping[str, Any]) -> Window:
+        """The window in an observation of the environments: the detector's only door to an env.
+
+        Args:
+            observation: a mapping with the keys ``position, velocity, seen, alive, round``.
+
+        Raises:
+            InvalidArgument: a key is missing, or its value is refused.
+        """
+        keys = ("position", "velocity", "seen", "alive", "round")
+        if not isinstance(observation, Mapping) or any(key not in observation for key in keys):
+            has = sorted(observation) if isinstance(observation, Mapping) else type(observation).__name__
+            raise InvalidArgument(
+                f"observation must be a mapping with the keys {', '.join(keys)}, got {shown(has)}."
+            )
+        return cls(
+            position=observation["position"],
+            velocity=observation["velocity"],
+            seen=observation["seen"],
+            alive=observation["alive"],
+            round=int(np.asarray(observation["round"]).reshape(-1)[0]),
+        )
