@@ -1,0 +1,1 @@
+"""The world, the game and the referee: who leads this swarm?"""

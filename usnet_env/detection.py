@@ -51,9 +51,7 @@ class Detection:
                     raise InvalidArgument(f"{name} must hold whole numbers, got {shown(value)}.")
                 put(self, name, labels)
         if self.leader is not None and not ((self.leader >= -1) & (self.leader < uavs)).all():
-            raise InvalidArgument(
-                f"leader must hold indices from -1 to {uavs - 1}, got {shown(self.leader)}."
-            )
+            raise InvalidArgument(f"leader must hold indices from -1 to {uavs - 1}, got {shown(self.leader)}.")
         if self.attention is not None:
             put(self, "attention", frozen_array("attention", self.attention, np.float64, (uavs, uavs)))
         if not isinstance(self.extras, Mapping):

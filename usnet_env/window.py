@@ -28,12 +28,10 @@ def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | No
     if array.dtype.kind not in "biuf":
         raise InvalidArgument(f"{name} must hold numbers, got dtype {array.dtype}.")
     if dtype is bool and not ((array == 0) | (array == 1)).all():
-        raise InvalidArgument(
-            f"{name} must hold only 0 and 1 (or booleans), got {shown(np.unique(array)[:4])}."
-        )
+        raise InvalidArgument(f"{name} must hold only 0 and 1 (or booleans), got {shown(np.unique(array)[:4])}.")
     if not np.isfinite(array).all():
         raise InvalidArgument(f"{name} must be finite, got NaN or infinity.")
-    copy = array.astype(dtype, copy=True)
+    copy: NDArray[Any] = array.astype(dtype, copy=True)
     copy.setflags(write=False)
     return copy
 
@@ -107,9 +105,7 @@ class Window:
         keys = ("position", "velocity", "seen", "alive", "round")
         if not isinstance(observation, Mapping) or any(key not in observation for key in keys):
             has = sorted(observation) if isinstance(observation, Mapping) else type(observation).__name__
-            raise InvalidArgument(
-                f"observation must be a mapping with the keys {', '.join(keys)}, got {shown(has)}."
-            )
+            raise InvalidArgument(f"observation must be a mapping with the keys {', '.join(keys)}, got {shown(has)}.")
         return cls(
             position=observation["position"],
             velocity=observation["velocity"],
