@@ -1,1 +1,52 @@
-"""The world, the game and the referee: who leads this swarm?"""
+"""The world, the game and the referee: who leads this swarm?
+
+Importing this package registers the environments with Gymnasium.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+from usnet_env.config import InvalidArgument
+from usnet_env.detection import Detection
+from usnet_env.envs import register_environments
+from usnet_env.swarm import register_follow_strategy, register_mobility
+from usnet_env.window import Window
+
+if TYPE_CHECKING:
+    from usnet_env.evaluation import evaluate
+    from usnet_env.plugins import make_detector, register_detector
+
+try:
+    __version__ = version("usnet")
+except PackageNotFoundError:  # a source tree on the path without an installation
+    __version__ = "0+unknown"
+
+__all__ = [
+    "Detection",
+    "InvalidArgument",
+    "Window",
+    "__version__",
+    "evaluate",
+    "make_detector",
+    "register_detector",
+    "register_follow_strategy",
+    "register_mobility",
+]
+
+# The referee brings in statistics and tables; who only makes an env should not wait for them.
+_LATER = {
+    "evaluate": "usnet_env.evaluation",
+    "make_detector": "usnet_env.plugins",
+    "register_detector": "usnet_env.plugins",
+}
+
+register_environments()
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LATER:
+        return getattr(import_module(_LATER[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,18 @@
+"""The Gymnasium environments: the paper's P1 and P2, single and in batches."""
+
+from usnet_env.envs.registration import ENVIRONMENTS, register_environments
+from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
+from usnet_env.envs.vector import MultiClusterVectorEnv, SingleClusterVectorEnv, UsnetVectorEnv
+from usnet_env.envs.wrappers import MultiDiscreteCandidates
+
+__all__ = [
+    "ENVIRONMENTS",
+    "MultiClusterEnv",
+    "MultiClusterVectorEnv",
+    "MultiDiscreteCandidates",
+    "SingleClusterEnv",
+    "SingleClusterVectorEnv",
+    "UsnetEnv",
+    "UsnetVectorEnv",
+    "register_environments",
+]

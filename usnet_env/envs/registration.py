@@ -1,0 +1,31 @@
+"""The registered ids: two environments and some presets of their arguments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+
+__all__ = ["ENVIRONMENTS", "register_environments"]
+
+# id -> (class, arguments). Names and numbers only, so that `env.spec.to_json()` says it all.
+ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
+    "USNET/SingleCluster-v0": ("SingleCluster", {}),
+    "USNET/SingleCluster-Decoy-v0": ("SingleCluster", {"followers": 5, "decoys": 1}),
+    "USNET/MultiCluster-v0": ("MultiCluster", {}),
+    "USNET/MultiCluster-M8-v0": ("MultiCluster", {"clusters": 8, "uavs": 185}),
+    "USNET/MultiCluster-Smooth-v0": ("MultiCluster", {"mobility": "gauss_markov", "head_jitter": True}),
+    "USNET/MultiCluster-NoFollowers-v0": ("MultiCluster", {"follow": "none"}),
+}
+
+
+def register_environments() -> None:
+    """Register all ids with Gymnasium; a second call changes nothing."""
+    for name, (kind, arguments) in ENVIRONMENTS.items():
+        if name not in gym.registry:
+            gym.register(
+                id=name,
+                entry_point=f"usnet_env.envs:{kind}Env",
+                vector_entry_point=f"usnet_env.envs:{kind}VectorEnv",
+                kwargs=dict(arguments),
+            )

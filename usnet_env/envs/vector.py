@@ -1,0 +1,139 @@
+"""The vector environments: B games in one batch, equal to B single envs with the same seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from usnet_env.config import InvalidArgument, shown
+from usnet_env.envs import game
+from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
+from usnet_env.swarm import SwarmState
+
+__all__ = ["MultiClusterVectorEnv", "SingleClusterVectorEnv", "UsnetVectorEnv"]
+
+Observation = dict[str, NDArray[Any]]
+
+
+class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
+    """B games at once; use :class:`SingleClusterVectorEnv` or :class:`MultiClusterVectorEnv`.
+
+    A game that ended is started anew by the next step, whose action for it is ignored
+    (``AutoresetMode.NEXT_STEP``, Gymnasium's default).
+
+    Args:
+        num_envs: B.
+        arguments: those of the single environment; ``render_mode`` is not among them.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # type: ignore[misc]
+    single_env: ClassVar[type[UsnetEnv]]
+
+    def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise InvalidArgument(f"num_envs must be a whole number from 1, got {shown(num_envs)}.")
+        if arguments.get("render_mode") is not None:
+            raise InvalidArgument("render_mode must be None for a vector env, which draws nothing; use a single env.")
+        single = self.single_env(**arguments)
+        self.num_envs = int(num_envs)
+        self.config, self.rules, self.reveal_truth = single.config, single.rules, single.reveal_truth
+        self.single_observation_space = single.observation_space
+        self.single_action_space = single.action_space
+        self.observation_space = batch_space(single.observation_space, self.num_envs)
+        self.action_space = batch_space(single.action_space, self.num_envs)
+        self._rngs: list[np.random.Generator] = []
+        self._game: game.GameState | None = None
+
+    @property
+    def swarm(self) -> SwarmState:
+        """The truth about the B swarms now, a copy: for referees, never for a detector."""
+        return SwarmState(**self._running().swarm.arrays())
+
+    def _running(self) -> game.GameState:
+        if self._game is None:
+            raise InvalidArgument("reset must be called first, got an environment that was never reset.")
+        return self._game
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start B games.
+
+        Args:
+            seed: game b is seeded with ``seed + b``, or with the b-th of a sequence; ``None`` goes on with the
+                present generators.
+            options: none are known; ignored.
+        """
+        seeds = [seed + b for b in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+        if seeds is None:
+            seeds = [None] * self.num_envs
+        if len(seeds) != self.num_envs:
+            raise InvalidArgument(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seeds)}.")
+        fresh = not self._rngs
+        self._rngs = [
+            seeding.np_random(None if one is None else int(one))[0] if fresh or one is not None else self._rngs[b]
+            for b, one in enumerate(seeds)
+        ]
+        state = game.begin(self.config, self._rngs)
+        metrics = game.opening(self.rules, state)
+        self._game, observation = game.observe(self.config, state, self._rngs)
+        return observation, self._infos(metrics)
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """One round of every running game; a game that had ended starts anew instead.
+
+        Args:
+            actions: ``(B, N)`` of 0 and 1.
+        """
+        before = self._running()
+        candidates = game.candidates_from(actions, (self.num_envs, self.config.uavs))
+        over = before.terminated | before.truncated
+        state, turn = game.play(self.rules, before, candidates & ~over[:, None])
+        reward, metrics = turn.reward, turn.metrics
+        if over.any():
+            ended = np.flatnonzero(over)
+            begun = game.begin(self.config, [self._rngs[b] for b in ended])
+            state = state.with_rows(ended, begun)
+            reward[ended] = 0.0
+            for name, values in game.opening(self.rules, begun).items():
+                metrics[name][ended] = values
+        self._game, observation = game.observe(self.config, state, self._rngs)
+        return observation, reward, state.terminated.copy(), state.truncated.copy(), self._infos(metrics)
+
+    def _infos(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
+        """``info`` in Gymnasium's vector form: an array a key, and ``_key`` for who has it."""
+        values = dict(metrics)
+        if self.reveal_truth:
+            swarm = self.swarm
+            values |= {"head": swarm.head.astype(np.int8), "decoy": swarm.decoy.astype(np.int8), "leader": swarm.leader}
+        everyone = np.ones(self.num_envs, bool)
+        return {
+            key: value
+            for name, array in values.items()
+            for key, value in ((name, array), (f"_{name}", everyone.copy()))
+        }
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """``(B, 2 N)`` booleans, as those of the single env."""
+        alive = self._running().swarm.alive
+        return np.stack([np.ones_like(alive), alive], axis=2).reshape(self.num_envs, -1)
+
+
+class SingleClusterVectorEnv(UsnetVectorEnv):
+    """B games of :class:`SingleClusterEnv`; see ``gym.make_vec("usnet_env:USNET/SingleCluster-v0", num_envs=B)``."""
+
+    single_env = SingleClusterEnv
+
+
+class MultiClusterVectorEnv(UsnetVectorEnv):
+    """B games of :class:`MultiClusterEnv`; made by ``gym.make_vec("usnet_env:USNET/MultiCluster-v0", num_envs=B)``."""
+
+    single_env = MultiClusterEnv

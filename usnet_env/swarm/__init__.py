@@ -1,0 +1,23 @@
+"""The simulated world. It knows nothing of Gymnasium, rewards or detectors."""
+
+from usnet_env.swarm.config import SwarmConfig
+from usnet_env.swarm.follow import FollowInputs, FollowStrategy, follow_strategies, register_follow_strategy
+from usnet_env.swarm.mobility import Mobility, mobilities, register_mobility
+from usnet_env.swarm.sensing import Sighting
+from usnet_env.swarm.simulator import SwarmState, advance, destroy, start
+
+__all__ = [
+    "FollowInputs",
+    "FollowStrategy",
+    "Mobility",
+    "Sighting",
+    "SwarmConfig",
+    "SwarmState",
+    "advance",
+    "destroy",
+    "follow_strategies",
+    "mobilities",
+    "register_follow_strategy",
+    "register_mobility",
+    "start",
+]

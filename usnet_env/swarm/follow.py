@@ -1,0 +1,327 @@
+"""Follow strategies: how every follower's next velocity depends on its head, equation (1) of the paper.
+
+f1 to f7 are those of the paper's Table II. Each has one definition in NumPy (:meth:`FollowStrategy.direction`, which
+is also all that a strategy of one's own needs) and, for the seven, a compiled loop over the whole flight that is
+tested against it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.config import InvalidArgument, shown, unknown_name
+from usnet_env.swarm import kernels
+from usnet_env.swarm.flight import Flight
+
+__all__ = [
+    "FollowInputs",
+    "FollowStrategy",
+    "Lags",
+    "Network",
+    "StayInRange",
+    "follow_strategies",
+    "follow_strategy",
+    "register_follow_strategy",
+]
+
+Array = NDArray[np.float32]
+
+KAPPA = 1.0  # kappa_0, ..., kappa_3 and kappa_p of Table II
+KAPPA_NOISE = 0.05  # kappa_n
+KAPPA_RANGE = 60.0  # kappa_r, metres
+
+
+@dataclass(frozen=True)
+class FollowInputs:
+    """The arguments of equation (1) for n followers about to choose v_{i,t+1}; newest first along axis 1.
+
+    Args:
+        own_position: ``(n, T_0 + 1, 3)`` metres, P_{i,t+1}: p_{i,t+1}, ..., p_{i,t-T_0+1}.
+        head_velocity: ``(n, T_0, 3)`` metres per step, V_{iL,t}: v_{iL,t}, ..., v_{iL,t-T_0+1}.
+        head_position: ``(n, T_0 + 1, 3)`` metres: p_{iL,t+1}, ..., p_{iL,t-T_0+1}. All but the last follow from the
+            last and the velocities; they are here for convenience.
+        parameters: ``(P,)`` what :meth:`FollowStrategy.draw` drew for this episode.
+    """
+
+    own_position: Array
+    head_velocity: Array
+    head_position: Array
+    parameters: Array
+
+
+class FollowStrategy(ABC):
+    """A follow strategy f: the velocity of a follower is norm(direction + kappa_n n), with n ~ N(0, I).
+
+    A strategy of one's own subclasses this and defines :meth:`direction`, or is a plain function given to
+    :func:`register_follow_strategy`.
+
+    Attributes:
+        equation: how the strategy is written, for lists and pages.
+        lags: how many past head velocities it looks at; an env's ``memory`` T_0 is at least this.
+        noise: kappa_n.
+    """
+
+    equation: str = ""
+    lags: int = 1
+    noise: float = KAPPA_NOISE
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Parameters ``(P,)`` float32 of one episode; most strategies have none. P is always the same."""
+        return np.empty(0, np.float32)
+
+    @abstractmethod
+    def direction(self, inputs: FollowInputs) -> Array:
+        """Direction of flight ``(n, 3)`` before noise and normalisation; row i depends on row i alone."""
+
+    def fly(self, flight: Flight) -> None:
+        """Fly all followers: fills ``flight.velocity`` and ``flight.position`` from ``flight.start`` on.
+
+        This is the general loop, one episode and one step at a time; f1 to f7 override it by compiled ones.
+        """
+        lags = flight.start
+        for b in range(flight.episodes):
+            position, velocity = flight.position[b], flight.velocity[b]
+            followers = np.flatnonzero(flight.kind[b] == kernels.FOLLOWS)
+            heads = flight.leader[b, followers]
+            for s in range(flight.steps):
+                t = lags + s
+                past = slice(t - 1, t - 1 - lags if t > lags else None, -1)
+                past_and_now = slice(t, t - lags - 1 if t > lags else None, -1)
+                wanted = self.direction(
+                    FollowInputs(
+                        own_position=position[past_and_now, followers].swapaxes(0, 1),
+                        head_velocity=velocity[past, heads].swapaxes(0, 1),
+                        head_position=position[past_and_now, heads].swapaxes(0, 1),
+                        parameters=flight.parameters[b],
+                    )
+                )
+                velocity[t, followers] = _norm(wanted, np.float32(self.noise) * flight.noise[b, s, followers])
+                position[t + 1] = position[t] + velocity[t]
+
+
+def _norm(direction: Array, noise: Array) -> Array:
+    """norm(direction + noise) of Table II, rows of length 3."""
+    total = np.asarray(direction, np.float32) + noise
+    length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
+    return total / np.maximum(length, np.float32(1e-6))
+
+
+@dataclass(frozen=True)
+class Lags(FollowStrategy):
+    """f1 to f5: linear or quadratic combination of the head's last velocities (Table II, types 1 to 5).
+
+    v_{i,t+1} = norm(sum_{tau=0}^{lags-1} kappa_tau v_{iL,t-tau} + kappa_n n), with v * v (axis-wise) for v where
+    ``square``.
+    """
+
+    lags: int = 1
+    square: bool = False
+    kappa: float = KAPPA
+    noise: float = KAPPA_NOISE
+
+    @property
+    def equation(self) -> str:  # type: ignore[override]  # follows from the other fields
+        """The row of Table II."""
+        term = "v_{iL,t-τ} ⊙ v_{iL,t-τ}" if self.square else "v_{iL,t-τ}"
+        combination = f"Σ_{{τ=0}}^{{{self.lags - 1}}} κ_τ {term}" if self.lags > 1 else f"κ_0 {term.replace('-τ', '')}"
+        return f"v_{{i,t+1}} = norm({combination} + κ_n n)"
+
+    def direction(self, inputs: FollowInputs) -> Array:
+        """Sum over the lags."""
+        past = inputs.head_velocity[:, : self.lags]
+        return np.float32(self.kappa) * (past * past if self.square else past).sum(axis=1, dtype=np.float32)
+
+    def fly(self, flight: Flight) -> None:
+        """Compiled loop; no step depends on the follower's own past."""
+        kernels.fly_lags(
+            np.full(self.lags, self.kappa, np.float32),
+            self.square,
+            np.float32(self.noise),
+            flight.kind,
+            flight.leader,
+            flight.start,
+            flight.noise,
+            flight.velocity,
+        )
+        kernels.integrate(flight.start, flight.position, flight.velocity)
+
+
+@dataclass(frozen=True)
+class StayInRange(FollowStrategy):
+    """f6: fly as the head does, and towards it when farther than kappa_r (Table II, type 6)."""
+
+    equation: str = (
+        "v_{i,t+1} = norm(κ_0 v_{iL,t} + κ_n n + 1{‖p_{iL,t} − p_{i,t}‖ > κ_r} κ_p (p_{iL,t} − p_{i,t}) / ‖·‖)"
+    )
+    lags: int = 1
+    kappa: float = KAPPA
+    pull: float = KAPPA
+    reach: float = KAPPA_RANGE
+    noise: float = KAPPA_NOISE
+
+    def direction(self, inputs: FollowInputs) -> Array:
+        """Head velocity plus the unit vector towards the head where it is out of reach."""
+        gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
+        distance = np.sqrt((gap * gap).sum(axis=-1, keepdims=True, dtype=np.float32))
+        pull = np.where(distance > np.float32(self.reach), np.float32(self.pull), np.float32(0.0))
+        towards = gap * (pull / np.maximum(distance, np.float32(1e-6)))
+        return np.float32(self.kappa) * inputs.head_velocity[:, 0] + towards
+
+    def fly(self, flight: Flight) -> None:
+        """Compiled loop; positions move on within it."""
+        kernels.fly_range(
+            np.float32(self.kappa),
+            np.float32(self.pull),
+            np.float32(self.reach),
+            np.float32(self.noise),
+            flight.kind,
+            flight.leader,
+            flight.start,
+            flight.noise,
+            flight.position,
+            flight.velocity,
+        )
+
+
+@dataclass(frozen=True)
+class Network(FollowStrategy):
+    """f7: a random tanh network with the inputs of equation (1) (Table II, type 7; decision (c)).
+
+    v_{i,t+1} = norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n). One hidden layer of 16 units; the weights are
+    drawn for each episode. The positions enter as (p_{i,t+1} - p_{iL,t-3}) / ``position_scale`` and as their own
+    differences, a linear map of P_{i,t+1} that the first layer undoes: raw metres would saturate every unit and hide
+    the head. The gains give the head's velocities the largest share of a hidden unit's input.
+    """
+
+    equation: str = "v_{i,t+1} = norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + κ_n n)"
+    lags: int = kernels.MLP_LAGS
+    noise: float = KAPPA_NOISE
+    position_scale: float = 300.0
+    head_gain: float = 0.6
+    own_gain: float = 0.1
+    position_gain: float = 0.15
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Weights, biases and read-out of one network."""
+        own, head = 3 * kernels.MLP_LAGS, 3 * kernels.MLP_LAGS
+        gains = np.repeat([self.position_gain, self.own_gain, self.head_gain], [3, own, head])
+        weights = gains[:, None] * rng.standard_normal((kernels.MLP_INPUTS, kernels.MLP_HIDDEN))
+        bias = 0.1 * rng.standard_normal(kernels.MLP_HIDDEN)
+        readout = rng.standard_normal((kernels.MLP_HIDDEN, 3)) / np.sqrt(kernels.MLP_HIDDEN)
+        return np.concatenate([weights.ravel(), bias, readout.ravel()]).astype(np.float32)
+
+    def direction(self, inputs: FollowInputs) -> Array:
+        """The network's output."""
+        n, lags, units = len(inputs.own_position), kernels.MLP_LAGS, kernels.MLP_HIDDEN
+        inner = kernels.MLP_INPUTS * units
+        weights = inputs.parameters[:inner].reshape(kernels.MLP_INPUTS, units)
+        bias = inputs.parameters[inner : inner + units]
+        readout = inputs.parameters[inner + units :].reshape(units, 3)
+        offset = (inputs.own_position[:, 0] - inputs.head_position[:, lags]) / np.float32(self.position_scale)
+        own_velocity = inputs.own_position[:, :lags] - inputs.own_position[:, 1 : lags + 1]
+        features = np.concatenate(
+            [offset, own_velocity.reshape(n, -1), inputs.head_velocity[:, :lags].reshape(n, -1)], axis=1
+        )
+        output: Array = np.tanh(features @ weights + bias) @ readout
+        return output
+
+    def fly(self, flight: Flight) -> None:
+        """Compiled loop."""
+        kernels.fly_mlp(
+            flight.parameters,
+            np.float32(self.position_scale),
+            np.float32(self.noise),
+            flight.kind,
+            flight.leader,
+            flight.start,
+            flight.noise,
+            flight.position,
+            flight.velocity,
+        )
+
+
+@dataclass(frozen=True)
+class FollowFunction(FollowStrategy):
+    """A plain function as a follow strategy; made by :func:`register_follow_strategy`."""
+
+    function: Callable[[FollowInputs], Array]
+    lags: int = 4
+    noise: float = KAPPA_NOISE
+    equation: str = ""
+
+    def direction(self, inputs: FollowInputs) -> Array:
+        """Call the function and check what it gives."""
+        wanted = np.asarray(self.function(inputs), np.float32)
+        shape = (len(inputs.own_position), 3)
+        if wanted.shape != shape:
+            raise InvalidArgument(f"follow function must return an array of shape {shape}, got {wanted.shape}.")
+        if not np.isfinite(wanted).all():
+            raise InvalidArgument("follow function must return finite numbers, got NaN or infinity.")
+        return wanted
+
+
+_STRATEGIES: dict[str, FollowStrategy] = {
+    "f1": Lags(1),
+    "f2": Lags(2),
+    "f3": Lags(3),
+    "f4": Lags(2, square=True),
+    "f5": Lags(3, square=True),
+    "f6": StayInRange(),
+    "f7": Network(),
+}
+
+
+def follow_strategies() -> Mapping[str, FollowStrategy]:
+    """All registered follow strategies by name (a read-only view)."""
+    return MappingProxyType(_STRATEGIES)
+
+
+def follow_strategy(name: str) -> FollowStrategy:
+    """The follow strategy registered under ``name``.
+
+    Raises:
+        InvalidArgument: no such name.
+    """
+    if name not in _STRATEGIES:
+        raise unknown_name("follow", name, [*_STRATEGIES, "none"])
+    return _STRATEGIES[name]
+
+
+def register_follow_strategy(
+    name: str,
+    strategy: FollowStrategy | Callable[[FollowInputs], Array],
+    *,
+    lags: int = 4,
+    noise: float = KAPPA_NOISE,
+    equation: str = "",
+) -> None:
+    """Make a follow strategy of one's own available as ``follow=name``.
+
+    Args:
+        name: the name to use; a name that is taken by another strategy is refused.
+        strategy: a :class:`FollowStrategy`, or a function that takes :class:`FollowInputs` of n followers and
+            returns their directions ``(n, 3)``; noise and normalisation are added by the simulator.
+        lags: for a function, how many steps of the past it reads.
+        noise: for a function, kappa_n.
+        equation: for a function, how it is written in lists.
+
+    Raises:
+        InvalidArgument: the name is taken or not a name, or the strategy is neither of the two.
+    """
+    if not isinstance(name, str) or not name.strip() or name == "none":
+        raise InvalidArgument(f"name must be a non-empty name other than 'none', got {shown(name)}.")
+    if not isinstance(strategy, FollowStrategy):
+        if not callable(strategy):
+            raise InvalidArgument(f"strategy must be a FollowStrategy or a function, got {shown(strategy)}.")
+        if isinstance(lags, bool) or not isinstance(lags, int) or lags < 1:
+            raise InvalidArgument(f"lags must be a whole number from 1, got {shown(lags)}.")
+        strategy = FollowFunction(strategy, lags, float(noise), equation)
+    if name in _STRATEGIES and _STRATEGIES[name] != strategy:
+        raise InvalidArgument(f"name must be a new one, got {name!r}, which is registered already.")
+    _STRATEGIES[name] = strategy

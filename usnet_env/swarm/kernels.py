@@ -1,0 +1,381 @@
+"""The compiled inner loops of the simulator: velocities of heads and followers, and who re-merges to whom.
+
+One loop over episodes holds for one swarm and for a batch, so that episode b of a batch is the single swarm bit for
+bit. Arrays are time-major within an episode: position ``(B, L + S + 1, N, 3)``, velocity ``(B, L + S, N, 3)``, where
+the first L steps are the past that strategies may look back to and S steps are flown now. All is float32 but for
+the mobility state; the arithmetic stays in float32 because every constant is one.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+__all__ = [
+    "DESTROYED",
+    "FOLLOWS",
+    "FREE",
+    "GAUSS_MARKOV",
+    "IID",
+    "LOCAL_WAYPOINT",
+    "MLP_HIDDEN",
+    "MLP_INPUTS",
+    "MLP_LAGS",
+    "MLP_PARAMETERS",
+    "MOBILITY_STATE",
+    "SMOOTH_TURN",
+    "STRAIGHT",
+    "WAYPOINT",
+    "fly_free",
+    "fly_lags",
+    "fly_mlp",
+    "fly_range",
+    "integrate",
+    "remerge",
+]
+
+DESTROYED, FREE, FOLLOWS = 0, 1, 2  # what moves a UAV in a window
+IID, GAUSS_MARKOV, SMOOTH_TURN, WAYPOINT, LOCAL_WAYPOINT, STRAIGHT = range(6)
+MOBILITY_STATE = 8  # float64 numbers of mobility state per UAV
+
+# The network of f7: input -> hidden tanh units -> 3, in the order of `mlp_inputs` in follow.py.
+MLP_LAGS = 4
+MLP_INPUTS = 3 + 3 * MLP_LAGS + 3 * MLP_LAGS  # relative position, own velocities, head velocities
+MLP_HIDDEN = 16
+MLP_PARAMETERS = MLP_INPUTS * MLP_HIDDEN + MLP_HIDDEN + MLP_HIDDEN * 3
+
+_ONE = np.float32(1.0)
+_ZERO = np.float32(0.0)
+_TINY = np.float32(1e-12)
+
+
+@njit(cache=True, nogil=True)
+def _uniform(z):
+    """The uniform number in (0, 1) with the same rank as the standard normal z."""
+    return min(max(0.5 * math.erfc(-z / math.sqrt(2.0)), 1e-12), 1.0 - 1e-12)
+
+
+@njit(cache=True, nogil=True)
+def _turn_towards(state, x, y, z, limit):
+    """Turn the unit direction ``state[0:3]`` towards (x, y, z) by at most ``limit`` radians."""
+    length = math.sqrt(x * x + y * y + z * z)
+    if length < 1e-12:
+        return
+    x, y, z = x / length, y / length, z / length
+    cosine = min(max(x * state[0] + y * state[1] + z * state[2], -1.0), 1.0)
+    angle = math.acos(cosine)
+    if angle <= limit:
+        state[0], state[1], state[2] = x, y, z
+        return
+    # The part of the target that is perpendicular to the direction spans the plane of the turn.
+    px, py, pz = x - cosine * state[0], y - cosine * state[1], z - cosine * state[2]
+    size = math.sqrt(px * px + py * py + pz * pz)
+    if size < 1e-9:  # straight behind: any plane will do
+        px, py, pz, size = -state[1], state[0], 0.0, math.hypot(state[0], state[1])
+        if size < 1e-9:
+            px, py, pz, size = 1.0, 0.0, 0.0, 1.0
+    c, s = math.cos(limit), math.sin(limit) / size
+    state[0], state[1], state[2] = c * state[0] + s * px, c * state[1] + s * py, c * state[2] + s * pz
+
+
+@njit(cache=True, nogil=True)
+def _new_turn(state, z, rate, tightest):
+    """Draw a turn: its axis (perpendicular to the direction), its angle a step, and how long it holds."""
+    x, y, w = float(z[0]), float(z[1]), float(z[2])
+    along = x * state[0] + y * state[1] + w * state[2]
+    x, y, w = x - along * state[0], y - along * state[1], w - along * state[2]
+    size = math.sqrt(x * x + y * y + w * w) + 1e-12
+    state[3], state[4], state[5] = x / size, y / size, w / size
+    # Curvature is exponential, cut at `tightest`; the cut is kept in the draw (inverse of the truncated law).
+    mean = tightest / 3.0
+    state[6] = -mean * math.log(1.0 - _uniform(z[3]) * (1.0 - math.exp(-tightest / mean)))
+    state[7] = -math.log(_uniform(z[4])) / rate
+
+
+@njit(cache=True, nogil=True)
+def _step_mobility(code, state, z, p, numbers, out):
+    """One step of one free UAV: ``state`` moves on, ``out`` takes the direction of flight (3 float32)."""
+    if code == IID:
+        out[0], out[1], out[2] = z[0], z[1], z[2]
+        return
+    if code == GAUSS_MARKOV:  # state: azimuth, pitch, and their means
+        memory = numbers[0]
+        push = math.sqrt(1.0 - memory * memory)
+        state[0] = memory * state[0] + (1.0 - memory) * state[2] + push * math.sqrt(numbers[1]) * z[0]
+        state[1] = memory * state[1] + (1.0 - memory) * state[3] + push * math.sqrt(numbers[2]) * z[1]
+        out[0] = math.cos(state[0]) * math.cos(state[1])
+        out[1] = math.sin(state[0]) * math.cos(state[1])
+        out[2] = math.sin(state[1])
+        return
+    if code == SMOOTH_TURN:  # state: direction, axis, angle a step, steps left
+        if state[7] <= 0.0:
+            _new_turn(state, z, 1.0 / numbers[0], numbers[1])
+        c, s = math.cos(state[6]), math.sin(state[6])
+        x = c * state[0] + s * (state[4] * state[2] - state[5] * state[1])
+        y = c * state[1] + s * (state[5] * state[0] - state[3] * state[2])
+        w = c * state[2] + s * (state[3] * state[1] - state[4] * state[0])
+        size = math.sqrt(x * x + y * y + w * w)
+        state[0], state[1], state[2] = x / size, y / size, w / size
+        state[7] -= 1.0
+    elif code in (WAYPOINT, LOCAL_WAYPOINT):  # state: direction, goal
+        dx, dy, dz = state[3] - p[0], state[4] - p[1], state[5] - p[2]
+        if not dx * dx + dy * dy + dz * dz >= numbers[1] * numbers[1]:  # reached, or no goal yet (NaN)
+            if code == WAYPOINT:
+                for axis in range(3):
+                    state[3 + axis] = numbers[2 + axis] * _uniform(z[axis])
+            else:
+                for axis in range(3):
+                    state[3 + axis] = p[axis] + numbers[2] * z[axis]
+            dx, dy, dz = state[3] - p[0], state[4] - p[1], state[5] - p[2]
+        _turn_towards(state, dx, dy, dz, numbers[0])
+    out[0], out[1], out[2] = state[0], state[1], state[2]
+
+
+@njit(cache=True, nogil=True)
+def fly_free(code, numbers, free, start, normals, jitter, state, position, velocity):
+    """Velocities of the UAVs that fly by themselves, by mobility ``code``; writes ``state`` and ``velocity``.
+
+    Args:
+        code: which mobility.
+        numbers: ``(6,)`` float64, its constants.
+        free: ``(B, n)`` int64, indices of the free UAVs.
+        start: index of the first step to fly in ``velocity``.
+        normals: ``(B, S, n, k)`` float32, the mobility's noise.
+        jitter: ``(B, S, N, 3)`` float32, scaled noise added to the unit direction; of length 0 for none.
+        state: ``(B, n, MOBILITY_STATE)`` float64, moved on in place.
+        position: ``(B, >= start + 1, N, 3)`` float32, read at ``start``.
+        velocity: ``(B, start + S, N, 3)`` float32.
+    """
+    episodes, steps, count = normals.shape[0], normals.shape[1], normals.shape[2]
+    out = np.empty(3, np.float32)
+    p = np.empty(3, np.float64)
+    for b in range(episodes):
+        for j in range(count):
+            i = free[b, j]
+            for axis in range(3):
+                p[axis] = position[b, start, i, axis]
+            for s in range(steps):
+                _step_mobility(code, state[b, j], normals[b, s, j], p, numbers, out)
+                size = _ONE / np.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + _TINY)
+                x, y, z = out[0] * size, out[1] * size, out[2] * size
+                if len(jitter):
+                    x, y, z = x + jitter[b, s, i, 0], y + jitter[b, s, i, 1], z + jitter[b, s, i, 2]
+                    size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
+                    x, y, z = x * size, y * size, z * size
+                velocity[b, start + s, i, 0] = x
+                velocity[b, start + s, i, 1] = y
+                velocity[b, start + s, i, 2] = z
+                p[0] += x
+                p[1] += y
+                p[2] += z
+
+
+@njit(cache=True, nogil=True)
+def _members(kind, wanted, into):
+    """Write the indices i with ``kind[i] == wanted`` to ``into``; returns how many there are."""
+    count = 0
+    for i in range(len(kind)):
+        if kind[i] == wanted:
+            into[count] = i
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def fly_lags(kappa, square, noise_scale, kind, leader, start, noise, velocity):
+    """f1 to f5: v_{i,t+1} = norm(sum_tau kappa_tau v_{iL,t-tau}^p + kappa_n n), with p = 2 where ``square``.
+
+    Nothing in it depends on the follower's own past, so each head's sum is formed once a step.
+    """
+    episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
+    lags = len(kappa)
+    target = np.zeros((uavs, 3), np.float32)
+    followers = np.empty(uavs, np.int64)
+    free = np.empty(uavs, np.int64)
+    for b in range(episodes):
+        follower_count = _members(kind[b], FOLLOWS, followers)
+        free_count = _members(kind[b], FREE, free)
+        for s in range(steps):
+            t = start + s
+            for j in range(free_count):
+                h = free[j]
+                for axis in range(3):
+                    total = _ZERO
+                    for lag in range(lags):
+                        v = velocity[b, t - 1 - lag, h, axis]
+                        total += kappa[lag] * (v * v if square else v)
+                    target[h, axis] = total
+            for j in range(follower_count):
+                i = followers[j]
+                h = leader[b, i]
+                x = target[h, 0] + noise_scale * noise[b, s, i, 0]
+                y = target[h, 1] + noise_scale * noise[b, s, i, 1]
+                z = target[h, 2] + noise_scale * noise[b, s, i, 2]
+                size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
+                velocity[b, t, i, 0] = x * size
+                velocity[b, t, i, 1] = y * size
+                velocity[b, t, i, 2] = z * size
+
+
+@njit(cache=True, nogil=True)
+def fly_range(kappa, pull, reach, noise_scale, kind, leader, start, noise, position, velocity):
+    """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}.
+
+    Followers look at the positions of one step ago, so the positions of all UAVs move on within the loop.
+    """
+    episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
+    followers = np.empty(uavs, np.int64)
+    for b in range(episodes):
+        follower_count = _members(kind[b], FOLLOWS, followers)
+        for s in range(steps):
+            t = start + s
+            for j in range(follower_count):
+                i = followers[j]
+                h = leader[b, i]
+                dx = position[b, t - 1, h, 0] - position[b, t - 1, i, 0]
+                dy = position[b, t - 1, h, 1] - position[b, t - 1, i, 1]
+                dz = position[b, t - 1, h, 2] - position[b, t - 1, i, 2]
+                distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+                gain = pull / distance if distance > reach else _ZERO
+                x = kappa * velocity[b, t - 1, h, 0] + noise_scale * noise[b, s, i, 0] + gain * dx
+                y = kappa * velocity[b, t - 1, h, 1] + noise_scale * noise[b, s, i, 1] + gain * dy
+                z = kappa * velocity[b, t - 1, h, 2] + noise_scale * noise[b, s, i, 2] + gain * dz
+                size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
+                velocity[b, t, i, 0] = x * size
+                velocity[b, t, i, 1] = y * size
+                velocity[b, t, i, 2] = z * size
+            for i in range(uavs):
+                for axis in range(3):
+                    position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
+
+
+@njit(cache=True, nogil=True)
+def _tanh(x):
+    """Hyperbolic tangent in float32 without a library call: (1 - e) / (1 + e) with e = exp(-2|x|) by range reduction.
+
+    2^f on [-1/2, 1/2] is a polynomial of degree 6, good to float32 rounding.
+    """
+    magnitude = min(abs(x), np.float32(9.0))
+    y = magnitude * np.float32(-2.8853900817779268)  # -2 / ln 2
+    whole = np.float32(np.floor(y + np.float32(0.5)))
+    f = (y - whole) * np.float32(0.6931471805599453)
+    e = np.float32(1.0 / 720.0)
+    e = e * f + np.float32(1.0 / 120.0)
+    e = e * f + np.float32(1.0 / 24.0)
+    e = e * f + np.float32(1.0 / 6.0)
+    e = e * f + np.float32(0.5)
+    e = e * f + _ONE
+    e = e * f + _ONE
+    e = np.float32(np.ldexp(e, np.int32(whole)))
+    result = (_ONE - e) / (_ONE + e)
+    return result if x >= _ZERO else -result
+
+
+@njit(cache=True, nogil=True)
+def fly_mlp(parameters, position_scale, noise_scale, kind, leader, start, noise, position, velocity):
+    """f7: norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n), one network an episode.
+
+    The head's share of the hidden layer is the same for all its followers, so it is formed once a step and head.
+    """
+    episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
+    followers = np.empty(uavs, np.int64)
+    free = np.empty(uavs, np.int64)
+    from_head = np.empty((uavs, MLP_HIDDEN), np.float32)
+    hidden = np.empty(MLP_HIDDEN, np.float32)
+    own = np.empty(3 + 3 * MLP_LAGS, np.float32)
+    scale = _ONE / position_scale
+    inner = MLP_INPUTS * MLP_HIDDEN
+    for b in range(episodes):
+        weights = parameters[b, :inner].reshape((MLP_INPUTS, MLP_HIDDEN))
+        bias = parameters[b, inner : inner + MLP_HIDDEN]
+        readout = parameters[b, inner + MLP_HIDDEN :].reshape((MLP_HIDDEN, 3))
+        follower_count = _members(kind[b], FOLLOWS, followers)
+        free_count = _members(kind[b], FREE, free)
+        for s in range(steps):
+            t = start + s
+            for j in range(free_count):
+                h = free[j]
+                for unit in range(MLP_HIDDEN):
+                    from_head[h, unit] = bias[unit]
+                for lag in range(MLP_LAGS):
+                    for axis in range(3):
+                        v = velocity[b, t - 1 - lag, h, axis]
+                        row = 3 + 3 * MLP_LAGS + 3 * lag + axis
+                        for unit in range(MLP_HIDDEN):
+                            from_head[h, unit] += v * weights[row, unit]
+            for j in range(follower_count):
+                i = followers[j]
+                h = leader[b, i]
+                for axis in range(3):
+                    own[axis] = (position[b, t, i, axis] - position[b, t - MLP_LAGS, h, axis]) * scale
+                for lag in range(MLP_LAGS):
+                    for axis in range(3):
+                        own[3 + 3 * lag + axis] = velocity[b, t - 1 - lag, i, axis]
+                for unit in range(MLP_HIDDEN):
+                    hidden[unit] = from_head[h, unit]
+                for row in range(3 + 3 * MLP_LAGS):
+                    for unit in range(MLP_HIDDEN):
+                        hidden[unit] += own[row] * weights[row, unit]
+                x = noise_scale * noise[b, s, i, 0]
+                y = noise_scale * noise[b, s, i, 1]
+                z = noise_scale * noise[b, s, i, 2]
+                for unit in range(MLP_HIDDEN):
+                    active = _tanh(hidden[unit])
+                    x += active * readout[unit, 0]
+                    y += active * readout[unit, 1]
+                    z += active * readout[unit, 2]
+                size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
+                velocity[b, t, i, 0] = x * size
+                velocity[b, t, i, 1] = y * size
+                velocity[b, t, i, 2] = z * size
+            for i in range(uavs):
+                for axis in range(3):
+                    position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
+
+
+@njit(cache=True, nogil=True)
+def integrate(start, position, velocity):
+    """p_{t+1} = p_t + v_t from ``start`` on, in place."""
+    episodes, end, uavs = velocity.shape[0], velocity.shape[1], velocity.shape[2]
+    for b in range(episodes):
+        for t in range(start, end):
+            for i in range(uavs):
+                for axis in range(3):
+                    position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
+
+
+@njit(cache=True, nogil=True)
+def remerge(head, alive, decoy, position, leader):
+    """Every living follower whose head is gone takes the nearest remaining head; -1 where none is left.
+
+    Args:
+        head: ``(B, N)`` bool.
+        alive: ``(B, N)`` bool.
+        decoy: ``(B, N)`` bool.
+        position: ``(B, N, 3)`` float32, where the UAVs are now.
+        leader: ``(B, N)`` int64, rewritten in place.
+    """
+    episodes, uavs = leader.shape
+    heads = np.empty(uavs, np.int64)
+    for b in range(episodes):
+        count = 0
+        for i in range(uavs):
+            if head[b, i] and alive[b, i]:
+                heads[count] = i
+                count += 1
+        for i in range(uavs):
+            if head[b, i] or decoy[b, i] or not alive[b, i]:
+                continue
+            if leader[b, i] >= 0 and alive[b, leader[b, i]]:
+                continue
+            nearest, best = -1, np.inf
+            for j in range(count):
+                dx = position[b, i, 0] - position[b, heads[j], 0]
+                dy = position[b, i, 1] - position[b, heads[j], 1]
+                dz = position[b, i, 2] - position[b, heads[j], 2]
+                distance = float(dx * dx + dy * dy + dz * dz)
+                if distance < best:
+                    nearest, best = heads[j], distance
+            leader[b, i] = nearest

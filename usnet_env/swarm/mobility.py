@@ -1,0 +1,199 @@
+"""How the UAVs that follow nobody (heads and decoys) move; decision (a) of the paper's silent points.
+
+Every mobility flies at 1 m a step, as followers do, so that speed tells nothing.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.config import InvalidArgument, shown, unknown_name
+from usnet_env.swarm import kernels
+from usnet_env.swarm.formation import ARENA
+
+__all__ = ["CompiledMobility", "Mobility", "mobilities", "mobility", "register_mobility"]
+
+State = NDArray[np.float64]
+
+
+class Mobility(ABC):
+    """How UAVs move by themselves. Subclass it, or give a plain function to :func:`register_mobility`.
+
+    Attributes:
+        description: one line for lists and pages.
+    """
+
+    description: str = ""
+
+    @abstractmethod
+    def start(self, rng: np.random.Generator, uavs: int) -> State:
+        """State ``(uavs, MOBILITY_STATE)`` float64 of UAVs that begin to fly, in the law's steady state."""
+
+    @abstractmethod
+    def fly(
+        self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """Directions ``(steps, uavs, 3)``, later normalised; moves ``state`` on in place.
+
+        Args:
+            state: ``(uavs, MOBILITY_STATE)`` float64.
+            position: ``(uavs, 3)`` float32, metres, where the UAVs are now.
+            steps: how many steps to fly.
+            rng: the episode's generator.
+        """
+
+
+def _unit_vectors(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """``(count, 3)`` directions, uniform on the sphere."""
+    vectors = rng.standard_normal((count, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class CompiledMobility(Mobility):
+    """A mobility with a compiled step (``kernels.fly_free``): its code, constants and standard normals a step."""
+
+    code: int
+    normals: int
+    numbers: tuple[float, ...] = ()
+    description: str = ""
+
+    def constants(self) -> NDArray[np.float64]:
+        """``(6,)`` constants for the kernel."""
+        return np.array([*self.numbers, *[0.0] * (6 - len(self.numbers))])
+
+    def start(self, rng: np.random.Generator, uavs: int) -> State:
+        """Draw directions, goals and turns."""
+        state = np.zeros((uavs, kernels.MOBILITY_STATE))
+        if self.code == kernels.IID:
+            return state
+        direction = _unit_vectors(rng, uavs)
+        if self.code == kernels.GAUSS_MARKOV:
+            state[:, 2] = rng.uniform(-np.pi, np.pi, uavs)  # mean azimuth; the mean pitch is level
+            spread = np.sqrt([self.numbers[1], self.numbers[2]])
+            state[:, 0:2] = state[:, 2:4] + spread * rng.standard_normal((uavs, 2))
+            return state
+        state[:, 0:3] = direction
+        if self.code == kernels.WAYPOINT:
+            state[:, 3:6] = rng.uniform(0.0, ARENA, (uavs, 3))
+        elif self.code == kernels.LOCAL_WAYPOINT:
+            state[:, 3:6] = np.nan  # no goal yet: `fly` sets one relative to where the UAV is
+        return state
+
+    def fly(
+        self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """Fly one swarm; the simulator calls the kernel for a whole batch instead."""
+        uavs = len(state)
+        velocity = np.zeros((1, steps, uavs, 3), np.float32)
+        normals = rng.standard_normal((1, steps, uavs, self.normals), dtype=np.float32)
+        free = np.arange(uavs)[None]
+        jitter = np.empty((0, steps, uavs, 3), np.float32)
+        kernels.fly_free(
+            self.code, self.constants(), free, 0, normals, jitter, state[None], position[None, None].copy(), velocity
+        )
+        return velocity[0]
+
+
+@dataclass(frozen=True)
+class MobilityFunction(Mobility):
+    """A plain function as a mobility; made by :func:`register_mobility`."""
+
+    function: Callable[[np.random.Generator, NDArray[np.float32], int, State], NDArray[np.float32]]
+    description: str = ""
+
+    def start(self, rng: np.random.Generator, uavs: int) -> State:
+        """Zeros: the function fills its state at the first call."""
+        return np.zeros((uavs, kernels.MOBILITY_STATE))
+
+    def fly(
+        self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """Call the function and check what it gives."""
+        directions = np.asarray(self.function(rng, position, steps, state), np.float32)
+        shape = (steps, len(position), 3)
+        if directions.shape != shape:
+            raise InvalidArgument(f"mobility function must return an array of shape {shape}, got {directions.shape}.")
+        if not np.isfinite(directions).all():
+            raise InvalidArgument("mobility function must return finite numbers, got NaN or infinity.")
+        return directions
+
+
+_MOBILITIES: dict[str, Mobility] = {
+    "iid": CompiledMobility(kernels.IID, 3, description="a fresh random direction each step (the paper tier)"),
+    "gauss_markov": CompiledMobility(
+        kernels.GAUSS_MARKOV,
+        2,
+        (0.85, 0.2, 0.02),
+        "Gauss-Markov azimuth and pitch about a mean heading; memory 0.85, variances 0.2 and 0.02 rad^2",
+    ),
+    "smooth_turn": CompiledMobility(
+        kernels.SMOOTH_TURN,
+        5,
+        (10.0, 0.6),
+        "turns about random axes, held for exponential times (mean 10 steps), truncated-exponential curvature",
+    ),
+    "waypoint": CompiledMobility(
+        kernels.WAYPOINT,
+        3,
+        (0.2, 5.0, *ARENA),
+        "random waypoints anywhere in the arena, turns of at most 0.2 rad a step",
+    ),
+    "local_waypoint": CompiledMobility(
+        kernels.LOCAL_WAYPOINT,
+        3,
+        (0.5, 2.0, 10.0),
+        "random waypoints about 10 m away on each axis, turns of at most 0.5 rad a step",
+    ),
+    "straight": CompiledMobility(kernels.STRAIGHT, 1, description="straight ahead in a random direction"),
+}
+
+
+def mobilities() -> Mapping[str, Mobility]:
+    """All registered mobilities by name (a read-only view)."""
+    return MappingProxyType(_MOBILITIES)
+
+
+def mobility(name: str) -> Mobility:
+    """The mobility registered under ``name``.
+
+    Raises:
+        InvalidArgument: no such name.
+    """
+    if name not in _MOBILITIES:
+        raise unknown_name("mobility", name, _MOBILITIES)
+    return _MOBILITIES[name]
+
+
+def register_mobility(
+    name: str,
+    law: Mobility | Callable[[np.random.Generator, NDArray[np.float32], int, State], NDArray[np.float32]],
+    *,
+    description: str = "",
+) -> None:
+    """Make a mobility of one's own available as ``mobility=name``.
+
+    Args:
+        name: the name to use; a name that is taken by another mobility is refused.
+        law: a :class:`Mobility`, or a function ``(rng, position (n, 3), steps, state (n, 8)) -> (steps, n, 3)`` of
+            directions of flight; ``state`` starts as zeros and is the function's to keep between rounds.
+        description: for a function, its line in lists.
+
+    Raises:
+        InvalidArgument: the name is taken or not a name, or the law is neither of the two.
+    """
+    if not isinstance(name, str) or not name.strip():
+        raise InvalidArgument(f"name must be a non-empty name, got {shown(name)}.")
+    if not isinstance(law, Mobility):
+        if not callable(law):
+            raise InvalidArgument(f"law must be a Mobility or a function, got {shown(law)}.")
+        law = MobilityFunction(law, description)
+    if name in _MOBILITIES and _MOBILITIES[name] != law:
+        raise InvalidArgument(f"name must be a new one, got {name!r}, which is registered already.")
+    _MOBILITIES[name] = law

@@ -1,0 +1,147 @@
+"""Random follow strategies for off-line training and held-out tests; the grammar contains none of f1 to f7.
+
+A strategy is a sum of one to three terms of the head's past, passed through an output map. Every draw has at least
+one ingredient that no row of Table II has: negative or unequal lag weights, cubes or signed roots, products of
+axes, a rotation, a saturation, a formation offset or a small network.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.swarm.follow import KAPPA_NOISE, FollowInputs, FollowStrategy
+
+__all__ = ["RandomFollowStrategy", "Term", "random_follow_strategy"]
+
+Array = NDArray[np.float32]
+
+KINDS = ("linear", "cube", "root", "product", "network")
+OUTPUTS = ("none", "rotate", "saturate", "rotate+saturate")
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """One summand: a function of the head's velocity ``lag`` steps back.
+
+    Args:
+        kind: ``linear`` w v, ``cube`` w v^3 (scaled to the size of v), ``root`` w sign(v) sqrt|v|, ``product`` of two
+            axes w (v_y v_z, v_z v_x, v_x v_y), or ``network`` a random tanh layer of v and the velocity a step before.
+        lag: 0 is v_{iL,t}.
+        weight: w.
+        layer: for ``network``: weights ``(6, 8)`` and ``(8, 3)``.
+    """
+
+    kind: str
+    lag: int
+    weight: float
+    layer: tuple[Array, Array] | None = None
+
+    def __call__(self, head_velocity: Array) -> Array:
+        """The summand ``(n, 3)`` for ``head_velocity (n, T_0, 3)``, newest first."""
+        v = head_velocity[:, self.lag]
+        if self.kind == "cube":
+            v = np.float32(1.7) * v * v * v
+        elif self.kind == "root":
+            v = np.sign(v) * np.sqrt(np.abs(v))
+        elif self.kind == "product":
+            v = np.float32(3.0) * v[:, [1, 2, 0]] * v[:, [2, 0, 1]]
+        elif self.kind == "network" and self.layer is not None:
+            both = head_velocity[:, self.lag : self.lag + 2].reshape(len(v), 6)
+            v = np.tanh(both @ self.layer[0]) @ self.layer[1]
+        return np.float32(self.weight) * v
+
+
+@dataclass(frozen=True, eq=False)
+class RandomFollowStrategy(FollowStrategy):
+    """A drawn strategy: norm(R g(sum of terms) + offset pull + kappa_n n), with R a rotation and g a saturation.
+
+    Args:
+        terms: the summands.
+        rotation: ``(3, 3)`` or ``None``.
+        saturation: each axis becomes tanh(s x) / s, or ``None``.
+        offset: metres; the follower is pulled with ``pull`` towards the head plus this offset, or ``None``.
+        pull: weight of that pull.
+        lags: steps of the past that it reads.
+        noise: kappa_n.
+    """
+
+    terms: tuple[Term, ...]
+    rotation: Array | None = None
+    saturation: float | None = None
+    offset: Array | None = None
+    pull: float = 0.0
+    lags: int = 4
+    noise: float = KAPPA_NOISE
+
+    @property
+    def equation(self) -> str:  # type: ignore[override]  # follows from the other fields
+        """What was drawn, in words."""
+        terms = " + ".join(f"{term.weight:.2f}·{term.kind}(v_{{iL,t-{term.lag}}})" for term in self.terms)
+        maps = [
+            name
+            for name, part in (("rotation", self.rotation), ("saturation", self.saturation), ("offset", self.offset))
+            if part is not None
+        ]
+        return f"v_{{i,t+1}} = norm({terms} + κ_n n)" + (f", with {', '.join(maps)}" if maps else "")
+
+    def direction(self, inputs: FollowInputs) -> Array:
+        """Sum the terms, map, pull."""
+        total = sum((term(inputs.head_velocity) for term in self.terms), np.zeros_like(inputs.own_position[:, 0]))
+        if self.saturation is not None:
+            total = np.tanh(np.float32(self.saturation) * total) / np.float32(self.saturation)
+        if self.rotation is not None:
+            total = total @ self.rotation.T
+        if self.offset is not None:
+            gap = inputs.head_position[:, 1] + self.offset - inputs.own_position[:, 1]
+            distance = np.sqrt((gap * gap).sum(axis=-1, keepdims=True, dtype=np.float32))
+            total = total + np.float32(self.pull) * gap / np.maximum(distance, np.float32(1.0))
+        return total
+
+
+def _rotation(rng: np.random.Generator) -> Array:
+    """A rotation by 30 to 150 degrees about a random axis (Rodrigues' formula)."""
+    axis = rng.standard_normal(3)
+    x, y, z = axis / np.linalg.norm(axis)
+    angle = rng.uniform(np.pi / 6, 5 * np.pi / 6)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return (np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross).astype(np.float32)
+
+
+def _term(rng: np.random.Generator, kind: str) -> Term:
+    layer = None
+    if kind == "network":
+        layer = (
+            rng.normal(0.0, 1.0, (6, 8)).astype(np.float32),
+            (rng.standard_normal((8, 3)) / np.sqrt(8)).astype(np.float32),
+        )
+    lag = int(rng.integers(0, 3))
+    return Term(kind, lag, float(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)), layer)
+
+
+def random_follow_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
+    """Draw a follow strategy from a grammar that contains none of f1 to f7.
+
+    Args:
+        rng: where the draw comes from; the strategy itself is then fixed.
+
+    Returns:
+        A strategy for ``SwarmConfig(follow=strategy)``.
+    """
+    kinds = [str(kind) for kind in rng.choice(KINDS, size=int(rng.integers(1, 4)))]
+    terms = [_term(rng, kind) for kind in kinds]
+    output = str(rng.choice(OUTPUTS))
+    if output == "none" and all(kind == "linear" for kind in kinds):
+        output = "rotate"  # a positive sum of lags alone would be f1, f2 or f3 again
+    offset, pull = None, 0.0
+    if rng.random() < 0.25:
+        offset, pull = rng.normal(0.0, 30.0, 3).astype(np.float32), float(rng.uniform(0.2, 0.6))
+    return RandomFollowStrategy(
+        terms=tuple(terms),
+        rotation=_rotation(rng) if "rotate" in output else None,
+        saturation=float(rng.uniform(1.0, 3.0)) if "saturate" in output else None,
+        offset=offset,
+        pull=pull,
+    )

@@ -1,0 +1,74 @@
+"""What an observer sees of the truth: sampling, position noise, missed detections."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.swarm.config import NOISE_BOUND, SwarmConfig
+
+__all__ = ["Sighting", "sense"]
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """The windows of B swarms.
+
+    Args:
+        position: ``(B, T_ob + 1, N, 3)`` float32, metres; 0 where unseen.
+        velocity: ``(B, T_ob, N, 3)`` float32, metres per step; 0 where either end is unseen.
+        seen: ``(B, T_ob + 1, N)`` bool.
+        alive: ``(B, N)`` bool.
+    """
+
+    position: NDArray[np.float32]
+    velocity: NDArray[np.float32]
+    seen: NDArray[np.bool_]
+    alive: NDArray[np.bool_]
+
+
+def sense(
+    config: SwarmConfig,
+    position: NDArray[np.float32],
+    velocity: NDArray[np.float32],
+    alive: NDArray[np.bool_],
+    rngs: Sequence[np.random.Generator],
+) -> Sighting:
+    """Observe B swarms.
+
+    With every step sampled and no noise, the observed velocity is the true one; else it is the difference of what is
+    seen, over the steps between two samples.
+
+    Args:
+        config: ``sample_every``, ``position_noise`` and ``miss_rate`` of it.
+        position: ``(B, T_ob * k + 1, N, 3)`` float32, the true positions from the window's start on.
+        velocity: ``(B, T_ob * k, N, 3)`` float32, the true velocities.
+        alive: ``(B, N)`` bool.
+        rngs: each episode's generator.
+    """
+    k = config.sample_every
+    differenced = k > 1 or config.position_noise > 0
+    if k > 1:
+        position = position[:, ::k]
+    if config.position_noise > 0:
+        noise = np.empty(position.shape, np.float32)
+        for row, rng in zip(noise, rngs, strict=True):
+            rng.standard_normal(out=row, dtype=np.float32)
+        np.clip(noise, -NOISE_BOUND, NOISE_BOUND, out=noise)
+        noise *= np.float32(config.position_noise)
+        noise *= alive[:, None, :, None]
+        position = position + noise
+    if differenced:
+        velocity = np.diff(position, axis=1)
+        if k > 1:
+            velocity /= np.float32(k)
+    seen = np.broadcast_to(alive[:, None], position.shape[:3]).copy()
+    if config.miss_rate > 0:
+        for row, rng in zip(seen, rngs, strict=True):
+            row &= rng.random(row.shape, dtype=np.float32) >= config.miss_rate
+        position = position * seen[..., None]
+        velocity = velocity * (seen[:, 1:] & seen[:, :-1])[..., None]
+    return Sighting(position, velocity, seen, alive.copy())
