@@ -1,8 +1,8 @@
 """Random follow strategies for off-line training and held-out tests; the grammar contains none of f1 to f7.
 
 A strategy is a sum of one to three terms of the head's past, passed through an output map. Every draw has at least
-one ingredient that no row of Table II has: negative or unequal lag weights, cubes or signed roots, products of
-axes, a rotation, a saturation, a formation offset or a small network.
+one ingredient that no row of Table II has: cubes or signed roots, products of axes, a small network, or a rotation;
+unequal lag weights, saturation and formation offsets come on top.
 """
 
 from __future__ import annotations
@@ -133,8 +133,8 @@ def random_follow_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
     kinds = [str(kind) for kind in rng.choice(KINDS, size=int(rng.integers(1, 4)))]
     terms = [_term(rng, kind) for kind in kinds]
     output = str(rng.choice(OUTPUTS))
-    if output == "none" and all(kind == "linear" for kind in kinds):
-        output = "rotate"  # a positive sum of lags alone would be f1, f2 or f3 again
+    if "rotate" not in output and all(kind == "linear" for kind in kinds):
+        output = "rotate"  # a positive sum of lags, or one hardly saturated, would be f1, f2 or f3 again
     offset, pull = None, 0.0
     if rng.random() < 0.25:
         offset, pull = rng.normal(0.0, 30.0, 3).astype(np.float32), float(rng.uniform(0.2, 0.6))

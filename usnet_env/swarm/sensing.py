@@ -59,7 +59,7 @@ def sense(
             rng.standard_normal(out=row, dtype=np.float32)
         np.clip(noise, -NOISE_BOUND, NOISE_BOUND, out=noise)
         noise *= np.float32(config.position_noise)
-        noise *= alive[:, None, :, None]
+        noise.swapaxes(1, 2)[~alive] = 0.0
         position = position + noise
     if differenced:
         velocity = np.diff(position, axis=1)
@@ -69,6 +69,7 @@ def sense(
     if config.miss_rate > 0:
         for row, rng in zip(seen, rngs, strict=True):
             row &= rng.random(row.shape, dtype=np.float32) >= config.miss_rate
-        position = position * seen[..., None]
-        velocity = velocity * (seen[:, 1:] & seen[:, :-1])[..., None]
+        # Not by a product, which would leave the sign of what was not seen in its zero.
+        position = np.where(seen[..., None], position, np.float32(0.0))
+        velocity = np.where((seen[:, 1:] & seen[:, :-1])[..., None], velocity, np.float32(0.0))
     return Sighting(position, velocity, seen, alive.copy())

@@ -206,7 +206,8 @@ def _fly(
         config, state.free[part], mobility_state[part], position[part], velocity[part], config.memory, rngs, jitter
     )
     if not state.alive[part].all():
-        velocity[part][:, config.memory :] *= state.alive[part, None, :, None]
+        # Assigned, not multiplied: the sign of a zero would tell which of the destroyed flew by themselves.
+        velocity[part].swapaxes(1, 2)[~state.alive[part], config.memory :] = 0.0
     if strategy is None:
         kernels.integrate(config.memory, position[part], velocity[part])
         return

@@ -1,0 +1,473 @@
+"""The single environments, found through the registry and driven as Gymnasium code drives them."""
+
+import copy
+import json
+import pickle
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import usnet_env
+from usnet_env import InvalidArgument, Window
+from usnet_env.envs import ENVIRONMENTS, MultiDiscreteCandidates, register_environments
+
+IDS = sorted(ENVIRONMENTS)
+MULTI = "USNET/MultiCluster-v0"
+SINGLE = "USNET/SingleCluster-v0"
+SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 12}
+
+
+def same(one, other):
+    assert one.keys() == other.keys()
+    for key in one:
+        np.testing.assert_array_equal(one[key], other[key], err_msg=key)
+
+
+def test_the_registry_holds_every_id():
+    assert sorted(name for name in gym.registry if name.startswith("USNET/")) == IDS
+    register_environments()  # a second time changes nothing, and warns of nothing
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_gymnasium_s_checker_has_nothing_to_say(name):
+    """Warnings are errors in this test suite."""
+    check_env(gym.make(name, render_mode="rgb_array").unwrapped)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_stable_baselines_checker_finds_no_error(name):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*image.*|.*CNN.*")  # hints about image shapes
+        checker.check_env(gym.make(name))
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_an_id_says_it_all(name):
+    spec = gym.make(f"usnet_env:{name}", follow="f3").spec
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json()))
+    assert again.unwrapped.config == gym.make(name, follow="f3").unwrapped.config
+    assert json.loads(spec.to_json())["kwargs"]["follow"] == "f3"
+
+
+def episode(env, seed, shots):
+    """A whole episode with random shots: everything that comes back."""
+    rng = np.random.default_rng(shots)
+    out = [env.reset(seed=seed)]
+    done = False
+    while not done:
+        out.append(env.step((rng.random(env.action_space.n) < 0.15).astype(np.int8)))
+        done = out[-1][2] or out[-1][3]
+    return out
+
+
+@pytest.mark.parametrize("seed", [0, 1, 12345])
+@pytest.mark.parametrize("name", IDS)
+def test_twin_rollouts_are_equal(name, seed):
+    one, other = (episode(gym.make(name), seed, 7) for _ in range(2))
+    assert len(one) == len(other)
+    for a, b in zip(one, other, strict=True):
+        same(a[0], b[0])
+        assert a[1:] == b[1:]
+
+
+def test_seed_0_is_a_seed():
+    env = gym.make(MULTI, **SMALL)
+    first, again, other = env.reset(seed=0)[0], env.reset(seed=0)[0], env.reset(seed=1)[0]
+    same(first, again)
+    assert not np.array_equal(first["position"], other["position"])
+    assert not np.array_equal(env.reset()[0]["position"], env.reset()[0]["position"])
+
+
+def test_the_global_generator_is_left_alone():
+    before = np.random.get_state()[1].copy()  # noqa: NPY002  the global generator is what is tested
+    episode(gym.make(MULTI, **SMALL), 0, 0)
+    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_observations_are_inside_their_space_to_the_end(name):
+    env = gym.make(name, position_noise=3.0, miss_rate=0.1)
+    for observation, *_ in episode(env, 3, 2):
+        assert env.observation_space.contains(observation)
+
+
+# --- rewards ---------------------------------------------------------------------------------------------------------
+
+
+def play(env, seed, choose):
+    """(truth at the start, candidates of each round, rewards, last info) of an episode."""
+    env.reset(seed=seed)
+    swarm = env.unwrapped.swarm
+    rounds, rewards, done = [], [], False
+    while not done:
+        rounds.append(choose(env.unwrapped.swarm, len(rounds)))
+        _, reward, terminated, truncated, info = env.step(rounds[-1])
+        rewards.append(reward)
+        done = terminated or truncated
+    return swarm.head, rounds, rewards, info, terminated
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**31), share=st.floats(0, 1), price=st.sampled_from([0.0, 0.5, 1.0, 3.0]))
+def test_the_return_of_p2_is_minus_j_m(seed, share, price):
+    """J_m written out from the paper: R + (1/N) sum_r |C_r without H_{r-1}|."""
+    rng = np.random.default_rng(seed)
+    env = gym.make(MULTI, **SMALL, max_rounds=6, redundancy_price=price)
+    head, rounds, rewards, info, terminated = play(env, seed, lambda swarm, r: (rng.random(20) < share).astype(np.int8))
+    remaining, redundant = set(np.flatnonzero(head)), 0
+    for candidates in rounds:
+        named = set(np.flatnonzero(candidates))
+        redundant += len(named - remaining)
+        remaining -= named
+    assert sum(rewards) == pytest.approx(-(len(rounds) + price * redundant / 20), abs=1e-12)
+    assert info["J"] == pytest.approx(len(rounds) + redundant / 20, abs=1e-12)  # always at price 1
+    assert info["heads_left"] == len(remaining)
+    assert terminated == (not remaining) == bool(info["success"])
+    assert terminated or len(rounds) == 6
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**31), share=st.floats(0, 1))
+def test_the_reward_of_p1_is_j_s(seed, share):
+    rng = np.random.default_rng(seed)
+    env = gym.make(SINGLE, followers=5, observation_steps=12)
+    head, rounds, rewards, info, terminated = play(env, seed, lambda swarm, r: (rng.random(6) < share).astype(np.int8))
+    named = rounds[0].sum()
+    expected = (rounds[0] & head).sum() - named if named else -1
+    assert rewards == [expected]
+    assert info["J"] == expected
+    assert terminated
+
+
+@pytest.mark.parametrize(("price", "expected"), [(1.0, -3.0), (0.5, -2.0), (0.0, -1.0)])
+def test_the_price_of_p1_leaves_a_miss_at_one(price, expected):
+    env = gym.make(SINGLE, followers=5, observation_steps=12, redundancy_price=price)
+
+    def three_wrong(swarm, r):
+        action = np.zeros(6, np.int8)
+        action[np.flatnonzero(~swarm.head)[:3]] = 1
+        return action
+
+    _, _, rewards, info, _ = play(env, 0, three_wrong)
+    assert rewards == [expected]
+    assert info["J"] == -3.0
+
+
+def test_reward_terms_add_up_to_the_reward():
+    for name in (SINGLE, MULTI):
+        for _, reward, *_, info in episode(gym.make(name, redundancy_price=2.0), 0, 1)[1:]:
+            assert sum(value for key, value in info.items() if key.startswith("reward_")) == pytest.approx(reward)
+
+
+def test_destroy_all_scores_what_the_formula_says():
+    _, _, rewards, info, terminated = play(gym.make(MULTI), 0, lambda swarm, r: np.ones(82, np.int8))
+    assert sum(rewards) == -(1 + 77 / 82)
+    assert info["J"] == 1 + 77 / 82
+    assert terminated
+
+
+def test_the_empty_answer():
+    _, rounds, rewards, info, terminated = play(gym.make(SINGLE), 0, lambda swarm, r: np.zeros(16, np.int8))
+    assert (rewards, info["success"], terminated) == ([-1.0], 0, True)
+    _, rounds, rewards, info, terminated = play(
+        gym.make(MULTI, max_rounds=4), 0, lambda swarm, r: np.zeros(82, np.int8)
+    )
+    assert (rewards, info["success"], terminated, len(rounds)) == ([-1.0] * 4, 0, False, 4)
+
+
+def test_a_destroyed_uav_as_candidate_is_redundant():
+    def the_same_follower(swarm, r):
+        action = np.zeros(20, np.int8)
+        action[np.flatnonzero(~swarm.head)[0]] = 1
+        return action
+
+    _, _, rewards, info, _ = play(gym.make(MULTI, **SMALL, max_rounds=3), 0, the_same_follower)
+    assert rewards == pytest.approx([-(1 + 1 / 20)] * 3)
+    assert info["redundant"] == 1
+
+
+@pytest.mark.parametrize(("name", "reward"), [(MULTI, -1.0), (SINGLE, -1.0)])
+def test_a_salvo_over_the_budget_destroys_nobody(name, reward):
+    env = gym.make(name, shot_budget=3)
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.n, np.int8)
+    action[:4] = 1
+    observation, got, _, _, info = env.step(action)
+    assert got == reward
+    assert info["over_budget"] == 1
+    assert info["hits"] == info["redundant"] == 0
+    assert observation["alive"].all()
+    assert env.unwrapped.swarm.alive.all()
+
+
+def test_a_salvo_within_the_budget_counts():
+    env = gym.make(MULTI, shot_budget=5)
+    env.reset(seed=0)
+    *_, terminated, _, info = env.step(env.unwrapped.swarm.head.astype(np.int8))
+    assert terminated
+    assert info["J"] == 1.0
+    assert info["over_budget"] == 0
+
+
+def test_decoys_are_redundant_and_not_waited_for():
+    env = gym.make(MULTI, clusters=2, uavs=12, decoys=2)
+    env.reset(seed=0)
+    swarm = env.unwrapped.swarm
+    assert swarm.decoy.sum() == 2
+    *_, info = env.step(swarm.decoy.astype(np.int8))
+    assert (info["hits"], info["redundant"], info["success"]) == (0, 2, 0)
+    *_, terminated, _, info = env.step(swarm.head.astype(np.int8))
+    assert terminated
+    assert info["success"] == 1
+    single = gym.make(SINGLE, followers=5, decoys=2)
+    assert single.action_space.n == 8
+
+
+def test_rounds_orphans_and_masks():
+    env = gym.make(MULTI, **SMALL)
+    observation, info = env.reset(seed=0)
+    assert (info["round"], observation["round"][0]) == (0, 1)
+    swarm = env.unwrapped.swarm
+    first = np.flatnonzero(swarm.head)[0]
+    action = np.zeros(20, np.int8)
+    action[first] = 1
+    observation, _, _, _, info = env.step(action)
+    after = env.unwrapped.swarm
+    assert (info["round"], observation["round"][0], info["heads_left"]) == (1, 2, 2)
+    assert observation["alive"][first] == 0
+    assert not observation["seen"][:, first].any()
+    orphans = (swarm.leader == first) & ~swarm.head
+    assert after.head[after.leader[orphans]].all()
+    assert (after.leader[orphans] != first).all()
+    masks = env.unwrapped.action_masks().reshape(20, 2)
+    assert masks[:, 0].all()
+    np.testing.assert_array_equal(masks[:, 1], observation["alive"])
+
+
+def test_a_terminated_game_shows_an_empty_window_and_a_truncated_one_the_next():
+    env = gym.make(MULTI, **SMALL, max_rounds=1)
+    env.reset(seed=0)
+    observation, *_ = env.step(env.unwrapped.swarm.head.astype(np.int8))
+    assert not observation["seen"].any()
+    env.reset(seed=0)
+    observation, _, terminated, truncated, _ = env.step(np.zeros(20, np.int8))
+    assert (terminated, truncated) == (False, True)
+    assert observation["seen"].all()
+
+
+# --- the border ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "action",
+    [
+        np.zeros(19, np.int8),
+        np.zeros((20, 1)),
+        0,
+        None,
+        "all",
+        [0] * 21,
+        [[0] * 10] * 2,
+        [0, [1]],
+        np.full(20, 2),
+        np.full(20, np.nan),
+        np.full(20, 0.5),
+        np.full(20, -1),
+        ["a"] * 20,
+    ],
+    ids=repr,
+)
+def test_a_wrong_action_raises_one_clear_sentence_and_changes_nothing(action):
+    env = gym.make(MULTI, **SMALL).unwrapped
+    env.reset(seed=0)
+    before = env.get_state()
+    with pytest.raises(InvalidArgument, match=r"^action must .*got .*\.$"):
+        env.step(action)
+    assert pickle.dumps(env.get_state()) == pickle.dumps(before)
+
+
+@pytest.mark.parametrize("dtype", [bool, np.int8, np.int64, np.float32, list])
+def test_actions_of_every_kind_are_taken(dtype):
+    env = gym.make(MULTI, **SMALL).unwrapped
+    env.reset(seed=0)
+    head = env.swarm.head
+    action = head.astype(int).tolist() if dtype is list else head.astype(dtype)
+    assert env.step(action)[2]
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "sentence"),
+    [
+        (MULTI, {"max_rounds": 0}, "max_rounds must be greater than or equal to 1, got 0"),
+        (MULTI, {"max_rounds": 2.5}, "max_rounds must be a whole number, got 2.5"),
+        (MULTI, {"shot_budget": "x"}, "shot_budget must be a whole number, got 'x'"),
+        (MULTI, {"redundancy_price": np.nan}, "redundancy_price must be a finite number, got nan"),
+        (MULTI, {"redundancy_price": -1.0}, "redundancy_price must be greater than or equal to 0"),
+        (MULTI, {"reveal_truth": "yes"}, "reveal_truth must be true or false"),
+        (MULTI, {"follow": "f8"}, "follow must be one of f1, f2.*got 'f8'"),
+        (SINGLE, {"followers": 1}, "followers must be greater than or equal to 2, got 1"),
+        (SINGLE, {"followers": 10**9}, "followers must be less than or equal to"),
+        (SINGLE, {"followers": np.nan}, "followers must be a whole number, got nan"),
+        (SINGLE, {"decoys": -1}, "decoys must be greater than or equal to 0, got -1"),
+    ],
+)
+def test_bad_arguments_are_named(name, arguments, sentence):
+    with pytest.raises(InvalidArgument, match=sentence):
+        gym.make(name, **arguments)
+
+
+def test_a_bad_render_mode_is_named():
+    with pytest.raises(InvalidArgument, match="render_mode must be 'rgb_array' or None, got 'human'"):
+        usnet_env.envs.MultiClusterEnv(render_mode="human")
+
+
+def test_what_comes_too_early_or_too_late_is_refused():
+    env = gym.make(SINGLE).unwrapped
+    for early in (env.action_masks, env.get_state, lambda: env.step(np.zeros(16)), lambda: env.swarm):
+        with pytest.raises(InvalidArgument, match="reset must be called first"):
+            early()
+    env.reset(seed=0)
+    env.step(np.zeros(16, np.int8))
+    with pytest.raises(InvalidArgument, match="reset must be called first, got a step in an episode that is over"):
+        env.step(np.zeros(16, np.int8))
+
+
+# --- save and restore ------------------------------------------------------------------------------------------------
+
+
+def shots(count):
+    rng = np.random.default_rng(11)
+    return [(rng.random(20) < 0.1).astype(np.int8) for _ in range(count)]
+
+
+def go_on(env, actions):
+    out = []
+    for action in actions:
+        out.append(env.step(action))
+        if out[-1][2] or out[-1][3]:
+            break
+    return out
+
+
+@pytest.mark.parametrize("case", [{}, {"follow": "f7", "mobility": "smooth_turn", "position_noise": 1.0}])
+@pytest.mark.parametrize("way", ["deepcopy", "pickle", "state", "state elsewhere"])
+def test_an_episode_goes_on_where_it_was_saved(way, case):
+    env = gym.make(MULTI, **SMALL, **case).unwrapped
+    env.reset(seed=4)
+    env.step(shots(1)[0])
+    if way == "deepcopy":
+        other = copy.deepcopy(env)
+    elif way == "pickle":
+        other = pickle.loads(pickle.dumps(env))
+    else:
+        state = pickle.loads(pickle.dumps(env.get_state()))
+        if way == "state":
+            expected = go_on(copy.deepcopy(env), shots(6))
+            go_on(env, shots(3))  # fly off, then come back
+            env.set_state(state)
+            got = go_on(env, shots(6))
+        else:
+            other = gym.make(MULTI, **SMALL, **case).unwrapped
+            same(other.set_state(state), env.get_state()["observation"])
+    if way != "state":
+        expected, got = go_on(env, shots(6)), go_on(other, shots(6))
+    assert len(expected) == len(got)
+    for a, b in zip(expected, got, strict=True):
+        same(a[0], b[0])
+        assert a[1:] == b[1:]
+
+
+def test_a_state_of_another_env_is_refused():
+    env, other = gym.make(MULTI, **SMALL).unwrapped, gym.make(MULTI).unwrapped
+    env.reset(seed=0)
+    other.reset(seed=0)
+    for wrong in (env.get_state(), {}, None, 3):
+        with pytest.raises(InvalidArgument, match="state must come from get_state"):
+            other.set_state(wrong)
+
+
+def test_observations_share_nothing_with_the_env():
+    env = gym.make(MULTI, **SMALL).unwrapped
+    observation, _ = env.reset(seed=0)
+    kept = copy.deepcopy(env.get_state()["observation"])
+    for values in observation.values():
+        values[...] = 0
+    same(env.get_state()["observation"], kept)
+
+
+# --- truth -----------------------------------------------------------------------------------------------------------
+
+
+def test_truth_is_in_info_only_on_request():
+    _, info = gym.make(MULTI, **SMALL).reset(seed=0)
+    assert all(np.isscalar(value) for value in info.values())
+    env = gym.make(MULTI, **SMALL, reveal_truth=True)
+    _, info = env.reset(seed=0)
+    np.testing.assert_array_equal(info["head"], env.unwrapped.swarm.head)
+    np.testing.assert_array_equal(info["leader"], env.unwrapped.swarm.leader)
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_info_has_the_same_names_in_every_step():
+    for name in IDS:
+        steps = episode(gym.make(name), 0, 0)
+        assert {frozenset(step[-1]) for step in steps} == {frozenset(steps[0][1])}
+
+
+def test_a_window_is_made_of_an_observation_and_reaches_nothing_else():
+    env = gym.make(MULTI, **SMALL)
+    observation, _ = env.reset(seed=0)
+    window = Window.from_observation(observation)
+    np.testing.assert_array_equal(window.position, observation["position"])
+    assert window.uavs == 20
+    assert window.round == 1
+    with pytest.raises(ValueError, match="read-only"):
+        window.position[0] = 0
+    reached = pickle.dumps(window)
+    assert b"usnet_env.envs" not in reached
+    assert b"usnet_env.swarm" not in reached
+
+
+# --- wrappers and pictures -------------------------------------------------------------------------------------------
+
+
+def test_multi_discrete_wrapper_plays_the_same_game():
+    plain, wrapped = gym.make(MULTI, **SMALL), MultiDiscreteCandidates(gym.make(MULTI, **SMALL))
+    assert wrapped.action_space == gym.spaces.MultiDiscrete([2] * 20)
+    plain.reset(seed=0)
+    wrapped.reset(seed=0)
+    action = np.array(shots(1)[0], np.int64)
+    assert wrapped.action_space.contains(action)
+    same(plain.step(action)[0], wrapped.step(action)[0])
+    np.testing.assert_array_equal(wrapped.action_masks(), plain.unwrapped.action_masks())
+    with pytest.raises(InvalidArgument, match="env must have a MultiBinary action space"):
+        MultiDiscreteCandidates(wrapped)
+
+
+def test_usual_wrappers_work():
+    env = gym.wrappers.RecordEpisodeStatistics(gym.wrappers.FlattenObservation(gym.make(MULTI, **SMALL)))
+    env.reset(seed=0)
+    *_, info = env.step(env.unwrapped.swarm.head.astype(np.int8))
+    assert info["episode"]["r"] == -1.0
+    stacked = gym.wrappers.FrameStackObservation(gym.make(MULTI, **SMALL), 2)
+    observation, _ = stacked.reset(seed=0)
+    assert observation["position"].shape == (2, 13, 20, 3)
+
+
+def test_rendering_shows_the_round_that_was_decided():
+    env = gym.make(MULTI, **SMALL, render_mode="rgb_array")
+    env.reset(seed=0)
+    before = env.render()
+    env.step(env.unwrapped.swarm.head.astype(np.int8))
+    after = env.render()
+    assert before.dtype == np.uint8
+    assert before.shape == after.shape
+    assert before.ndim == 3
+    assert (before != after).any()  # the candidates are ringed now
+    assert gym.make(MULTI, **SMALL).unwrapped.render() is None

@@ -1,0 +1,78 @@
+"""Nothing but flight tells a head: who sees only indices, masks, dtypes or info finds heads at chance."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.metrics import roc_auc_score
+
+CASES = [
+    {"follow": "f1"},
+    {"follow": "f6", "formation": "around", "miss_rate": 0.2},
+    {"follow": "f4", "position_noise": 1.0, "decoys": 2, "sample_every": 2},
+]
+EPISODES = 240
+
+
+def blind_features(observation, info):
+    """Per UAV, everything in an observation and in info that is not flight: (N, features)."""
+    uavs = len(observation["alive"])
+    position, seen = observation["position"], observation["seen"].astype(float)
+    columns = [
+        np.arange(uavs),
+        observation["alive"],
+        seen.mean(axis=0),
+        seen[0],
+        seen[-1],
+        np.full(uavs, position.dtype.itemsize),
+        (position == 0).all(axis=(0, 2)),
+        *((np.signbit(flown) & (flown == 0)).any(axis=(0, 2)) for flown in (position, observation["velocity"])),
+        np.full(uavs, observation["round"][0]),
+        *(np.full(uavs, float(value)) for value in info.values()),
+    ]
+    return np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["follow"])
+def test_a_classifier_of_all_that_is_not_flight_is_at_chance(case):
+    env = gym.make("USNET/MultiCluster-v0", clusters=3, uavs=20, observation_steps=10, **case)
+    features, labels = [], []
+    for seed in range(EPISODES):
+        observation, info = env.reset(seed=seed)
+        features.append(blind_features(observation, info))
+        labels.append(env.unwrapped.swarm.head)
+    half = EPISODES // 2
+    train, test = np.concatenate(features[:half]), np.concatenate(features[half:])
+    truth, held_out = np.concatenate(labels[:half]), np.concatenate(labels[half:])
+    forest = RandomForestClassifier(100, min_samples_leaf=5, random_state=0).fit(train, truth)
+    chance = 1 / np.sqrt(12 * held_out.sum() * (1 - held_out.mean()))  # standard error of an AUC of 1/2
+    assert abs(roc_auc_score(held_out, forest.predict_proba(test)[:, 1]) - 0.5) < 4 * chance
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["follow"])
+@pytest.mark.parametrize("rule", ["first", "last", "most seen", "least seen"])
+def test_rules_that_look_at_no_flight_hit_as_often_as_a_die(rule, case):
+    env = gym.make("USNET/SingleCluster-v0", followers=5, observation_steps=10, **case)
+    hits, sides = 0, env.action_space.n
+    for seed in range(300):
+        observation, _ = env.reset(seed=seed)
+        seen = observation["seen"].sum(axis=0)
+        named = {"first": 0, "last": sides - 1, "most seen": seen.argmax(), "least seen": seen.argmin()}[rule]
+        hits += bool(env.unwrapped.swarm.head[named])
+    assert binomtest(hits, 300, 1 / sides).pvalue > 1e-3
+
+
+def test_the_zeros_of_the_destroyed_tell_nothing():
+    """Sign bits of masked values are the same for what were heads, decoys and followers."""
+    env = gym.make("USNET/MultiCluster-v0", clusters=3, uavs=20, decoys=2, mobility="gauss_markov", miss_rate=0.1)
+    env.reset(seed=0)
+    swarm = env.unwrapped.swarm
+    action = np.zeros(20, np.int8)
+    for role in (swarm.head, swarm.decoy, ~(swarm.head | swarm.decoy)):
+        action[np.flatnonzero(role)[0]] = 1
+    observation, *_ = env.step(action)
+    for name in ("position", "velocity"):
+        masked = observation[name][:, action.astype(bool)]
+        assert not masked.any()
+        assert not np.signbit(masked).any()

@@ -1,0 +1,85 @@
+"""The vector environments against Gymnasium's own vectorisation of the single ones."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from usnet_env import InvalidArgument
+from usnet_env.envs import ENVIRONMENTS
+
+MULTI = "USNET/MultiCluster-v0"
+
+
+def same(one, other):
+    assert one.keys() == other.keys()
+    for key in one:
+        np.testing.assert_array_equal(one[key], other[key], err_msg=key)
+        assert one[key].dtype == other[key].dtype, key
+
+
+@pytest.mark.parametrize("arguments", [{}, {"follow": "f7", "reveal_truth": True, "max_rounds": 2}])
+@pytest.mark.parametrize("name", sorted(ENVIRONMENTS))
+def test_equal_to_single_envs_over_many_episodes(name, arguments):
+    arguments = {**arguments, "observation_steps": 10}
+    if "Single" in name:
+        arguments.pop("max_rounds", None)
+    batch = gym.make_vec(f"usnet_env:{name}", num_envs=5, **arguments)
+    singles = gym.make_vec(name, num_envs=5, vectorization_mode="sync", **arguments)
+    assert batch.unwrapped.__class__.__name__.endswith("ClusterVectorEnv")
+    one, other = batch.reset(seed=0), singles.reset(seed=0)
+    same(one[0], other[0])
+    same(one[1], other[1])
+    rng = np.random.default_rng(3)
+    ends = 0
+    for _ in range(30):
+        share = rng.choice([0.05, 0.5, 1.0], size=(5, 1))
+        actions = (rng.random(batch.action_space.shape) < share).astype(np.int8)
+        one, other = batch.step(actions), singles.step(actions)
+        same(one[0], other[0])
+        for mine, theirs in zip(one[1:4], other[1:4], strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+            assert mine.dtype == theirs.dtype
+        same(one[4], other[4])
+        assert batch.observation_space.contains(one[0])
+        ends += int((one[2] | one[3]).sum())
+    assert ends > 5
+
+
+def test_seeds_as_a_list_and_generators_that_go_on():
+    batch = gym.make_vec(MULTI, num_envs=3, observation_steps=10)
+    one = batch.reset(seed=[7, 7, 8])[0]["position"]
+    np.testing.assert_array_equal(one[0], one[1])
+    assert not np.array_equal(one[0], one[2])
+    assert not np.array_equal(batch.reset()[0]["position"][0], one[0])
+    single = gym.make(MULTI, observation_steps=10)
+    np.testing.assert_array_equal(single.reset(seed=8)[0]["position"], one[2])
+
+
+def test_masks_are_those_of_the_single_envs():
+    batch = gym.make_vec(MULTI, num_envs=2, observation_steps=10)
+    batch.reset(seed=0)
+    actions = np.zeros((2, 82), np.int8)
+    actions[1, 3] = 1
+    batch.step(actions)
+    masks = batch.unwrapped.action_masks().reshape(2, 82, 2)
+    assert masks[..., 0].all()
+    assert masks[0].all()
+    assert not masks[1, 3, 1]
+
+
+def test_bad_input_is_named():
+    with pytest.raises(InvalidArgument, match="num_envs must be a whole number from 1, got 0"):
+        gym.make_vec(MULTI, num_envs=0)
+    with pytest.raises(InvalidArgument, match="follow must be one of"):
+        gym.make_vec(MULTI, num_envs=2, follow="f0")
+    with pytest.raises(InvalidArgument, match="render_mode must be None"):
+        gym.make_vec(MULTI, num_envs=2, render_mode="rgb_array")
+    batch = gym.make_vec(MULTI, num_envs=2, observation_steps=10)
+    with pytest.raises(InvalidArgument, match="reset must be called first"):
+        batch.step(np.zeros((2, 82)))
+    with pytest.raises(InvalidArgument, match="seed must hold one seed for each of 2 envs, got 3"):
+        batch.reset(seed=[1, 2, 3])
+    batch.reset(seed=0)
+    for wrong in (np.zeros(82), np.full((2, 82), 2), np.full((2, 82), np.nan), None):
+        with pytest.raises(InvalidArgument, match="action must"):
+            batch.step(wrong)

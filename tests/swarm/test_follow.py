@@ -1,0 +1,223 @@
+"""Follow strategies: against their equations, against the slow loop, and as a user registers them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from usnet_env import InvalidArgument, register_follow_strategy
+from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, follow_strategies, start
+from usnet_env.swarm import follow as follow_module
+from usnet_env.swarm.flight import Flight
+from usnet_env.swarm.follow import FollowInputs, Lags, Network, StayInRange, follow_strategy
+from usnet_env.swarm.head_dependence import head_dependence
+from usnet_env.swarm.random_follow import random_follow_strategy
+
+NAMES = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
+
+
+def generators(count, seed=0):
+    return [np.random.default_rng((seed, b)) for b in range(count)]
+
+
+@pytest.fixture
+def registry(monkeypatch):
+    """A registry of its own, so that a test's strategies do not outlive it."""
+    monkeypatch.setattr(follow_module, "_STRATEGIES", dict(follow_module._STRATEGIES))
+
+
+def fly(follow, **arguments):
+    """One observed window of a small swarm: (state before, window)."""
+    config = SwarmConfig(follow=follow, clusters=2, uavs=9, **arguments)
+    rngs = generators(1)
+    before = start(config, rngs)
+    return before.episode(), advance(config, before, rngs)[1]
+
+
+def unit(x):
+    return x / np.linalg.norm(x)
+
+
+@pytest.mark.parametrize("formation", ["uniform", "around"])
+@pytest.mark.parametrize("name", NAMES[:6])
+def test_noise_free_flight_obeys_the_row_of_table_2(name, formation):
+    """Written out from the table, UAV by UAV and step by step, with kappa_n = 0."""
+    swarm, window = fly(replace(follow_strategy(name), noise=0.0), formation=formation)
+    p, v = window.position[0].astype(float), window.velocity[0].astype(float)
+    followers = np.flatnonzero(~swarm.head)
+    near = 0
+    for i in followers:
+        h = swarm.leader[i]
+        for t in range(3, 60):
+            gap = p[t, h] - p[t, i]
+            far = np.linalg.norm(gap) > 60.0
+            near += not far
+            expected = {
+                "f1": v[t, h],
+                "f2": v[t, h] + v[t - 1, h],
+                "f3": v[t, h] + v[t - 1, h] + v[t - 2, h],
+                "f4": v[t, h] ** 2 + v[t - 1, h] ** 2,
+                "f5": v[t, h] ** 2 + v[t - 1, h] ** 2 + v[t - 2, h] ** 2,
+                "f6": v[t, h] + far * gap / np.linalg.norm(gap),
+            }[name]
+            assert v[t + 1, i] == pytest.approx(unit(expected), abs=2e-3)
+    share = near / (57 * len(followers))
+    assert share > 0.5 if formation == "around" else share < 0.5  # both branches of f6's indicator are flown
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_compiled_flight_equals_the_general_loop(name):
+    config = SwarmConfig(follow=name, clusters=3, uavs=20, formation="around", observation_steps=50)
+    rngs = generators(2)
+    state = start(config, rngs)
+    strategy = config.follow_strategy
+    memory, steps = config.memory, config.steps
+    flights = []
+    for _ in range(2):
+        rng = np.random.default_rng(5)
+        position = np.zeros((2, memory + steps + 1, 20, 3), np.float32)
+        velocity = np.zeros((2, memory + steps, 20, 3), np.float32)
+        position[:, : memory + 1], velocity[:, :memory] = state.past_position, state.past_velocity
+        kind = np.full((2, 20), 2, np.int8)
+        np.put_along_axis(kind, state.free, np.int8(1), axis=1)
+        for b in range(2):
+            free = rng.standard_normal((steps, 3, 3)).astype(np.float32)
+            velocity[b, memory:, state.free[b]] = (free / np.linalg.norm(free, axis=-1, keepdims=True)).swapaxes(0, 1)
+        noise = rng.standard_normal((2, steps, 20, 3), dtype=np.float32)
+        flights.append(Flight(position, velocity, noise, kind, state.leader, state.parameters))
+    strategy.fly(flights[0])
+    FollowStrategy.fly(strategy, flights[1])
+    np.testing.assert_allclose(flights[0].velocity, flights[1].velocity, atol=2e-4)
+    np.testing.assert_allclose(flights[0].position, flights[1].position, atol=5e-3)
+
+
+def test_the_table_s_constants():
+    assert follow_module.KAPPA == 1.0
+    assert follow_module.KAPPA_NOISE == 0.05
+    assert follow_module.KAPPA_RANGE == 60.0
+    assert set(NAMES) <= set(follow_strategies())
+
+
+def test_followers_noise_has_the_table_s_size():
+    """f1 with noise: the part of v_{i,t+1} across v_{iL,t} is kappa_n n before normalisation."""
+    swarm, window = fly("f1", observation_steps=3000)
+    v = window.velocity[0].astype(float)
+    i = np.flatnonzero(~swarm.head)[0]
+    led, flown = v[:-1, swarm.leader[i]], v[1:, i]
+    along = (led * flown).sum(axis=1, keepdims=True)
+    across = (flown - along * led) / along  # undo norm(): components in metres of v_{iL}
+    assert np.sqrt((across**2).sum(axis=1).mean() / 2) == pytest.approx(0.05, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_f7_depends_on_its_head(seed):
+    measured = head_dependence("f7", np.random.default_rng(seed))
+    assert measured.without_head < 0.5
+    assert measured.gain > 0.3
+
+
+def test_a_saturated_f7_fails_the_same_measure():
+    measured = head_dependence(Network(position_scale=1.0), np.random.default_rng(0))
+    assert measured.gain < 0.05
+
+
+def test_f7_draws_a_network_an_episode_unless_seeded():
+    free = start(SwarmConfig(follow="f7"), generators(2)).parameters
+    fixed = start(SwarmConfig(follow="f7", follow_seed=3), generators(2)).parameters
+    assert not np.array_equal(free[0], free[1])
+    assert np.array_equal(fixed[0], fixed[1])
+    assert np.array_equal(fixed[0], start(SwarmConfig(follow="f7", follow_seed=3), generators(1, seed=9)).parameters[0])
+
+
+def test_followers_of_nobody_fly_like_heads():
+    config = SwarmConfig(follow="none", clusters=2, uavs=9, mobility="straight")
+    rngs = generators(1)
+    _, window = advance(config, start(config, rngs), rngs)
+    assert np.allclose(window.velocity[0], window.velocity[0][:1])
+
+
+def test_a_registered_function_is_used_by_name(registry):
+    def mirror(inputs: FollowInputs):
+        return -inputs.head_velocity[:, 0]
+
+    register_follow_strategy("mirror", mirror, lags=1, noise=0.0, equation="v = -v_L")
+    swarm, window = fly("mirror")
+    i = np.flatnonzero(~swarm.head)[0]
+    np.testing.assert_allclose(window.velocity[0, 1:, i], -window.velocity[0, :-1, swarm.leader[i]], atol=1e-5)
+    assert follow_strategies()["mirror"].equation == "v = -v_L"
+
+
+def test_a_function_written_as_f6_flies_as_f6(registry):
+    register_follow_strategy("my-f6", StayInRange().direction, lags=1)
+    one, other = fly("f6", formation="around")[1], fly("my-f6", formation="around")[1]
+    np.testing.assert_allclose(one.velocity, other.velocity, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "strategy", "arguments", "sentence"),
+    [
+        ("f1", lambda inputs: inputs.head_velocity[:, 0], {}, "name must be a new one, got 'f1'"),
+        ("", Lags(1), {}, "name must be a non-empty name"),
+        ("none", Lags(1), {}, "name must be a non-empty name other than 'none'"),
+        ("mine", 3, {}, "strategy must be a FollowStrategy or a function, got 3"),
+        ("mine", len, {"lags": 0}, "lags must be a whole number from 1, got 0"),
+    ],
+)
+def test_bad_registrations_are_refused(registry, name, strategy, arguments, sentence):
+    with pytest.raises(InvalidArgument, match=sentence):
+        register_follow_strategy(name, strategy, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("function", "sentence"),
+    [
+        (lambda inputs: np.zeros(3), "follow function must return an array of shape"),
+        (lambda inputs: np.full((len(inputs.own_position), 3), np.nan), "must return finite numbers"),
+    ],
+)
+def test_a_function_with_a_bad_answer_is_told_so(registry, function, sentence):
+    register_follow_strategy("bad", function)
+    with pytest.raises(InvalidArgument, match=sentence):
+        fly("bad")
+
+
+def test_registering_the_same_strategy_twice_changes_nothing(registry):
+    register_follow_strategy("twice", Lags(1, kappa=-1.0))
+    register_follow_strategy("twice", Lags(1, kappa=-1.0))
+    assert follow_strategy("twice") == Lags(1, kappa=-1.0)
+
+
+def random_inputs(rng, n=400):
+    head_velocity = rng.standard_normal((n, 4, 3)).astype(np.float32)
+    head_velocity /= np.linalg.norm(head_velocity, axis=-1, keepdims=True)
+    own, head = rng.uniform(0, 500, (2, n, 5, 3)).astype(np.float32)
+    return FollowInputs(own, head_velocity, head, np.empty(0, np.float32))
+
+
+def cosines(a, b):
+    return (a * b).sum(axis=1) / (np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1) + 1e-9)
+
+
+def test_random_strategies_are_none_of_the_seven():
+    rng = np.random.default_rng(0)
+    inputs = random_inputs(rng)
+    tables = [follow_strategy(name).direction(inputs) for name in NAMES[:6]]
+    for _ in range(2000):
+        wanted = random_follow_strategy(rng).direction(inputs)
+        assert max(np.mean(cosines(wanted, table)) for table in tables) < 0.995
+
+
+def test_random_strategies_follow_their_head():
+    gains = [
+        head_dependence(random_follow_strategy(np.random.default_rng(seed)), np.random.default_rng(seed)).gain
+        for seed in range(8)
+    ]
+    assert np.mean(np.array(gains) > 0.2) >= 0.75
+    assert min(gains) > 0.05
+
+
+def test_a_random_strategy_is_fixed_once_drawn():
+    one, other = (random_follow_strategy(np.random.default_rng(4)) for _ in range(2))
+    inputs = random_inputs(np.random.default_rng(1))
+    np.testing.assert_array_equal(one.direction(inputs), other.direction(inputs))
+    assert one.equation == other.equation

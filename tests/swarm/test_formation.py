@@ -1,0 +1,100 @@
+"""Where a swarm starts, who follows whom, and who re-merges to whom."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from usnet_env.swarm import SwarmConfig, start
+from usnet_env.swarm.formation import ARENA, draw_roles, random_cluster_sizes
+from usnet_env.swarm.kernels import remerge
+
+
+@given(seed=st.integers(0, 2**32), clusters=st.integers(1, 12), rest=st.integers(0, 200))
+def test_cluster_sizes_are_at_least_two_and_add_up(seed, clusters, rest):
+    sizes = random_cluster_sizes(np.random.default_rng(seed), clusters, 2 * clusters + rest)
+    assert len(sizes) == clusters
+    assert sizes.min() >= 2
+    assert sizes.sum() == 2 * clusters + rest
+
+
+def test_all_splits_are_equally_likely():
+    rng = np.random.default_rng(0)
+    draws = [tuple(random_cluster_sizes(rng, 3, 10) - 2) for _ in range(6000)]
+    splits, counts = np.unique(draws, axis=0, return_counts=True)
+    assert len(splits) == 15  # C(4 + 2, 2)
+    expected = 6000 / 15
+    assert (((counts - expected) ** 2) / expected).sum() < 36.1  # chi-square, 14 degrees of freedom, 0.1 %
+
+
+@given(seed=st.integers(0, 2**32), decoys=st.integers(0, 3))
+def test_roles_are_consistent(seed, decoys):
+    roles = draw_roles(np.random.default_rng(seed), 4, 30 + decoys, decoys, None)
+    assert roles.head.sum() == 4
+    assert roles.decoy.sum() == decoys
+    assert not (roles.head & roles.decoy).any()
+    alone = roles.head | roles.decoy
+    assert (roles.leader[alone] == np.flatnonzero(alone)).all()
+    assert roles.head[roles.leader[~alone]].all()
+    assert np.bincount(roles.leader[~alone], minlength=30 + decoys)[roles.head].min() >= 2
+
+
+def test_given_cluster_sizes_are_kept():
+    state = start(SwarmConfig(clusters=3, uavs=15, cluster_sizes=(2, 7, 3)), [np.random.default_rng(0)]).episode()
+    followers = ~state.head
+    assert sorted(np.bincount(state.leader[followers], minlength=15)[state.head]) == [2, 3, 7]
+
+
+def test_heads_sit_at_random_indices():
+    heads = np.concatenate(
+        [
+            np.flatnonzero(start(SwarmConfig(clusters=2, uavs=8), [np.random.default_rng(s)]).head[0])
+            for s in range(2000)
+        ]
+    )
+    counts = np.bincount(heads, minlength=8)
+    assert (((counts - 500) ** 2) / 500).sum() < 24.3  # chi-square, 7 degrees of freedom, 0.1 %
+
+
+def first_positions(formation, seeds=200):
+    states = [start(SwarmConfig(formation=formation), [np.random.default_rng(s)]).episode() for s in range(seeds)]
+    return states, np.array([state.past_position[0] for state in states])
+
+
+def test_uniform_fills_the_arena():
+    _, position = first_positions("uniform")
+    points = position.reshape(-1, 3) / ARENA
+    assert points.min() >= 0
+    assert points.max() <= 1
+    np.testing.assert_allclose(points.mean(axis=0), 0.5, atol=0.02)
+    np.testing.assert_allclose(points.var(axis=0), 1 / 12, rtol=0.05)
+
+
+def test_around_keeps_followers_within_60_metres():
+    states, position = first_positions("around", 50)
+    for state, p in zip(states, position, strict=True):
+        distance = np.linalg.norm(p - p[state.leader], axis=1)
+        assert distance.max() <= 60.0 + 1e-3
+        assert np.median(distance[~state.head]) == pytest.approx(60 * 0.5 ** (1 / 3), rel=0.15)
+
+
+@given(seed=st.integers(0, 2**32), uavs=st.integers(3, 40), share=st.floats(0, 1))
+def test_orphans_take_the_nearest_remaining_head(seed, uavs, share):
+    """Against a literal reading: living followers without a living head look at all remaining heads."""
+    rng = np.random.default_rng(seed)
+    clusters = int(rng.integers(1, uavs // 3 + 1))
+    roles = draw_roles(rng, clusters, uavs, 0, None)
+    alive = rng.random(uavs) >= share
+    position = rng.uniform(0, 1000, (uavs, 3)).astype(np.float32)
+    leader = roles.leader.copy()
+    remerge(roles.head[None], alive[None], roles.decoy[None], position[None], leader[None])
+    remaining = np.flatnonzero(roles.head & alive)
+    for i in range(uavs):
+        if roles.head[i] or not alive[i] or alive[roles.leader[i]]:
+            assert leader[i] == roles.leader[i]
+        elif len(remaining) == 0:
+            assert leader[i] == -1
+        else:
+            distance = np.linalg.norm(position[remaining].astype(float) - position[i], axis=1)
+            assert np.linalg.norm(position[leader[i]].astype(float) - position[i]) == pytest.approx(distance.min())
+            assert leader[i] in remaining

@@ -1,0 +1,156 @@
+"""Mobility of heads: each law by its statistics."""
+
+import numpy as np
+import pytest
+
+from usnet_env import InvalidArgument, register_mobility
+from usnet_env.swarm import SwarmConfig, advance, mobilities, start
+from usnet_env.swarm import mobility as mobility_module
+from usnet_env.swarm.mobility import mobility
+
+NAMES = ["iid", "gauss_markov", "smooth_turn", "waypoint", "local_waypoint", "straight"]
+
+
+@pytest.fixture
+def registry(monkeypatch):
+    monkeypatch.setattr(mobility_module, "_MOBILITIES", dict(mobility_module._MOBILITIES))
+
+
+def tracks(name, uavs=60, steps=1000, seed=0):
+    """Velocities ``(steps, uavs, 3)`` and positions of UAVs that all fly by this law."""
+    config = SwarmConfig(follow="none", mobility=name, clusters=1, uavs=uavs, observation_steps=steps)
+    rngs = [np.random.default_rng(seed)]
+    _, window = advance(config, start(config, rngs), rngs)
+    return window.velocity[0].astype(float), window.position[0].astype(float)
+
+
+def turns(velocity):
+    return np.arccos(np.clip((velocity[1:] * velocity[:-1]).sum(axis=-1), -1, 1))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_law_flies_one_metre_a_step(name):
+    velocity, position = tracks(name)
+    np.testing.assert_allclose(np.linalg.norm(velocity, axis=-1), 1.0, atol=1e-5)
+    np.testing.assert_allclose(np.diff(position, axis=0), velocity, atol=2e-4)
+    assert set(NAMES) <= set(mobilities())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_uavs_fly_independently(name):
+    velocity, _ = tracks(name, uavs=200, steps=4)
+    assert np.linalg.norm(velocity[0].mean(axis=0)) < 4 / np.sqrt(200)
+
+
+def test_iid_has_no_memory_and_no_preferred_axis():
+    velocity, _ = tracks("iid")
+    n = velocity[1:].size / 3
+    assert abs((velocity[1:] * velocity[:-1]).sum(axis=-1).mean()) < 4 / np.sqrt(3 * n)
+    np.testing.assert_allclose((velocity**2).mean(axis=(0, 1)), 1 / 3, atol=0.01)
+
+
+def test_gauss_markov_angles_have_the_stated_memory_and_variances():
+    velocity, _ = tracks("gauss_markov", uavs=200, steps=2000)
+    pitch = np.arcsin(velocity[..., 2])
+    assert pitch.var() == pytest.approx(0.02, rel=0.05)
+    assert np.mean(pitch[1:] * pitch[:-1]) / pitch.var() == pytest.approx(0.85, abs=0.02)
+    azimuth = np.unwrap(np.arctan2(velocity[..., 1], velocity[..., 0]), axis=0)
+    azimuth -= azimuth.mean(axis=0)
+    assert azimuth.var() == pytest.approx(0.2, rel=0.05)
+    assert np.mean(azimuth[1:] * azimuth[:-1]) / azimuth.var() == pytest.approx(0.85, abs=0.02)
+
+
+def test_gauss_markov_starts_in_its_steady_state():
+    first = np.concatenate([np.arcsin(tracks("gauss_markov", 300, 1, seed)[0][0, :, 2]) for seed in range(10)])
+    assert first.var() == pytest.approx(0.02, rel=0.15)
+
+
+def test_smooth_turns_are_bounded_and_change():
+    velocity, _ = tracks("smooth_turn")
+    angle = turns(velocity)
+    assert angle.max() <= 0.6 + 1e-3
+    assert 0.1 < angle.mean() < 0.25  # truncated exponential with mean about 0.17
+    held = np.mean(np.abs(np.diff(angle, axis=0)) < 1e-3)
+    assert 0.8 < held < 0.95  # a turn is held for 10 steps on average
+
+
+def test_waypoints_turn_gently_and_lie_in_the_arena():
+    velocity, position = tracks("waypoint", steps=5000)
+    assert turns(velocity).max() <= 0.2 + 1e-3
+    assert (position > -60).all()
+    assert (position < np.array([1060, 1060, 160])).all()
+    assert np.ptp(position[..., 0]) > 800
+
+
+def test_local_waypoints_stay_near_and_turn_often():
+    velocity, position = tracks("local_waypoint")
+    angle = turns(velocity)
+    assert angle.max() <= 0.5 + 1e-3
+    assert np.mean(angle > 0.3) > 0.1
+    assert np.linalg.norm(position[-1] - position[0], axis=1).mean() < 300
+
+
+def test_straight_heads_fly_straight():
+    velocity, _ = tracks("straight")
+    assert np.ptp(velocity, axis=0).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", ["gauss_markov", "smooth_turn", "waypoint", "local_waypoint", "straight"])
+def test_flight_goes_on_smoothly_between_rounds(name):
+    config = SwarmConfig(mobility=name, clusters=2, uavs=9, observation_steps=20)
+    rngs = [np.random.default_rng(0)]
+    state = start(config, rngs)
+    heads = state.episode().head
+    state, one = advance(config, state, rngs)
+    _, other = advance(config, state, rngs)
+    gap = other.position[0, 0, heads] - one.position[0, -1, heads]
+    assert (np.linalg.norm(gap, axis=1) > 2.0).all()  # T_0 = 4 unobserved steps in between, hardly turned
+    assert ((one.velocity[0, -1, heads] * other.velocity[0, 0, heads]).sum(axis=1) > -0.2).all()
+
+
+def test_jitter_gives_heads_the_followers_noise():
+    config = SwarmConfig(mobility="straight", head_jitter=True, clusters=2, uavs=9, observation_steps=2000)
+    rngs = [np.random.default_rng(0)]
+    state = start(config, rngs)
+    _, window = advance(config, state, rngs)
+    flown = window.velocity[0][:, state.head[0]].astype(float)
+    mean = flown.mean(axis=0) / np.linalg.norm(flown.mean(axis=0), axis=-1, keepdims=True)
+    across = flown - (flown * mean).sum(axis=-1, keepdims=True) * mean
+    assert np.sqrt((across**2).sum(axis=-1).mean() / 2) == pytest.approx(0.05, rel=0.05)
+
+
+def test_a_registered_function_is_used_by_name_and_keeps_its_state(registry):
+    def circle(rng, position, steps, state):
+        phase = state[:, 0] + 0.1 * np.arange(1, steps + 1)[:, None]
+        state[:, 0] = phase[-1]
+        return np.stack([np.cos(phase), np.sin(phase), np.zeros_like(phase)], axis=-1)
+
+    register_mobility("circle", circle, description="flies in circles")
+    velocity, _ = tracks("circle")
+    np.testing.assert_allclose(turns(velocity), 0.1, atol=1e-3)
+    config = SwarmConfig(mobility="circle", clusters=2, uavs=9, observation_steps=10)
+    rngs = [np.random.default_rng(0)]
+    state = start(config, rngs)
+    after, one = advance(config, state, rngs)
+    _, two = advance(config, after, rngs)
+    head = np.flatnonzero(state.head[0])[0]
+    angle = turns(np.stack([one.velocity[0, -1, head], two.velocity[0, 0, head]])[:, None])[0, 0]
+    assert angle == pytest.approx(0.5, abs=1e-3)  # T_0 = 4 unobserved steps, then one
+    assert mobilities()["circle"].description == "flies in circles"
+
+
+def test_bad_mobilities_are_refused(registry):
+    with pytest.raises(InvalidArgument, match=r"mobility must be one of .*'iids' .*did you mean 'iid'"):
+        mobility("iids")
+    with pytest.raises(InvalidArgument, match="law must be a Mobility or a function"):
+        register_mobility("x", 3)
+    with pytest.raises(InvalidArgument, match="name must be a new one"):
+        register_mobility("iid", lambda *a: None)
+    with pytest.raises(InvalidArgument, match="name must be a non-empty name"):
+        register_mobility("", mobility("iid"))
+    register_mobility("short", lambda rng, position, steps, state: np.zeros((1, 3)))
+    with pytest.raises(InvalidArgument, match="mobility function must return an array of shape"):
+        tracks("short")
+    register_mobility("nan", lambda rng, position, steps, state: np.full((steps, len(position), 3), np.nan))
+    with pytest.raises(InvalidArgument, match="must return finite numbers"):
+        tracks("nan")
