@@ -41,8 +41,8 @@ def _mask(name: str, value: ArrayLike) -> Mask:
         if array.dtype.kind not in "iuf" or not ((array == 0) | (array == 1)).all():
             raise InvalidArgument(f"{name} must hold only 0 and 1 (or booleans), got {shown(value)}.")
         array = array.astype(bool)
-    if array.ndim == 0:
-        raise InvalidArgument(f"{name} must have shape (..., N), got a single value.")
+    if array.ndim == 0 or array.shape[-1] == 0:
+        raise InvalidArgument(f"{name} must have shape (..., N) with N of at least 1, got {array.shape}.")
     return array
 
 
@@ -67,10 +67,10 @@ def _labels(name: str, value: ArrayLike, uavs: int) -> NDArray[np.int64]:
 def _one_round_each(head: ArrayLike, candidates_per_round: ArrayLike) -> tuple[Mask, Mask]:
     """Heads ``(N,)`` and candidates ``(R, N)``."""
     heads, candidates = _pair("head", head, "candidates_per_round", candidates_per_round)
-    if heads.ndim != 1 or candidates.ndim != 2:
-        raise InvalidArgument(
-            f"head must have shape (N,) and candidates_per_round (R, N), got {heads.shape} and {candidates.shape}."
-        )
+    if heads.ndim != 1:
+        raise InvalidArgument(f"head must have shape (N,), got {heads.shape}.")
+    if candidates.ndim != 2:
+        raise InvalidArgument(f"candidates_per_round must have shape (R, N), got {candidates.shape}.")
     return heads, candidates
 
 
@@ -85,7 +85,7 @@ def _ratio(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Ratios:
 def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Counts, Counts]:
     """How many candidates of a round were heads, and how many were not.
 
-    The sets of §II-A: |H_{r-1} \\ H_r| and |C_r \\ H_{r-1}|. A destroyed UAV is in no H_{r-1}, so naming it again is
+    The sets of §II-A: |H_{r-1}∖H_r| and |C_r∖H_{r-1}|. A destroyed UAV is in no H_{r-1}, so naming it again is
     redundant.
 
     Args:
@@ -152,7 +152,7 @@ def exact(head: ArrayLike, candidates: ArrayLike) -> Mask:
 
 
 def remaining_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> Mask:
-    """H_0, ..., H_R by H_r = H_{r-1} \\ C_r, equation (2).
+    """H_0, ..., H_R by H_r = H_{r-1}∖C_r, equation (2).
 
     Args:
         head: ``(N,)`` bool, H_0.
@@ -173,13 +173,13 @@ def rounds_hits_and_redundant(head: ArrayLike, candidates_per_round: ArrayLike) 
 
 
 def redundancy(head: ArrayLike, candidates_per_round: ArrayLike) -> float:
-    """Detection redundancy of §II-A, (1/N) sum_r |C_r \\ H_{r-1}|; above 1 where UAVs are named in vain repeatedly."""
+    """Detection redundancy of §II-A, (1/N) sum_r |C_r∖H_{r-1}|; above 1 where UAVs are named in vain repeatedly."""
     _, redundant = rounds_hits_and_redundant(head, candidates_per_round)
     return float(redundant.sum() / np.shape(head)[-1])
 
 
 def multi_cluster_objective(head: ArrayLike, candidates_per_round: ArrayLike) -> float:
-    """P2's objective J_m = R + (1/N) sum_r |C_r \\ H_{r-1}|, to be minimised; its best value is 1.
+    """P2's objective J_m = R + (1/N) sum_r |C_r∖H_{r-1}|, to be minimised; its best value is 1.
 
     Args:
         head: ``(N,)`` bool, H_0.

@@ -1,0 +1,182 @@
+"""The objectives against a slow, literal reading of the paper's formulas (§II-A and §II-B), with Python sets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from sklearn.metrics import average_precision_score, f1_score, precision_score, recall_score
+
+from usnet_env import objectives
+from usnet_env.config import InvalidArgument
+
+UAVS = st.integers(1, 12)
+
+
+def as_set(mask):
+    return {i for i in range(len(mask)) if mask[i]}
+
+
+@st.composite
+def episodes(draw):
+    """Heads (N,), at least one, and candidates (R, N)."""
+    uavs, rounds = draw(UAVS), draw(st.integers(1, 6))
+    head = draw(hnp.arrays(bool, uavs))
+    head[draw(st.integers(0, uavs - 1))] = True
+    return head, draw(hnp.arrays(bool, (rounds, uavs)))
+
+
+@st.composite
+def clusterings(draw):
+    """Heads, leaders and labels of one round."""
+    uavs = draw(st.integers(1, 10))
+    head = draw(hnp.arrays(bool, uavs))
+    chiefs = [int(i) for i in np.flatnonzero(head)]
+    leader = [i if head[i] else draw(st.sampled_from([-1, *chiefs])) for i in range(uavs)]
+    return head, np.array(leader), draw(hnp.arrays(np.int64, uavs, elements=st.integers(-1, 3)))
+
+
+@given(episodes())
+def test_multi_cluster_objective_is_the_formula(episode):
+    head, candidates = episode
+    remaining = as_set(head)  # H_0
+    redundant_total = hit_total = 0
+    for r, named in enumerate(map(as_set, candidates)):
+        redundant = named - remaining  # C_r \ H_{r-1}
+        hit = remaining - (remaining - named)  # H_{r-1} \ H_r
+        hits, redundants = objectives.rounds_hits_and_redundant(head, candidates)
+        assert (hits[r], redundants[r]) == (len(hit), len(redundant))
+        redundant_total += len(redundant)
+        hit_total += len(hit)
+        remaining = remaining - named  # H_r = H_{r-1} \ C_r
+        assert as_set(objectives.remaining_heads(head, candidates)[r + 1]) == remaining
+    assert objectives.multi_cluster_objective(head, candidates) == len(candidates) + redundant_total / len(head)
+    assert objectives.redundancy(head, candidates) == redundant_total / len(head)
+    assert objectives.finished(head, candidates) == (not remaining) == (hit_total == head.sum())
+
+
+@given(UAVS, st.data())
+def test_single_cluster_objective_is_the_formula_but_for_the_empty_answer(uavs, data):
+    leader = data.draw(st.integers(0, uavs - 1))
+    candidates = data.draw(hnp.arrays(bool, uavs))
+    named = as_set(candidates)
+    expected = (1 if leader in named else 0) - len(named) if named else -1
+    assert objectives.single_cluster_objective(np.arange(uavs) == leader, candidates) == expected
+
+
+def test_the_optima_are_the_paper_s():
+    head = np.array([True, False, True, False])
+    assert objectives.multi_cluster_objective(head, head[None]) == 1.0
+    assert objectives.single_cluster_objective(head[:2], head[:2]) == 0.0
+
+
+@pytest.mark.parametrize(("clusters", "uavs"), [(5, 82), (8, 185)])
+def test_destroying_everything_costs_less_than_two_rounds(clusters, uavs):
+    head = np.arange(uavs) < clusters
+    assert objectives.multi_cluster_objective(head, np.ones((1, uavs), bool)) == 1 + (uavs - clusters) / uavs
+
+
+def test_a_destroyed_uav_named_again_is_redundant():
+    head = np.array([True, True, False])
+    again = np.array([[True, False, False], [True, True, False]])
+    hits, redundant = objectives.rounds_hits_and_redundant(head, again)
+    assert hits.tolist() == [1, 1]
+    assert redundant.tolist() == [0, 1]
+
+
+@given(episodes())
+def test_a_batch_is_its_rows(episode):
+    head, candidates = episode
+    heads, alive = np.broadcast_to(head, candidates.shape), candidates[::-1]
+    batch = objectives.hits_and_redundant(heads, alive, candidates)
+    rows = [objectives.hits_and_redundant(head, a, c) for a, c in zip(alive, candidates, strict=True)]
+    assert np.stack(batch, axis=1).tolist() == [[int(h), int(r)] for h, r in rows]
+    for function in (objectives.precision, objectives.recall, objectives.f1, objectives.exact):
+        assert function(heads, candidates).tolist() == [function(head, c) for c in candidates]
+
+
+@given(episodes())
+def test_ratios_agree_with_scikit_learn(episode):
+    head, candidates = episode
+    named = candidates[0]
+    assert objectives.precision(head, named) == pytest.approx(precision_score(head, named, zero_division=0))
+    assert objectives.recall(head, named) == pytest.approx(recall_score(head, named, zero_division=0))
+    assert objectives.f1(head, named) == pytest.approx(f1_score(head, named, zero_division=0))
+    assert objectives.average_precision(head, named) == pytest.approx(average_precision_score(head, named))
+    assert objectives.exact(head, named) == (as_set(head) == as_set(named))
+
+
+def test_conventions_where_a_ratio_has_no_value():
+    none, some = np.zeros(3, bool), np.array([True, False, False])
+    assert objectives.precision(some, none) == objectives.recall(some, none) == objectives.f1(some, none) == 0
+    assert objectives.recall(none, some) == objectives.f1(none, none) == 0
+    assert objectives.average_precision(none, [3.0, 2.0, 1.0]) == 0
+    assert objectives.purity([-1, -1], [0, 0]) == 0
+    assert objectives.head_in_cluster(none, [-1, -1, -1], [0, 0, 0]) == 0
+
+
+def test_scores_rank_whatever_their_scale():
+    head = np.array([False, True, False, True])
+    assert objectives.average_precision(head, [0.1, 5.0, -3.0, 0.2]) == 1.0
+    assert objectives.average_precision(head, [7.0, 7.0, 7.0, 7.0]) == 0.5
+
+
+@given(clusterings())
+def test_purity_is_the_share_of_the_largest_classes(clustering):
+    _, leader, labels = clustering
+    counted = [i for i in range(len(leader)) if leader[i] >= 0]
+    right = 0
+    for k in {labels[i] for i in counted if labels[i] >= 0}:
+        members = [leader[i] for i in counted if labels[i] == k]
+        right += max(members.count(j) for j in members)
+    assert objectives.purity(leader, labels) == (right / len(counted) if counted else 0)
+
+
+@given(clusterings())
+def test_a_head_is_in_its_cluster_where_most_of_its_followers_are(clustering):
+    head, leader, labels = clustering
+    answers = []
+    for chief in as_set(head):
+        followers = [labels[i] for i in range(len(head)) if leader[i] == chief and i != chief]
+        if followers:
+            placed = [label for label in followers if label >= 0]
+            most = max((placed.count(label) for label in placed), default=0)
+            answers.append(labels[chief] >= 0 and most > 0 and placed.count(labels[chief]) == most)
+    expected = sum(answers) / len(answers) if answers else 0
+    assert objectives.head_in_cluster(head, leader, labels) == pytest.approx(expected)
+
+
+def test_purity_hides_a_misplaced_head_and_head_in_cluster_does_not():
+    head = np.array([True, False, False, False, False, False, True, False, False, False])
+    leader = np.array([0, 0, 0, 0, 0, 0, 6, 6, 6, 6])
+    true, misplaced = (leader == 6).astype(int), (leader == 6).astype(int)
+    misplaced[0] = 1
+    assert (objectives.purity(leader, true), objectives.head_in_cluster(head, leader, true)) == (1.0, 1.0)
+    assert objectives.purity(leader, misplaced) == 0.9
+    assert objectives.head_in_cluster(head, leader, misplaced) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (lambda: objectives.precision([True, False], [True]), "candidates"),
+        (lambda: objectives.recall([0.5, 1], [1, 1]), "head"),
+        (lambda: objectives.f1(["a"], [1]), "head"),
+        (lambda: objectives.exact(True, True), "head"),
+        (lambda: objectives.redundancy([], np.empty((1, 0))), "head"),
+        (lambda: objectives.single_cluster_objective([1, 1], [1, 0]), "head"),
+        (lambda: objectives.single_cluster_objective([1, 0], [float("nan"), 0]), "candidates"),
+        (lambda: objectives.multi_cluster_objective([1, 0], [1, 0]), "candidates_per_round"),
+        (lambda: objectives.average_precision([1, 0], [1.0]), "scores"),
+        (lambda: objectives.average_precision([1, 0], [1.0, float("nan")]), "scores"),
+        (lambda: objectives.purity([0, 0], [0.5, 1.0]), "clusters"),
+        (lambda: objectives.head_in_cluster([1, 0], [0], [0, 0]), "leader"),
+    ],
+)
+def test_bad_input_is_one_sentence_with_the_name(call, name):
+    with pytest.raises(InvalidArgument, match=f"^{name} ") as refused:
+        call()
+    assert str(refused.value).endswith(".")
+    assert "\n" not in str(refused.value)
