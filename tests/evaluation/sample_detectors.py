@@ -1,0 +1,135 @@
+"""Small real detectors and policies for the referee's tests; in a module, so that worker processes can import them."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from usnet_env import Detection, Window
+
+
+class Base:
+    def reset(self, seed=None):
+        self.rng = np.random.default_rng(seed)
+
+    def detect(self, window):
+        raise NotImplementedError
+
+
+class Everybody(Base):
+    def detect(self, window):
+        return Detection(window.alive, window.alive)
+
+
+class Nobody(Base):
+    def detect(self, window):
+        return Detection(np.zeros(window.uavs), np.zeros(window.uavs))
+
+
+class RandomThird(Base):
+    """Names about a third of the living, by its own generator."""
+
+    def detect(self, window):
+        scores = self.rng.random(window.uavs)
+        return Detection((scores > 0.67) & window.alive, scores)
+
+
+class Followed(Base):
+    """Whose velocity do most others repeat a step later? Exact on f1 without noise in the observation."""
+
+    def __init__(self, clusters=3):
+        self.clusters = clusters
+
+    def detect(self, window):
+        v = np.asarray(window.velocity, float)
+        v = np.where(window.velocity_seen[..., None], v, 0.0)
+        agreement = np.einsum("tic,tjc->ij", v[1:], v[:-1])  # row i repeats column j
+        np.fill_diagonal(agreement, -np.inf)
+        agreement[:, ~window.alive] = -np.inf
+        votes = np.bincount(agreement.argmax(axis=1)[window.alive], minlength=window.uavs)
+        candidates = np.zeros(window.uavs, bool)
+        candidates[np.argsort(-votes)[: self.clusters]] = True
+        leader = np.where(candidates, np.arange(window.uavs), agreement.argmax(axis=1))
+        return Detection(candidates & (votes > 0), votes, clusters=leader)
+
+
+class Recorder(Base):
+    """Remembers the first windows and its seeds, and answers with everybody."""
+
+    def __init__(self):
+        self.seeds, self.windows = [], []
+
+    def reset(self, seed=None):
+        self.seeds.append(seed)
+
+    def detect(self, window):
+        assert isinstance(window, Window)
+        if window.round == 1:
+            self.windows.append(window)
+        return Detection(window.alive, window.alive)
+
+    def __deepcopy__(self, memo):
+        return Recorder()
+
+
+class Failing(Base):
+    """Raises in the third episode."""
+
+    def __init__(self):
+        self.episodes = 0
+
+    def reset(self, seed=None):
+        self.episodes += 1
+
+    def detect(self, window):
+        if self.episodes == 3:
+            raise ZeroDivisionError("nothing\nto divide by")
+        return Detection(window.alive, window.alive)
+
+
+class FailingWithOne(Base):
+    """Raises in every round in which a certain UAV is alive: in worker processes as well as here."""
+
+    def detect(self, window):
+        raise ZeroDivisionError("no luck")
+
+
+class WrongLength(Base):
+    def detect(self, window):
+        return Detection(np.zeros(window.uavs - 1), np.zeros(window.uavs - 1))
+
+
+class NoDetection(Base):
+    def detect(self, window):
+        return window.alive
+
+
+class Slow(Everybody):
+    """A tenth of a second a round."""
+
+    def detect(self, window):
+        time.sleep(0.1)
+        return super().detect(window)
+
+
+class Policy:
+    """Stable-Baselines3's form: names the UAV whose number is the round's, and checks what it is given."""
+
+    def __init__(self):
+        self.starts = 0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        assert deterministic
+        assert episode_start.shape == (1,)
+        assert bool(episode_start[0]) == (state is None)
+        self.starts += int(episode_start[0])
+        turn = 0 if state is None else state[0]
+        action = np.zeros(len(observation["alive"]), np.float32)
+        action[turn % len(action)] = 1
+        return action, (turn + 1,)
+
+
+class WrongPolicy:
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.full(len(observation["alive"]), 0.5), state

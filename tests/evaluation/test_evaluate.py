@@ -1,0 +1,327 @@
+"""The referee with real environments and small real detectors."""
+
+from __future__ import annotations
+
+import json
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sample_detectors import (
+    Everybody,
+    Failing,
+    FailingWithOne,
+    Followed,
+    Nobody,
+    NoDetection,
+    Policy,
+    RandomThird,
+    Recorder,
+    WrongLength,
+    WrongPolicy,
+)
+
+import usnet_env
+from usnet_env import InvalidArgument, evaluate
+from usnet_env.evaluation import METRICS, TRIVIAL, EvaluationError
+from usnet_env.evaluation.episode import episode_seeds
+
+MULTI, SINGLE = "USNET/MultiCluster-v0", "USNET/SingleCluster-v0"
+SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
+TIMED = ("seconds_per_round",)
+
+
+def untimed(rows):
+    return [{name: value for name, value in row.items() if name not in TIMED} for row in rows]
+
+
+def test_destroying_everything_scores_its_formula_exactly():
+    result = evaluate(MULTI, Everybody(), episodes=7, env_kwargs=SMALL)
+    assert result["Everybody"]["J"] == dict.fromkeys(("mean", "low", "high"), 1 + 17 / 20)
+    assert result["Everybody"]["success"]["mean"] == 1
+    assert result["Everybody"]["exact"]["mean"] == 0
+    assert result["Everybody"]["precision_first"]["mean"] == 3 / 20
+    assert result["Everybody"]["recall_first"]["mean"] == 1
+
+
+def test_naming_nobody_is_truncated_and_counted():
+    metrics = evaluate(MULTI, Nobody(), episodes=3, env_kwargs=SMALL)["Nobody"]
+    expected = {"J": 5, "rounds": 5, "redundancy": 0, "success": 0, "exact": 0, "precision_first": 0, "f1_first": 0}
+    assert {name: metrics[name]["mean"] for name in expected} == expected
+
+
+def test_a_detector_that_finds_all_is_exact():
+    metrics = evaluate(MULTI, Followed(3), episodes=5, env_kwargs=SMALL | {"observation_steps": 60})["Followed"]
+    best = (
+        "J",
+        "rounds",
+        "success",
+        "exact",
+        "precision_first",
+        "recall_first",
+        "f1_first",
+        "ap_first",
+        "purity_first",
+    )
+    assert {name: metrics[name]["mean"] for name in best} == dict.fromkeys(best, 1.0)
+    assert metrics["head_in_cluster_first"]["mean"] == 1.0
+    assert metrics["redundancy"]["mean"] == 0.0
+
+
+def test_the_single_cluster_problem_reports_its_own_objective():
+    result = evaluate(SINGLE, [Nobody(), Everybody(), Followed(1)], episodes=4)
+    assert [entry["metrics"]["J"]["mean"] for entry in result.summary] == [-1.0, -15.0, 0.0]
+    assert [entry["metrics"]["success"]["mean"] for entry in result.summary] == [0.0, 1.0, 1.0]
+    assert {row["rounds"] for row in result.rows} == {1}
+
+
+@pytest.mark.parametrize("env_id", [MULTI, SINGLE])
+def test_the_rows_agree_with_the_environment_s_own_count(env_id):
+    rows = evaluate(env_id, RandomThird(), episodes=5, seed=3).rows
+    env = gym.make(env_id)
+    for row in rows:
+        detector, over = RandomThird(), False
+        detector.reset(row["detector_seed"])
+        observation, info = env.reset(seed=row["swarm_seed"])
+        while not over:
+            detection = detector.detect(usnet_env.Window.from_observation(observation))
+            observation, _, terminated, truncated, info = env.step(detection.candidates.astype(np.int8))
+            over = terminated or truncated
+        assert (row["J"], row["rounds"], row["success"]) == (info["J"], info["round"], info["success"])
+
+
+def test_over_budget_counts_as_no_answer():
+    metrics = evaluate(MULTI, Everybody(), episodes=2, env_kwargs=SMALL | {"shot_budget": 4})["Everybody"]
+    assert metrics["J"]["mean"] == 5
+    assert metrics["recall_first"]["mean"] == metrics["redundancy"]["mean"] == 0
+
+
+def test_a_price_moves_the_reward_and_not_the_reported_objective():
+    plain, priced = (
+        evaluate(MULTI, RandomThird(), episodes=3, env_kwargs=SMALL | {"redundancy_price": price}) for price in (1, 9)
+    )
+    assert untimed(plain.rows) == untimed(priced.rows)
+
+
+def test_every_detector_meets_the_same_swarms():
+    first, second = Recorder(), Recorder()
+    evaluate(MULTI, [first, RandomThird(), second], episodes=4, seed=0, env_kwargs=SMALL)
+    alone = Recorder()
+    evaluate(MULTI, alone, episodes=4, seed=0, env_kwargs=SMALL)
+    assert len(alone.windows) == 4
+    for other in (first, second):
+        assert other.seeds == alone.seeds
+        for ours, theirs in zip(alone.windows, other.windows, strict=True):
+            assert np.array_equal(ours.position, theirs.position)
+    assert len({window.position.tobytes() for window in alone.windows}) == 4
+
+
+def test_seeds_come_from_two_branches():
+    seeds = [episode_seeds(seed, episode) for seed in range(4) for episode in range(50)]
+    assert len({number for pair in seeds for number in pair}) == 400
+    recorder = Recorder()
+    rows = evaluate(MULTI, recorder, episodes=3, seed=7, env_kwargs=SMALL).rows
+    assert [(row["swarm_seed"], row["detector_seed"]) for row in rows] == [episode_seeds(7, i) for i in range(3)]
+    assert recorder.seeds == [row["detector_seed"] for row in rows]
+
+
+def test_another_seed_is_another_evaluation_and_the_same_is_the_same():
+    runs = [untimed(evaluate(MULTI, RandomThird(), episodes=3, seed=s, env_kwargs=SMALL).rows) for s in (0, 0, 1)]
+    assert runs[0] == runs[1] != runs[2]
+
+
+def test_the_warm_up_leaves_the_detector_alone():
+    recorder = Recorder()
+    evaluate(MULTI, recorder, episodes=2, env_kwargs=SMALL)
+    assert len(recorder.windows) == len(recorder.seeds) == 2
+
+
+def test_global_generators_are_untouched():
+    before = np.random.get_state()[1].copy()  # noqa: NPY002  # the very thing that must not move
+    evaluate(MULTI, RandomThird(), episodes=2, env_kwargs=SMALL)
+    assert np.array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+def test_workers_change_nothing():
+    players = [RandomThird(), Followed(2), Policy()]
+    here, there = (evaluate(MULTI, players, episodes=4, seed=1, env_kwargs=SMALL, workers=w) for w in (1, 2))
+    assert untimed(here.rows) == untimed(there.rows)
+    for ours, theirs in zip(here.summary, there.summary, strict=True):
+        assert {k: v for k, v in ours["metrics"].items() if k not in TIMED} == {
+            k: v for k, v in theirs["metrics"].items() if k not in TIMED
+        }
+
+
+def test_a_policy_in_stable_baselines_form_is_evaluated():
+    policy = Policy()
+    result = evaluate(MULTI, policy, episodes=2, env_kwargs=SMALL | {"max_rounds": 20})
+    assert result["Policy"]["success"]["mean"] == 1
+    assert result["Policy"]["recall_first"]["mean"] <= 1 / 3
+    assert "purity_first" not in result["Policy"]
+    assert policy.starts == 3  # two episodes and the warm-up
+
+
+def test_a_real_agent_is_evaluated():
+    sb3 = pytest.importorskip("stable_baselines3")
+    env = gym.make(MULTI, **SMALL)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        agent = sb3.PPO("MultiInputPolicy", env, n_steps=8, batch_size=8, device="cpu")
+    rows = evaluate(MULTI, agent, episodes=2, env_kwargs=SMALL).rows
+    assert [row["detector"] for row in rows] == ["PPO", "PPO"]
+    assert untimed(rows) == untimed(evaluate(env, agent, episodes=2).rows)
+
+
+def test_a_made_environment_serves_and_stays_open():
+    env = gym.make(MULTI, **SMALL)
+    ours = evaluate(env, RandomThird(), episodes=2)
+    assert untimed(ours.rows) == untimed(
+        evaluate(f"usnet_env:{MULTI}", RandomThird(), episodes=2, env_kwargs=SMALL).rows
+    )
+    env.reset(seed=0)
+
+
+def test_twins_get_labels_of_their_own():
+    result = evaluate(MULTI, [Nobody(), Nobody(), Followed(2), Followed(3)], episodes=1, env_kwargs=SMALL)
+    labels = [entry["detector"] for entry in result.summary]
+    assert labels == ["Nobody", "Nobody #2", "Followed(clusters=2)", "Followed"]
+
+
+def test_names_are_labels_and_the_trivial_policies_join():
+    result = evaluate(MULTI, ["random", Nobody()], episodes=2, env_kwargs=SMALL, trivial=True)
+    labels = [entry["detector"] for entry in result.summary]
+    assert labels == ["random", "Nobody", *(name for name in TRIVIAL if name != "random")]
+    assert result["destroy-all"]["J"]["mean"] == 1 + 17 / 20
+    assert untimed([row for row in result.rows if row["detector"] == "none"]) == [
+        row | {"detector": "none"} for row in untimed(result.rows) if row["detector"] == "Nobody"
+    ]
+
+
+def test_arguments_stand_in_the_label():
+    result = evaluate(MULTI, "lagged-correlation(clusters=3)", episodes=1, env_kwargs=SMALL)
+    assert result.summary[0]["detector"] == "lagged-correlation(clusters=3)"
+
+
+def test_the_summary_is_plain_json_of_the_promised_form():
+    result = evaluate(MULTI, [RandomThird(), Followed()], episodes=3, env_kwargs=SMALL)
+    read = json.loads(json.dumps(result.summary, allow_nan=False))
+    assert read == result.summary
+    for entry in read:
+        assert set(entry) == {"detector", "episodes", "metrics"}
+        assert entry["episodes"] == 3
+        for cell in entry["metrics"].values():
+            assert set(cell) == {"mean", "low", "high"}
+            assert cell["low"] <= cell["mean"] <= cell["high"]
+    assert set(read[1]["metrics"]) == set(METRICS)
+    assert set(METRICS) - set(read[0]["metrics"]) == {"purity_first", "head_in_cluster_first"}
+    means = {name: np.mean([row[name] for row in result.rows[:3]]) for name in read[0]["metrics"]}
+    assert {name: cell["mean"] for name, cell in read[0]["metrics"].items()} == pytest.approx(means)
+
+
+def test_seconds_are_of_the_answer():
+    row = evaluate(MULTI, Everybody(), episodes=1, env_kwargs=SMALL).rows[0]
+    assert 0 < row["seconds_per_round"] < 0.1
+
+
+def test_the_table_shows_every_row():
+    from io import StringIO
+
+    from rich.console import Console
+
+    text = StringIO()
+    result = evaluate(MULTI, [RandomThird(), Followed()], episodes=2, env_kwargs=SMALL)
+    Console(file=text, width=220).print(result.table())
+    assert "RandomThird" in text.getvalue()
+    assert "Followed" in text.getvalue()
+    assert "head in cl. 1" in text.getvalue()
+    with pytest.raises(InvalidArgument, match=r"^detector must be one of"):
+        result["nobody-else"]
+
+
+@pytest.mark.parametrize(
+    ("detector", "words"),
+    [
+        (Failing(), ["'Failing'", "episode 2, round 1", "ZeroDivisionError: nothing to divide by."]),
+        (WrongLength(), ["'WrongLength'", "all 20 UAVs", "19"]),
+        (NoDetection(), ["'NoDetection'", "usnet_env.Detection"]),
+        (WrongPolicy(), ["'WrongPolicy'", "0 and 1"]),
+    ],
+)
+def test_a_failing_detector_ends_it_in_one_sentence(detector, words):
+    with pytest.raises(EvaluationError) as failed:
+        evaluate(MULTI, detector, episodes=5, env_kwargs=SMALL)
+    sentence = str(failed.value)
+    assert all(word in sentence for word in words)
+    assert "\n" not in sentence
+
+
+def test_a_detector_that_fails_in_a_worker_ends_it_as_well():
+    with pytest.raises(EvaluationError, match=r"'FailingWithOne' failed in its warm-up: ZeroDivisionError: no luck\."):
+        evaluate(MULTI, FailingWithOne(), episodes=5, env_kwargs=SMALL, workers=2)
+
+
+def test_what_cannot_travel_needs_one_worker():
+    detector = Everybody()
+    detector.tool = lambda: None
+    with pytest.raises(InvalidArgument, match=r"^workers must be 1"):
+        evaluate(MULTI, detector, episodes=2, env_kwargs=SMALL, workers=2)
+    assert len(evaluate(MULTI, detector, episodes=2, env_kwargs=SMALL).rows) == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"env": "USNET/MultiClutser-v0"}, ["env ", "USNET/MultiCluster-v0"]),
+        ({"env": "no_such_module:USNET/MultiCluster-v0"}, ["env ", "no_such_module"]),
+        ({"env": "CartPole-v1"}, ["env ", "USNET environment"]),
+        ({"env": 7}, ["env ", "7"]),
+        ({"detector": "lagged-regresion"}, ["lagged-regression"]),
+        ({"detector": ["none", "none"]}, ["detector ", "twice"]),
+        ({"detector": []}, ["detector ", "empty"]),
+        ({"detector": Everybody}, ["detector ", "Everybody"]),
+        ({"detector": 3.5}, ["detector ", "3.5"]),
+        ({"env_kwargs": {"folow": "f1"}}, ["folow", "'follow'", "miss_rate"]),
+        ({"env_kwargs": {"render_mode": "human"}}, ["render_mode"]),
+        ({"env_kwargs": {"uavs": 3}}, ["uavs"]),
+        ({"env_kwargs": {"miss_rate": float("nan")}}, ["miss_rate"]),
+        ({"env_kwargs": [1]}, ["env_kwargs"]),
+        ({"episodes": 0}, ["episodes", "0"]),
+        ({"episodes": 2.5}, ["episodes", "2.5"]),
+        ({"episodes": True}, ["episodes", "True"]),
+        ({"episodes": 10**9}, ["episodes"]),
+        ({"seed": -1}, ["seed", "-1"]),
+        ({"seed": None}, ["seed", "None"]),
+        ({"workers": 0}, ["workers", "0"]),
+        ({"workers": 10**6}, ["workers"]),
+        ({"trivial": "yes"}, ["trivial", "yes"]),
+    ],
+)
+def test_bad_input_is_one_sentence_with_the_name(changes, words):
+    with pytest.raises(InvalidArgument) as refused:
+        evaluate(**({"env": MULTI, "detector": "none", "episodes": 1, "env_kwargs": SMALL} | changes))
+    sentence = str(refused.value)
+    assert all(word in sentence for word in words), sentence
+    assert "\n" not in sentence
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.sampled_from(["episodes", "seed", "workers"]),
+    st.one_of(st.floats(), st.text(max_size=5), st.integers(max_value=-1), st.integers(min_value=2**63), st.none()),
+)
+def test_whatever_number_is_wrong_is_named(name, value):
+    with pytest.raises(InvalidArgument, match=rf"^{name} must be "):
+        evaluate(MULTI, Nobody(), **{name: value})
+
+
+def test_a_made_environment_takes_no_arguments_and_one_worker():
+    env = gym.make(MULTI, **SMALL)
+    with pytest.raises(InvalidArgument, match=r"^workers must be 1"):
+        evaluate(env, Nobody(), workers=2)
+    with pytest.raises(InvalidArgument, match=r"^env_kwargs must be empty"):
+        evaluate(env, Nobody(), env_kwargs={"follow": "f2"})
+    with pytest.raises(InvalidArgument, match=r"^env must be"):
+        evaluate(gym.make("CartPole-v1"), Nobody())

@@ -1,0 +1,164 @@
+"""A run's folder: whole files, interruption, continuation, and refusal of another run's."""
+
+from __future__ import annotations
+
+import json
+import platform
+
+import pytest
+from sample_detectors import Base, Everybody, Failing, Followed, RandomThird
+
+from usnet_env import Detection, InvalidArgument, evaluate
+from usnet_env.evaluation import EvaluationError
+from usnet_env.evaluation.store import COLUMNS, write_text
+
+MULTI = "USNET/MultiCluster-v0"
+SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
+
+
+class Counted(Base):
+    """Answers like RandomThird; a test interrupts it, and looks at how many episodes it has begun."""
+
+    def __init__(self):
+        self.begun = 0
+        self.interrupt_at = None
+
+    def reset(self, seed=None):
+        super().reset(seed)
+        self.begun += 1
+
+    def detect(self, window):
+        if self.begun == self.interrupt_at:
+            raise KeyboardInterrupt
+        scores = self.rng.random(window.uavs)
+        return Detection((scores > 0.67) & window.alive, scores)
+
+    def __deepcopy__(self, memo):
+        return Counted()
+
+
+def untimed(rows):
+    return [{name: value for name, value in row.items() if name != "seconds_per_round"} for row in rows]
+
+
+def files(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def test_a_run_leaves_its_rows_summary_and_config(tmp_path):
+    out = tmp_path / "runs" / "first"
+    result = evaluate(MULTI, [RandomThird(), Followed()], episodes=3, seed=5, env_kwargs=SMALL, out=out)
+    assert files(out) == {"run.json", "episodes.csv", "summary.json"}
+    assert json.loads((out / "summary.json").read_text()) == result.summary
+    lines = (out / "episodes.csv").read_text().splitlines()
+    assert lines[0] == ",".join(COLUMNS)
+    assert len(lines) == 7
+    run = json.loads((out / "run.json").read_text())
+    assert run["config"] == result.config
+    assert run["config"]["seed"] == 5
+    assert run["config"]["environment"]["config"]["uavs"] == 20
+    assert {"python", "usnet", "numpy", "gymnasium"} <= set(run["versions"])
+    assert set(run["machine"]) == {"cpu", "cores", "platform"}
+    text = (out / "run.json").read_text()
+    assert platform.node() not in text
+    assert str(tmp_path) not in text
+
+
+def test_a_finished_run_is_read_and_not_repeated(tmp_path):
+    detector = Counted()
+    first = evaluate(MULTI, detector, episodes=3, env_kwargs=SMALL, out=tmp_path)
+    again = evaluate(MULTI, detector, episodes=3, env_kwargs=SMALL, out=tmp_path)
+    assert again.rows == first.rows  # the seconds, too: they are those of the first time
+    assert again.summary == first.summary
+    assert detector.begun == 3
+
+
+def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path):
+    whole = evaluate(MULTI, [Counted(), Everybody()], episodes=5, env_kwargs=SMALL)
+    detector = Counted()
+    detector.interrupt_at = 3
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(MULTI, [detector, Everybody()], episodes=5, env_kwargs=SMALL, out=tmp_path)
+    assert files(tmp_path) == {"run.json", "episodes.csv"}
+    assert len((tmp_path / "episodes.csv").read_text().splitlines()) == 1 + 2 * 2
+    detector.interrupt_at = None
+    resumed = evaluate(MULTI, [detector, Everybody()], episodes=5, env_kwargs=SMALL, out=tmp_path)
+    assert untimed(resumed.rows) == untimed(whole.rows)
+    assert detector.begun == 3 + 3  # two whole episodes and the broken one, then the three that were missing
+
+
+def test_a_run_may_go_on_with_other_workers(tmp_path):
+    detector = RandomThird()
+    whole = evaluate(MULTI, [detector, Everybody()], episodes=4, env_kwargs=SMALL, out=tmp_path)
+    lines = (tmp_path / "episodes.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "episodes.csv").write_text("".join(lines[:3]))
+    resumed = evaluate(MULTI, [detector, Everybody()], episodes=4, env_kwargs=SMALL, out=tmp_path, workers=2)
+    assert untimed(resumed.rows) == untimed(whole.rows)
+    assert resumed.rows[:2] == whole.rows[:2]
+
+
+def test_a_failing_detector_loses_no_finished_episode(tmp_path):
+    with pytest.raises(EvaluationError):
+        evaluate(MULTI, Failing(), episodes=5, env_kwargs=SMALL, out=tmp_path)
+    assert len((tmp_path / "episodes.csv").read_text().splitlines()) == 1 + 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"seed": 1}, "seed"),
+        ({"episodes": 3}, "episodes"),
+        ({"detector": Followed(2)}, "detectors"),
+        ({"env_kwargs": SMALL | {"follow": "f2"}}, "env_kwargs"),
+        ({"env": "USNET/MultiCluster-Smooth-v0"}, "env"),
+    ],
+)
+def test_another_run_s_folder_is_refused(tmp_path, changes, name):
+    asked = {"env": MULTI, "detector": RandomThird(), "episodes": 2, "env_kwargs": SMALL, "out": tmp_path}
+    evaluate(**asked)
+    before = (tmp_path / "episodes.csv").read_bytes()
+    with pytest.raises(InvalidArgument, match=rf"^out must be .*another .*{name}"):
+        evaluate(**(asked | changes))
+    assert (tmp_path / "episodes.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("run.json", "{"),
+        ("run.json", "[]"),
+        ("run.json", "{}"),
+        ("episodes.csv", ""),
+        ("episodes.csv", "a,b\n1,2\n"),
+        ("episodes.csv", ",".join(COLUMNS) + "\nRandomThird,x" + "," * (len(COLUMNS) - 2) + "\n"),
+        ("episodes.csv", ",".join(COLUMNS) + "\nRandomThird,0\n"),
+        ("episodes.csv", ",".join(COLUMNS) + "\nRandomThird,99" + ",0" * (len(COLUMNS) - 2) + "\n"),
+    ],
+)
+def test_a_folder_that_somebody_edited_is_refused(tmp_path, name, text):
+    asked = {"env": MULTI, "detector": RandomThird(), "episodes": 2, "env_kwargs": SMALL, "out": tmp_path}
+    evaluate(**asked)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InvalidArgument, match=r"^out must ") as refused:
+        evaluate(**asked)
+    assert "\n" not in str(refused.value)
+    assert (tmp_path / name).read_text() == text
+
+
+def test_a_file_or_a_stranger_s_rows_are_refused(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InvalidArgument, match=r"^out must be a folder"):
+        evaluate(MULTI, RandomThird(), episodes=1, env_kwargs=SMALL, out=tmp_path / "file")
+    (tmp_path / "episodes.csv").write_text("mine")
+    with pytest.raises(InvalidArgument, match=r"^out must be .*no run\.json"):
+        evaluate(MULTI, RandomThird(), episodes=1, env_kwargs=SMALL, out=tmp_path)
+    assert (tmp_path / "episodes.csv").read_text() == "mine"
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "text"
+    write_text(path, "first\n")
+    with pytest.raises(UnicodeEncodeError):
+        write_text(path, "second \ud800\n")
+    assert path.read_text() == "first\n"
+    assert files(tmp_path) == {"text"}

@@ -1,0 +1,367 @@
+"""The command line, end to end: in this process, and as a process of its own where signals and pipes matter."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from usnet_env.cli import main
+from usnet_env.evaluation import METRICS
+
+SAMPLES = Path(__file__).parent / "evaluation"
+SMALL = ["--set", "clusters=3", "uavs=20", "observation_steps=20", "max_rounds=5"]
+QUICK = ["evaluate", "--detector", "destroy-all", "--episodes", "2", *SMALL]
+
+
+@pytest.fixture
+def run(capsys):
+    """Run a command line; returns its exit status, standard output and standard error."""
+
+    def runner(*words):
+        status = main(words)
+        output = capsys.readouterr()
+        return status, output.out, output.err
+
+    return runner
+
+
+def refused(run, words, *expected):
+    status, out, err = run(*words)
+    assert status == 2, err
+    assert out == ""
+    assert err.startswith("usnet: ")
+    assert err.endswith(".\n")
+    assert err.count("\n") == 1
+    assert all(word in err for word in expected), err
+
+
+def process(*words, **options):
+    path = os.pathsep.join(filter(None, [str(SAMPLES), os.environ.get("PYTHONPATH")]))
+    return subprocess.Popen(
+        [sys.executable, "-m", "usnet_env", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": path},
+        **options,
+    )
+
+
+def living(group):
+    """Command lines of a process group's members, the defunct ones apart (not every container's init reaps them)."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, pgrp = stat.read_text().rpartition(")")[2].split()[:3]
+            if int(pgrp) == group and state != "Z":
+                found.append(stat.with_name("cmdline").read_text())
+        except (FileNotFoundError, ProcessLookupError):  # it has just ended
+            continue
+    return found
+
+
+def test_json_is_the_summary_and_nothing_else(run):
+    status, out, err = run(*QUICK, "--trivial", "--json")
+    assert (status, err) == (0, "")
+    summary = json.loads(out)
+    assert [entry["detector"] for entry in summary] == ["destroy-all", "none", "random", "one-per-round"]
+    for entry in summary:
+        assert set(entry) == {"detector", "episodes", "metrics"}
+        assert entry["episodes"] == 2
+        assert set(entry["metrics"]) <= set(METRICS)
+        assert {"J", "rounds", "redundancy", "success", "exact", "ap_first"} <= set(entry["metrics"])
+    assert summary[0]["metrics"]["J"] == {"mean": 1.85, "low": 1.85, "high": 1.85}
+
+
+def test_the_table_names_detectors_and_metrics(run):
+    status, out, _ = run(*QUICK, "--detector", "random")
+    assert status == 0
+    for word in ("destroy-all", "random", "J", "redundancy", "precision 1", "AP 1", "s / round", "1.850"):
+        assert word in out
+
+
+def test_one_set_takes_every_pair_and_may_repeat(run):
+    one = run(*QUICK, "--json")
+    many = run(
+        "evaluate", "--set", "clusters=3", "--detector", "destroy-all", "--set=uavs=20", "observation_steps=20",
+        "--set", "max_rounds=5", "--json", "--episodes", "2",
+    )  # fmt: skip
+    assert [entry["metrics"]["J"] for entry in json.loads(one[1])] == [
+        entry["metrics"]["J"] for entry in json.loads(many[1])
+    ]
+
+
+def test_values_are_yaml(run, tmp_path):
+    words = ["cluster_sizes=[2, 3,4]", "clusters=3", "uavs=12", "position_noise=1e-3", "head_jitter=true", "follow=f2"]
+    status, _, err = run(
+        *QUICK[:5], "--set", "follow_seed=null", "observation_steps=20", *words, "--out", str(tmp_path)
+    )
+    assert status == 0, err
+    assert json.loads((tmp_path / "run.json").read_text())["config"]["env_kwargs"] == {
+        "follow_seed": None,
+        "observation_steps": 20,
+        "cluster_sizes": [2, 3, 4],
+        "clusters": 3,
+        "uavs": 12,
+        "position_noise": 0.001,
+        "head_jitter": True,
+        "follow": "f2",
+    }
+
+
+def test_out_keeps_the_run_and_the_same_command_reads_it(run, tmp_path):
+    words = [*QUICK, "--out", str(tmp_path / "run"), "--json"]
+    first, second = run(*words), run(*words)
+    assert first[0] == second[0] == 0
+    assert first[1] == second[1]
+    with open(tmp_path / "run" / "episodes.csv", newline="") as file:
+        assert [row["episode"] for row in csv.DictReader(file)] == ["0", "1"]
+    refused(run, [*words, "--seed", "9"], "out must be", "seed")
+
+
+def test_arguments_of_a_detector_and_two_workers(run):
+    name = "lagged-correlation(clusters=3)"
+    words = ["evaluate", "--detector", name, "--episodes", "3", *SMALL, "--json"]
+    one, two = run(*words), run(*words, "--workers", "2")
+    assert one[0] == two[0] == 0
+    ours, theirs = json.loads(one[1])[0], json.loads(two[1])[0]
+    assert ours["detector"] == name
+    for entry in (ours, theirs):
+        del entry["metrics"]["seconds_per_round"]
+    assert ours == theirs
+
+
+@pytest.mark.parametrize(
+    ("what", "names"),
+    [
+        ("envs", ["USNET/SingleCluster-v0", "USNET/MultiCluster-v0"]),
+        ("detectors", ["random", "none", "destroy-all", "one-per-round", "lagged-correlation", "lagged-regression"]),
+        ("follow", [*(f"f{number}" for number in range(1, 8)), "none"]),
+        ("mobility", ["iid", "gauss_markov", "smooth_turn", "waypoint", "straight"]),
+    ],
+)
+def test_list_names_all(run, what, names):
+    status, out, err = run("list", what)
+    assert (status, err) == (0, "")
+    lines = {line.split()[0]: line.split()[1:] for line in out.splitlines()}
+    assert set(names) <= set(lines)
+    assert all(lines[name] for name in names)  # each with a word about it
+
+
+def test_version_and_help(run):
+    status, out, _ = run("--version")
+    assert status == 0
+    assert out.startswith("usnet ")
+    for words in (["--help"], ["evaluate", "--help"], ["demo", "--help"], ["list", "-h"]):
+        status, out, err = run(*words)
+        assert (status, err) == (0, "")
+        assert "Usage: usnet" in out
+
+
+def test_help_imports_nothing_heavy():
+    code = "import sys; from usnet_env.cli import main; main(['--help']); print([m for m in {!r} if m in sys.modules])"
+    heavy = ["torch", "sklearn", "scipy.stats", "rich.table", "matplotlib", "rerun", "usnet_env.evaluation"]
+    done = subprocess.run([sys.executable, "-c", code.format(heavy)], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], []),
+        (["--episodes", "0"], ["--episodes", "'0'"]),
+        (["--episodes", "-3"], ["--episodes", "'-3'"]),
+        (["--episodes", "2.5"], ["--episodes", "'2.5'"]),
+        (["--episodes", "nan"], ["--episodes", "'nan'"]),
+        (["--episodes", "many"], ["--episodes", "'many'"]),
+        (["--episodes", "9" * 5000], ["--episodes"]),
+        (["--episodes"], ["--episodes"]),
+        (["--seed", "-1"], ["--seed", "'-1'"]),
+        (["--seed", "1e3"], ["--seed", "'1e3'"]),
+        (["--seed", str(2**63)], ["--seed"]),
+        (["--seed", ""], ["--seed", "''"]),
+        (["--workers", "0"], ["--workers", "'0'"]),
+        (["--workers", "inf"], ["--workers", "'inf'"]),
+        (["--workers", "100000"], ["--workers", "256"]),
+        (["--env", "USNET/MultiCluster"], ["env ", "USNET/MultiCluster-v0"]),
+        (["--env", "Usnet/Multicluster-v0"], ["env ", "USNET/MultiCluster-v0"]),
+        (["--env", "CartPole-v1"], ["env ", "USNET environment"]),
+        (["--env", ""], ["env "]),
+        (["--env", "nowhere:X-v0"], ["env ", "nowhere"]),
+        (["--detector", "lagged-regresion"], ["lagged-regression"]),
+        (["--detector", "random(seeed=1)"], ["seeed"]),
+        (["--detector", "random(", "--trivial"], ["random("]),
+        (["--detector", "nowhere:Nobody"], ["nowhere"]),
+        (["--detector", ""], ["detector"]),
+        (["--detector", "destroy-all"], ["detector", "twice"]),
+        (["--set"], ["--set"]),
+        (["--set", "--json"], ["--set"]),
+        (["--set", "follow"], ["--set", "'follow'"]),
+        (["--set", "=f1"], ["--set", "'=f1'"]),
+        (["--set", "follow=f1", "follow=f2"], ["--set", "follow"]),
+        (["--set", "folow=f1"], ["folow", "'follow'", "miss_rate"]),
+        (["--set", "follow=f9"], ["follow", "'f9'"]),
+        (["--set", "follow={a: 1}"], ["follow"]),
+        (["--set", "follow=[1"], ["follow", "'[1'"]),
+        (["--set", "follow=[[1]]"], ["follow"]),
+        (["--set", "follow=2020-01-01"], ["follow"]),
+        (["--set", "follow=!!python/object:os.system"], ["follow"]),
+        (["--set", "miss_rate=.nan"], ["miss_rate", "nan"]),
+        (["--set", "miss_rate=-1"], ["miss_rate", "-1"]),
+        (["--set", "miss_rate=high"], ["miss_rate", "'high'"]),
+        (["--set", "position_noise=.inf"], ["position_noise", "inf"]),
+        (["--set", "observation_steps=0"], ["observation_steps", "0"]),
+        (["--set", "observation_steps=1000000000000"], ["observation_steps"]),
+        (["--set", "decoys=1.5"], ["decoys", "1.5"]),
+        (["--set", "render_mode=human"], ["render_mode"]),
+        (["--set", "max_episode_steps=3"], ["max_episode_steps"]),
+        (["--out", "/dev/null"], ["out", "/dev/null"]),
+        (["--no-such-option"], ["--no-such-option"]),
+        (["stray"], ["stray"]),
+    ],
+)
+def test_bad_input_is_one_sentence_with_the_name(run, words, expected):
+    if not words:
+        refused(run, ["evaluate", "--episodes", "1"], "--detector")
+        return
+    base = ["evaluate", "--detector", "destroy-all"]
+    rest = [] if words[0] == "--episodes" else ["--episodes", "1"]
+    refused(run, [*base, *rest, *words], *expected)
+
+
+@pytest.mark.parametrize(
+    "words", [["demo", "--seed", "x"], ["demo", "--detector", "x"], ["list", "nothing"], ["list"], ["play"], ["--x"]]
+)
+def test_the_other_commands_refuse_in_one_sentence_too(run, words):
+    refused(run, words)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from(["--episodes", "--seed", "--workers"]),
+    st.one_of(st.text(max_size=8), st.floats().map(str), st.integers(max_value=-1).map(str)),
+)
+def test_no_word_after_a_number_s_option_brings_a_traceback(option, word):
+    import contextlib
+    import io
+
+    with contextlib.redirect_stderr(io.StringIO()) as err, contextlib.redirect_stdout(io.StringIO()):
+        status = main([*QUICK[:3], option, word, "--set", "uavs=0"])  # so that a good number ends at once as well
+    assert status == 2
+    assert err.getvalue().startswith("usnet: ")
+    assert "Traceback" not in err.getvalue()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.text(max_size=12), st.text(max_size=12))
+def test_no_pair_brings_a_traceback(key, value):
+    import contextlib
+    import io
+
+    with contextlib.redirect_stderr(io.StringIO()) as err, contextlib.redirect_stdout(io.StringIO()):
+        status = main([*QUICK[:3], "--set", "uavs=0", f"--set={key}={value}"])
+    assert status == 2
+    assert err.getvalue().startswith("usnet: ")
+    assert "Traceback" not in err.getvalue()
+
+
+def test_a_failing_detector_is_one_sentence(run, monkeypatch):
+    monkeypatch.syspath_prepend(str(SAMPLES))
+    words = ["evaluate", "--episodes", "4", *SMALL, "--detector", "sample_detectors:Failing"]
+    refused(run, words, "sample_detectors:Failing", "episode 2", "ZeroDivisionError")
+
+
+def test_a_bug_is_one_sentence_and_can_be_looked_at(run, monkeypatch):
+    import usnet_env.evaluation
+
+    def broken(*_, **__):
+        raise LookupError("lost\nmy way")
+
+    monkeypatch.setattr(usnet_env.evaluation, "evaluate", broken)
+    status, _, err = run(*QUICK)
+    assert status == 1
+    assert err == "usnet: failed with LookupError: lost my way. USNET_TRACEBACK=1 shows where.\n"
+    monkeypatch.setenv("USNET_TRACEBACK", "1")
+    assert "Traceback" in run(*QUICK)[2]
+
+
+def test_a_disk_that_cannot_be_written_is_one_sentence(run, tmp_path):
+    if os.geteuid() == 0:
+        target = "/proc/nowhere/run"  # root writes anywhere but here
+    else:
+        tmp_path.chmod(0o500)
+        target = str(tmp_path / "run")
+    status, out, err = run(*QUICK, "--out", target)
+    assert (status, out) == (1, "")
+    assert err.startswith("usnet: cannot use ")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(("how", "workers"), [("ctrl-c", 1), ("ctrl-c", 2), ("killed", 2)])
+def test_a_stopped_run_leaves_whole_files_and_the_same_command_goes_on(tmp_path, how, workers):
+    words = ["evaluate", "--detector", "sample_detectors:Slow", "--episodes", "12", *SMALL, "--json"]
+    words += ["--out", str(tmp_path), "--workers", str(workers)]
+    rows = tmp_path / "episodes.csv"
+    running = process(*words, start_new_session=True)
+    deadline = time.monotonic() + 60
+    while not rows.exists() and time.monotonic() < deadline and running.poll() is None:
+        time.sleep(0.02)
+    if how == "killed":
+        running.kill()
+    else:
+        os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to the process and to its workers
+    out, err = running.communicate(timeout=30)
+    assert out == ""
+    if how == "ctrl-c":
+        assert running.returncode == 130, err
+        kept = f"Finished episodes are kept in {tmp_path}: the same command goes on from there."
+        assert err == f"usnet: interrupted. {kept}\n"
+        assert {path.name for path in tmp_path.iterdir()} == {"run.json", "episodes.csv"}
+    deadline = time.monotonic() + 5  # workers and the standard library's helper end a moment after their parent
+    while living(running.pid) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert living(running.pid) == []
+    finished = rows.read_text().splitlines()[1:]
+    assert 1 <= len(finished) < 12
+    again = process(*words)
+    out, err = again.communicate(timeout=60)
+    assert again.returncode == 0, err
+    assert json.loads(out)[0]["episodes"] == 12
+    whole = rows.read_text().splitlines()[1:]
+    assert set(finished) <= set(whole)  # seconds and all: none was played again
+    assert len(whole) == 12
+
+
+def test_a_reader_that_goes_away_leaves_no_traceback():
+    running = process("list", "envs")
+    running.stdout.close()
+    with running:
+        err = running.stderr.read()
+    assert "Traceback" not in err
+    assert "Exception" not in err
+
+
+def test_demo_says_where_it_cannot_write(run):
+    status, _, err = run("demo", "--out", "/dev/null")
+    assert status == 2
+    assert err.startswith("usnet: ")
+    assert "/dev/null" in err
+    assert err.count("\n") == 1
+
+
+def test_demo_plays_and_leaves_its_files(run, tmp_path):
+    status, out, err = run("demo", "--out", str(tmp_path / "demo"))
+    assert status == 0, err
+    assert out.strip()
+    suffixes = {path.suffix for path in (tmp_path / "demo").iterdir()}
+    assert {".npz", ".rrd", ".png"} <= suffixes

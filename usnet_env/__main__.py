@@ -1,0 +1,8 @@
+"""``python -m usnet_env`` is ``usnet``."""
+
+import sys
+
+from usnet_env.cli import main
+
+if __name__ == "__main__":  # worker processes import the main module again
+    sys.exit(main())

@@ -1,0 +1,307 @@
+"""The command line: ``usnet evaluate``, ``usnet demo`` and ``usnet list``.
+
+No traceback reaches the user: whatever is refused or fails is one sentence on standard error. Everything heavy is
+imported by the command that needs it, so that ``usnet --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from usnet_env.config import InvalidArgument, shown
+
+if TYPE_CHECKING:
+    from usnet_env.evaluation import EvaluationResult
+
+__all__ = ["main"]
+
+_REFUSED, _FAILED, _INTERRUPTED = 2, 1, 130
+_PIPE_WIDTH = 400  # columns where standard output is no terminal: nothing need be cut or folded
+_EXPONENT = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+")  # 1e-3 is a number to everybody but YAML 1.1
+
+
+class _WholeNumber(click.ParamType):  # type: ignore[type-arg]  # generic in the newest click only
+    """A whole number in a range, refused in one sentence."""
+
+    name = "number"
+
+    def __init__(self, least: int, most: int) -> None:
+        self.least, self.most = least, most
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """The number."""
+        if isinstance(value, int):
+            return value
+        text = str(value).strip()
+        if re.fullmatch(r"[-+]?[0-9]{1,30}", text) and self.least <= int(text) <= self.most:
+            return int(text)
+        option = param.opts[0] if param is not None else "value"
+        raise InvalidArgument(f"{option} must be a whole number from {self.least} to {self.most}, got {shown(value)}.")
+
+
+class _PairsCommand(click.Command):
+    """Lets one ``--set`` take every word up to the next option."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Give each pair a ``--set`` of its own, which is what click understands."""
+        spread: list[str] = []
+        words, taking = iter(args), False
+        for word in words:
+            if word.startswith("-") or not taking:
+                taking = word == "--set" or word.startswith("--set=")
+                spread.append(word)
+                if word == "--set":
+                    following = next(words, None)
+                    if following is None or following.startswith("--"):
+                        raise InvalidArgument("--set must be followed by key=value pairs, got none.")
+                    spread.append(following)
+            else:
+                spread += ["--set", word]
+        return super().parse_args(ctx, spread)
+
+
+def _yaml_value(key: str, text: str) -> Any:
+    """A YAML scalar, or a list of them."""
+    import yaml
+
+    try:
+        value = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        raise InvalidArgument(f"{key} must be a YAML value, got {shown(text)}.") from None
+    if isinstance(value, str) and _EXPONENT.fullmatch(value):
+        return float(value)
+    for item in value if isinstance(value, list) else [value]:
+        if item is not None and not isinstance(item, str | int | float):
+            raise InvalidArgument(f"{key} must be a number, a name or a list of these, got {shown(text)}.")
+    return value
+
+
+def _pairs(words: Sequence[str]) -> dict[str, Any]:
+    """``key=value`` words as a mapping."""
+    values: dict[str, Any] = {}
+    for word in words:
+        key, equals, text = word.partition("=")
+        key = key.strip()
+        if not equals or not key:
+            raise InvalidArgument(f"--set must be followed by key=value pairs, got {shown(word)}.")
+        if key in values:
+            raise InvalidArgument(f"--set must name each key once, got {key} twice.")
+        values[key] = _yaml_value(key, text)
+    return values
+
+
+def _print(*things: Any) -> None:
+    """Print to standard output by way of Rich."""
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_PIPE_WIDTH)
+    for thing in things:
+        console.print(thing)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="usnet", prog_name="usnet", message="%(prog)s %(version)s")
+def _usnet() -> None:
+    """Who leads this swarm? Environments, a referee and detectors for finding the cluster heads of a UAV swarm."""
+
+
+@_usnet.command(cls=_PairsCommand)
+@click.option("--env", "env_id", default="USNET/MultiCluster-v0", show_default=True, metavar="ID", help="Environment.")
+@click.option(
+    "--detector",
+    "detectors",
+    multiple=True,
+    required=True,
+    metavar="NAME",
+    help="Detector, e.g. random, 'lagged-regression(clusters=5)' or module:Class. May repeat.",
+)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE …",
+    help="Arguments of the environment, every pair up to the next option. May repeat.",
+)
+@click.option("--episodes", type=_WholeNumber(1, 1_000_000), default=100, show_default=True, help="For each detector.")
+@click.option("--seed", type=_WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Of the whole evaluation.")
+@click.option("--workers", type=_WholeNumber(1, 256), default=1, show_default=True, help="Processes.")
+@click.option("--out", metavar="DIR", help="Keep rows, summary and config here; the same command continues a run.")
+@click.option("--trivial", is_flag=True, help="Also evaluate destroy-all, none, random and one-per-round.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON and nothing else.")
+@click.pass_context
+def evaluate(
+    ctx: click.Context,
+    env_id: str,
+    detectors: tuple[str, ...],
+    settings: tuple[str, ...],
+    episodes: int,
+    seed: int,
+    workers: int,
+    out: str | None,
+    trivial: bool,
+    as_json: bool,
+) -> None:
+    """Let detectors meet the same swarms, and score them with 95 % intervals."""
+    env_kwargs = _pairs(settings)
+    if out is not None:
+        ctx.find_root().obj = f"Finished episodes are kept in {out}: the same command goes on from there."
+    from usnet_env import evaluation
+
+    result = evaluation.evaluate(
+        env_id,
+        list(detectors),
+        episodes=episodes,
+        seed=seed,
+        env_kwargs=env_kwargs,
+        workers=workers,
+        trivial=trivial,
+        out=out,
+        progress=sys.stderr.isatty(),
+    )
+    if as_json:
+        click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
+        return
+    _print_result(result)
+    if out is not None:
+        click.echo(f"Rows, summary and config are in {out}.", err=True)
+
+
+def _print_result(result: EvaluationResult) -> None:
+    """One table where it fits, else several with some of the columns each."""
+    from rich.console import Console
+
+    from usnet_env.evaluation import METRICS
+
+    console = Console()
+    width = console.width if console.is_terminal else _PIPE_WIDTH
+    wide = console.options.update(max_width=10_000)
+    columns: list[str] = []
+    for name in METRICS:
+        if columns and console.measure(result.table([*columns, name]), options=wide).maximum > width:
+            _print(result.table(columns))
+            columns = []
+        columns.append(name)
+    _print(result.table(columns))
+
+
+@_usnet.command()
+@click.option("--out", default="runs/demo", show_default=True, metavar="DIR", help="Where the files go.")
+@click.option("--seed", type=_WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Of the episode.")
+@click.option("--detector", metavar="NAME", help="Detector; by default the best one at hand.")
+def demo(out: str, seed: int, detector: str | None) -> None:
+    """Play one episode with 8 clusters and 185 UAVs, and keep a replay and a picture of it."""
+    from usnet_env.replay.demo import run_demo
+
+    if detector is None:
+        run_demo(out, seed=seed)
+    else:
+        run_demo(out, seed=seed, detector=detector)
+
+
+@_usnet.command(name="list")
+@click.argument("what", type=click.Choice(["envs", "detectors", "follow", "mobility"]))
+def list_(what: str) -> None:
+    """List what can be named: envs, detectors, follow strategies or mobilities."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for name, about in _listing(what):
+        table.add_row(Text(name), Text(about))
+    _print(table)
+
+
+def _listing(what: str) -> list[tuple[str, str]]:
+    """Names, each with one line about it."""
+    if what == "detectors":
+        from usnet_env.plugins import describe_detectors
+
+        return sorted(describe_detectors().items())
+    if what == "follow":
+        from usnet_env.swarm import follow_strategies
+
+        control = ("none", "nobody follows: followers fly like heads (a control)")
+        return [*((name, strategy.equation) for name, strategy in follow_strategies().items()), control]
+    if what == "mobility":
+        from usnet_env.swarm import mobilities
+
+        return [(name, law.description) for name, law in mobilities().items()]
+    from usnet_env.evaluation.environments import environment_about, usnet_ids
+
+    return [(name, environment_about(name)) for name in usnet_ids()]
+
+
+def _say(sentence: str) -> None:
+    click.echo(f"usnet: {sentence}", err=True)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: the words after ``usnet``; by default those of this process.
+
+    Returns:
+        The exit status: 0, 1 if something failed, 2 if an argument was refused or a detector failed, 130 if it was
+        interrupted.
+    """
+    try:
+        with _usnet.make_context("usnet", list(sys.argv[1:] if argv is None else argv)) as context:
+            try:
+                _usnet.invoke(context)
+                sys.stdout.flush()
+            except (KeyboardInterrupt, EOFError):
+                _say(f"interrupted. {context.obj or ''}".rstrip())
+                return _INTERRUPTED
+        return 0
+    except click.exceptions.Exit as end:
+        return int(end.exit_code)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        return _REFUSED
+    except click.ClickException as error:
+        _say(" ".join(error.format_message().split()).rstrip(".") + ".")
+        return _REFUSED
+    except KeyboardInterrupt:
+        _say("interrupted.")
+        return _INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has gone, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _FAILED
+    except InvalidArgument as error:
+        _say(str(error))
+        return _REFUSED
+    except Exception as error:
+        return _failed(error)
+
+
+def _failed(error: Exception) -> int:
+    """What is left: a detector that failed, files that cannot be written, and what should not happen at all."""
+    if os.environ.get("USNET_TRACEBACK"):
+        traceback.print_exception(error)
+    if type(error).__name__ == "EvaluationError":  # by name: its module is heavy, and may not have been imported
+        _say(str(error))
+        return _REFUSED
+    if isinstance(error, OSError) and error.strerror:
+        _say(f"cannot use {error.filename or 'a file'}: {error.strerror}.")
+        return _FAILED
+    if isinstance(error, MemoryError):
+        _say("there is not enough memory for this; try fewer UAVs, observation steps or workers.")
+        return _FAILED
+    text = " ".join(str(error).split())
+    _say(f"failed with {type(error).__name__}: {text.rstrip('.')}. USNET_TRACEBACK=1 shows where.")
+    return _FAILED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

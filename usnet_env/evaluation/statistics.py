@@ -1,0 +1,80 @@
+"""Means with 95 % intervals: Wilson's for rates, the bootstrap's for everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from usnet_env.config import InvalidArgument
+
+__all__ = ["CONFIDENCE", "Interval", "mean_interval", "rate_interval"]
+
+CONFIDENCE = 0.95
+
+_RESAMPLES = 9_999
+_DRAWS_AT_ONCE = 2_000_000  # 16 MB of indices, however many episodes there are
+
+
+class Interval(NamedTuple):
+    """A mean and the ends of its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def _sample(values: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+    sample = np.asarray(values, dtype=np.float64)
+    if sample.ndim != 1 or not len(sample) or not np.isfinite(sample).all():
+        raise InvalidArgument("values must hold at least one number, all of them finite.")
+    return sample
+
+
+def rate_interval(values: Sequence[float] | NDArray[np.float64]) -> Interval:
+    """Share of ones in a sample of zeros and ones, with Wilson's score interval.
+
+    Args:
+        values: ``(n,)`` of 0 and 1.
+
+    Raises:
+        InvalidArgument: no value, or another value than 0 and 1.
+    """
+    sample = _sample(values)
+    if not ((sample == 0) | (sample == 1)).all():
+        raise InvalidArgument("values of a rate must be 0 or 1.")
+    interval = binomtest(int(sample.sum()), len(sample)).proportion_ci(CONFIDENCE, method="wilson")
+    mean = float(sample.mean())
+    # Wilson's ends at 0 and n successes are 0 and 1 but for rounding.
+    return Interval(mean, min(float(interval.low), mean), max(float(interval.high), mean))
+
+
+def mean_interval(values: Sequence[float] | NDArray[np.float64], seed: int = 0) -> Interval:
+    """Mean of a sample, with the percentile bootstrap's interval of 9,999 resamples.
+
+    A sample whose values are all equal, one value included, has the interval [mean, mean]: the bootstrap knows of no
+    spread that the sample does not show.
+
+    Args:
+        values: ``(n,)``.
+        seed: of the resampling; the same values and seed give the same interval.
+
+    Raises:
+        InvalidArgument: no value, or one that is not finite.
+    """
+    sample = _sample(values)
+    if (sample == sample[0]).all():
+        constant = float(sample[0])
+        return Interval(constant, constant, constant)
+    rng, n = np.random.default_rng(seed), len(sample)
+    means = np.empty(_RESAMPLES)
+    step = max(1, _DRAWS_AT_ONCE // n)
+    for first in range(0, _RESAMPLES, step):
+        part = means[first : first + step]
+        part[:] = sample[rng.integers(n, size=(len(part), n))].mean(axis=1)
+    tail = (1 - CONFIDENCE) / 2
+    low, high = np.quantile(means, [tail, 1 - tail])
+    return Interval(float(sample.mean()), float(low), float(high))

@@ -1,0 +1,44 @@
+"""Files appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from errno import EISDIR
+from pathlib import Path
+from uuid import uuid4
+
+from usnet_env.config import InvalidArgument, shown
+
+__all__ = ["written_whole"]
+
+
+@contextmanager
+def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A place beside ``path`` to write to; it becomes ``path`` when the block ends well, and vanishes otherwise.
+
+    Args:
+        path: the file to make or replace. Missing folders are made.
+
+    Yields:
+        The path to write to, in the same folder.
+
+    Raises:
+        InvalidArgument: the place can't be written to.
+    """
+    final = Path(path)
+    aside = final.with_name(f".{final.name}.{uuid4().hex}")
+    try:
+        if final.is_dir():
+            raise IsADirectoryError(EISDIR, os.strerror(EISDIR))
+        final.parent.mkdir(parents=True, exist_ok=True)
+        yield aside
+        os.replace(aside, final)
+    except OSError as error:
+        raise InvalidArgument(
+            f"path must be a file that can be written, got {shown(str(final))}: {error.strerror or error}."
+        ) from None
+    finally:
+        with suppress(OSError):  # usually it has moved to its place
+            aside.unlink()
