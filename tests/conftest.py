@@ -1,0 +1,8 @@
+"""What all tests share."""
+
+import os
+
+# Numba's cache of compiled loops is not safe for processes that compile different signatures of one function at the
+# same time. Each process of pytest-xdist keeps a cache of its own, which must be said before Numba is imported.
+if worker := os.environ.get("PYTEST_XDIST_WORKER"):
+    os.environ.setdefault("NUMBA_CACHE_DIR", os.path.abspath(f".pytest_cache/numba-{worker}"))

@@ -1,0 +1,53 @@
+"""A small episode, made by hand: two rounds, two clusters and a decoy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from usnet_env.replay import EpisodeRecord
+
+ROUNDS, SAMPLES, UAVS = 2, 21, 12
+HEADS, DECOY = (0, 5), 11
+
+
+def small_episode(**changes: Any) -> EpisodeRecord:
+    """Round 1 names head 0 and follower 3; round 2 names head 5. UAV 7 is unseen in half of round 2."""
+    rng = np.random.default_rng(3)
+    head = np.isin(np.arange(UAVS), HEADS)
+    decoy = np.arange(UAVS) == DECOY
+    leader = np.array([[0, 0, 0, 0, 0, 5, 5, 5, 5, 5, 5, DECOY], [0, 5, 5, 0, 5, 5, 5, 5, 5, 5, 5, DECOY]])
+    candidates = np.zeros((ROUNDS, UAVS), bool)
+    candidates[0, [0, 3]] = candidates[1, 5] = True
+    alive = np.stack([np.ones(UAVS, bool), ~candidates[0]])
+    seen = np.repeat(alive[:, None], SAMPLES, axis=1)
+    seen[1, ::2, 7] = False
+    velocity = rng.normal(size=(ROUNDS, SAMPLES - 1, UAVS, 3)).astype(np.float32)
+    start = rng.uniform((0, 0, 0), (400, 400, 60), (ROUNDS, 1, UAVS, 3)).astype(np.float32)
+    position = np.concatenate([start, start + np.cumsum(velocity, axis=1)], axis=1)
+    clusters = np.where(leader == DECOY, -1, leader)
+    values: dict[str, Any] = {
+        "position": position * seen[..., None],
+        "velocity": velocity * (seen[:, 1:] & seen[:, :-1])[..., None],
+        "seen": seen,
+        "alive": alive,
+        "leader": leader,
+        "candidates": candidates,
+        "scores": rng.random((ROUNDS, UAVS)) + head,
+        "objective": [1 + 1 / UAVS, 2 + 1 / UAVS],
+        "head": head,
+        "decoy": decoy,
+        "over_budget": [False, False],
+        "seconds": [0.25, 0.125],
+        "clusters": clusters,
+        "leader_estimate": leader,
+        "problem": "P2",
+        "env_id": "USNET/MultiCluster-v0",
+        "seed": 0,
+        "detector": "by hand",
+        "detector_seed": 2**60 + 1,
+        "config": {"follow": "f1", "memory": 4, "sample_every": 2, "cluster_sizes": (4, 5), "miss_rate": 0.1},
+        "versions": {"numpy": np.__version__},
+    }
+    return EpisodeRecord(**{**values, **changes})

@@ -1,0 +1,75 @@
+"""The demo: an episode in the terminal and in three files."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+from rich.console import Console
+
+from usnet_env import InvalidArgument
+from usnet_env.replay import EpisodeRecord
+from usnet_env.replay.demo import run_demo
+
+pytest.importorskip("matplotlib")
+
+
+def run(folder, **arguments):
+    text = io.StringIO()
+    small = {"clusters": 2, "uavs": 14, "detector": "one-per-round"}
+    files = run_demo(folder, console=Console(file=text, width=200), **small | arguments)
+    return files, text.getvalue()
+
+
+def test_plays_tells_and_keeps(tmp_path):
+    pytest.importorskip("rerun")
+    files, text = run(tmp_path / "demo", seed=4)
+    assert {name: path.name for name, path in files.items()} == {
+        "episode": "episode.npz",
+        "replay": "replay.rrd",
+        "picture": "episode.png",
+    }
+    assert all(path.stat().st_size > 1000 for path in files.values())
+    record = EpisodeRecord.load(files["episode"])
+    assert (record.uavs, record.head.sum(), record.seed) == (14, 2, 4)
+    lines = text.splitlines()
+    first = next(i for i, line in enumerate(lines) if line.split()[:2] == ["round", "named"]) + 1
+    rows = [[float(word) for word in line.split()] for line in lines[first : first + record.rounds]]
+    for r, (number, named, hits, redundant, left, seconds) in enumerate(rows):
+        assert (number, named, hits) == (r + 1, record.candidates[r].sum(), record.hits[r])
+        assert (redundant, left) == (record.redundant[r], record.heads_left[r])
+        assert seconds == pytest.approx(record.seconds[r], abs=0.006)
+    assert f"J = {record.objective[-1]:.3f}" in text
+    assert f"rerun {files['replay']}" in text
+    assert str(files["picture"]) in text
+
+
+def test_the_same_seed_plays_the_same_episode(tmp_path):
+    one, two = (EpisodeRecord.load(run(tmp_path / name)[0]["episode"]) for name in ("a", "b"))
+    assert one.position.tobytes() == two.position.tobytes()
+    assert one.candidates.tolist() == two.candidates.tolist()
+    assert one.detector_seed == two.detector_seed != one.seed
+
+
+def test_without_rerun_the_rest_is_written(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    files, text = run(tmp_path)
+    assert set(files) == {"episode", "picture"}
+    assert {path.name for path in tmp_path.iterdir()} == {"episode.npz", "episode.png"}
+    assert "pip install 'usnet[replay]'" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ({"detector": "nobody"}, "detector"),
+        ({"clusters": 0}, "clusters"),
+        ({"follow": "f0"}, "follow"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_refuses_in_one_sentence_and_writes_nothing(tmp_path, arguments, name):
+    with pytest.raises(InvalidArgument, match=rf"^{name} must"):
+        run(tmp_path / "demo", **arguments)
+    assert not (tmp_path / "demo").exists()

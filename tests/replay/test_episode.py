@@ -1,0 +1,205 @@
+"""The neutral file gives back exactly what was put in, and refuses everything else in one sentence."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from small_episode import ROUNDS, UAVS, small_episode
+
+from usnet_env import InvalidArgument
+from usnet_env.files import written_whole
+from usnet_env.replay import EpisodeRecord
+
+
+@pytest.fixture(scope="module")
+def episode() -> EpisodeRecord:
+    return small_episode()
+
+
+def same(one: EpisodeRecord, other: EpisodeRecord) -> bool:
+    for item in fields(EpisodeRecord):
+        here, there = getattr(one, item.name), getattr(other, item.name)
+        if isinstance(here, np.ndarray):
+            if not isinstance(there, np.ndarray) or here.dtype != there.dtype or not np.array_equal(here, there):
+                return False
+        elif here != there:
+            return False
+    return True
+
+
+def test_round_trip_is_exact(tmp_path, episode):
+    path = episode.save(tmp_path / "new" / "episode.npz")
+    assert same(EpisodeRecord.load(path), episode)
+    assert [file.name for file in path.parent.iterdir()] == ["episode.npz"]
+
+
+def test_what_a_detector_did_not_give_stays_none(tmp_path):
+    bare = small_episode(clusters=None, leader_estimate=None, seed=None, detector_seed=None)
+    loaded = EpisodeRecord.load(bare.save(tmp_path / "e.npz"))
+    assert loaded.clusters is None
+    assert loaded.leader_estimate is None
+    assert loaded.seed is None
+    assert same(loaded, bare)
+
+
+def test_counts_follow_the_definitions(episode):
+    assert episode.hits.tolist() == [1, 1]
+    assert episode.redundant.tolist() == [1, 0]
+    assert episode.heads_left.tolist() == [1, 0]
+
+
+def test_over_budget_destroys_nobody():
+    alive = np.ones((ROUNDS, UAVS), bool)
+    record = small_episode(over_budget=[True, False], alive=alive)
+    assert record.hits.tolist() == [0, 1]
+    assert record.redundant.tolist() == [0, 0]
+    assert record.heads_left.tolist() == [2, 1]
+
+
+def test_destroyed_uavs_stay_where_they_were_seen_last(episode):
+    last = episode.last_position(2)
+    np.testing.assert_array_equal(last[[0, 3]], episode.position[0, -1, [0, 3]])
+    np.testing.assert_array_equal(last[7], episode.position[1, -2, 7])  # missed at the last instant
+    seen = episode.seen.copy()
+    seen[:, :, 9] = False
+    assert np.isnan(small_episode(seen=seen).last_position(2)[9]).all()
+
+
+def test_arrays_are_read_only(episode):
+    with pytest.raises(ValueError, match="read-only"):
+        episode.position[0] = 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"position": np.zeros((1, 1, 1, 3))}, "position"),
+        ({"velocity": np.zeros((2, 3, UAVS, 3))}, "velocity"),
+        ({"scores": np.full((ROUNDS, UAVS), np.nan)}, "scores"),
+        ({"leader": np.full((ROUNDS, UAVS), UAVS)}, "leader"),
+        ({"leader": np.full((ROUNDS, UAVS), 0.5)}, "leader"),
+        ({"leader_estimate": np.full((ROUNDS, UAVS), -2)}, "leader_estimate"),
+        ({"candidates": np.full((ROUNDS, UAVS), 2)}, "candidates"),
+        ({"alive": np.ones((ROUNDS, UAVS), bool)}, "alive"),
+        ({"decoy": np.arange(UAVS) == 0}, "decoy"),
+        ({"problem": "P3"}, "problem"),
+        ({"seed": 1.5}, "seed"),
+        ({"detector": None}, "detector"),
+        ({"config": {"follow": object()}}, "config"),
+        ({"config": {"noise": float("nan")}}, "config"),
+        ({"versions": "1.0"}, "versions"),
+    ],
+)
+def test_refuses_impossible_records(changes, name):
+    with pytest.raises(InvalidArgument, match=rf"^{name} must"):
+        small_episode(**changes)
+
+
+def refusal(path) -> str:
+    with pytest.raises(InvalidArgument) as caught:
+        EpisodeRecord.load(path)
+    message = str(caught.value)
+    assert message.startswith("path must be")
+    assert "\n" not in message
+    return message
+
+
+def test_refuses_what_is_no_episode(tmp_path):
+    assert "does not exist" in refusal(tmp_path / "nothing.npz")
+    refusal(tmp_path)
+    for name, content in {"empty": b"", "text": b"hello, world", "zip": b"PK\x03\x04rest"}.items():
+        (tmp_path / name).write_bytes(content)
+        refusal(tmp_path / name)
+    np.save(tmp_path / "array.npy", np.ones(3))
+    np.savez(tmp_path / "foreign.npz", weights=np.ones(3))
+    np.savez(tmp_path / "other.npz", metadata=np.array('{"format": "something else"}'))
+    np.savez(tmp_path / "list.npz", metadata=np.array("[1]"))
+    for name in ("array.npy", "foreign.npz", "other.npz", "list.npz"):
+        assert "of this project" in refusal(tmp_path / name)
+
+
+class Trap:
+    """Would leave a file behind if it were ever unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (self.path, "w"))
+
+
+def test_never_unpickles(tmp_path):
+    sprung = str(tmp_path / "sprung")
+    np.savez(tmp_path / "trap.npz", metadata=np.array([Trap(sprung)], dtype=object), allow_pickle=True)
+    (tmp_path / "trap.pkl").write_bytes(pickle.dumps(Trap(sprung)))
+    refusal(tmp_path / "trap.npz")
+    refusal(tmp_path / "trap.pkl")
+    assert not (tmp_path / "sprung").exists()
+
+
+def rewritten(path, change):
+    with np.load(path) as file:
+        arrays = dict(file)
+    words = json.loads(str(arrays["metadata"]))
+    change(arrays, words)
+    arrays["metadata"] = np.array(json.dumps(words))
+    np.savez(path, **arrays)
+    return path
+
+
+def test_refuses_other_versions_and_incomplete_files(tmp_path, episode):
+    path = episode.save(tmp_path / "e.npz")
+    assert "version 99" in refusal(rewritten(path, lambda arrays, words: words.update(version=99)))
+    for change in (
+        lambda arrays, words: arrays.pop("position"),
+        lambda arrays, words: words.update(surprise=1),
+        lambda arrays, words: words.update(position=1),
+        lambda arrays, words: arrays.update(alive=np.ones_like(arrays["alive"])),
+        lambda arrays, words: words.update(seed="zero"),
+    ):
+        assert "intact" in refusal(rewritten(episode.save(path), change))
+
+
+def test_a_damaged_file_never_loads_as_another_episode(tmp_path, episode):
+    whole = episode.save(tmp_path / "e.npz").read_bytes()
+    rng = np.random.default_rng(0)
+    path = tmp_path / "damaged.npz"
+    for length in rng.integers(1, len(whole), 20):
+        path.write_bytes(whole[:length])
+        refusal(path)
+    refused = 0
+    for place in rng.integers(0, len(whole), 200):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            assert same(EpisodeRecord.load(path), episode)  # a bit that carries nothing, as a date in the archive
+        except InvalidArgument:
+            refused += 1
+    assert refused > 100
+
+
+def test_an_interrupted_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "file"
+    path.write_text("old")
+
+    def interrupted():
+        with written_whole(path) as aside:
+            aside.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_place_that_cannot_be_written_is_one_sentence(tmp_path, episode):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file" / "e.npz", tmp_path):
+        with pytest.raises(InvalidArgument, match=r"^path must be a file that can be written"):
+            episode.save(path)

@@ -1,0 +1,128 @@
+"""A played episode is recorded as it happened."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from usnet_env import Detection, InvalidArgument, Window
+from usnet_env.replay import EpisodeRecord, play
+
+
+class Scripted:
+    """Names what the script says, round by round, and keeps what it was given."""
+
+    def __init__(self, *rounds, **answer):
+        self.rounds = rounds
+        self.answer = answer
+        self.windows = []
+
+    def reset(self, seed):
+        self.seed = seed
+        self.windows.clear()
+
+    def detect(self, window):
+        named = self.rounds[min(len(self.windows), len(self.rounds) - 1)]
+        self.windows.append(window)
+        candidates = np.isin(np.arange(window.uavs), named)
+        return Detection(candidates, scores=candidates + window.round, **self.answer)
+
+
+def multi(**arguments):
+    return gym.make("USNET/MultiCluster-v0", **{"clusters": 3, "uavs": 16, "observation_steps": 12} | arguments)
+
+
+def roles(seed, **arguments):
+    env = multi(**arguments)
+    env.reset(seed=seed)
+    truth = env.unwrapped.swarm
+    return np.flatnonzero(truth.head), np.flatnonzero(~truth.head)
+
+
+def test_records_what_was_seen_true_and_answered():
+    heads, others = roles(0)
+    script = (heads[0], others[0]), heads[1:]
+    detector = Scripted(*script, clusters=np.arange(16))
+    told = []
+    record = play(multi(), detector, 0, 7, told.append, label="scripted")
+
+    twin = multi()
+    observation, _ = twin.reset(seed=0)
+    for r, named in enumerate(script):
+        truth = twin.unwrapped.swarm
+        np.testing.assert_array_equal(record.position[r], observation["position"])
+        np.testing.assert_array_equal(record.velocity[r], observation["velocity"])
+        np.testing.assert_array_equal(record.seen[r], observation["seen"])
+        np.testing.assert_array_equal(record.alive[r], truth.alive)
+        np.testing.assert_array_equal(record.leader[r], truth.leader)
+        observation, _, over, _, info = twin.step(np.isin(np.arange(16), named).astype(np.int8))
+        assert (record.hits[r], record.redundant[r], record.heads_left[r]) == (
+            info["hits"],
+            info["redundant"],
+            info["heads_left"],
+        )
+        assert record.objective[r] == info["J"]
+    assert over
+    assert record.rounds == 2
+    assert np.flatnonzero(record.head).tolist() == heads.tolist()
+    assert record.scores[1].max() == 3
+    assert record.clusters.tolist() == [list(range(16))] * 2
+    assert record.leader_estimate is None
+    assert [(this.number, this.named, this.heads_left) for this in told] == [(1, 2, 2), (2, 2, 0)]
+    assert record.seconds.tolist() == [this.seconds for this in told]
+
+
+def test_says_where_it_comes_from(tmp_path):
+    heads, _ = roles(5)
+    detector = Scripted(heads)
+    record = play(multi(shot_budget=9), detector, 5, 7)
+    assert detector.seed == 7
+    assert (record.seed, record.detector_seed, record.detector) == (5, 7, "Scripted")
+    assert (record.env_id, record.problem) == ("USNET/MultiCluster-v0", "P2")
+    assert {"follow": "f1", "clusters": 3, "memory": 4, "shot_budget": 9}.items() <= record.config.items()
+    assert record.versions["numpy"] == np.__version__
+    assert EpisodeRecord.load(record.save(tmp_path / "e.npz")).config == record.config
+
+
+def test_the_detector_gets_windows_and_nothing_else():
+    detector = Scripted(roles(1)[0])
+    play(multi(), detector, 1, None)
+    assert all(type(window) is Window for window in detector.windows)
+
+
+def test_over_budget_and_truncated():
+    _, others = roles(2)
+    record = play(multi(shot_budget=2, max_rounds=3), Scripted(others[:4], others[:1]), 2, None)
+    assert record.over_budget.tolist() == [True, False, False]
+    assert record.redundant.tolist() == [0, 1, 1]  # the second shot at a destroyed UAV is redundant again
+    assert record.heads_left.tolist() == [3, 3, 3]
+    assert record.objective[-1] == 3 + 2 / 16
+
+
+def test_single_cluster_with_decoys():
+    env = gym.make("USNET/SingleCluster-Decoy-v0")
+    record = play(env, Scripted([0, 1]), 3, None)
+    assert (record.problem, record.rounds, record.decoy.sum(), record.head.sum()) == ("P1", 1, 1, 1)
+    assert record.objective[0] == record.hits[0] - 2
+
+
+def test_wrappers_are_fine():
+    record = play(gym.wrappers.RecordEpisodeStatistics(multi()), Scripted(roles(0)[0]), 0, None)
+    assert record.heads_left[-1] == 0
+
+
+class Mute(Scripted):
+    def detect(self, window):
+        return self.answer.get("says")
+
+
+@pytest.mark.parametrize("says", [None, np.zeros(16), Detection(np.zeros(3, bool), np.zeros(3))])
+def test_refuses_other_answers(says):
+    with pytest.raises(InvalidArgument, match="detector must answer a Detection for 16 UAVs"):
+        play(multi(), Mute(says=says), 0, None)
+
+
+def test_refuses_other_environments():
+    with pytest.raises(InvalidArgument, match="env must be a USNET environment"):
+        play(gym.make("CartPole-v1"), Scripted(), 0, None)

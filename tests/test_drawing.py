@@ -1,0 +1,163 @@
+"""What a picture shows depends on what happened, and drawing leaves matplotlib as it was."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from usnet_env import drawing
+
+matplotlib = pytest.importorskip("matplotlib")
+
+UAVS, HEADS = 9, (0, 4)
+
+
+def scene(**changes):
+    """Two clusters; UAV 8 is a decoy, UAV 3 was destroyed before, UAV 6 is never seen."""
+    rng = np.random.default_rng(1)
+    alive = np.arange(UAVS) != 3
+    seen = np.repeat(alive[None], 30, axis=0)
+    seen[:, 6] = False
+    seen[-1, 5] = False
+    position = rng.uniform(0, 300, (1, UAVS, 3)) + np.cumsum(rng.normal(size=(30, UAVS, 3)), axis=0)
+    values = {
+        "position": (position * seen[..., None]).astype(np.float32),
+        "seen": seen,
+        "alive": alive,
+        "head": np.isin(np.arange(UAVS), HEADS),
+        "leader": np.array([0, 0, 0, 0, 4, 4, 4, 4, 8]),
+        "decoy": np.arange(UAVS) == 8,
+    }
+    return values | changes
+
+
+def named(*uavs):
+    return np.isin(np.arange(UAVS), uavs)
+
+
+def painted(frame, color):
+    """Number of pixels in exactly that colour."""
+    rgb = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
+    return int((frame == rgb).all(axis=-1).sum())
+
+
+@pytest.mark.parametrize("size", [(960, 720), (480, 400), (640, 640)])
+def test_frames_have_the_size_asked_for(size):
+    frame = drawing.round_frame(**scene(), size=size)
+    assert frame.shape == (size[1], size[0], 3)
+    assert frame.dtype == np.uint8
+    assert frame.std() > 5
+
+
+def test_marks_tell_what_was_named():
+    nobody = drawing.round_frame(**scene())
+    hit = drawing.round_frame(**scene(), candidates=named(0, 4))
+    wrong = drawing.round_frame(**scene(), candidates=named(0, 4, 1))
+    assert painted(nobody, drawing.HIT) == painted(nobody, drawing.REDUNDANT) == 0
+    assert painted(hit, drawing.HIT) > 100
+    assert painted(hit, drawing.REDUNDANT) == 0
+    assert painted(wrong, drawing.REDUNDANT) > 50
+
+
+def test_equal_calls_draw_equal_frames():
+    np.testing.assert_array_equal(drawing.round_frame(**scene()), drawing.round_frame(**scene()))
+
+
+def test_round_marks():
+    values = scene()
+    position, seen = values.pop("position"), values.pop("seen")
+    place = drawing.last_seen(position, seen)
+    np.testing.assert_array_equal(place[5], position[-2, 5])
+    assert np.isnan(place[[3, 6]]).all()
+    marks = drawing.round_marks(place, **values, candidates=named(0, 1, 3, 8), destroyed_at=np.ones((UAVS, 3)))
+    who = {mark: np.flatnonzero(mask).tolist() for mark, mask in marks.items()}
+    assert who == {
+        drawing.HEAD_MARK: [0, 4],
+        drawing.FOLLOWER_MARK: [1, 2, 5, 7],
+        drawing.LINK_MARK: [1, 2, 5, 7],
+        drawing.DECOY_MARK: [8],
+        drawing.HIT_MARK: [0],
+        drawing.REDUNDANT_MARK: [1, 3, 8],
+        drawing.MISSED_MARK: [4],
+        drawing.DESTROYED_MARK: [3],
+    }
+
+
+def test_the_legend_explains_what_is_there_and_no_more():
+    figure = drawing.draw_round(**scene(), candidates=named(0, 1), title="round 7")
+    (axes,) = figure.axes
+    texts = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert f"{drawing.HIT_MARK} (1)" in texts
+    assert f"{drawing.MISSED_MARK} (1)" in texts
+    assert not any(text.startswith(drawing.DESTROYED_MARK) for text in texts)
+    assert axes.get_title(loc="left") == "round 7"
+    assert drawing.draw_round(**scene(), legend=False).axes[0].get_legend() is None
+
+
+def test_clusters_keep_their_colour_when_followers_change_sides():
+    values = scene()
+    colors, _ = drawing.cluster_colors(values["head"], values["leader"])
+    later, _ = drawing.cluster_colors(values["head"], np.where(values["leader"] == 0, 4, values["leader"]))
+    assert later[1] == colors[4] == later[4]
+    assert colors[0] != colors[4]
+    assert drawing.cluster_colors(values["head"], np.full(UAVS, -1))[0].tolist() == [drawing.NOBODY] * UAVS
+
+
+def test_every_cluster_of_a_large_swarm_looks_different():
+    head = np.ones(36, bool)
+    colors, markers = drawing.cluster_colors(head, np.arange(36))
+    assert len(set(zip(colors.tolist(), markers.tolist(), strict=True))) == 36
+
+
+def test_an_empty_window_can_be_drawn():
+    """After a terminated episode nothing is seen any more."""
+    blank = scene(seen=np.zeros((30, UAVS), bool), position=np.zeros((30, UAVS, 3), np.float32))
+    assert drawing.round_frame(**blank).shape == (720, 960, 3)
+
+
+def test_a_large_swarm_can_be_drawn():
+    rng = np.random.default_rng(0)
+    position = rng.uniform(0, 1000, (101, 1000, 3)).astype(np.float32)
+    head = np.arange(1000) < 40
+    leader = np.where(head, np.arange(1000), rng.integers(0, 40, 1000))
+    everyone = np.ones(1000, bool)
+    frame = drawing.round_frame(position, np.ones((101, 1000), bool), everyone, head, leader, ~everyone, head)
+    assert painted(frame, drawing.HIT) > 1000
+
+
+def test_environments_render_with_it():
+    with gym.make("USNET/MultiCluster-v0", render_mode="rgb_array", clusters=3, uavs=20) as env:
+        env.reset(seed=0)
+        before = env.render()
+        env.step(env.unwrapped.swarm.head.astype(np.int8))
+        after = env.render()
+    assert before.shape == after.shape == (720, 960, 3)
+    assert painted(before, drawing.HIT) == 0
+    assert painted(after, drawing.HIT) > 100
+
+
+def test_nothing_global_is_touched():
+    """In a fresh process: no pyplot, no change of rcParams or of the backend, no global random numbers drawn."""
+    code = """
+import random, sys
+import matplotlib, numpy as np
+before = dict(matplotlib.rcParams.copy()), random.getstate(), str(np.random.get_state())
+from test_drawing import named, scene
+from usnet_env import drawing
+drawing.round_frame(**scene(), candidates=named(0))
+assert before == (dict(matplotlib.rcParams.copy()), random.getstate(), str(np.random.get_state()))
+assert "matplotlib.pyplot" not in sys.modules
+"""
+    folder = __file__.rpartition("/")[0]
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(drawing.MissingExtra, match=r"pip install 'usnet\[render\]'"):
+        drawing.round_frame(**scene())

@@ -1,0 +1,100 @@
+"""One episode to look at: played, told round by round, and kept as a file, a replay and a picture."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+from rich.console import Console
+
+import usnet_env.envs  # noqa: F401  # registers the environments
+from usnet_env.config import InvalidArgument, shown
+from usnet_env.drawing import MissingExtra
+from usnet_env.plugins import detector_label, make_detector
+from usnet_env.replay.figure import episode_figure
+from usnet_env.replay.play import Round, play
+from usnet_env.replay.recording import write_recording
+from usnet_env.replay.story import outcome
+
+__all__ = ["run_demo"]
+
+_ROW = "{:>5}  {:>5}  {:>9}  {:>9}  {:>10}  {:>7}"
+
+
+def _line(this: Round) -> str:
+    row = _ROW.format(this.number, this.named, this.hits, this.redundant, this.heads_left, f"{this.seconds:.2f}")
+    return row + ("  over the shot budget: nobody destroyed" if this.over_budget else "")
+
+
+def _viewer() -> str:
+    """The command that opens a replay: ``rerun`` if the shell finds it, else the one beside this Python."""
+    beside = Path(sys.executable).with_name("rerun")
+    return "rerun" if shutil.which("rerun") or not beside.exists() else os.path.relpath(beside)
+
+
+def run_demo(
+    out: str | os.PathLike[str] = "runs/demo",
+    *,
+    clusters: int = 8,
+    uavs: int = 185,
+    follow: str = "f1",
+    seed: int = 0,
+    detector: str = "lagged-regression",
+    console: Console | None = None,
+) -> dict[str, Path]:
+    """Play one episode of ``USNET/MultiCluster-v0``, print a line a round, and keep it.
+
+    Args:
+        out: folder for ``episode.npz`` (the neutral record), ``replay.rrd`` (for the Rerun viewer) and ``episode.png``.
+            The latter two are left out, with a word why, where their extra is not installed.
+        clusters: M.
+        uavs: N.
+        follow: name of the follow strategy.
+        seed: of the swarm; the detector gets its own, from a separate branch.
+        detector: a detector's name.
+        console: where to print; standard output by default.
+
+    Returns:
+        The files written, by ``"episode"``, ``"replay"`` and ``"picture"``.
+
+    Raises:
+        InvalidArgument: an argument that the environment or the registry of detectors refuses, or a folder that can't
+            be written to.
+    """
+    console = console or Console()
+
+    def say(text: str = "", style: str | None = None) -> None:
+        console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InvalidArgument(f"seed must be a whole number from 0, got {shown(seed)}.")
+    player = make_detector(detector)
+    env = gym.make("USNET/MultiCluster-v0", clusters=clusters, uavs=uavs, follow=follow)
+    detector_seed = int(np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(1)[0])
+    say("Who leads this swarm?", style="bold")
+    say(
+        f"{uavs} UAVs in {clusters} clusters, follow strategy {follow}, seed {seed}; detector {detector_label(player)}."
+    )
+    say()
+    say(_ROW.format("round", "named", "heads hit", "redundant", "heads left", "seconds"), style="dim")
+    with env, console.status("flying and watching"):
+        record = play(env, player, int(seed), detector_seed, lambda this: say(_line(this)))
+    say(f"\n{outcome(record)}\n", style="bold")
+
+    folder = Path(out)
+    written = {"episode": record.save(folder / "episode.npz")}
+    say(f"episode  {written['episode']}  (everything about it, for usnet_env.replay.EpisodeRecord.load)")
+    makers = {"replay": (write_recording, "replay.rrd"), "picture": (episode_figure, "episode.png")}
+    for name, (make, file) in makers.items():
+        try:
+            with console.status(f"writing the {name}"):
+                written[name] = make(record, folder / file)
+        except MissingExtra as missing:
+            say(f"{name:<7}  left out. {missing}")
+        else:
+            say(f"{name:<7}  {written[name]}" + (f"  (open: {_viewer()} {written[name]})" if name == "replay" else ""))
+    return written

@@ -1,0 +1,128 @@
+"""One picture of an episode, for a person who has read nothing else."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from usnet_env.drawing import HIT, REDUNDANT, draw_legend, draw_round, last_seen, new_figure, round_marks
+from usnet_env.files import written_whole
+from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.replay.story import count, highest_scores, outcome, round_line
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_episode", "episode_figure"]
+
+_MOST_PANELS = 3
+_MAP, _LEGEND, _SCORES, _MARGIN, _LINE = 5.4, 2.6, 2.3, 0.6, 0.17  # inches
+_HEAD_BAR, _OTHER_BAR = "#0072B2", "#C4C4C4"
+
+
+def _panels(rounds: int) -> list[int]:
+    """The rounds to show: all, or the first ones and the last."""
+    return list(range(1, rounds + 1)) if rounds <= _MOST_PANELS else [*range(1, _MOST_PANELS), rounds]
+
+
+def _draw_scores(axes: Axes, record: EpisodeRecord) -> None:
+    """The highest scores of round 1 as bars, heads in blue, with the same marks for candidates as on the map."""
+    scores, alive, head = record.scores[0], record.alive[0], record.head
+    bars = highest_scores(record, 1)
+    rank = np.arange(1, len(bars) + 1)
+    height = scores[bars]
+    for who, color, label in ((head[bars], _HEAD_BAR, "a head"), (~head[bars], _OTHER_BAR, "not a head")):
+        axes.bar(rank[who], height[who], width=0.8, color=color, label=label if who.any() else None)
+    lift = 0.08 * max(float(np.ptp(np.append(height, 0))), 1e-12)
+    for named, color, shape, label in (
+        (record.candidates[0] & head, HIT, "o", "named: a head, hit"),
+        (record.candidates[0] & ~head, REDUNDANT, "s", "named: redundant"),
+    ):
+        who = named[bars]
+        ring: dict[str, Any] = {"facecolors": "none", "edgecolors": color, "linewidths": 1.8}
+        axes.scatter(
+            rank[who], np.maximum(height[who], 0) + lift, s=42, marker=shape, label=label if who.any() else None, **ring
+        )
+    axes.axhline(0, color="#888888", linewidth=0.6)
+    axes.margins(x=0.01, y=0.12)
+    axes.set_xlabel("UAVs by score, highest first", fontsize=9)
+    axes.set_ylabel("score", fontsize=9)
+    axes.tick_params(labelsize=8, colors="#555555")
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    shown = f"the {len(bars)} highest of {alive.sum()} scores" if len(bars) < int(alive.sum()) else "the scores"
+    hidden = int((head & alive).sum() - head[bars].sum())
+    below = f"; {count(hidden, 'head')} ranked lower" if hidden else ""
+    axes.set_title(f"What the detector thought in round 1: {shown}{below}", fontsize=11, loc="left")
+    axes.legend(loc="upper right", frameon=False, fontsize=9, ncols=2)
+
+
+def draw_episode(record: EpisodeRecord) -> Figure:
+    """The picture as a matplotlib figure: a map for each round, the scores of round 1, and what one sees in words.
+
+    Raises:
+        MissingExtra: matplotlib is not installed.
+    """
+    panels = _panels(record.rounds)
+    width = max(len(panels) * (_MAP + _MARGIN) + _LEGEND, 9.0)
+    sizes = f"{record.uavs} UAVs in {count(int(record.head.sum()), 'cluster')}"
+    follow = f", follow strategy {record.config['follow']}" if "follow" in record.config else ""
+    about = (
+        f"{sizes}{follow}, seen from above. Every follower (dot) steers by a head (star of its colour). The detector "
+        "saw where everyone flew, not the stars, colours and links: each round it names whom it takes for heads, these "
+        "are destroyed, and their followers turn to the nearest head that is left."
+    )
+    played = f"{record.detector or 'a detector'} on {record.env_id or 'an episode'}, seed {record.seed}: "
+    about, ending = fill(about, int(width * 12)), fill(played + outcome(record), int(width * 10))
+    header = 1.6 + _LINE * (about.count("\n") + ending.count("\n"))
+    total = header + _MAP + _SCORES + 2 * _MARGIN + 0.3
+    figure = new_figure(width, total)
+    figure.text(0.5 / width, 1 - 0.25 / total, "Who leads this swarm?", fontsize=17, weight="bold", va="top")
+    figure.text(0.5 / width, 1 - 0.65 / total, about, fontsize=10, va="top", color="#333333")
+    below = (0.95 + _LINE * about.count("\n")) / total
+    figure.text(0.5 / width, 1 - below, ending, fontsize=10.5, weight="bold", va="top")
+    marks: set[str] = set()
+    for place, number in enumerate(panels):
+        r = number - 1
+        left, bottom = 0.75 + place * (_MAP + _MARGIN), _SCORES + 2 * _MARGIN + 0.3
+        axes = figure.add_axes((left / width, bottom / total, _MAP / width, _MAP / total))
+        skipped = place > 0 and number > panels[place - 1] + 1
+        note = f"(rounds {panels[place - 1] + 1} to {number - 1} are not shown)\n" if skipped else ""
+        title = f"{note}Round {number}: {round_line(record, number)}"
+        truth = (record.alive[r], record.head, record.leader[r], record.decoy)
+        gone = record.last_position(number)
+        draw_round(
+            record.position[r], record.seen[r], *truth, record.candidates[r],
+            destroyed_at=gone, axes=axes, title=title, legend=False,
+        )  # fmt: skip
+        present = round_marks(last_seen(record.position[r], record.seen[r]), *truth, record.candidates[r], gone)
+        marks |= {mark for mark, who in present.items() if who.any()}
+    draw_legend(axes, {mark: mark for mark in present if mark in marks})
+    axes = figure.add_axes((0.75 / width, 0.55 / total, (width - 1.1) / width, _SCORES / total))
+    _draw_scores(axes, record)
+    return figure
+
+
+def episode_figure(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
+    """Write :func:`draw_episode` as a PNG; the file appears whole.
+
+    Args:
+        record: the episode.
+        path: where to; an existing file is replaced.
+
+    Returns:
+        The path.
+
+    Raises:
+        InvalidArgument: the place can't be written to.
+        MissingExtra: matplotlib is not installed.
+    """
+    figure = draw_episode(record)
+    with written_whole(path) as aside:
+        figure.savefig(aside, format="png")
+    return Path(path)
