@@ -1,5 +1,7 @@
 """The vector environments against Gymnasium's own vectorisation of the single ones."""
 
+import tracemalloc
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -83,3 +85,17 @@ def test_bad_input_is_named():
     for wrong in (np.zeros(82), np.full((2, 82), 2), np.full((2, 82), np.nan), None):
         with pytest.raises(InvalidArgument, match="action must"):
             batch.step(wrong)
+
+
+def test_a_batch_of_a_thousand_swarms_fits_in_two_gib():
+    """NumPy reports its arrays to tracemalloc; the observation that the user still holds is counted too."""
+    batch = gym.make_vec(MULTI, num_envs=1000)
+    tracemalloc.start()
+    try:
+        observation, _ = batch.reset(seed=0)
+        observation, *_ = batch.step(np.eye(1, 82, dtype=np.int8).repeat(1000, axis=0))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert observation["position"].shape == (1000, 101, 82, 3)
+    assert 2e8 < peak < 2 * 2**30
