@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+from sklearn.base import clone
+from synthetic_windows import flight, window_of
+
+from detectors.trivial import DestroyAll, NoCandidates, RandomDetector
+from usnet_env import InvalidArgument
+
+
+@pytest.fixture
+def window():
+    velocity, _ = flight(np.random.default_rng(0), steps=5)
+    alive = np.ones(velocity.shape[1], bool)
+    alive[[1, 4]] = False
+    return window_of(velocity, alive=alive)
+
+
+def test_destroy_all_names_the_living(window):
+    assert np.array_equal(DestroyAll().detect(window).candidates, window.alive)
+
+
+def test_no_candidates_names_nobody(window):
+    assert not NoCandidates().detect(window).candidates.any()
+
+
+@pytest.mark.parametrize("count", [1, 3, 16, 400])
+def test_random_names_as_many_living_uavs_as_asked_for(window, count):
+    detector = RandomDetector(count=count)
+    detector.reset(3)
+    for _ in range(20):
+        detection = detector.detect(window)
+        assert detection.candidates.sum() == min(count, window.alive.sum())
+        assert not (detection.candidates & ~window.alive).any()
+        assert detection.scores[detection.candidates].min() >= detection.scores[~detection.candidates].max(initial=0)
+
+
+def test_random_names_everybody_equally_often(window):
+    detector = RandomDetector()
+    detector.reset(0)
+    named = sum(detector.detect(window).candidates.astype(int) for _ in range(3000))
+    expected = 3000 / window.alive.sum()
+    assert np.abs(named[window.alive] - expected).max() < 5 * np.sqrt(expected)
+
+
+def test_random_draws_from_its_seed_alone(window):
+    answers = []
+    for seed in (0, 0, 1):
+        detector = RandomDetector()
+        detector.reset(seed)
+        answers.append(detector.detect(window).scores)
+    assert np.array_equal(answers[0], answers[1])
+    assert not np.array_equal(answers[0], answers[2])
+
+
+def test_random_works_without_reset(window):
+    assert RandomDetector().detect(window).candidates.sum() == 1
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5, True, "two", None, np.nan])
+def test_random_refuses_a_bad_count_when_it_is_used(window, count):
+    detector = clone(RandomDetector(count=count))
+    for use in (lambda: detector.reset(0), lambda: detector.detect(window)):
+        with pytest.raises(InvalidArgument, match=r"^count must be .*, got .*\.$"):
+            use()

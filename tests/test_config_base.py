@@ -1,0 +1,102 @@
+"""The base of all configurations; named apart from tests/swarm/test_config.py, as module names must differ."""
+
+from typing import Annotated
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import Field, field_validator
+
+from usnet_env.config import Config, InvalidArgument, shown, unknown_name
+
+
+class Sample(Config):
+    count: Annotated[int, Field(ge=1)] = 1
+    rate: Annotated[float, Field(ge=0, le=1)] = 0.0
+    flag: bool = False
+    name: str = "a"
+    sizes: tuple[int, ...] | None = None
+
+    @field_validator("name")
+    @classmethod
+    def _short(cls, name: str) -> str:
+        if len(name) > 3:
+            raise InvalidArgument(f"name must be short, got {shown(name)}.")
+        return name
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"count": 0}, "count must be greater than or equal to 1, got 0."),
+        ({"count": 1.5}, "count must be a whole number, got 1.5."),
+        ({"count": True}, "count must be a whole number, got True."),
+        ({"count": "3"}, "count must be a whole number, got '3'."),
+        ({"count": None}, "count must be a whole number, got None."),
+        ({"rate": np.nan}, "rate must be a finite number, got nan."),
+        ({"rate": float("inf")}, "rate must be a finite number, got inf."),
+        ({"rate": 2}, "rate must be less than or equal to 1, got 2."),
+        ({"rate": "fast"}, "rate must be a number, got 'fast'."),
+        ({"flag": 1}, "flag must be true or false, got 1."),
+        ({"name": 7}, "name must be a name, got 7."),
+        ({"name": "long one"}, "name must be short, got 'long one'."),
+        ({"sizes": 3}, "sizes must be a list, got 3."),
+        ({"other": 3}, "other is not an argument of this configuration, got 3."),
+    ],
+)
+def test_each_refusal_is_one_sentence(values, sentence):
+    with pytest.raises(InvalidArgument) as caught:
+        Sample(**values)
+    assert str(caught.value) == sentence
+    assert caught.value.__cause__ is None
+
+
+def test_numpy_values_and_lists_are_taken_as_plain_python():
+    sample = Sample(count=np.int64(3), rate=np.float32(0.5), flag=np.bool_(True), sizes=np.array([1, 2]))
+    assert sample.model_dump() == {"count": 3, "rate": 0.5, "flag": True, "name": "a", "sizes": (1, 2)}
+    assert type(sample.count) is int
+    assert Sample(sizes=[np.int8(1), 2]).sizes == (1, 2)
+
+
+def test_a_config_is_frozen_and_compares_by_value():
+    sample = Sample(count=2)
+    with pytest.raises(ValueError, match="frozen"):
+        sample.count = 3
+    assert sample == Sample(count=2) != Sample(count=3)
+    assert hash(sample) == hash(Sample(count=2))
+
+
+Values = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=200), st.lists(st.integers(), max_size=3)
+)
+
+
+@given(st.dictionaries(st.sampled_from(["count", "rate", "flag", "name", "sizes", "other"]), Values, max_size=3))
+def test_any_values_are_taken_or_refused_in_one_sentence_about_one_of_them(values):
+    try:
+        sample = Sample(**values)
+    except InvalidArgument as error:
+        sentence = str(error)
+    else:
+        for name, value in values.items():
+            kept = getattr(sample, name)
+            assert kept == (tuple(value) if isinstance(value, list) else value)
+        return
+    assert sentence.split()[0] in values
+    assert "\n" not in sentence
+    assert sentence.endswith(".")
+
+
+@given(st.text())
+def test_shown_is_one_line_and_short(text):
+    assert len(shown(text)) <= 80
+    assert "\n" not in shown(text)
+    assert shown([1, "a"]) == "[1, 'a']"
+
+
+def test_unknown_name_lists_the_known_and_hints_at_the_nearest():
+    assert str(unknown_name("follow", "f11", ["f2", "f1"])) == (
+        "follow must be one of f1, f2, got 'f11' (did you mean 'f1'?)."
+    )
+    assert str(unknown_name("follow", None, ["f1"])) == "follow must be one of f1, got None."

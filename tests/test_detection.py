@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from usnet_env import Detection, InvalidArgument
+
+N = 4
+
+
+def parts(**changes):
+    values = {
+        "candidates": np.array([1, 0, 0, 1], np.int8),
+        "scores": np.arange(N, dtype=np.float32),
+        "clusters": [0, 0, -1, 1],
+        "leader": np.array([0, 0, -1, 3]),
+        "attention": np.eye(N),
+        "extras": {"probability": np.full(N, 0.5)},
+    }
+    return {**values, **changes}
+
+
+def test_types_and_read_only_copies():
+    whole = parts()
+    detection = Detection(**whole)
+    types = {
+        "candidates": bool,
+        "scores": np.float64,
+        "clusters": np.int64,
+        "leader": np.int64,
+        "attention": np.float64,
+    }
+    for name, dtype in types.items():
+        array = getattr(detection, name)
+        assert array.dtype == dtype
+        np.testing.assert_array_equal(array, whole[name])
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+    whole["candidates"][:] = 0
+    whole["extras"]["late"] = 1
+    assert detection.candidates.sum() == 2
+    assert "late" not in detection.extras
+
+
+def test_only_candidates_and_scores_are_needed():
+    detection = Detection(candidates=[True, False], scores=[1, 0])
+    assert (detection.clusters, detection.leader, detection.attention, detection.extras) == (None, None, None, {})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("candidates", [0, 1, 2, 0]),
+        ("candidates", [0, 0.5, 0, 0]),
+        ("candidates", [[0, 1]]),
+        ("candidates", None),
+        ("candidates", "all"),
+        ("scores", np.zeros(3)),
+        ("scores", [0, 0, 0, np.nan]),
+        ("scores", [0, 0, 0, np.inf]),
+        ("clusters", [0, 0, 0]),
+        ("clusters", [0, 0.5, 1, 1]),
+        ("leader", [0, 0, 0, 4]),
+        ("leader", [0, 0, 0, -2]),
+        ("leader", [0, 0, 0, 1.5]),
+        ("attention", np.zeros((N, N - 1))),
+        ("attention", np.full((N, N), np.nan)),
+        ("extras", [1, 2]),
+        ("extras", None),
+    ],
+)
+def test_a_bad_part_is_refused_in_one_sentence_that_names_it(name, value):
+    with pytest.raises(InvalidArgument, match=rf"^{name} must .*, got .*\.$") as caught:
+        Detection(**parts(**{name: value}))
+    assert "\n" not in str(caught.value)
+
+
+@given(
+    hnp.arrays(st.sampled_from([bool, np.int8, np.float64]), 3, elements=st.sampled_from([0, 1])),
+    hnp.arrays(np.float64, 3),
+    hnp.arrays(np.int64, 3, elements=st.integers(-3, 4)),
+)
+def test_is_made_exactly_from_what_the_contract_allows(candidates, scores, leader):
+    allowed = bool(np.isfinite(scores).all() and ((leader >= -1) & (leader < 3)).all())
+    try:
+        detection = Detection(candidates, scores, leader=leader)
+    except InvalidArgument:
+        assert not allowed
+    else:
+        assert allowed
+        assert np.array_equal(detection.candidates, candidates.astype(bool))
+        assert np.array_equal(detection.scores, scores)
+        assert np.array_equal(detection.leader, leader)

@@ -1,0 +1,283 @@
+import importlib.metadata
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from usnet_env import Detection, InvalidArgument, plugins
+from usnet_env.plugins import (
+    DetectorLike,
+    describe_detectors,
+    detector_label,
+    detector_names,
+    make_detector,
+    register_detector,
+)
+
+BUILT_IN = ["destroy-all", "lagged-correlation", "lagged-regression", "none", "one-per-round", "random"]
+
+
+class Mine:
+    """Names the first few.
+
+    More about it.
+    """
+
+    def __init__(self, count=2, *, table=()):
+        self.count = count
+        self.table = table
+
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        candidates = np.arange(window.uavs) < self.count
+        return Detection(candidates, candidates)
+
+    class Inner:
+        def reset(self, seed=None):
+            pass
+
+        def detect(self, window):
+            return Detection(window.alive, window.alive)
+
+
+class NeedsOne(Mine):
+    def __init__(self, count):
+        super().__init__(count)
+
+
+class Refuses(Mine):
+    def __init__(self, count=1):
+        raise ZeroDivisionError("division\nby zero.")
+
+
+class RefusesClearly(Mine):
+    def __init__(self, count=1):
+        raise InvalidArgument("count must be odd, got 1.")
+
+
+class Lacking:
+    def detect(self, window):
+        return None
+
+
+class Unhashable(Mine):
+    __hash__ = None
+
+
+@pytest.fixture(autouse=True)
+def own_registry(monkeypatch):
+    monkeypatch.setattr(plugins, "_registered", {})
+
+
+@pytest.fixture
+def installed(monkeypatch):
+    """Adds entry points as if other distributions had brought them."""
+
+    def add(*points):
+        real = importlib.metadata.entry_points
+        extra = [importlib.metadata.EntryPoint(name, value, plugins.GROUP) for name, value in points]
+        monkeypatch.setattr(plugins, "entry_points", lambda group: [*extra, *real(group=group)])
+
+    return add
+
+
+def test_the_built_in_detectors_are_found_and_made():
+    assert set(BUILT_IN) <= set(detector_names())
+    for name in BUILT_IN:
+        detector = make_detector(name)
+        assert isinstance(detector, DetectorLike)
+        assert detector_label(detector) == name
+        detector.reset(0)
+
+
+def test_names_are_listed_without_importing_any_detector():
+    code = (
+        "import sys, usnet_env.plugins as p; names = p.detector_names(); "
+        "assert 'lagged-regression' in names; assert 'detectors' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_every_built_in_detector_has_a_line():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a detector whose extra is not installed says so
+        lines = describe_detectors()
+    assert sorted(lines) == detector_names()
+    assert all(lines[name].endswith(".") and "\n" not in lines[name] for name in BUILT_IN)
+
+
+def test_arguments_in_brackets_beside_them_and_in_both():
+    for detector in (
+        make_detector("lagged-regression(clusters=5, ridge=-1e-3)"),
+        make_detector("lagged-regression", clusters=5, ridge=-1e-3),
+        make_detector(" lagged-regression ( ridge = -1e-3 )", clusters=5),
+    ):
+        assert detector.get_params() == {"clusters": 5, "lags": 4, "squares": True, "ridge": -1e-3}
+    assert make_detector("random()").count == 1
+    made = make_detector(f"{__name__}:Mine(count=3, table={{'a': [1, (2, None)]}})")
+    assert type(made).__name__ == "Mine"
+    assert (made.count, made.table) == (3, {"a": [1, (2, None)]})
+    assert make_detector(f"{__name__}:Mine.Inner")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "random(",
+        "random(count=1",
+        "random(count=1))",
+        "random(3)",
+        "random(*[1])",
+        "random(**{'count': 1})",
+        "random(count=1, count=2)",
+        "random(count=one)",
+        "random(count=1 + len('a'))",
+        "random(count=__import__('os').getpid())",
+        "random(count=1)(2)",
+        "random(count=1) + f(1)",
+        "random(count=1).x",
+        "random(count=1\x00)",
+        "random(" + "(" * 5000 + ")" * 5000 + ")",
+        "random(count=" + "-" * 100_000 + "1)",
+    ],
+)
+def test_brackets_take_literals_only(text):
+    with pytest.raises(InvalidArgument, match=r"^detector must be written name\(argument=value, \.\.\.\) with Python"):
+        make_detector(text)
+
+
+@given(st.text(max_size=30))
+def test_any_text_gives_a_detector_or_one_sentence(text):
+    for name in (text, f"random({text})", f"random{text}"):
+        try:
+            make_detector(name)
+        except InvalidArgument as error:
+            sentence = str(error)
+        else:
+            continue
+        assert "\n" not in sentence
+        assert sentence.endswith(".")
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "sentence"),
+    [
+        (
+            "lagged-regresion",
+            {},
+            r"detector must be one of .*lagged-regression.* \(did you mean 'lagged-regression'\?\)\.",
+        ),
+        ("", {}, r"detector must be a name, got ''\."),
+        (None, {}, r"detector must be a name, got None\."),
+        (
+            "lagged-regression",
+            {"cluster": 5},
+            r"detector 'lagged-regression' has no argument 'cluster' \(did you mean 'clusters'\?\); "
+            r"it takes clusters, lags, squares, ridge\.",
+        ),
+        ("none(x=1)", {}, r"detector 'none' has no argument 'x'; it takes none\."),
+        ("random(count=1)", {"count": 1}, r"count must be given once, got it in 'random\(count=1\)' and beside it\."),
+        ("no_such_module:X", {}, r"detector 'no_such_module:X' can't be loaded: ModuleNotFoundError: .*\."),
+        ("math:nothing", {}, r"detector 'math:nothing' can't be loaded: AttributeError: .*\."),
+        (".relative:X", {}, r"detector '\.relative:X' can't be loaded: .*\."),
+        ("math:pi", {}, r"detector 'math:pi' must be a class or a function that makes one, got 3\.14.*\."),
+        (
+            f"{__name__}:Lacking",
+            {},
+            r"detector '.*:Lacking' must have the methods detect\(window\) and reset\(seed\).*",
+        ),
+        (f"{__name__}:NeedsOne", {}, r"detector '.*:NeedsOne' needs the argument 'count'; it takes count\."),
+        (f"{__name__}:Refuses", {}, r"detector '.*' could not be made: ZeroDivisionError: division by zero\."),
+        (f"{__name__}:RefusesClearly", {}, r"count must be odd, got 1\."),
+    ],
+)
+def test_each_mistake_has_its_sentence(name, arguments, sentence):
+    with pytest.raises(InvalidArgument, match=f"^{sentence}$"):
+        make_detector(name, **arguments)
+
+
+def test_a_registered_detector_is_found_by_its_name():
+    register_detector("mine", Mine)
+    register_detector("mine", Mine)  # twice the same is no mistake
+    register_detector("five", lambda extra=0: Mine(count=5))
+    assert {"mine", "five"} <= set(detector_names())
+    assert make_detector("mine(count=4)").count == 4
+    assert make_detector("five(extra=1)").count == 5
+    assert describe_detectors()["mine"] == "Names the first few."
+
+
+def test_registering_what_cannot_be_used_is_refused():
+    register_detector("mine", Mine)
+    for name in ("mine", "random"):
+        with pytest.raises(
+            InvalidArgument, match=rf"^name must be a new one, got '{name}', which is registered already"
+        ):
+            register_detector(name, NeedsOne)
+    for name in ("", "a b", "a:b", "a(b)", "-a", None, 3):
+        with pytest.raises(InvalidArgument, match=r"^name must consist of letters"):
+            register_detector(name, Mine)
+    with pytest.raises(InvalidArgument, match=r"^factory must be a class or a function"):
+        register_detector("other", Mine())
+
+
+def test_labels():
+    register_detector("mine", Mine)
+    register_detector("five", lambda extra=0: Mine.Inner())
+    assert detector_label("lagged-regression", {"clusters": 5}) == "lagged-regression(clusters=5)"
+    assert detector_label("lagged-regression( ridge=0.1,clusters=5 )") == "lagged-regression(clusters=5, ridge=0.1)"
+    assert detector_label("random()") == "random"
+    assert detector_label(make_detector("lagged-regression", clusters=5, lags=4)) == "lagged-regression(clusters=5)"
+    assert detector_label(make_detector("detectors.lagged:OnePerRound")) == "one-per-round"
+    assert detector_label(Mine(count=3)) == "mine(count=3)"
+    assert detector_label(Mine(table=np.arange(3))) == "mine(table=array([0, 1, 2]))"
+    assert detector_label(NeedsOne(7)) == "NeedsOne(count=7)"
+    assert detector_label(Unhashable()) == "Unhashable"
+    assert detector_label(make_detector("five(extra=2)")) == "five(extra=2)"
+    with pytest.raises(InvalidArgument, match=r"^arguments must be empty for a detector that was already made"):
+        detector_label(Mine(), {"count": 3})
+
+
+def test_a_label_makes_the_detector_again():
+    for text in (
+        "lagged-regression(clusters=5, squares=False)",
+        "random(count=3)",
+        "none",
+        "lagged-correlation(max_lag=2)",
+    ):
+        assert detector_label(make_detector(text)) == text
+        assert detector_label(make_detector(detector_label(text))) == text
+
+
+def test_a_strangers_entry_point_is_found(installed):
+    installed(("stranger", f"{__name__}:Mine"))
+    assert "stranger" in detector_names()
+    assert make_detector("stranger(count=9)").count == 9
+    assert detector_label(make_detector("stranger(count=9)")) == "stranger(count=9)"
+    with pytest.raises(InvalidArgument, match="registered already"):
+        register_detector("stranger", NeedsOne)
+
+
+def test_a_broken_stranger_harms_nobody_else(installed, tmp_path, monkeypatch):
+    (tmp_path / "broken_stranger.py").write_text("raise OSError('no\\nlicence')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    installed(("broken", "broken_stranger:X"), ("stranger", f"{__name__}:Mine"))
+    with pytest.warns(UserWarning, match="detector 'broken' can't be loaded: OSError: no licence"):
+        lines = describe_detectors()
+    assert lines["broken"].startswith("not available: ")
+    assert lines["stranger"] == "Names the first few."
+    assert lines["random"].startswith("Names a few")
+    assert make_detector("stranger")
+    with pytest.raises(InvalidArgument, match=r"^detector 'broken' can't be loaded: OSError: no licence\.$"):
+        make_detector("broken")
+
+
+def test_a_stranger_cannot_take_the_name_of_ours(installed):
+    installed(("random", "a_stranger:Random"))
+    with pytest.warns(UserWarning, match="detector 'random' of an unnamed distribution is ignored"):
+        assert type(make_detector("random")).__name__ == "RandomDetector"

@@ -1,0 +1,127 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from usnet_env import InvalidArgument, Window
+from usnet_env.window import frozen_array
+
+
+def parts(instants=4, uavs=3, **changes):
+    rng = np.random.default_rng(0)
+    values = {
+        "position": rng.normal(size=(instants, uavs, 3)),
+        "velocity": rng.normal(size=(instants - 1, uavs, 3)),
+        "seen": np.ones((instants, uavs), np.int8),
+        "alive": np.ones(uavs, np.int8),
+        "round": 1,
+    }
+    return {**values, **changes}
+
+
+def test_fields_sizes_and_types():
+    window = Window(**parts(instants=6, uavs=5, round=np.int64(3)))
+    assert (window.uavs, window.observation_steps, window.round) == (5, 5, 3)
+    assert type(window.round) is int
+    assert [getattr(window, name).dtype for name in ("position", "velocity", "seen", "alive")] == [
+        np.float32,
+        np.float32,
+        bool,
+        bool,
+    ]
+
+
+def test_arrays_are_read_only_copies():
+    given_parts = parts()
+    window = Window(**given_parts)
+    for name in ("position", "velocity", "seen", "alive"):
+        array = getattr(window, name)
+        before = array.copy()
+        given_parts[name][:] = 0
+        assert np.array_equal(array, before)
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+    with pytest.raises(AttributeError):
+        window.round = 2
+
+
+@given(hnp.arrays(bool, (5, 4)), hnp.arrays(bool, 4))
+def test_a_velocity_is_seen_where_both_its_ends_are_and_the_uav_lives(seen, alive):
+    window = Window(**parts(instants=5, uavs=4, seen=seen, alive=alive))
+    for t in range(4):
+        for i in range(4):
+            assert window.velocity_seen[t, i] == (seen[t, i] and seen[t + 1, i] and alive[i])
+
+
+@given(st.integers(2, 6), st.integers(1, 5), st.integers(1, 30))
+def test_from_observation_is_the_window_that_the_observation_holds(instants, uavs, number):
+    whole = parts(instants, uavs, round=np.array([number], np.float32))
+    window = Window.from_observation(whole)
+    for name in ("position", "velocity"):
+        np.testing.assert_array_equal(getattr(window, name), whole[name].astype(np.float32))
+    assert window.round == number
+
+
+@pytest.mark.parametrize("key", ["position", "velocity", "seen", "alive", "round"])
+def test_an_observation_without_a_key_is_refused(key):
+    observation = parts()
+    del observation[key]
+    with pytest.raises(InvalidArgument, match=r"^observation must be a mapping with the keys position, .*, got \["):
+        Window.from_observation(observation)
+
+
+@pytest.mark.parametrize("observation", [None, np.zeros(3), [1, 2]])
+def test_an_observation_that_is_no_mapping_is_refused(observation):
+    with pytest.raises(InvalidArgument, match=r"^observation must be a mapping"):
+        Window.from_observation(observation)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("position", np.zeros((4, 3))),
+        ("position", np.zeros((4, 3, 2))),
+        ("position", np.zeros((1, 3, 3))),
+        ("position", np.zeros((4, 0, 3))),
+        ("position", np.full((4, 3, 3), np.nan)),
+        ("position", np.full((4, 3, 3), np.inf)),
+        ("position", [[1], [1, 2]]),
+        ("position", "metres"),
+        ("position", None),
+        ("position", np.zeros((4, 3, 3), complex)),
+        ("velocity", np.zeros((4, 3, 3))),
+        ("velocity", np.zeros((3, 2, 3))),
+        ("velocity", np.full((3, 3, 3), np.nan)),
+        ("seen", np.ones((3, 3))),
+        ("seen", np.full((4, 3), 2)),
+        ("seen", np.full((4, 3), 0.5)),
+        ("seen", np.full((4, 3), np.nan)),
+        ("alive", np.ones(2)),
+        ("alive", np.full(3, -1)),
+        ("round", 0),
+        ("round", 1.5),
+        ("round", True),
+        ("round", "first"),
+        ("round", None),
+    ],
+)
+def test_a_bad_part_is_refused_in_one_sentence_that_names_it(name, value):
+    with pytest.raises(InvalidArgument, match=rf"^{name} must .*, got .*\.$") as caught:
+        Window(**parts(**{name: value}))
+    assert "\n" not in str(caught.value)
+
+
+@given(hnp.arrays(st.sampled_from([np.int8, np.float32, np.float64, bool]), hnp.array_shapes(max_dims=3, max_side=4)))
+def test_frozen_array_copies_every_array_of_the_right_shape_or_refuses_it(array):
+    try:
+        copy = frozen_array("array", array, np.float64, array.shape)
+    except InvalidArgument:
+        assert not np.isfinite(array).all()
+    else:
+        assert np.isfinite(array).all()
+        np.testing.assert_array_equal(copy, array)
+        assert not copy.flags.writeable
+        assert not np.shares_memory(copy, array)
+    with pytest.raises(InvalidArgument, match="array must have shape"):
+        frozen_array("array", array, np.float64, (*array.shape, None))
