@@ -11,7 +11,8 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -208,6 +209,89 @@ def demo(out: str, seed: int, detector: str | None) -> None:
         run_demo(out, seed=seed, detector=detector)
 
 
+@_usnet.group()
+def reproduce() -> None:
+    """Reproduce a table or figure of the paper, its values beside ours."""
+
+
+@reproduce.command()
+@click.option("--out", default="runs/table2", show_default=True, metavar="DIR", help="Rows, table and picture go here.")
+@click.option("--episodes", type=_WholeNumber(1, 1_000_000), help="A cell; by default 100 up to m=15 and 30 above.")
+@click.option("--cells", metavar="LIST", help="Cells such as f1:2,f4:15 or rows such as f1; by default all 70.")
+@click.option(
+    "--preset",
+    "presets",
+    multiple=True,
+    metavar="NAME",
+    help="default, paper or lagged-regression; may repeat; by default all three.",
+)
+@click.option("--decoys", type=_WholeNumber(0, 1000), default=0, show_default=True, help="UAVs that lead nobody.")
+@click.option("--mobility", default="iid", show_default=True, metavar="NAME", help="How the head flies.")
+@click.option("--head-jitter", is_flag=True, help="The head has the followers' noise.")
+@click.option("--fast", is_flag=True, help="10 episodes a cell, m up to 15: a look in minutes.")
+@click.option("--seed", type=_WholeNumber(0, 2**31), default=2022, show_default=True, help="Of the episodes.")
+@click.option("--workers", type=_WholeNumber(1, 256), help="Processes; by default one a core.")
+@click.option(
+    "--device", default="cpu", show_default=True, metavar="NAME", help="Where GASSL trains: cpu, cuda or auto."
+)
+@click.pass_context
+def table2(
+    ctx: click.Context,
+    out: str,
+    episodes: int | None,
+    cells: str | None,
+    presets: tuple[str, ...],
+    decoys: int,
+    mobility: str,
+    head_jitter: bool,
+    fast: bool,
+    seed: int,
+    workers: int | None,
+    device: str,
+) -> None:
+    """Detection rates of GASSL: 7 follow strategies and 10 sizes of one cluster."""
+    from pathlib import Path
+
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    from usnet_env.reproduce import table2 as table
+
+    ctx.find_root().obj = f"Finished episodes are kept in {out}: the same command goes on from there."
+    if fast and cells is None:
+        cells = ",".join(f"{follow}:{size}" for follow in table.FOLLOW for size in table.FOLLOWERS if size <= 15)
+    with _bar("episodes") as progress:
+        table.reproduce(
+            Path(out),
+            episodes=10 if fast and episodes is None else episodes,
+            cells=cells,
+            presets=presets or tuple(table.DETECTORS),
+            decoys=decoys,
+            mobility=mobility,
+            head_jitter=head_jitter,
+            seed=seed,
+            workers=workers or os.cpu_count() or 1,
+            device=device,
+            progress=progress,
+        )
+    newest = max(Path(out).glob("*.md"), key=lambda path: path.stat().st_mtime)
+    Console(width=_PIPE_WIDTH).print(Markdown(newest.read_text(encoding="utf-8")))
+    click.echo(f"Rows, table and picture are in {out}.", err=True)
+
+
+@contextmanager
+def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar on standard error, as a function of what is done and of all there is to do."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
 @_usnet.command(name="list")
 @click.argument("what", type=click.Choice(["envs", "detectors", "follow", "mobility"]))
 def list_(what: str) -> None:
@@ -255,6 +339,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit status: 0, 1 if something failed, 2 if an argument was refused or a detector failed, 130 if it was
         interrupted.
     """
+    if "" not in sys.path and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())  # a console script does not look there, but module:Class often lies there
     try:
         with _usnet.make_context("usnet", list(sys.argv[1:] if argv is None else argv)) as context:
             try:

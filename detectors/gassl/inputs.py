@@ -1,0 +1,93 @@
+"""What GASSL learns from: the time series topology matrix of every time, for a batch of windows of equal size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from usnet_env.window import Window
+
+__all__ = ["Samples", "samples_of"]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Inputs and targets of E windows with n UAVs each, at R = T_ob - T_0 times t.
+
+    Args:
+        velocity: ``(E, n, R, T_0, 3)`` metres per step, V_{i,t}: v_{i,t}, ..., v_{i,t-T_0+1}; 0 where unseen.
+        position: ``(E, n, R, 3)`` metres, p_{i,t-T_0+1}; where unseen, the nearest seen one in time.
+        position_now: ``(E, n, R, 3)`` metres, p_{i,t}, filled in the same way.
+        target: ``(E, n, R, 3)`` metres per step, v_{i,t+1}; 0 where unseen.
+        weight: ``(E, n, R)``, 1 where the target was seen.
+    """
+
+    velocity: Tensor
+    position: Tensor
+    position_now: Tensor
+    target: Tensor
+    weight: Tensor
+
+    @property
+    def windows(self) -> int:
+        """E."""
+        return int(self.target.shape[0])
+
+    @property
+    def uavs(self) -> int:
+        """n, living UAVs."""
+        return int(self.target.shape[1])
+
+    @property
+    def times(self) -> int:
+        """R."""
+        return int(self.target.shape[2])
+
+
+def _filled(position: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Positions ``(T, n, 3)`` with every unseen one taken from the nearest instant at which its UAV was seen."""
+    if seen.all():
+        return position
+    instants = np.arange(len(position))
+    filled = position.copy()
+    for i in np.flatnonzero(~seen.all(axis=0)):
+        known = np.flatnonzero(seen[:, i])
+        if len(known):
+            filled[:, i] = position[known[np.abs(instants[:, None] - known).argmin(axis=1)], i]
+    return filled
+
+
+def samples_of(
+    windows: Sequence[Window], members: Sequence[NDArray[np.intp]], memory: int, device: torch.device
+) -> Samples:
+    """Samples of some UAVs of each window.
+
+    Args:
+        windows: E windows of one T_ob.
+        members: for each window the indices of the UAVs to use, n of them.
+        memory: T_0.
+        device: where the tensors go.
+    """
+    stacked: list[list[NDArray[np.float32]]] = []
+    for window, index in zip(windows, members, strict=True):
+        velocity = window.velocity[:, index]
+        position = _filled(window.position[:, index], window.seen[:, index])
+        steps = len(velocity)
+        rows = steps - memory
+        lagged = np.stack([velocity[memory - 1 - lag : steps - 1 - lag] for lag in range(memory)], axis=2)
+        stacked.append(
+            [
+                lagged.swapaxes(0, 1),
+                position[:rows].swapaxes(0, 1),
+                position[memory - 1 : steps - 1].swapaxes(0, 1),
+                velocity[memory:].swapaxes(0, 1),
+                window.velocity_seen[memory:, index].T.astype(np.float32),
+            ]
+        )
+    tensors = (torch.from_numpy(np.ascontiguousarray(np.stack(part))).to(device) for part in zip(*stacked, strict=True))
+    return Samples(*tensors)

@@ -1,0 +1,248 @@
+"""Detection rates in single clusters: many short episodes over a grid of cells, on every core, resumable."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import asdict, dataclass, fields
+from itertools import islice
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usnet_env.config import InvalidArgument
+from usnet_env.envs import SingleClusterEnv
+from usnet_env.evaluation.statistics import Interval, rate_interval
+from usnet_env.files import written_whole
+from usnet_env.plugins import make_detector
+from usnet_env.window import Window
+
+__all__ = ["Cell", "Row", "Task", "measure", "rate_of", "read_rows", "tasks_for", "write_rows"]
+
+_BATCH_UAVS = 64  # UAVs of the windows that a detector gets at once: small swarms train side by side
+_SAVE_EVERY = 10.0  # seconds between two writings of the rows
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One kind of swarm: follow strategy, followers m, decoys, mobility, jitter of the heads."""
+
+    follow: str
+    followers: int
+    decoys: int = 0
+    mobility: str = "iid"
+    head_jitter: bool = False
+
+    @property
+    def uavs(self) -> int:
+        """N."""
+        return self.followers + 1 + self.decoys
+
+
+@dataclass(frozen=True)
+class Row:
+    """One episode of one detector in one cell.
+
+    Args:
+        detector: as it was named.
+        follow, followers, decoys, mobility, head_jitter: the cell.
+        episode: number of the episode.
+        named: whether any UAV was named.
+        hit: whether the head was named, and nobody else: J_s = 0.
+        explained: share of the squared velocity that the detector's fit explains, mean over UAVs; NaN without a fit.
+        seconds: of the batch, by episode.
+    """
+
+    detector: str
+    follow: str
+    followers: int
+    decoys: int
+    mobility: str
+    head_jitter: bool
+    episode: int
+    named: int
+    hit: int
+    explained: float
+    seconds: float
+
+    @property
+    def cell(self) -> Cell:
+        """Its cell."""
+        return Cell(self.follow, self.followers, self.decoys, self.mobility, self.head_jitter)
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some consecutive episodes of one detector in one cell, answered as one batch."""
+
+    detector: str
+    cell: Cell
+    first: int
+    count: int
+
+
+def tasks_for(detectors: Sequence[str], cells: Sequence[Cell], episodes: Callable[[Cell], int]) -> list[Task]:
+    """Batches of all cells, the small swarms first; batches do not depend on how many episodes are asked for."""
+    tasks = []
+    for cell in sorted(cells, key=lambda cell: (cell.uavs, cell.follow)):
+        size = max(1, _BATCH_UAVS // cell.uavs)
+        for detector in detectors:
+            tasks += [
+                Task(detector, cell, first, min(size, episodes(cell) - first))
+                for first in range(0, episodes(cell), size)
+            ]
+    return tasks
+
+
+def _seeds(seed: int, cell: Cell, episode: int, branch: int) -> int:
+    """Seed of an episode's swarm (branch 0) or detector (branch 1); every detector meets the same swarms."""
+    name = int.from_bytes(f"{cell.follow}/{cell.mobility}".encode(), "little")
+    key = (name % 2**61, cell.followers, cell.decoys, int(cell.head_jitter), episode, branch)
+    return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0])
+
+
+def play(task: Task, seed: int) -> list[Row]:
+    """Play the episodes of one task."""
+    env = SingleClusterEnv(**asdict(task.cell))
+    detector = make_detector(task.detector)
+    windows, heads = [], []
+    for episode in range(task.first, task.first + task.count):
+        observation, _ = env.reset(seed=_seeds(seed, task.cell, episode, 0))
+        windows.append(Window.from_observation(observation))
+        heads.append(env.swarm.head)
+    detector.reset(_seeds(seed, task.cell, task.first, 1))
+    begun = time.perf_counter()
+    at_once = getattr(detector, "detect_batch", None)
+    detections = [detector.detect(window) for window in windows] if at_once is None else at_once(windows)
+    seconds = (time.perf_counter() - begun) / task.count
+    return [
+        Row(
+            detector=task.detector,
+            **asdict(task.cell),
+            episode=task.first + number,
+            named=int(detection.candidates.any()),
+            hit=int(np.array_equal(detection.candidates, head)),
+            explained=float(np.mean(detection.extras.get("explained", np.nan))),
+            seconds=seconds,
+        )
+        for number, (detection, head) in enumerate(zip(detections, heads, strict=True))
+    ]
+
+
+def _prepare() -> None:
+    """One thread a process: the processes are as many as the cores."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+def measure(
+    tasks: Sequence[Task],
+    seed: int,
+    path: Path,
+    workers: int,
+    advance: Callable[[int], None] = lambda episodes: None,
+) -> list[Row]:
+    """Play all tasks that ``path`` does not hold yet; rows are written as they come.
+
+    Args:
+        tasks: from :func:`tasks_for`.
+        seed: of the whole measurement; a file of another seed is not told apart, so its name should hold it.
+        path: the CSV of rows, appearing whole each time it is written.
+        workers: processes.
+        advance: called with the number of episodes that are newly done.
+
+    Returns:
+        The rows of the tasks, in their order.
+    """
+    rows = {(row.detector, row.cell, row.episode): row for row in read_rows(path)}
+    keys = {(task.detector, task.cell, episode) for task in tasks for episode in _episodes(task)}
+    todo = [
+        task for task in tasks if any((task.detector, task.cell, episode) not in rows for episode in _episodes(task))
+    ]
+    advance(len(keys & rows.keys()))
+    saved = time.monotonic()
+    try:
+        for done in _played(todo, seed, workers):
+            fresh = [row for row in done if (row.detector, row.cell, row.episode) not in rows]
+            rows.update({(row.detector, row.cell, row.episode): row for row in fresh})
+            advance(len(fresh))
+            if time.monotonic() - saved > _SAVE_EVERY:
+                write_rows(path, rows.values())
+                saved = time.monotonic()
+    finally:
+        if todo:
+            write_rows(path, rows.values())
+    return [rows[task.detector, task.cell, episode] for task in tasks for episode in _episodes(task)]
+
+
+def _episodes(task: Task) -> range:
+    return range(task.first, task.first + task.count)
+
+
+def _played(tasks: Sequence[Task], seed: int, workers: int) -> Iterator[list[Row]]:
+    if workers == 1 or len(tasks) < 2:
+        for task in tasks:
+            yield play(task, seed)
+        return
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_prepare)
+    queue = iter(tasks)
+    waiting: set[Future[list[Row]]] = set()
+    try:
+        while True:
+            waiting.update(pool.submit(play, task, seed) for task in islice(queue, 2 * workers - len(waiting)))
+            if not waiting:
+                return
+            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+_KINDS: dict[str, Callable[[str], Any]] = {
+    "int": int,
+    "float": float,
+    "str": str,
+    "bool": lambda text: {"True": True, "False": False}[text],
+}
+
+
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a file; none if there is no file.
+
+    Raises:
+        InvalidArgument: the file holds something else.
+    """
+    if not path.exists():
+        return []
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            kinds = {field.name: _KINDS[str(field.type)] for field in fields(Row)}
+            return [Row(**{name: kind(row[name]) for name, kind in kinds.items()}) for row in csv.DictReader(file)]
+    except (KeyError, ValueError, TypeError, csv.Error):
+        raise InvalidArgument(f"out must hold rows of this measurement, got something else in {path.name!r}.") from None
+
+
+def write_rows(path: Path, rows: Iterable[Row]) -> None:
+    """Write the rows, sorted, so that the file is there in full or as it was."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
+    writer.writeheader()
+    for row in sorted(
+        rows, key=lambda row: (row.mobility, row.decoys, row.follow, row.followers, row.detector, row.episode)
+    ):
+        values = asdict(row)
+        writer.writerow({**values, "explained": f"{row.explained:.4f}", "seconds": f"{row.seconds:.4f}"})
+    with written_whole(path) as aside:
+        aside.write_text(text.getvalue(), encoding="utf-8")
+
+
+def rate_of(rows: Iterable[Row], what: str = "hit") -> tuple[int, Interval] | None:
+    """Number of episodes and the share with ``what`` (``"hit"`` or ``"named"``), Wilson; ``None`` without a row."""
+    values = [getattr(row, what) for row in rows]
+    return (len(values), rate_interval(values)) if values else None
