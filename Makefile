@@ -1,0 +1,55 @@
+# `make` alone says what there is. Nothing but Python >= 3.11 and make is needed before the first target.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-all lint format types bench docs clean
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*##  *\(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 10
+
+demo: $(INSTALLED)  ## play one episode; replay, picture and episode file go to runs/demo/
+	$(BIN)/usnet demo
+
+test: $(INSTALLED)  ## run the quick tests
+	$(BIN)/pytest -n auto -m "not slow"
+
+test-all: $(INSTALLED)  ## run all tests and show the coverage
+	$(BIN)/pytest -n auto --cov
+
+lint: $(INSTALLED)  ## check style, form and the arrows between the parts
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+
+format: $(INSTALLED)  ## put the code into form
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+types: $(INSTALLED)  ## check the types
+	$(BIN)/mypy
+
+bench: $(INSTALLED)  ## measure the simulator; peers and numbers are told in benchmarks/
+	$(BIN)/pip install --quiet --quiet --editable '.[bench]'
+	$(BIN)/python benchmarks/speed.py
+
+docs: $(INSTALLED)  ## build the pages in docs/_build/
+	$(BIN)/sphinx-build -W --keep-going -q docs docs/_build
+
+clean:  ## remove what was built or cached, but neither runs/ nor the virtual environment
+	rm -rf docs/_build docs/envs build dist .coverage htmlcov .pytest_cache .mypy_cache .ruff_cache .hypothesis \
+		.import_linter_cache
+	find usnet_env detectors tests docs benchmarks examples -name __pycache__ -prune -exec rm -rf {} +
+
+$(INSTALLED): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+		echo "USNET needs Python 3.11 or newer, and $(PYTHON) is" \
+			"$$($(PYTHON) --version 2>/dev/null || echo not there). Name another one: make PYTHON=python3.12 …" >&2; \
+		exit 1; }
+	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
+	@echo "Installing into $(VENV), which takes some minutes the first time …"
+	@$(BIN)/pip install --quiet --quiet --editable '.[all]'
+	@touch $@

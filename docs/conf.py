@@ -1,0 +1,49 @@
+"""How the pages are built: ``make docs``."""
+
+from __future__ import annotations
+
+import re
+import sys
+from importlib.metadata import version as installed_version
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from environment_pages import write_environment_pages
+
+project = "USNET"
+author = "the USNET maintainers"
+copyright = "2026, the USNET maintainers"
+release = version = installed_version("usnet")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+exclude_patterns = ["_build"]
+
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 3
+
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True, "show-inheritance": False}
+napoleon_numpy_docstring = False
+
+html_theme = "furo"
+html_title = f"USNET {release}"
+html_static_path = ["_static"]
+html_css_files = ["usnet.css"]
+html_theme_options = {"navigation_with_keys": True}
+
+
+def _keep_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
+    """In our docstrings, |C| is the size of a set; in reStructuredText it would be a substitution."""
+    for number, line in enumerate(lines):
+        parts = re.split(r"(``.*?``)", line)
+        parts[::2] = [part.replace("|", r"\|") for part in parts[::2]]
+        lines[number] = "".join(parts)
+
+
+def setup(app: Any) -> None:
+    """Write the generated pages before Sphinx looks for them."""
+    app.connect("builder-inited", lambda app: write_environment_pages(Path(app.srcdir) / "envs"))
+    app.connect("autodoc-process-docstring", _keep_bars)

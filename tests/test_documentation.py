@@ -1,0 +1,171 @@
+"""Everything that the pages show is run, and what they say about the environments is compared with the code."""
+
+import importlib.util
+import inspect
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import usnet_env.envs
+from usnet_env.envs import ENVIRONMENTS
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+FENCE = re.compile(r"^```(?P<kind>[a-z]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
+LEFT_ALONE = {"cd", "git", "make", "pip", "python", "rerun"}  # what pages also show: tested elsewhere, or a viewer
+PLAY_COMMANDS = """
+import json, sys
+from usnet_env.cli import main
+for command in json.load(sys.stdin):
+    if code := main(command):
+        sys.exit(f"{command} ended with {code}")
+"""
+
+
+def python_of(page: Path) -> str:
+    """The page's Python blocks as one program, each line where it stands in the page."""
+    text = page.read_text(encoding="utf-8")
+    program = ["\n"] * text.count("\n")
+    for block in FENCE.finditer(text):
+        if block["kind"] == "python":
+            first = text.count("\n", 0, block.start("text"))
+            lines = block["text"].splitlines(keepends=True)
+            program[first : first + len(lines)] = lines
+    return "".join(program)
+
+
+def commands_of(page: Path) -> list[list[str]]:
+    """All commands that the page shows: every line of a bash block, the lines with a prompt of a console block."""
+    commands = []
+    for block in FENCE.finditer(page.read_text(encoding="utf-8")):
+        lines = block["text"].replace("\\\n", " ").splitlines()
+        if block["kind"] == "console":
+            lines = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
+        elif block["kind"] != "bash":
+            continue
+        commands += [words for line in lines if (words := shlex.split(line, comments=True))]
+    return commands
+
+
+def usnet_commands_of(page: Path) -> list[list[str]]:
+    """What the page gives to the command line of this project, without its name."""
+    names = (["usnet"], ["python", "-m", "usnet_env"])
+    return [
+        command[len(name) :] for command in commands_of(page) for name in names if command[: len(name)] == list(name)
+    ]
+
+
+def run(arguments: list[str], folder: Path, stdin: str = "") -> None:
+    """Run Python in a folder of its own, with the examples' modules at hand."""
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT / "examples")},
+        input=stdin,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def named(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if python_of(page).strip()], ids=named)
+def test_the_python_of_a_page_runs(page, tmp_path):
+    script = tmp_path / f"page_{page.stem}.py"
+    script.write_text(python_of(page), encoding="utf-8")
+    run([str(script)], tmp_path)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if usnet_commands_of(page)], ids=named)
+def test_the_commands_of_a_page_run(page, tmp_path):
+    run(["-c", PLAY_COMMANDS], tmp_path, stdin=json.dumps(usnet_commands_of(page)))
+
+
+@pytest.mark.parametrize("script", EXAMPLES, ids=named)
+def test_an_example_runs(script, tmp_path):
+    run([str(script)], tmp_path)
+
+
+def test_the_readme_shows_both():
+    readme = ROOT / "README.md"
+    assert "evaluate" in python_of(readme)
+    assert usnet_commands_of(readme)
+    assert [words for words in commands_of(readme) if words[0] == "make"][:2] == [["make", "demo"], ["make", "test"]]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_every_shown_command_is_known(page):
+    assert {words[0] for words in commands_of(page)} <= LEFT_ALONE | {"usnet"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_links_into_the_repository_lead_somewhere(page):
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", text) + re.findall(r"src=\"([^\"]+)\"", text)
+    inside = [target for target in targets if not target.startswith(("http:", "https:", "mailto:", "envs/"))]
+    assert [target for target in inside if not (page.parent / target).exists()] == []
+
+
+def test_no_page_names_a_place_on_a_machine():
+    for page in PAGES:
+        assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", page.read_text(encoding="utf-8")), page
+
+
+# The environments' pages, which are their docstrings
+
+
+def generated_pages() -> dict[str, str]:
+    spec = importlib.util.spec_from_file_location("environment_pages", ROOT / "docs" / "environment_pages.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.environment_pages()
+
+
+CLASSES = sorted({f"{kind}Env" for kind, _ in ENVIRONMENTS.values()})
+SECTIONS = [
+    "Description",
+    "Action Space",
+    "Observation Space",
+    "Rewards",
+    "Starting State",
+    "Episode End",
+    "Arguments",
+    "Version History",
+]
+
+
+def test_every_registered_id_stands_on_a_page():
+    pages = "\n".join(generated_pages().values())
+    assert [name for name in ENVIRONMENTS if f"`{name}`" not in pages] == []
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_a_docstring_has_gymnasiums_sections(name):
+    docstring = inspect.getdoc(getattr(usnet_env.envs, name))
+    assert re.findall(r"^## (.+)$", docstring, re.MULTILINE) == SECTIONS
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_a_docstring_lists_the_arguments_with_their_defaults(name):
+    kind = getattr(usnet_env.envs, name)
+    section = inspect.getdoc(kind).partition("## Arguments")[2].partition("## ")[0]
+    rows = dict(re.findall(r"^\| `(\w+)` \| `?\"?([^`\"|]+?)\"?`? \|", section, re.MULTILINE))
+    defaults = {
+        parameter.name: parameter.default
+        for parameter in inspect.signature(kind).parameters.values()
+        if parameter.kind is parameter.POSITIONAL_OR_KEYWORD
+    }
+    assert rows == {
+        name: f"{value:g}" if type(value) in (int, float) else str(value) for name, value in defaults.items()
+    }
