@@ -1,0 +1,82 @@
+"""Write the README's tables anew from the committed raw results; `--check` only says whether they are up to date.
+
+    python benchmarks/readme_table.py
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+RESULTS = Path(__file__).parent / "results"
+README = Path(__file__).parent.parent / "README.md"
+FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
+DETECTORS = (
+    "lagged-regression(clusters=5)",
+    "lagged-regression",
+    "lagged-correlation",
+    "one-per-round",
+    "destroy-all",
+    "random",
+    "none",
+)
+
+
+def summaries() -> dict[str, dict[str, dict[str, dict[str, float]]]]:
+    """Metrics by follow strategy and detector."""
+    found = {}
+    for follow in FOLLOW:
+        entries = json.loads((RESULTS / "multi_cluster" / follow / "summary.json").read_text(encoding="utf-8"))
+        found[follow] = {entry["detector"]: entry["metrics"] for entry in entries}
+    return found
+
+
+def cell(metric: dict[str, float], digits: int = 2) -> str:
+    """A mean with its interval."""
+    mean, low, high = (f"{metric[name]:.{digits}f}" for name in ("mean", "low", "high"))
+    return mean if low == high else f"{mean} ({low}–{high})"
+
+
+def multi_cluster() -> str:
+    """J_m by follow strategy, and what stands beside it, over all strategies."""
+    found = summaries()
+    lines = ["| J_m (lower is better) | " + " | ".join(FOLLOW) + " |", "| --- |" + " --- |" * len(FOLLOW)]
+    for name in DETECTORS:
+        lines.append(f"| `{name}` | " + " | ".join(cell(found[follow][name]["J"]) for follow in FOLLOW) + " |")
+    beside = (
+        ("precision_first", "precision"),
+        ("recall_first", "recall"),
+        ("ap_first", "AP"),
+        ("exact", "exact"),
+        ("rounds", "rounds"),
+        ("redundancy", "redundancy"),
+        ("success", "all found"),
+    )
+    lines += ["", "| f1–f7, mean | " + " | ".join(title for _, title in beside) + " |", "| --- |" + " --- |" * len(beside)]
+    for name in DETECTORS:
+        means = [sum(found[f][name][metric]["mean"] for f in FOLLOW) / len(FOLLOW) for metric, _ in beside]
+        lines.append(f"| `{name}` | " + " | ".join(f"{mean:.2f}" for mean in means) + " |")
+    return "\n".join(lines)
+
+
+def filled(text: str) -> str:
+    """The README with its table between the markers replaced."""
+    begin, end = "<!-- table:begin -->\n", "<!-- table:end -->"
+    before, rest = text.split(begin)
+    after = rest.split(end)[1]
+    return f"{before}{begin}{multi_cluster()}\n{end}{after}"
+
+
+def main() -> int:
+    """Write or check."""
+    old = README.read_text(encoding="utf-8")
+    new = filled(old)
+    if "--check" in sys.argv[1:]:
+        return int(old != new)
+    README.write_text(new, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
