@@ -18,7 +18,7 @@ test: $(INSTALLED)  ## run the quick tests
 	$(BIN)/pytest -n auto -m "not slow"
 
 test-all: $(INSTALLED)  ## run all tests and show the coverage
-	$(BIN)/pytest -n auto --cov
+	$(BIN)/pytest -n auto --cov=usnet_env --cov=detectors
 
 lint: $(INSTALLED)  ## check style, form and the arrows between the parts
 	$(BIN)/ruff check .

@@ -17,10 +17,9 @@ from multiprocessing.context import SpawnContext
 from typing import Any
 
 import gymnasium as gym
-from gymnasium.envs.registration import EnvSpec
 
 from usnet_env.config import InvalidArgument
-from usnet_env.evaluation.environments import make_environment
+from usnet_env.evaluation.environments import environment_spec, make_environment
 from usnet_env.evaluation.episode import Row, play_episode, warm_up
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.players import Player, as_player
@@ -66,12 +65,12 @@ class Match:
 
 
 _here: Match | None = None  # of a worker process
-_arguments: tuple[EnvSpec, dict[str, Any], list[Entrant], int]
+_arguments: tuple[str, dict[str, Any], list[Entrant], int]
 
 
-def _prepare(spec: EnvSpec, env_kwargs: dict[str, Any], entrants: list[Entrant], seed: int) -> None:
+def _prepare(env_id: str, env_kwargs: dict[str, Any], entrants: list[Entrant], seed: int) -> None:
     global _arguments
-    _arguments = (spec, env_kwargs, entrants, seed)
+    _arguments = (env_id, env_kwargs, entrants, seed)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -87,8 +86,8 @@ def _play(task: Task) -> Row:
     # The match is made in the first task, not by the initializer, whose errors would not reach the caller.
     global _here
     if _here is None:
-        spec, env_kwargs, entrants, seed = _arguments
-        _here = Match(make_environment(spec, env_kwargs), entrants, seed)
+        env_id, env_kwargs, entrants, seed = _arguments
+        _here = Match(make_environment(environment_spec(env_id), env_kwargs), entrants, seed)
     return _here.play(task)
 
 
@@ -120,7 +119,7 @@ def _interrupts_ignored() -> Iterator[None]:
 
 
 def play_in_processes(
-    spec: EnvSpec,
+    env_id: str,
     env_kwargs: Mapping[str, Any],
     entrants: list[Entrant],
     seed: int,
@@ -131,7 +130,7 @@ def play_in_processes(
     """Play all tasks in processes of their own; ``collect`` gets each row as it is finished, in any order.
 
     Args:
-        spec: the environment, made once in each process.
+        env_id: the environment, made once in each process; a module in front of it is imported there.
         env_kwargs: its arguments.
         entrants: who plays.
         seed: of the evaluation.
@@ -143,7 +142,7 @@ def play_in_processes(
         InvalidArgument: something cannot be sent to another process.
         EvaluationError: a detector failed, or a process died.
     """
-    arguments = (spec, dict(env_kwargs), entrants, seed)
+    arguments = (env_id, dict(env_kwargs), entrants, seed)
     try:
         pickle.dumps(arguments)
     except Exception as error:

@@ -83,10 +83,8 @@ def evaluate(
     arguments = _env_kwargs(env_kwargs)
     entrants = _entrants(detector, run.trivial)
     made_here = isinstance(env, str)
-    spec = None
     if isinstance(env, str):
-        spec = environment_spec(env)
-        arena = make_environment(spec, arguments)
+        arena = make_environment(environment_spec(env), arguments)
     else:
         arena = _made(env, arguments, run.workers)
     try:
@@ -108,9 +106,9 @@ def evaluate(
                     if store is not None and store.due():
                         store.save_rows(_sorted(rows, entrants))
 
-                if spec is not None and run.workers > 1 and len(tasks) > 1:
+                if isinstance(env, str) and run.workers > 1 and len(tasks) > 1:
                     workers = min(run.workers, len(tasks))
-                    play_in_processes(spec, arguments, entrants, run.seed, tasks, workers, collect)
+                    play_in_processes(env, arguments, entrants, run.seed, tasks, workers, collect)
                 else:
                     match = Match(arena, entrants, run.seed)
                     for task in tasks:
