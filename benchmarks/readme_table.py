@@ -1,6 +1,6 @@
 """Write the README's tables anew from the committed raw results; `--check` only says whether they are up to date.
 
-    python benchmarks/readme_table.py
+python benchmarks/readme_table.py
 """
 
 from __future__ import annotations
@@ -53,7 +53,11 @@ def multi_cluster() -> str:
         ("redundancy", "redundancy"),
         ("success", "all found"),
     )
-    lines += ["", "| f1–f7, mean | " + " | ".join(title for _, title in beside) + " |", "| --- |" + " --- |" * len(beside)]
+    lines += [
+        "",
+        "| f1–f7, mean | " + " | ".join(title for _, title in beside) + " |",
+        "| --- |" + " --- |" * len(beside),
+    ]
     for name in DETECTORS:
         means = [sum(found[f][name][metric]["mean"] for f in FOLLOW) / len(FOLLOW) for metric, _ in beside]
         lines.append(f"| `{name}` | " + " | ".join(f"{mean:.2f}" for mean in means) + " |")
