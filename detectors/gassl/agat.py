@@ -1,11 +1,11 @@
 """AGAT, the adaptive graph attention network of §III-A: one network Φ_i for each UAV i, all of them at once.
 
-For UAV i, the query data are q_i = L(V_{i,t}, p_{i,t-T_0+1}), and attention head l compares them with the key data
-K_l x_{i',l} of every UAV i' by the similarity s_l: alpha_{i,i',l} is the softmax over i' of s_l(q_i, K_l x_{i',l}),
-where x_{i',l} is v_{i',t-l+1} for l <= T_0 and p_{i',t-T_0+1} for the last head (equations (10), (11); the position head's
+For UAV i, the query data are q_i = L(V_{i,t}, p_{i,t-T_0+1}), and attention head l compares them with the key data K_l
+x_{i',l} of every UAV i' by the similarity s_l: alpha_{i,i',l} is the softmax over i' of s_l(q_i, K_l x_{i',l}), where
+x_{i',l} is v_{i',t-l+1} for l <= T_0 and p_{i',t-T_0+1} for the last head (equations (10), (11); the position head's
 denominator takes positions too, decision (f)). The first layer of s_l is linear in its two inputs, so queries and keys
-go through it apart and meet by one addition: no tensor of times x N x N x heads x width is ever formed. The rest of s_l
-is a fused loop on the CPU (:mod:`detectors.gassl.similarity`) and plain tensor operations elsewhere.
+go through it apart and meet by one addition: no tensor of times x N x N x heads x width is ever formed. The rest of
+s_l is a fused loop on the CPU (:mod:`detectors.gassl.similarity`) and plain tensor operations elsewhere.
 """
 
 from __future__ import annotations

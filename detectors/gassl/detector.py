@@ -134,8 +134,8 @@ class Gassl(Detector):
         plain = _Arguments(**{name: getattr(self, name) for name in _Arguments.model_fields})
         if plain.preset not in PRESETS:
             raise unknown_name("preset", plain.preset, PRESETS)
-        pooling = plain.pooling or PRESETS[plain.preset][0]
-        rule = plain.rule or PRESETS[plain.preset][1]
+        pooling = PRESETS[plain.preset][0] if plain.pooling is None else plain.pooling
+        rule = PRESETS[plain.preset][1] if plain.rule is None else plain.rule
         if pooling not in POOLINGS:
             raise unknown_name("pooling", pooling, POOLINGS)
         if rule not in RULES:

@@ -1,9 +1,9 @@
 """Pooling of inputs, as the paper has it: Algorithm 1 for all UAVs of a window, and of several windows, at once.
 
 Every UAV's AGAT pools the histories of all UAVs, and the shared IFSN predicts the UAV's next velocity from what was
-pooled and its own positions. Where the paper is silent, research settled: AdamW with a cosine for both, 24 random times a step
-in place of the whole batch (it overfits), inputs standardised feature by feature, noise on the IFSN's inputs, and one
-update of Γ for all UAVs in place of one after another.
+pooled and its own positions. Where the paper is silent, research settled: AdamW with a cosine for both, 24 random
+times a step in place of the whole batch (it overfits), inputs standardised feature by feature, noise on the IFSN's
+inputs, and one update of Γ for all UAVs in place of one after another.
 """
 
 from __future__ import annotations

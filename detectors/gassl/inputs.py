@@ -75,7 +75,8 @@ def samples_of(
     """
     stacked: list[list[NDArray[np.float32]]] = []
     for window, index in zip(windows, members, strict=True):
-        velocity = window.velocity[:, index]
+        there = window.velocity_seen[:, index]
+        velocity = np.where(there[..., None], window.velocity[:, index], np.float32(0))
         position = _filled(window.position[:, index], window.seen[:, index])
         steps = len(velocity)
         rows = steps - memory
@@ -86,7 +87,7 @@ def samples_of(
                 position[:rows].swapaxes(0, 1),
                 position[memory - 1 : steps - 1].swapaxes(0, 1),
                 velocity[memory:].swapaxes(0, 1),
-                window.velocity_seen[memory:, index].T.astype(np.float32),
+                there[memory:].T.astype(np.float32),
             ]
         )
     tensors = (torch.from_numpy(np.ascontiguousarray(np.stack(part))).to(device) for part in zip(*stacked, strict=True))

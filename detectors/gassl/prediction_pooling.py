@@ -1,15 +1,15 @@
 """Pooling of predictions: attention weighs what the IFSN predicts from each candidate's window, not the windows.
 
 The paper pools inputs: v̂ is an average of all UAVs' velocities, and a soft average of velocities destroys the squares
-of f4 and f5 before the IFSN sees them. Here the IFSN predicts UAV i from the window of each candidate j apart, and UAV i
-attends to the candidates in proportion to how well that went. Attention that does not vary with time has a closed form
-then: alpha_ij is the softmax of the log-likelihoods of i's flight under the candidates, its own history being the
+of f4 and f5 before the IFSN sees them. Here the IFSN predicts UAV i from the window of each candidate j apart, and UAV
+i attends to the candidates in proportion to how well that went. Attention that does not vary with time has a closed
+form then: alpha_ij is the softmax of the log-likelihoods of i's flight under the candidates, its own history being the
 candidate for "nobody".
 
 Training starts once from every candidate (all UAVs attend to j, which trains IFSN Γ_j), for all candidates at once.
-The IFSN is additive over the coordinates of the candidate's window: with some hundred samples the shape of the network,
-not attention, decides what it can learn. A start is judged by how much better than their own histories it predicts the
-UAVs, on the times that it was trained on and, for the gate, on times held out.
+The IFSN is additive over the coordinates of the candidate's window: with some hundred samples the shape of the
+network, not attention, decides what it can learn. A start is judged by how much better than their own histories it
+predicts the UAVs, on the times that it was trained on and, for the gate, on times held out.
 """
 
 from __future__ import annotations
@@ -261,8 +261,10 @@ def fit_prediction_pooling(samples: Samples, settings: PredictionPooling, genera
         for gain in gains:
             gain.diagonal(dim1=1, dim2=2).zero_()
             gain.mul_((samples.weight.sum(-1) > 0).unsqueeze(2))
-        # Both kinds of times together, UAV by UAV: a candidate that some UAV fits well and predicts badly gains nothing.
-        winner = (trained + held_out).clamp(min=0).sum(1).argmax(1)
+        # Both kinds of times together, UAV by UAV: who is fitted well and predicted badly adds nothing.
+        better = (trained + held_out).clamp(min=0).sum(1)
+        ties = better == better.max(1, keepdim=True).values  # all of them where no start beats the null
+        winner = (ties * (1.0 - torch.rand(ties.shape, generator=generator, device=device))).argmax(1)
         likelihood, explained = _attend(problem, network, winner, held)
     return Fit(trained, held_out, torch.softmax(likelihood, dim=2), likelihood, winner, explained)
 

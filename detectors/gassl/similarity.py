@@ -1,8 +1,9 @@
 """The similarity s_l of all pairs of UAVs: two hidden layers on sums that are never stored.
 
 s(i, i') = w · r(W r(a_i + B_i x_{i'}) + b), r the leaky ReLU with slope 0.01. On the CPU a fused loop forms it pair by
-pair in registers, and again for the gradient, so that memory and its traffic grow with times x N x N and not with the width;
-a batched tensor product of the same was slower than the loop over UAVs. On other devices plain tensor operations serve.
+pair in registers, and again for the gradient, so that memory and its traffic grow with times x N x N and not with the
+width; a batched tensor product of the same was slower than the loop over UAVs. On other devices plain tensor
+operations serve.
 """
 
 from __future__ import annotations
