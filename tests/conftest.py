@@ -6,3 +6,6 @@ import os
 # same time. Each process of pytest-xdist keeps a cache of its own, which must be said before Numba is imported.
 if worker := os.environ.get("PYTEST_XDIST_WORKER"):
     os.environ.setdefault("NUMBA_CACHE_DIR", os.path.abspath(f".pytest_cache/numba-{worker}"))
+    # As many processes as cores leave a core each: more threads than that make small tensor operations wait for each
+    # other, a hundred times longer than they take. This, too, is read at the first import.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")

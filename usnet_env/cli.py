@@ -279,6 +279,21 @@ def table2(
     click.echo(f"Rows, table and picture are in {out}.", err=True)
 
 
+@reproduce.command()
+@click.option("--out", default="runs/attention", show_default=True, metavar="DIR", help="The pictures go here.")
+@click.option("--seed", type=_WholeNumber(0, 2**31), default=2022, show_default=True, help="Of the episodes.")
+def attention(out: str, seed: int) -> None:
+    """Heat maps of attention (f1 with m=15, f7 at six sizes) and the hierarchy graph."""
+    from pathlib import Path
+
+    from usnet_env.reproduce import attention as figures
+
+    with _bar("fits") as progress:
+        made = figures.reproduce(Path(out), seed, progress)
+    for path in made:
+        click.echo(str(path))
+
+
 @contextmanager
 def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
     """A progress bar on standard error, as a function of what is done and of all there is to do."""

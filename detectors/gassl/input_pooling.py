@@ -150,6 +150,7 @@ def fit_input_pooling(samples: Samples, settings: InputPooling, generator: torch
         ],
         betas=(0.9, 0.99),
         weight_decay=settings.weight_decay,
+        fused=True,  # one pass over the many small parameters of Φ
     )
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
     for _ in range(settings.steps):

@@ -1,9 +1,9 @@
 """The similarity s_l of all pairs of UAVs: two hidden layers on sums that are never stored.
 
-s(i, i') = w · r(W r(a_i + B_i x_{i'}) + b), r the leaky ReLU with slope 0.01. On the CPU a fused loop forms it pair by
-pair in registers, and again for the gradient, so that memory and its traffic grow with times x N x N and not with the
-width; a batched tensor product of the same was slower than the loop over UAVs. On other devices plain tensor
-operations serve.
+s(i, i') = w · r(W r(a_i + B_i x_{i'}) + b), r the leaky ReLU with slope 0.01. On the CPU a compiled loop takes some
+hundred pairs at a time through both layers, in buffers that fit the cache, and again for the gradient, so that memory
+and its traffic grow with times x N x N and not with the width; a batched tensor product of the same was slower than the
+loop over UAVs. On other devices plain tensor operations serve.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from numba import njit
+from numpy.typing import NDArray
 from torch import Tensor
 
 __all__ = ["similarity", "similarity_by_tensors"]
@@ -20,6 +21,8 @@ __all__ = ["similarity", "similarity_by_tensors"]
 SLOPE = 0.01
 _SLOPE = np.float32(SLOPE)
 _ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_COLUMNS = 256  # pairs that go through the layers side by side: long enough for vectors, few enough for the cache
 
 
 def similarity(
@@ -64,7 +67,7 @@ class _Fused(torch.autograd.Function):
         ctx.save_for_backward(*kept)
         from_query, value = kept[0], kept[5]
         result = torch.empty(*from_query.shape[:2], value.shape[2])
-        _forward(*(tensor.numpy() for tensor in kept), result.numpy())  # type: ignore[call-arg]  # numba's
+        _forward(*_by_axis(kept), result.numpy())  # type: ignore[call-arg]  # numba's
         return result
 
     @staticmethod
@@ -73,39 +76,63 @@ class _Fused(torch.autograd.Function):
         kept = ctx.saved_tensors
         results = [torch.zeros_like(tensor) for tensor in kept[:5]]
         _backward(  # type: ignore[call-arg]  # numba's
-            *(tensor.numpy() for tensor in kept),
+            *_by_axis(kept),
             gradients[0].contiguous().numpy(),
             *(tensor.numpy() for tensor in results),
         )
         return (*results, None)
 
 
+def _by_axis(kept: tuple[Tensor, ...]) -> list[NDArray[np.float32]]:
+    """As arrays, the values as ``(E, t, 3, n)``: what the loops run along lies side by side."""
+    return [*(tensor.numpy() for tensor in kept[:5]), kept[5].transpose(2, 3).contiguous().numpy()]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def _layers(from_query, from_key, second, bias, value, s, e, begin, end, first, deep):  # type: ignore[no-untyped-def]
+    """Both hidden layers of network s at some times, columns (time, UAV); the leaky ReLU leaves their signs."""
+    width, narrow, uavs = first.shape[0], deep.shape[0], value.shape[3]
+    for k in range(width):
+        b, c, d = from_key[s, 0, k], from_key[s, 1, k], from_key[s, 2, k]
+        for t in range(begin, end):
+            a = from_query[s, t, k]
+            row = first[k, (t - begin) * uavs : (t - begin + 1) * uavs]
+            for j in range(uavs):
+                h = a + b * value[e, t, 0, j] + c * value[e, t, 1, j] + d * value[e, t, 2, j]
+                row[j] = h if h > _ZERO else _SLOPE * h
+    columns = (end - begin) * uavs
+    for u in range(narrow):
+        w = bias[s, u]
+        for p in range(columns):
+            deep[u, p] = w
+        for k in range(width):
+            w = second[s, k, u]
+            for p in range(columns):
+                deep[u, p] += w * first[k, p]
+        for p in range(columns):
+            h = deep[u, p]
+            deep[u, p] = h if h > _ZERO else _SLOPE * h
+
+
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def _forward(from_query, from_key, second, bias, last, value, result):  # type: ignore[no-untyped-def]
     networks, times, width = from_query.shape
-    windows, uavs, narrow = value.shape[0], value.shape[2], second.shape[2]
-    each = networks // windows
-    first = np.empty(width, np.float32)
-    deep = np.empty(narrow, np.float32)
+    windows, uavs, narrow = value.shape[0], value.shape[3], second.shape[2]
+    step = max(1, _COLUMNS // uavs)
+    first = np.empty((width, step * uavs), np.float32)
+    deep = np.empty((narrow, step * uavs), np.float32)
+    total = np.empty(step * uavs, np.float32)
     for s in range(networks):
-        e = s // each
-        for t in range(times):
-            for j in range(uavs):
-                x, y, z = value[e, t, j, 0], value[e, t, j, 1], value[e, t, j, 2]
-                for k in range(width):
-                    h = from_query[s, t, k] + x * from_key[s, 0, k] + y * from_key[s, 1, k] + z * from_key[s, 2, k]
-                    first[k] = h if h > _ZERO else _SLOPE * h
-                for u in range(narrow):
-                    deep[u] = bias[s, u]
-                for k in range(width):
-                    h = first[k]
-                    for u in range(narrow):
-                        deep[u] += h * second[s, k, u]
-                total = _ZERO
-                for u in range(narrow):
-                    h = deep[u]
-                    total += last[s, u] * (h if h > _ZERO else _SLOPE * h)
-                result[s, t, j] = total
+        for begin in range(0, times, step):
+            end = min(begin + step, times)
+            _layers(from_query, from_key, second, bias, value, s, s // (networks // windows), begin, end, first, deep)
+            total[:] = _ZERO
+            for u in range(narrow):
+                w = last[s, u]
+                for p in range((end - begin) * uavs):
+                    total[p] += w * deep[u, p]
+            for t in range(begin, end):
+                result[s, t] = total[(t - begin) * uavs : (t - begin + 1) * uavs]
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
@@ -113,49 +140,50 @@ def _backward(  # type: ignore[no-untyped-def]
     from_query, from_key, second, bias, last, value, gradient, d_query, d_key, d_second, d_bias, d_last
 ):
     networks, times, width = from_query.shape
-    windows, uavs, narrow = value.shape[0], value.shape[2], second.shape[2]
-    each = networks // windows
-    first = np.empty(width, np.float32)
-    slope = np.empty(width, np.float32)
-    back = np.empty(width, np.float32)
-    deep = np.empty(narrow, np.float32)
-    turned = np.empty((narrow, width), np.float32)
+    windows, uavs, narrow = value.shape[0], value.shape[3], second.shape[2]
+    step = max(1, _COLUMNS // uavs)
+    first = np.empty((width, step * uavs), np.float32)
+    deep = np.empty((narrow, step * uavs), np.float32)
+    upstream = np.empty(step * uavs, np.float32)
+    back = np.empty(step * uavs, np.float32)
     for s in range(networks):
-        e = s // each
-        for k in range(width):
-            for u in range(narrow):
-                turned[u, k] = second[s, k, u]
-        for t in range(times):
-            for j in range(uavs):
-                g = gradient[s, t, j]
-                x, y, z = value[e, t, j, 0], value[e, t, j, 1], value[e, t, j, 2]
-                for k in range(width):
-                    h = from_query[s, t, k] + x * from_key[s, 0, k] + y * from_key[s, 1, k] + z * from_key[s, 2, k]
-                    slope[k] = np.float32(1.0) if h > _ZERO else _SLOPE
-                    first[k] = h * slope[k]
-                    back[k] = _ZERO
+        e = s // (networks // windows)
+        for begin in range(0, times, step):
+            end = min(begin + step, times)
+            columns = (end - begin) * uavs
+            _layers(from_query, from_key, second, bias, value, s, e, begin, end, first, deep)
+            for t in range(begin, end):
+                upstream[(t - begin) * uavs : (t - begin + 1) * uavs] = gradient[s, t]
+            for u in range(narrow):  # deep becomes the gradient of itself
+                w, of_last, of_bias = last[s, u], _ZERO, _ZERO
+                for p in range(columns):
+                    h, g = deep[u, p], upstream[p]
+                    of_last += g * h
+                    g *= _ONE if h > _ZERO else _SLOPE
+                    of_bias += g
+                    deep[u, p] = w * g
+                d_last[s, u] += of_last
+                d_bias[s, u] += w * of_bias
+            for k in range(width):
+                back[:] = _ZERO
                 for u in range(narrow):
-                    deep[u] = bias[s, u]
-                for k in range(width):
-                    h = first[k]
-                    for u in range(narrow):
-                        deep[u] += h * second[s, k, u]
-                for u in range(narrow):
-                    h = deep[u]
-                    inner = np.float32(1.0) if h > _ZERO else _SLOPE
-                    d_last[s, u] += g * h * inner
-                    through = g * last[s, u] * inner
-                    d_bias[s, u] += through
-                    deep[u] = through
-                    for k in range(width):
-                        back[k] += turned[u, k] * through
-                for k in range(width):
-                    h = first[k]
-                    for u in range(narrow):
-                        d_second[s, k, u] += h * deep[u]
-                for k in range(width):
-                    h = back[k] * slope[k]
-                    d_query[s, t, k] += h
-                    d_key[s, 0, k] += x * h
-                    d_key[s, 1, k] += y * h
-                    d_key[s, 2, k] += z * h
+                    w, total = second[s, k, u], _ZERO
+                    for p in range(columns):
+                        total += deep[u, p] * first[k, p]
+                        back[p] += w * deep[u, p]
+                    d_second[s, k, u] += total
+                for p in range(columns):
+                    back[p] *= _ONE if first[k, p] > _ZERO else _SLOPE
+                for t in range(begin, end):
+                    row = back[(t - begin) * uavs : (t - begin + 1) * uavs]
+                    total, x, y, z = _ZERO, _ZERO, _ZERO, _ZERO
+                    for j in range(uavs):
+                        h = row[j]
+                        total += h
+                        x += h * value[e, t, 0, j]
+                        y += h * value[e, t, 1, j]
+                        z += h * value[e, t, 2, j]
+                    d_query[s, t, k] += total
+                    d_key[s, 0, k] += x
+                    d_key[s, 1, k] += y
+                    d_key[s, 2, k] += z

@@ -69,6 +69,8 @@ _arguments: tuple[str, dict[str, Any], list[Entrant], int]
 
 
 def _prepare(env_id: str, env_kwargs: dict[str, Any], entrants: list[Entrant], seed: int) -> None:
+    # Processes share the cores already; read by numeric libraries that a detector brings in after this.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     global _arguments
     _arguments = (env_id, env_kwargs, entrants, seed)
     threading.Thread(target=_end_with_parent, daemon=True).start()
