@@ -22,7 +22,6 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import torch
-from machine import machine
 
 import usnet_env  # registers the environments
 from detectors.gassl import Gassl
@@ -30,6 +29,7 @@ from detectors.gassl.agat import Agat, AgatSizes
 from detectors.gassl.ifsn import Ifsn
 from detectors.gassl.input_pooling import InputPooling, standardise
 from detectors.gassl.inputs import samples_of
+from usnet_env.provenance import machine, versions
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "detectors" / "gassl"))
@@ -175,6 +175,7 @@ def main() -> None:
     peaks = {"default": memory(), "paper": memory(preset="paper", steps=FEWER_STEPS)}
     result = {
         "machine": machine(),
+        "versions": versions(("torch",)),
         "torch_threads": torch.get_num_threads(),
         "turns": arguments.turns,
         "against_the_loop": loops,

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
-from machine import machine
 
 import usnet_env  # noqa: F401  registers the environments
+from usnet_env.provenance import machine, versions
 from usnet_env.swarm import SwarmConfig, advance, start
 
 EPISODES, UAVS = 256, 82
@@ -137,7 +137,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "speed.json")
     parser.add_argument("--skip-peers", action="store_true", help="without MPE2 and VMAS (the bench extra)")
     arguments = parser.parse_args()
-    result: dict[str, object] = {"machine": machine(), "turns": arguments.turns}
+    result: dict[str, object] = {
+        "machine": machine(),
+        "versions": versions(("torch", "mpe2", "vmas")),
+        "turns": arguments.turns,
+    }
     result["stepping"] = {follow: stepping(follow, arguments.turns) for follow in FOLLOW}
     if not arguments.skip_peers:
         result["peers"] = peers(arguments.turns)

@@ -1,0 +1,115 @@
+"""Detection rates over a grid of cells: the same rows however they are made, and an interruption loses little."""
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from usnet_env import InvalidArgument
+from usnet_env.reproduce import detection_rate
+from usnet_env.reproduce.detection_rate import Cell, measure, play, rate_of, read_rows, tasks_for, write_rows
+
+CELLS = [Cell("f1", 2), Cell("f4", 5, decoys=1)]
+NAMES = ["lagged-regression(clusters=1)", "destroy-all"]
+
+
+def tasks(episodes=30):
+    return tasks_for(NAMES, CELLS, lambda cell: episodes)
+
+
+def plain(rows):
+    """Rows without what differs from run to run: the seconds, and NaN, which equals nothing."""
+    return [replace(row, seconds=0.0, explained=0.0) for row in rows]
+
+
+def test_batches_do_not_depend_on_how_many_episodes_are_asked_for():
+    few, many = tasks_for(NAMES, CELLS, lambda cell: 25), tasks_for(NAMES, CELLS, lambda cell: 90)
+    starts = {(task.detector, task.cell, task.first) for task in many}
+    assert {(task.detector, task.cell, task.first) for task in few} <= starts
+    assert sum(task.count for task in few) == 25 * 4
+
+
+def test_rows_are_the_same_on_any_number_of_workers(tmp_path):
+    one = measure(tasks(), 7, tmp_path / "one.csv", 1)
+    two = measure(tasks(), 7, tmp_path / "two.csv", 2)
+    assert plain(one) == plain(two)
+    assert len(one) == 120
+
+
+def test_another_seed_is_another_measurement(tmp_path):
+    chance = tasks_for(["random"], CELLS, lambda cell: 60)
+    one, again, other = (
+        [row.hit for row in measure(chance, seed, tmp_path / f"{number}.csv", 1)]
+        for number, seed in enumerate((7, 7, 8))
+    )
+    assert one == again
+    assert one != other
+
+
+def test_a_hit_is_the_head_alone(tmp_path):
+    rows = measure(tasks(10), 7, tmp_path / "rows.csv", 1)
+    assert {row.hit for row in rows if row.detector == "destroy-all"} == {0}
+    assert all(row.named for row in rows)
+    n, interval = rate_of(row for row in rows if row.detector == NAMES[0] and row.follow == "f1")
+    assert n == 10
+    assert interval.mean == 1.0
+    assert rate_of([]) is None
+
+
+def test_an_interrupted_measurement_goes_on_without_repeating(tmp_path, monkeypatch):
+    path = tmp_path / "rows.csv"
+    played = []
+
+    def stops(task, seed):
+        if len(played) == 3:
+            raise KeyboardInterrupt
+        played.append(task)
+        return play(task, seed)
+
+    monkeypatch.setattr(detection_rate, "play", stops)
+    with pytest.raises(KeyboardInterrupt):
+        measure(tasks(), 7, path, 1)
+    kept = len(read_rows(path))
+    assert kept == sum(task.count for task in played)
+    again = []
+    monkeypatch.setattr(detection_rate, "play", lambda task, seed: again.append(task) or play(task, seed))
+    counted = []
+    rows = measure(tasks(), 7, path, 1, counted.append)
+    assert not set(played) & set(again)
+    assert counted[0] == kept
+    assert sum(counted) == 120
+    assert plain(rows) == plain(measure(tasks(), 7, tmp_path / "whole.csv", 1))
+
+
+def test_rows_survive_the_file(tmp_path):
+    rows = measure(tasks(5), 7, tmp_path / "rows.csv", 1)
+    write_rows(tmp_path / "copy.csv", rows)
+    assert set(plain(read_rows(tmp_path / "copy.csv"))) == set(plain(rows))
+    assert read_rows(tmp_path / "none.csv") == []
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize("text", ["something else\n1\n", "detector,follow\ngassl,f1\n", "\x00\n\x00"])
+def test_another_file_is_refused(tmp_path, text):
+    (tmp_path / "rows.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(
+        InvalidArgument, match=r"out must hold rows of this measurement, got something else in 'rows.csv'"
+    ):
+        read_rows(tmp_path / "rows.csv")
+
+
+def test_every_detector_meets_the_same_swarms(tmp_path):
+    """Seeds of swarms depend on the cell and the episode, not on the detector; those of detectors differ from them."""
+    seeds = [detection_rate._seeds(7, CELLS[0], episode, 0) for episode in range(50)]
+    assert len(set(seeds)) == 50
+    assert not set(seeds) & {detection_rate._seeds(7, CELLS[0], episode, 1) for episode in range(50)}
+    assert not set(seeds) & {detection_rate._seeds(7, CELLS[1], episode, 0) for episode in range(50)}
+
+
+def test_a_fit_s_explained_share_is_kept(tmp_path):
+    small = "gassl(steps=3)"
+    rows = measure(tasks_for([small], CELLS[:1], lambda cell: 3), 7, tmp_path / "rows.csv", 1)
+    assert np.isfinite([row.explained for row in rows]).all()
+    with (tmp_path / "rows.csv").open(encoding="utf-8", newline="") as file:
+        assert {row["detector"] for row in csv.DictReader(file)} == {small}

@@ -1,0 +1,90 @@
+"""The table of detection rates beside the paper's, and the figures of attention."""
+
+import numpy as np
+import pytest
+
+from usnet_env import InvalidArgument
+from usnet_env.cli import main
+from usnet_env.evaluation.statistics import Interval
+from usnet_env.reproduce import attention, table2
+
+
+def test_the_paper_s_table_is_whole():
+    rates = table2.paper_rates()
+    means = [100 * rate.mean for rate in rates.values()]
+    assert len(rates) == 70
+    assert np.mean(means) == pytest.approx(98.86, abs=0.005)
+    assert min(means) == pytest.approx(91.4)
+    assert all(rate.low <= rate.mean <= rate.high for rate in rates.values())
+
+
+@pytest.mark.parametrize(
+    ("ours", "expected"),
+    [((0.98, 0.97, 0.99), "overlaps"), ((0.9, 0.85, 0.92), "below"), ((1.0, 0.995, 1.0), "above")],
+)
+def test_verdicts_compare_intervals(ours, expected):
+    entry = table2.Entry("gassl", "f1", 2, 100, Interval(*ours), Interval(0.981, 0.97, 0.988))
+    assert table2.verdict(entry) == expected
+
+
+def test_cells_are_cells_or_rows():
+    assert len(table2.parse_cells(None)) == 70
+    assert table2.parse_cells("f1:2, f4:15") == [("f1", 2), ("f4", 15)]
+    assert len(table2.parse_cells("f3,f3:2")) == 10
+    for wrong in ("f8", "f1:4", "", "f1:2:3", "2"):
+        with pytest.raises(InvalidArgument, match="--cells must list cells"):
+            table2.parse_cells(wrong)
+
+
+def test_the_command_makes_rows_a_table_and_a_picture(tmp_path, capsys):
+    words = ["reproduce", "table2", "--out", str(tmp_path), "--cells", "f1:2", "--episodes", "4", "--workers", "1"]
+    assert main([*words, "--preset", "lagged-regression"]) == 0
+    shown = capsys.readouterr().out
+    assert "98.1" in shown  # the paper's
+    assert "100.0 (51.0–100.0; 4)" in shown  # ours, with Wilson's interval and n
+    assert {path.suffix for path in tmp_path.iterdir()} == {".csv", ".md", ".png"}
+    assert (tmp_path / "episodes-seed2022.png").read_bytes().startswith(b"\x89PNG")
+    assert main([*words, "--preset", "lagged-regression", "--decoys", "1"]) == 0
+    assert "paper's table" not in (tmp_path / "episodes-decoys1-seed2022.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["--cells", "f9"], "--cells"),
+        (["--preset", "best"], "--preset"),
+        (["--episodes", "0"], "--episodes"),
+        (["--mobility", "iids"], "mobility"),
+        (["--decoys", "-1"], "--decoys"),
+    ],
+)
+def test_bad_words_are_one_sentence(tmp_path, capsys, words, name):
+    assert (
+        main(["reproduce", "table2", "--out", str(tmp_path / "out"), "--workers", "1", "--episodes", "2", *words]) == 2
+    )
+    said = capsys.readouterr().err
+    assert name in said
+    assert "Traceback" not in said
+    assert not list(tmp_path.glob("out/*.md"))
+
+
+def test_scenes_have_their_head_where_the_figure_has_it():
+    scene = attention.scene_of("f1", 5, 3, 0)
+    assert scene.window.uavs == 6
+    assert attention.scene_of("f1", 5, 3, scene.seed).seed == scene.seed
+    with pytest.raises(InvalidArgument, match="head must be an index from 0 to 5, got 6"):
+        attention.scene_of("f1", 5, 6, 0)
+
+
+def test_figures_of_attention_are_drawn_from_the_answers():
+    scene = attention.scene_of("f1", 4, 1, 0)
+    short = {"gassl(preset='paper')": "gassl(preset='paper', steps=3)", "gassl": "gassl(steps=60)"}
+    answers = {name: attention.detect(scene, quick) for name, quick in short.items()}
+    heads = attention.heads_figure(scene, answers)
+    assert len([axes for axes in heads.axes if axes.images]) == 7  # two alphas and five heads
+    shown = heads.axes[1].images[0].get_array()
+    np.testing.assert_array_equal(shown, answers["gassl"].attention)
+    assert len(attention.sizes_figure([scene], [answers]).axes) == 2
+    hierarchy = attention.hierarchy_figure(scene, answers)
+    strong = (answers["gassl"].attention > 0.02) & ~np.eye(5, dtype=bool)
+    assert len(hierarchy.axes[1].lines) == strong.sum()
