@@ -9,6 +9,9 @@ import json
 import sys
 from pathlib import Path
 
+from usnet_env.reproduce.detection_rate import Cell, Row, rate_of, read_rows
+from usnet_env.reproduce.table2 import paper_rates
+
 RESULTS = Path(__file__).parent / "results"
 README = Path(__file__).parent.parent / "README.md"
 FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
@@ -64,12 +67,41 @@ def multi_cluster() -> str:
     return "\n".join(lines)
 
 
+def detection_rates() -> str:
+    """P1: rates of naming the head alone over the cells of the paper's table, with and without decoys."""
+    lines = ["| P1, one cluster | heads | decoys | cells | episodes | head alone named | lowest cell |"]
+    lines.append("| --- |" + " --- |" * 6)
+    theirs = [rate.mean for rate in paper_rates().values()]
+    mean, least = 100 * sum(theirs) / len(theirs), 100 * min(theirs)
+    lines.append(f"| the paper's table | iid | 0 | 70 | 70,000 | {mean:.1f} % | {least:.1f} % |")
+    for path in sorted((RESULTS / "table2").glob("episodes*.csv"), key=lambda path: (len(path.name), path.name)):
+        rows = read_rows(path)
+        for detector in dict.fromkeys(row.detector for row in rows):
+            own = [row for row in rows if row.detector == detector]
+            cells: dict[Cell, list[Row]] = {}
+            for row in own:
+                cells.setdefault(row.cell, []).append(row)
+            rates = [sum(row.hit for row in some) / len(some) for some in cells.values()]
+            heads = own[0].mobility + (" with jitter" if own[0].head_jitter else "")
+            overall = rate_of(own)
+            if overall is None:
+                continue
+            mean, low, high = (100 * value for value in overall[1])
+            where = f"{heads} | {own[0].decoys} | {len(cells)}"
+            lines.append(
+                f"| `{detector}` | {where} | {len(own):,} | {mean:.1f} % ({low:.1f}–{high:.1f}) "
+                f"| {100 * min(rates):.1f} % |"
+            )
+    return "\n".join(lines)
+
+
 def filled(text: str) -> str:
-    """The README with its table between the markers replaced."""
-    begin, end = "<!-- table:begin -->\n", "<!-- table:end -->"
-    before, rest = text.split(begin)
-    after = rest.split(end)[1]
-    return f"{before}{begin}{multi_cluster()}\n{end}{after}"
+    """The README with its tables between the markers replaced."""
+    for name, table in (("table", multi_cluster()), ("rates", detection_rates())):
+        begin, end = f"<!-- {name}:begin -->\n", f"<!-- {name}:end -->"
+        before, rest = text.split(begin)
+        text = f"{before}{begin}{table}\n{end}{rest.split(end)[1]}"
+    return text
 
 
 def main() -> int:

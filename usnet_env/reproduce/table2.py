@@ -126,7 +126,7 @@ def reproduce(
     """Measure the table's cells; an interrupted measurement goes on where it stopped.
 
     Args:
-        folder: gets ``episodes[-decoysK][-mobility].csv``, ``.md`` and ``.png``.
+        folder: gets ``episodes[-decoysK][-mobility][-jitter]-seedS.csv``, ``.md`` and ``.png``.
         episodes: a cell; ``None``: 100 up to m = 15, 30 above.
         cells: as :func:`parse_cells` takes them.
         presets: names of :data:`DETECTORS`.
@@ -156,6 +156,7 @@ def reproduce(
         progress(done, total)
 
     suffix = (f"-decoys{decoys}" if decoys else "") + (f"-{mobility}" if mobility != "iid" else "")
+    suffix += "-jitter" if head_jitter else ""
     path = folder / f"episodes{suffix}-seed{seed}.csv"
     rows = measure(tasks, seed, path, workers, advance)
     table = entries(rows)
