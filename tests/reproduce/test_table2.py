@@ -88,3 +88,13 @@ def test_figures_of_attention_are_drawn_from_the_answers():
     hierarchy = attention.hierarchy_figure(scene, answers)
     strong = (answers["gassl"].attention > 0.02) & ~np.eye(5, dtype=bool)
     assert len(hierarchy.axes[1].lines) == strong.sum()
+
+
+def test_a_second_measurement_joins_the_first_in_the_table(tmp_path, capsys):
+    words = ["reproduce", "table2", "--out", str(tmp_path), "--workers", "1", "--preset", "lagged-regression"]
+    for cell in ("f1:2", "f2:3"):
+        assert main([*words, "--cells", cell, "--episodes", "2"]) == 0
+    table = (tmp_path / "episodes-seed2022.md").read_text(encoding="utf-8")
+    assert "| f1 | lagged-regression(clusters=1) | 100.0" in table
+    assert "| f2 | lagged-regression(clusters=1) |  | 100.0" in table
+    capsys.readouterr()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from usnet_env.config import InvalidArgument, shown
 from usnet_env.evaluation.statistics import Interval, rate_interval
 from usnet_env.files import written_whole
-from usnet_env.reproduce.detection_rate import Cell, Row, measure, rate_of, tasks_for
+from usnet_env.reproduce.detection_rate import Cell, Row, measure, rate_of, read_rows, tasks_for
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -159,7 +159,7 @@ def reproduce(
     suffix += "-jitter" if head_jitter else ""
     path = folder / f"episodes{suffix}-seed{seed}.csv"
     rows = measure(tasks, seed, path, workers, advance)
-    table = entries(rows)
+    table = entries(read_rows(path))  # earlier measurements with the same seed stay in the table
     title = f"Detection rate, one cluster, {mobility} heads, {decoys} decoy{'s' if decoys != 1 else ''}"
     with written_whole(path.with_suffix(".md")) as aside:
         aside.write_text(markdown(table, title, with_paper=not suffix), encoding="utf-8")
