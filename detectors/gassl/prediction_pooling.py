@@ -146,19 +146,30 @@ class AdditiveNetwork:
 
 
 def held_out_times(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Indices of the times to train on, and of those held out: contiguous blocks with gaps on both sides."""
+    """Indices of the times to train on, and of those held out: a fifth of all, in blocks with gaps on both sides.
+
+    In a window in which that would leave less than a third of the times for training there are fewer blocks, and
+    longer ones, as every block costs two gaps; where even one block costs too much, there are no gaps.
+    """
+    for fewer in range(min(blocks, times), 0, -1):
+        held, near = _blocks(times, fewer, gap, device)
+        if (~near).sum() >= max(1, times // 3):
+            return (~near).nonzero()[:, 0], held.nonzero()[:, 0]
+    held, _ = _blocks(times, 1, gap, device)
+    used = ~held if times > 1 else held
+    return used.nonzero()[:, 0], held.nonzero()[:, 0]
+
+
+def _blocks(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Which times lie in evenly spread blocks, a fifth of all together, and which in a block or its gaps."""
     held = torch.zeros(times, dtype=torch.bool, device=device)
-    used = torch.ones(times, dtype=torch.bool, device=device)
+    near = torch.zeros(times, dtype=torch.bool, device=device)
     length = max(1, times // (5 * blocks))
     for block in range(blocks):
         first = int((block + 0.5) * times / blocks) - length // 2
         held[first : first + length] = True
-        used[max(0, first - gap) : first + length + gap] = False
-    if used.sum() < times // 3:  # a window too short for gaps
-        used = ~held
-    if not used.any():
-        used = torch.ones_like(used)
-    return used.nonzero()[:, 0], held.nonzero()[:, 0]
+        near[max(0, first - gap) : first + length + gap] = True
+    return held, near
 
 
 def own_history(samples: Samples, ridge: float, folds: int = 8) -> Tensor:

@@ -53,13 +53,14 @@ def test_the_null_predicts_smooth_flight_and_not_random_flight():
     assert explained(random) < 0.1
 
 
-@pytest.mark.parametrize("times", [96, 100, 70, 30])
-def test_held_out_times_are_apart_from_those_of_training(times):
+@pytest.mark.parametrize(("times", "blocks"), [(96, 4), (100, 4), (70, 4), (58, 3), (46, 2), (30, 1), (16, 1), (12, 0)])
+def test_held_out_times_are_apart_from_those_of_training(times, blocks):
     used, held = held_out_times(times, blocks=4, gap=4, device=CPU)
-    assert len(held) == 4 * max(1, times // 20)
+    assert len(held) == max(1, blocks) * (times // (5 * max(1, blocks)))
     assert sorted(set(held.tolist())) == held.tolist()
     assert len(used) >= times // 3
-    assert (used[:, None] - held[None]).abs().min() == (5 if times > 30 else 1)  # 30 are too few for gaps
+    assert (used[:, None] - held[None]).abs().min() == (5 if blocks else 1)  # 12 are too few for gaps
+    assert 1 + int((held.diff() > 1).sum()) == max(1, blocks)
 
 
 @pytest.mark.parametrize("times", [1, 2, 5, 9])
