@@ -9,7 +9,8 @@ candidate for "nobody".
 Training starts once from every candidate (all UAVs attend to j, which trains IFSN Γ_j), for all candidates at once.
 The IFSN is additive over the coordinates of the candidate's window: with some hundred samples the shape of the
 network, not attention, decides what it can learn. A start is judged by how much better than their own histories it
-predicts the UAVs, on the times that it was trained on and, for the gate, on times held out.
+predicts the UAVs, on the times that it was trained on and, counting twice, on those that it was not; for the gate on
+times held out, with gaps around them.
 """
 
 from __future__ import annotations
@@ -172,6 +173,13 @@ def _blocks(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Te
     return held, near
 
 
+def _others(used: Tensor, times: int) -> Tensor:
+    """Indices of the times that are not trained on; all of them where none is left."""
+    rest = torch.ones(times, dtype=torch.bool, device=used.device)
+    rest[used] = False
+    return (rest if rest.any() else ~rest).nonzero()[:, 0]
+
+
 def own_history(samples: Samples, ridge: float, folds: int = 8) -> Tensor:
     """The null: each UAV's next velocity from its own last ones, ``(E, n, R, 3)``, by cross-fitted ridge regression."""
     windows, uavs, times = samples.windows, samples.uavs, samples.times
@@ -199,6 +207,17 @@ def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
     return (values * weight).sum(-1) / weight.sum(-1).clamp(min=1.0)
 
 
+def _centred(velocity: Tensor) -> Tensor:
+    """Velocities ``(E, n, R, T_0, 3)`` less each UAV's mean; 0 where unseen.
+
+    The network's biases can undo it. Without it, the small turns of a UAV that flies nearly straight are hard to tell
+    from its mean flight, which weights are then busy with.
+    """
+    seen = (velocity != 0).any(-1, keepdim=True)
+    mean = velocity.sum((2, 3), keepdim=True) / seen.sum((2, 3), keepdim=True).clamp(min=1)
+    return torch.where(seen, velocity - mean, velocity)
+
+
 class _Problem:
     """The tensors of one fit, and errors of pairs from them."""
 
@@ -207,7 +226,7 @@ class _Problem:
         self.null = own_history(samples, settings.ridge)
         self.null_error = ((self.null - samples.target) ** 2).sum(-1)  # (E, n, R)
         windows, uavs, times = samples.windows, samples.uavs, samples.times
-        self.source = _VELOCITY_SCALE * samples.velocity.reshape(windows * uavs, times, -1)
+        self.source = _VELOCITY_SCALE * _centred(samples.velocity).reshape(windows * uavs, times, -1)
         surprise = (_weighted_mean(self.null_error, samples.weight) / 3.0).sqrt()
         self.noise = (settings.input_noise * _VELOCITY_SCALE * surprise).reshape(-1, 1, 1)
 
@@ -263,17 +282,18 @@ def fit_prediction_pooling(samples: Samples, settings: PredictionPooling, genera
     everyone = torch.arange(uavs, device=device)
     with torch.no_grad():
         gains = []
-        for times in (used, held):
+        for times in (used, held, _others(used, samples.times)):
             weight = samples.weight[:, :, times]
             null = _weighted_mean(problem.null_error[:, :, times], weight)
             errors = _all_errors(problem, network, everyone, times)
             gains.append(torch.log((null.unsqueeze(2) + settings.floor) / (errors + settings.floor)))
-        trained, held_out = gains
+        trained, held_out, untrained = gains
         for gain in gains:
             gain.diagonal(dim1=1, dim2=2).zero_()
             gain.mul_((samples.weight.sum(-1) > 0).unsqueeze(2))
-        # Both kinds of times together, UAV by UAV: who is fitted well and predicted badly adds nothing.
-        better = (trained + held_out).clamp(min=0).sum(1)
+        # All times together, UAV by UAV: who is fitted well and predicted badly adds nothing. Times that were not
+        # trained on, the gaps among them, tell more (measured on nearly straight flight).
+        better = (trained + 2.0 * untrained).clamp(min=0).sum(1)
         ties = better == better.max(1, keepdim=True).values  # all of them where no start beats the null
         winner = (ties * (1.0 - torch.rand(ties.shape, generator=generator, device=device))).argmax(1)
         likelihood, explained = _attend(problem, network, winner, held)

@@ -81,7 +81,9 @@ def literal_error(network, problem, batch, e, i, j, times):
     for t in times.tolist():
         if batch.weight[e, i, t] == 0:
             continue
-        u = 1.7 * batch.velocity[e, j, t].reshape(-1).double()
+        there = (batch.velocity[e, j] != 0).any(-1)
+        centred = batch.velocity[e, j, t] - batch.velocity[e, j][there].mean(0)
+        u = 1.7 * (centred * there[t, :, None]).reshape(-1).double()
         output = bias[0].clone()
         for c in range(len(u)):
             units = slope.shape[1]
@@ -124,8 +126,10 @@ def test_gains_are_log_ratios_of_the_nulls_error(monkeypatch):
 
     monkeypatch.setattr(prediction_pooling, "_all_errors", watched)
     fit = fit_prediction_pooling(batch, settings, torch.Generator().manual_seed(0))
-    assert len(seen) == 2
-    for gain, (problem, times, errors) in zip((fit.trained_gain, fit.held_out_gain), seen, strict=True):
+    used, held, untrained = (times for _, times, _ in seen)  # the last for the choice of the winner
+    assert sorted([*used.tolist(), *untrained.tolist()]) == list(range(batch.times))
+    assert set(held.tolist()) < set(untrained.tolist())
+    for gain, (problem, times, errors) in zip((fit.trained_gain, fit.held_out_gain), seen[:2], strict=True):
         for e, i, j in np.ndindex(2, 4, 4):
             weight = batch.weight[e, i, times]
             null = (problem.null_error[e, i, times] * weight).sum() / weight.sum()
