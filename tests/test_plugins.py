@@ -281,3 +281,72 @@ def test_a_stranger_cannot_take_the_name_of_ours(installed):
     installed(("random", "a_stranger:Random"))
     with pytest.warns(UserWarning, match="detector 'random' of an unnamed distribution is ignored"):
         assert type(make_detector("random")).__name__ == "RandomDetector"
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        ("import sys; sys.exit('no licence')", "SystemExit: no licence"),
+        ("import nothing_of_that_name", "ModuleNotFoundError: No module named 'nothing_of_that_name'"),
+        ("def broken(:", "SyntaxError: invalid syntax"),
+        ("X = 3", "must be a class or a function that makes one, got 3"),
+        ("", "AttributeError: .*has no attribute 'X'"),
+    ],
+)
+def test_however_a_stranger_breaks_the_others_are_listed(installed, tmp_path, monkeypatch, source, reason):
+    (tmp_path / "breaks.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "breaks", raising=False)
+    installed(("broken", "breaks:X"), ("stranger", f"{__name__}:Mine"))
+    with pytest.warns(UserWarning, match=f"detector 'broken' .*{reason}"):
+        lines = describe_detectors()
+    assert lines["broken"].startswith("not available: detector 'broken' ")
+    assert lines["stranger"] == "Names the first few."
+    assert set(BUILT_IN) <= set(lines)
+    assert detector_label(make_detector("stranger")) == "stranger"
+    with pytest.raises(InvalidArgument, match=reason):
+        make_detector("broken")
+
+
+@pytest.mark.parametrize(("name", "value"), [("odd", "not a value!"), ("odd", ""), ("an odd name", "a:B")])
+def test_an_entry_point_that_nobody_could_load_is_left_out(installed, name, value):
+    installed((name, value), ("stranger", f"{__name__}:Mine"))
+    with pytest.warns(UserWarning, match=f"detector '{name}' .* is ignored: an entry point must be written"):
+        names = detector_names()
+    assert "stranger" in names
+    assert name not in names
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert detector_label(Unhashable()) == "Unhashable"
+
+
+def test_distributions_without_metadata_harm_nobody(monkeypatch):
+    class Half:
+        @property
+        def name(self):
+            raise KeyError("Name")
+
+    class Nameless:
+        name = None
+
+    real = list(importlib.metadata.entry_points(group=plugins.GROUP))
+    extra = []
+    for number, distribution in enumerate((Half(), Nameless())):
+        point = importlib.metadata.EntryPoint(f"half-{number}", f"{__name__}:Mine", plugins.GROUP)
+        vars(point).update(dist=distribution)
+        extra.append(point)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [*extra, *real])
+    assert {"half-0", "half-1", *BUILT_IN} <= set(detector_names())
+    assert make_detector("half-1(count=3)").count == 3
+
+
+def test_all_three_ways_end_in_one_registry(installed):
+    installed(("by-entry-point", f"{__name__}:Mine"))
+    register_detector("by-hand", NeedsOne)
+    made = [make_detector(name, count=3) for name in ("by-entry-point", "by-hand", f"{__name__}:Mine")]
+    assert [type(detector).__name__ for detector in made] == ["Mine", "NeedsOne", "Mine"]
+    assert [detector_label(detector) for detector in made] == [
+        "by-entry-point(count=3)",
+        "by-hand(count=3)",
+        "by-entry-point(count=3)",
+    ]

@@ -307,6 +307,44 @@ def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
+@_usnet.command(name="check-detector")
+@click.argument("name", metavar="NAME")
+@click.option(
+    "--expect",
+    "expected",
+    multiple=True,
+    metavar="CHECK=REASON",
+    help="A check that this detector can't pass, and why. May repeat.",
+)
+@click.option(
+    "--seconds", type=float, default=10.0, show_default=True, metavar="S", help="Time budget of an answer for 82 UAVs."
+)
+@click.pass_context
+def check_detector(ctx: click.Context, name: str, expected: tuple[str, ...], seconds: float) -> None:
+    """Check that a detector (a name or module:Class) keeps the contract; status 1 if it does not."""
+    reasons: dict[str, str] = {}
+    for word in expected:
+        check, equals, reason = word.partition("=")
+        if not equals:
+            raise InvalidArgument(f"--expect must be written check=reason, got {shown(word)}.")
+        reasons[check.strip()] = reason.strip()
+    from detectors import checks
+    from usnet_env.plugins import make_detector
+
+    done: list[checks.CheckResult] = []
+    with _bar("checks") as progress:
+
+        def count(result: checks.CheckResult) -> None:
+            done.append(result)
+            progress(len(done), len(checks.CHECKS))
+
+        checks.check_detector(
+            make_detector(name), expected_failed_checks=reasons, seconds=seconds, on_fail=None, callback=count
+        )
+    _print(checks.results_table(done))
+    ctx.exit(checks.exit_status(done))
+
+
 @_usnet.command(name="list")
 @click.argument("what", type=click.Choice(["envs", "detectors", "follow", "mobility"]))
 def list_(what: str) -> None:

@@ -117,7 +117,7 @@ def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
         detector = factory(**given)
     except InvalidArgument:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InvalidArgument(f"detector {plain!r} could not be made: {_reason(error)}.") from error
     if isinstance(detector, type) or not isinstance(detector, DetectorLike):
         raise InvalidArgument(
@@ -251,9 +251,19 @@ def _literals(text: str, inner: str) -> dict[str, Any]:
 
 
 def _entry_points() -> dict[str, EntryPoint]:
-    """The entry points of the group by name. A stranger can't take the name of a detector of ours."""
+    """The entry points of the group by name. A stranger can't take the name of a detector of ours.
+
+    One that nobody could load is left out with a warning, so that it stands in nobody's way.
+    """
     found: dict[str, EntryPoint] = {}
     for point in sorted(entry_points(group=GROUP), key=_foreign):
+        if EntryPoint.pattern.match(point.value) is None or not _NAME.fullmatch(point.name):
+            warnings.warn(
+                f"detector {point.name!r} of {_distribution(point)} is ignored: an entry point must be written "
+                f"name = module:Class, got {shown(f'{point.name} = {point.value}')}.",
+                stacklevel=3,
+            )
+            continue
         taken = found.setdefault(point.name, point)
         if taken.value != point.value:
             warnings.warn(
@@ -265,7 +275,11 @@ def _entry_points() -> dict[str, EntryPoint]:
 
 
 def _distribution(point: EntryPoint) -> str:
-    return point.dist.name if point.dist is not None else "an unnamed distribution"
+    try:
+        name = point.dist.name if point.dist is not None else None
+    except Exception:  # half-removed distributions have lost their metadata
+        name = None
+    return name or "an unnamed distribution"
 
 
 def _foreign(point: EntryPoint) -> tuple[bool, str]:
@@ -296,7 +310,7 @@ def _attribute(module: str, path: str) -> Any:
 def _loaded(name: str, load: Callable[[], Any]) -> Factory:
     try:
         factory = load()
-    except Exception as error:  # whatever happens while a stranger's module is imported
+    except (Exception, SystemExit) as error:  # whatever happens while a stranger's module is imported
         raise InvalidArgument(f"detector {name!r} can't be loaded: {_reason(error)}.") from error
     if not callable(factory):
         raise InvalidArgument(f"detector {name!r} must be a class or a function that makes one, got {shown(factory)}.")
@@ -304,7 +318,7 @@ def _loaded(name: str, load: Callable[[], Any]) -> Factory:
     return made
 
 
-def _reason(error: Exception) -> str:
+def _reason(error: BaseException) -> str:
     """An exception in a few words on one line."""
     text = " ".join(str(error).split()).rstrip(".")
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

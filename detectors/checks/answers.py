@@ -1,0 +1,100 @@
+"""Checks of the answers: every swarm gets one, and nobody who is gone is named."""
+
+from __future__ import annotations
+
+from typing import Any
+from unittest import SkipTest
+
+import numpy as np
+
+from detectors.checks.asking import SEED, answers, checked, fresh, require
+from detectors.checks.windows import hovering, simulated, unseen_in_part
+from usnet_env.config import shown
+from usnet_env.window import Window
+
+__all__ = [
+    "check_answers_with_a_detection",
+    "check_batch",
+    "check_large_swarm",
+    "check_masked_uavs_are_never_candidates",
+    "check_missing_samples",
+    "check_scores_are_finite",
+    "check_single_cluster",
+    "check_smallest_swarm",
+]
+
+SMALLEST, LARGE = 3, 237  # N
+
+
+def check_answers_with_a_detection(detector: Any) -> None:
+    """``detect`` gives a ``Detection`` for all N UAVs, after ``reset(seed)``, ``reset(None)`` and ``reset()``."""
+    own, window = fresh(detector), simulated()
+    answers(own, [window, simulated(seed=1, destroyed=3, round=2)])
+    answers(own, [window], seed=None)
+    own.reset()
+    checked(own.detect(window), window)
+
+
+def check_smallest_swarm(detector: Any) -> None:
+    """N = 3: a head and two followers."""
+    answers(fresh(detector), [simulated(clusters=1, uavs=SMALLEST)])
+
+
+def check_large_swarm(detector: Any) -> None:
+    """N = 237 in 11 clusters, a number that divides into nothing."""
+    answers(fresh(detector), [simulated(clusters=11, uavs=LARGE)])
+
+
+def check_single_cluster(detector: Any) -> None:
+    """M = 1, whatever M the detector was told."""
+    answers(fresh(detector), [simulated(clusters=1, uavs=16)])
+
+
+def check_masked_uavs_are_never_candidates(detector: Any) -> None:
+    """A destroyed UAV is never a candidate, be few or nearly all of them gone."""
+    for destroyed in (4, 17):
+        window = simulated(uavs=20, destroyed=destroyed, round=2)
+        for seed in (SEED, SEED + 1, SEED + 2):
+            _only_the_living(fresh(detector), window, seed)
+
+
+def _only_the_living(detector: Any, window: Window, seed: int) -> None:
+    (answer,) = answers(detector, [window], seed)
+    dead = np.flatnonzero(answer.candidates & ~window.alive)
+    require(not len(dead), f"a destroyed UAV must not be a candidate, got {shown(dead.tolist())}.")
+
+
+def check_missing_samples(detector: Any) -> None:
+    """An answer where samples are missing: 3 in 10, one UAV's all, and everybody's at some instants."""
+    window = unseen_in_part()
+    _only_the_living(fresh(detector), window, SEED)
+
+
+def check_scores_are_finite(detector: Any) -> None:
+    """Scores are finite, and ``extras["probability"]`` lies in [0, 1], where UAVs hover and where they fly."""
+    for window in (simulated(), hovering(), unseen_in_part(seed=1)):
+        (answer,) = answers(fresh(detector), [window])
+        require(bool(np.isfinite(answer.scores).all()), "scores must be finite, got NaN or infinity.")
+        if "probability" in answer.extras:
+            value = np.asarray(answer.extras["probability"])
+            require(
+                value.shape == (window.uavs,) and bool(((value >= 0) & (value <= 1)).all()),
+                f"extras['probability'] must hold {window.uavs} numbers from 0 to 1, got {shown(value)}.",
+            )
+
+
+def check_batch(detector: Any) -> None:
+    """``detect_batch`` answers every window, in order, for swarms of unequal size, and leaves the list as it is."""
+    own = fresh(detector)
+    if not callable(getattr(own, "detect_batch", None)):
+        raise SkipTest("it has no detect_batch.")
+    windows = [simulated(uavs=uavs, seed=uavs) for uavs in (14, 11, 14, 9)]
+    given = list(windows)
+    own.reset(SEED)
+    batch = own.detect_batch(given)
+    require(isinstance(batch, list), f"detect_batch must return a list, got {shown(batch)}.")
+    require(len(batch) == len(windows), f"detect_batch must give {len(windows)} answers, got {len(batch)}.")
+    for answer, window in zip(batch, windows, strict=True):
+        checked(answer, window)
+    unchanged = len(given) == len(windows) and all(a is b for a, b in zip(given, windows, strict=True))
+    require(unchanged, "detect_batch must leave the list of windows as it is.")

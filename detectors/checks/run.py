@@ -1,0 +1,262 @@
+"""Running the checks: all of them with a verdict each, one pytest case each, or as a table with an exit status."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+from unittest import SkipTest
+
+from detectors.checks.answers import (
+    check_answers_with_a_detection,
+    check_batch,
+    check_large_swarm,
+    check_masked_uavs_are_never_candidates,
+    check_missing_samples,
+    check_scores_are_finite,
+    check_single_cluster,
+    check_smallest_swarm,
+)
+from detectors.checks.arguments import check_constructor_only_stores, check_parameters_and_clone, check_pickling
+from detectors.checks.asking import CheckFailed
+from detectors.checks.repeatability import (
+    check_episodes_start_afresh,
+    check_permuting_uavs_permutes_the_answer,
+    check_same_seed_same_answer,
+)
+from detectors.checks.surroundings import (
+    SECONDS,
+    check_global_generators_untouched,
+    check_input_unchanged,
+    check_process_settings_untouched,
+    check_time_budget,
+)
+from detectors.checks.truth import check_no_reach_for_truth, check_truth_nearby_changes_nothing
+from usnet_env.config import InvalidArgument, shown, unknown_name
+
+if TYPE_CHECKING:
+    import pytest
+    from rich.table import Table
+
+__all__ = [
+    "CHECKS",
+    "CheckResult",
+    "DetectorChecksFailed",
+    "check_detector",
+    "exit_status",
+    "parametrize_with_checks",
+    "results_table",
+]
+
+Check = Callable[[Any], None]
+Status = Literal["passed", "failed", "expected failure", "skipped"]
+
+#: All checks in the order in which they run. What a detector does to the process shows the first time only; then come
+#: those that explain later failures, and last the slow ones.
+CHECKS: tuple[Check, ...] = (
+    check_process_settings_untouched,
+    check_global_generators_untouched,
+    check_constructor_only_stores,
+    check_parameters_and_clone,
+    check_answers_with_a_detection,
+    check_smallest_swarm,
+    check_single_cluster,
+    check_masked_uavs_are_never_candidates,
+    check_missing_samples,
+    check_scores_are_finite,
+    check_batch,
+    check_input_unchanged,
+    check_same_seed_same_answer,
+    check_episodes_start_afresh,
+    check_permuting_uavs_permutes_the_answer,
+    check_pickling,
+    check_no_reach_for_truth,
+    check_truth_nearby_changes_nothing,
+    check_large_swarm,
+    check_time_budget,
+)
+_NAMES = tuple(check.__name__ for check in CHECKS)
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """The verdict of one check.
+
+    Args:
+        check: name of the check.
+        status: ``"passed"``, ``"failed"``, ``"expected failure"`` or ``"skipped"``.
+        reason: why it failed, or was expected to or skipped; empty where it passed as it should.
+        seconds: how long it took.
+        error: what the check raised, with its traceback.
+    """
+
+    check: str
+    status: Status
+    reason: str
+    seconds: float
+    error: Exception | None = None
+
+
+class DetectorChecksFailed(AssertionError):
+    """A detector did not pass; ``results`` holds every verdict."""
+
+    def __init__(self, detector: Any, results: Sequence[CheckResult]) -> None:
+        self.results = list(results)
+        failed = [result for result in results if result.status == "failed"]
+        lines = "".join(f"\n  {result.check}: {result.reason}" for result in failed)
+        super().__init__(f"{type(detector).__name__} fails {len(failed)} of {len(results)} checks:{lines}")
+
+
+def check_detector(
+    detector: Any,
+    *,
+    expected_failed_checks: Mapping[str, str] | None = None,
+    seconds: float = SECONDS,
+    on_fail: Literal["raise"] | None = "raise",
+    callback: Callable[[CheckResult], None] | None = None,
+) -> list[CheckResult]:
+    """Run all conformance checks on a detector of one's own, as ``check_estimator`` does in scikit-learn.
+
+    Args:
+        detector: an object with ``detect`` and ``reset``. The checks work with copies of it; what it has been fitted to
+            is kept.
+        expected_failed_checks: for checks that this detector can't pass, by name: the reason.
+        seconds: the time budget of an answer for 82 UAVs and T_ob = 100.
+        on_fail: ``"raise"``, or ``None`` to look at the results.
+        callback: called with each result as it comes.
+
+    Returns:
+        A result for every check, in the order of :data:`CHECKS`. An expected failure that doesn't fail has passed.
+
+    Raises:
+        DetectorChecksFailed: a check failed that was not expected to (after all checks have run).
+        InvalidArgument: an argument is refused: no detector, no such check, a reason that is none.
+    """
+    if on_fail not in ("raise", None):
+        raise InvalidArgument(f"on_fail must be 'raise' or None, got {shown(on_fail)}.")
+    excuses = _checked_excuses(_checked_detector(detector), expected_failed_checks)
+    results = []
+    for check in _checks(seconds):
+        results.append(_result(check, detector, excuses))
+        if callback is not None:
+            callback(results[-1])
+    if on_fail == "raise" and any(result.status == "failed" for result in results):
+        raise DetectorChecksFailed(detector, results)
+    return results
+
+
+def parametrize_with_checks(
+    detectors: Iterable[Any],
+    *,
+    expected_failed_checks: Callable[[Any], Mapping[str, str] | None] | None = None,
+    seconds: float = SECONDS,
+) -> pytest.MarkDecorator:
+    """A pytest decorator with one case for every detector and check.
+
+    The test function takes ``detector`` and ``check`` and calls ``check(detector)``.
+
+    Args:
+        detectors: objects with ``detect`` and ``reset``.
+        expected_failed_checks: given a detector, the reasons by name of the checks that it can't pass; these cases are
+            marked ``xfail``.
+        seconds: the time budget of an answer for 82 UAVs and T_ob = 100.
+
+    Raises:
+        InvalidArgument: as :func:`check_detector`.
+    """
+    import pytest  # whoever uses this has it; the checks themselves need none
+
+    cases = []
+    for detector in detectors:
+        found = expected_failed_checks(detector) if expected_failed_checks is not None else None
+        excuses = _checked_excuses(_checked_detector(detector), found)
+        for check in _checks(seconds):
+            name = _name(check)
+            marks = [pytest.mark.xfail(reason=excuses[name], strict=False)] if name in excuses else []
+            # The default representation holds an address, which would differ between pytest-xdist's workers.
+            plain = type(detector).__repr__ is object.__repr__
+            label = type(detector).__name__ if plain else " ".join(repr(detector).split())[:60]
+            cases.append(pytest.param(detector, check, marks=marks, id=f"{label}-{name}"))
+    return pytest.mark.parametrize(("detector", "check"), cases)
+
+
+def results_table(results: Sequence[CheckResult]) -> Table:
+    """A table for a terminal, with a row a check and a line that counts them."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    colours = {"passed": "green", "failed": "bold red", "expected failure": "yellow", "skipped": "dim"}
+    counts: Counter[str] = Counter(result.status for result in results)
+    caption = ", ".join(f"{counts[status]} {status}" for status in colours if counts[status])
+    table = Table(box=SIMPLE_HEAD, caption=f"{len(results)} checks: {caption}", caption_justify="left")
+    for heading in ("check", "result", "s", "reason"):
+        table.add_column(heading, justify="right" if heading == "s" else "left", overflow="fold")
+    for result in results:
+        verdict = Text(result.status, style=colours[result.status])
+        table.add_row(Text(result.check), verdict, f"{result.seconds:.2f}", Text(result.reason))
+    return table
+
+
+def exit_status(results: Sequence[CheckResult]) -> int:
+    """The exit status of a command that ran the checks: 1 if one failed that was not expected to, else 0."""
+    return int(any(result.status == "failed" for result in results))
+
+
+def _checks(seconds: float) -> list[Check]:
+    """All checks, with the time budget filled in."""
+    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0:
+        raise InvalidArgument(f"seconds must be a number above 0, got {shown(seconds)}.")
+    budget = functools.partial(check_time_budget, seconds=float(seconds))
+    return [budget if check is check_time_budget else check for check in CHECKS]
+
+
+def _name(check: Check) -> str:
+    name: str = (check.func if isinstance(check, functools.partial) else check).__name__
+    return name
+
+
+def _checked_detector(detector: Any) -> Any:
+    methods = all(callable(getattr(detector, method, None)) for method in ("detect", "reset"))
+    if isinstance(detector, type) or not methods:
+        raise InvalidArgument(f"detector must be an object with detect(window) and reset(seed), got {shown(detector)}.")
+    return detector
+
+
+def _checked_excuses(detector: Any, excuses: Mapping[str, str] | None) -> Mapping[str, str]:
+    for name, reason in (excuses or {}).items():
+        if name not in _NAMES:
+            raise unknown_name("expected_failed_checks", name, _NAMES)
+        if not isinstance(reason, str) or not reason.strip():
+            raise InvalidArgument(
+                f"expected_failed_checks must give a reason for {name} of {type(detector).__name__}, "
+                f"got {shown(reason)}."
+            )
+    return excuses or {}
+
+
+def _result(check: Check, detector: Any, excuses: Mapping[str, str]) -> CheckResult:
+    name = _name(check)
+    begin = time.perf_counter()
+    error: Exception | None = None
+    status: Status = "passed"
+    reason = f"passed, though expected to fail: {excuses[name]}" if name in excuses else ""
+    try:
+        check(detector)
+    except SkipTest as skip:
+        status, reason = "skipped", str(skip)
+    except Exception as failure:
+        error = failure
+        status, reason = "failed", _sentence(failure)
+        if name in excuses:
+            status, reason = "expected failure", f"{excuses[name]} ({reason})"
+    return CheckResult(name, status, reason, time.perf_counter() - begin, error)
+
+
+def _sentence(failure: Exception) -> str:
+    """A failure on one line: the check's own sentence, or what the detector raised."""
+    text = " ".join(str(failure).split())
+    return text if isinstance(failure, CheckFailed) else f"{type(failure).__name__}: {text}".rstrip(": ")

@@ -1,0 +1,136 @@
+"""Checks that a detector leaves the world around it as it was, and doesn't take all day."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import numpy as np
+from sklearn.base import clone
+from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
+
+from detectors.checks.asking import SEED, answers, fresh, require
+from detectors.checks.windows import simulated
+from usnet_env.window import Window
+
+__all__ = [
+    "check_global_generators_untouched",
+    "check_input_unchanged",
+    "check_process_settings_untouched",
+    "check_time_budget",
+]
+
+_NOBODYS_SEED = 2_718_281_828
+SECONDS = 10.0  # a window of the paper's size: N = 82, T_ob = 100
+
+
+def check_input_unchanged(detector: Any) -> None:
+    """The window holds the same arrays with the same bits afterwards, still read-only."""
+    window = simulated(miss_rate=0.1, destroyed=2, round=2)
+    arrays = {name: (value, value.tobytes()) for name, value in vars(window).items() if isinstance(value, np.ndarray)}
+    answers(fresh(detector), [window])
+    for name, (array, content) in arrays.items():
+        same = getattr(window, name) is array and array.tobytes() == content and not array.flags.writeable
+        require(same, f"detect must leave the window as it is, got another {name}.")
+    require(window.round == 2, f"detect must leave the window as it is, got round {window.round!r}.")
+
+
+def check_global_generators_untouched(detector: Any) -> None:
+    """The global generators of Python, NumPy and (if imported) PyTorch are neither seeded nor drawn from."""
+    changed = ""
+    for _ in range(2):  # the first round may import what the second uses
+        with _generators_elsewhere():
+            changed = changed or _changed(detector, _generators)
+    require(not changed, f"a detector must draw from a generator of its own, got draws or seeds of {changed}.")
+
+
+def check_process_settings_untouched(detector: Any) -> None:
+    """Thread counts (BLAS, OpenMP, Numba, PyTorch), NumPy's error handling and PyTorch's defaults stay as they are."""
+    changed = _changed(detector, _settings) or _changed(
+        detector, _settings
+    )  # the first may import what the second uses
+    require(not changed, f"a detector must leave the settings of the process alone, got a change of {changed}.")
+
+
+def check_time_budget(detector: Any, seconds: float = SECONDS) -> None:
+    """One answer for 82 UAVs and T_ob = 100 takes at most ``seconds``.
+
+    The first answer, in which something may be compiled or loaded, does not count.
+    """
+    own, window = fresh(detector), simulated(clusters=5, uavs=82, observation_steps=100)
+    answers(own, [window])
+    best = np.inf
+    for _ in range(3):  # another process may slow one of them down
+        begin = time.perf_counter()
+        answers(own, [window])
+        best = min(best, time.perf_counter() - begin)
+        if best <= seconds:
+            return
+    require(False, f"an answer for 82 UAVs must take at most {seconds:g} s, got {best:.3g} s.")
+
+
+def _changed(detector: Any, state: Callable[[], dict[str, Any]]) -> str:
+    """Names of what differs after a small life of the detector, of what was there before."""
+    before = state()
+    _live(detector, [simulated(), simulated(seed=1, destroyed=3, round=2)])
+    after = state()
+    return ", ".join(name for name in before if after.get(name, before[name]) != before[name])
+
+
+def _live(detector: Any, windows: list[Window]) -> None:
+    with suppress(Exception):  # another check tells
+        clone(detector)
+    own = fresh(detector)
+    answers(own, windows)
+    if callable(getattr(own, "detect_batch", None)):
+        own.reset(SEED)
+        own.detect_batch(windows)
+
+
+@contextmanager
+def _generators_elsewhere() -> Iterator[None]:
+    """Every global generator at a place where no seed of a detector's choice puts it; afterwards as it was."""
+    numpy, python, torch = sys.modules["numpy.random"], sys.modules["random"], sys.modules.get("torch")
+    kept = numpy.get_state(), python.getstate(), torch.get_rng_state() if torch else None
+    numpy.seed(_NOBODYS_SEED)
+    python.seed(_NOBODYS_SEED)
+    if torch:
+        torch.default_generator.manual_seed(_NOBODYS_SEED)
+    try:
+        yield
+    finally:
+        numpy.set_state(kept[0])
+        python.setstate(kept[1])
+        if torch:
+            torch.set_rng_state(kept[2])
+
+
+def _generators() -> dict[str, Any]:
+    """State of every global generator. By ``sys.modules``: what nobody has imported, nobody has used."""
+    kind, keys, *rest = sys.modules["numpy.random"].get_state()
+    states: dict[str, Any] = {"numpy.random": (kind, keys.tobytes(), rest), "random": sys.modules["random"].getstate()}
+    if torch := sys.modules.get("torch"):
+        states["torch"] = torch.get_rng_state().numpy().tobytes()
+        if torch.cuda.is_initialized():
+            states["torch.cuda"] = [state.numpy().tobytes() for state in torch.cuda.get_rng_state_all()]
+    return states
+
+
+def _settings() -> dict[str, Any]:
+    """Settings of the process; a library that is loaded later brings pools of its own."""
+    values: dict[str, Any] = {f"threads of {pool['filepath']}": pool["num_threads"] for pool in threadpool_info()}
+    values["numpy.geterr"] = np.geterr()
+    if numba := sys.modules.get("numba"):
+        # Asking Numba starts its threads, which sets those of OpenMP: before they run, their number is the default.
+        parallel = sys.modules.get("numba.np.ufunc.parallel")
+        running = parallel is not None and getattr(parallel, "_is_initialized", False)
+        values["threads of numba"] = numba.get_num_threads() if running else numba.config.NUMBA_NUM_THREADS
+    if torch := sys.modules.get("torch"):
+        values["threads of torch"] = torch.get_num_threads()
+        values["torch.get_default_dtype"] = torch.get_default_dtype()
+        values["torch.is_grad_enabled"] = torch.is_grad_enabled()
+        values["torch.are_deterministic_algorithms_enabled"] = torch.are_deterministic_algorithms_enabled()
+    return values

@@ -1,0 +1,169 @@
+"""Checks that no truth is in reach: no environment, no swarm, and no generator but the detector's own."""
+
+from __future__ import annotations
+
+import functools
+import gc
+import random
+import sys
+import types
+import weakref
+from collections import deque
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.checks.asking import answers, difference, fresh, require
+from detectors.checks.windows import simulated, swarm_with_heads
+from usnet_env.detection import Detection
+from usnet_env.window import Window
+
+__all__ = ["check_no_reach_for_truth", "check_truth_nearby_changes_nothing", "reached", "truth_in_reach"]
+
+_WORLD = ("usnet_env.swarm", "usnet_env.envs", "usnet_env.multiagent", "usnet_env.evaluation")
+_ENVIRONMENTS = {"Env", "VectorEnv", "VecEnv", "AECEnv", "ParallelEnv", "EnvBase"}
+_FRAMEWORKS = {"gymnasium", "gym", "pettingzoo", "stable_baselines3", "torchrl", "supersuit", "shimmy"}
+_LEAVES = (str, bytes, int, float, complex, bool, types.NoneType, type, types.ModuleType, types.CodeType)
+_GENERATORS = (np.random.Generator, np.random.BitGenerator, sys.modules["numpy.random"].RandomState, random.Random)
+
+
+def check_no_reach_for_truth(detector: Any) -> None:
+    """No environment or swarm can be reached from the window, the detector or its answer; generators are its own.
+
+    Walked are attributes, containers, closures and class attributes. A generator that two copies of a detector share,
+    or the global one, is nobody's own.
+    """
+    window, later = simulated(), simulated(seed=1, destroyed=3, round=2)
+    own, other = fresh(detector), fresh(detector)
+    given = answers(own, [window, later])
+    answers(other, [window, later])
+    for root, name in ((window, "window"), (own, "detector"), (given, "detection")):
+        found = truth_in_reach(root, name)
+        require(not found, f"no truth must be in reach, got {found}.")
+    (path, _), *_ = [*_generators_of(window, "window"), ("", None)]
+    require(not path, f"no generator must be in reach of the window, got one at {path}.")
+    mine = list(_generators_of(own, "detector"))
+    others = {id(thing) for _, thing in _generators_of(other, "detector")} | _global_generators()
+    shared = [path for path, thing in mine if id(thing) in others]
+    require(not shared, f"a detector must have a generator of its own, got a shared one at {', '.join(shared[:1])}.")
+
+
+def check_truth_nearby_changes_nothing(detector: Any) -> None:
+    """The answer is the same whatever the truth in the caller's frame says: nobody looks there, or searches memory."""
+    last = simulated().uavs - 1
+    gc.collect()  # whoever searches memory should find the one that lies here
+    given = [_answer_beside(detector, simulated(), np.array(heads)) for heads in ([0, 1], [last - 1, last])]
+    different = difference(*given)
+    require(not different, f"the answer must not depend on a swarm that is somewhere in memory: {different}.")
+
+
+def _answer_beside(detector: Any, window: Window, heads: NDArray[np.intp]) -> Detection:
+    """An answer, while a swarm with those heads lies in the frame that asks for it."""
+    state = swarm_with_heads(window, heads)
+    (answer,) = answers(fresh(detector), [window])
+    del state
+    return answer
+
+
+def truth_in_reach(root: Any, name: str) -> str:
+    """Where the first environment or part of a simulated swarm is reached from ``root``; empty if there is none."""
+    for path, thing in reached(root, name):
+        if _is_truth(thing):
+            return f"{path}, a {type(thing).__module__}.{type(thing).__qualname__}"
+    return ""
+
+
+def _is_truth(thing: Any) -> bool:
+    for kind in type(thing).__mro__:
+        module = kind.__module__
+        if module.startswith(_WORLD):
+            return True
+        if kind.__name__ in _ENVIRONMENTS and module.partition(".")[0] in _FRAMEWORKS:
+            return True
+    return False
+
+
+def _generators_of(root: Any, name: str) -> Iterator[tuple[str, Any]]:
+    torch = sys.modules.get("torch")
+    kinds = (*_GENERATORS, torch.Generator) if torch is not None else _GENERATORS
+    return ((path, thing) for path, thing in reached(root, name) if isinstance(thing, kinds))
+
+
+def _global_generators() -> set[int]:
+    """Identities of the generators behind the functions of ``random``, ``numpy.random`` and ``torch``."""
+    owners = [getattr(sys.modules["random"], "random", None), getattr(sys.modules["numpy.random"], "random", None)]
+    found = {id(owner.__self__) for owner in owners if owner is not None}
+    if torch := sys.modules.get("torch"):
+        found.add(id(torch.default_generator))
+    return found
+
+
+def reached(root: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Everything that can be reached from ``root`` with the way there, nearest first, each thing once.
+
+    Not followed: modules, classes (but their data), and the globals of functions, from where everything is in reach.
+    """
+    seen = {id(root)}
+    alive = [root]  # an identity means nothing once its thing is gone
+    waiting = deque([(name, root)])
+    while waiting:
+        path, thing = waiting.popleft()
+        yield path, thing
+        for step, child in _children(thing):
+            if id(child) not in seen and not isinstance(child, _LEAVES):
+                seen.add(id(child))
+                alive.append(child)
+                waiting.append((path + step, child))
+
+
+def _children(thing: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(thing, Mapping):
+        try:
+            yield from ((f"[{key!r}]"[:40], value) for key, value in list(thing.items()))
+        except Exception:  # a stranger's mapping may raise anything
+            return
+    elif isinstance(thing, list | tuple | set | frozenset | deque):
+        yield from ((f"[{number}]", value) for number, value in enumerate(list(thing)))
+    elif isinstance(thing, np.ndarray):
+        yield ".base", thing.base
+        if thing.dtype == object:
+            yield from ((f".flat[{number}]", value) for number, value in enumerate(thing.flat))
+    elif isinstance(thing, np.random.Generator):
+        yield ".bit_generator", thing.bit_generator
+    elif isinstance(thing, types.FunctionType):
+        cells = [cell for cell in thing.__closure__ or () if cell != types.CellType()]
+        yield from ((f".<closure {number}>", cell.cell_contents) for number, cell in enumerate(cells))
+        yield ".__defaults__", thing.__defaults__
+        yield ".__kwdefaults__", thing.__kwdefaults__
+    elif isinstance(thing, types.MethodType):
+        yield from ((".__self__", thing.__self__), (".__func__", thing.__func__))
+    elif isinstance(thing, functools.partial):
+        yield from ((".func", thing.func), (".args", thing.args), (".keywords", thing.keywords))
+    elif isinstance(thing, weakref.ref):
+        yield "()", thing()
+    elif isinstance(thing, types.GeneratorType) and thing.gi_frame is not None:
+        yield ".<locals>", dict(thing.gi_frame.f_locals)
+    elif not hasattr(thing, "__dict__"):
+        # Iterators and other things made in C, and slots: what the garbage collector knows of them.
+        yield from ((".<held>", child) for child in gc.get_referents(thing))
+        return
+    yield from ((f".{key}", value) for key, value in list(getattr(thing, "__dict__", {}).items()))
+    for kind in type(thing).__mro__:
+        if kind.__flags__ & _HEAP_TYPE and not isinstance(thing, types.FunctionType | types.MethodType):
+            yield from ((f".{key}", value) for key, value in vars(kind).items() if _is_data(key, value))
+            slots = getattr(kind, "__slots__", ())
+            for slot in (slots,) if isinstance(slots, str) else slots:
+                if slot not in ("__dict__", "__weakref__"):
+                    yield f".{slot}", getattr(thing, slot, None)
+
+
+_HEAP_TYPE = 1 << 9  # Py_TPFLAGS_HEAPTYPE: a class written in Python
+
+
+def _is_data(key: str, value: Any) -> bool:
+    """Whether a class attribute is data rather than a method, a property or a dunder."""
+    if isinstance(value, staticmethod | classmethod | types.FunctionType):
+        return False
+    return not key.startswith("__") and not hasattr(type(value), "__get__")

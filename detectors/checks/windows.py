@@ -1,0 +1,99 @@
+"""The windows that detectors are checked with: simulated swarms, and some that no detector can read anything from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
+from usnet_env.window import Window
+
+__all__ = ["hovering", "permuted", "simulated", "swarm_with_heads", "unseen_in_part"]
+
+
+def simulated(
+    clusters: int = 3,
+    uavs: int = 14,
+    *,
+    seed: int = 0,
+    destroyed: int = 0,
+    observation_steps: int = 60,
+    round: int = 1,
+    **config: Any,
+) -> Window:
+    """A window of a simulated swarm.
+
+    Args:
+        clusters: M.
+        uavs: N, at least 3 M.
+        seed: of the swarm.
+        destroyed: how many UAVs are gone, heads among them, as far as 1 head and 2 more UAVs are left.
+        observation_steps: T_ob.
+        round: number of the round.
+        config: more of :class:`usnet_env.swarm.SwarmConfig`.
+    """
+    swarm = SwarmConfig(clusters=clusters, uavs=uavs, observation_steps=observation_steps, **config)
+    rng = np.random.default_rng(seed)
+    state = start(swarm, [rng])
+    spared = np.flatnonzero(state.head[0])[:1]
+    order = rng.permutation(np.setdiff1d(np.arange(uavs), spared))
+    gone = np.zeros((1, uavs), bool)
+    gone[0, order[: min(destroyed, uavs - 3)]] = True
+    _, sighting = advance(swarm, destroy(state, gone), [rng])
+    return Window(sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0], round)
+
+
+def unseen_in_part(seed: int = 0) -> Window:
+    """A noisy window in which samples are missing: here and there, one UAV's all, and everybody's at some instants."""
+    window = simulated(seed=seed, miss_rate=0.3, position_noise=0.2, destroyed=2, round=2)
+    seen = window.seen.copy()
+    seen[:, np.flatnonzero(window.alive)[0]] = False
+    seen[[0, 20, 21]] = False
+    return _masked(window.position, window.velocity, seen, window.alive, window.round)
+
+
+def hovering(uavs: int = 8, steps: int = 60, *, together: bool = False, seed: int = 0) -> Window:
+    """Nobody moves: whoever divides by a spread divides by 0, and whoever is named is named by chance.
+
+    Args:
+        uavs: N.
+        steps: T_ob.
+        together: all at one point, so that only their indices tell them apart.
+        seed: of the places.
+    """
+    place = np.random.default_rng(seed).uniform(0, 100, (1 if together else uavs, 3))
+    position = np.broadcast_to(place.astype(np.float32), (steps + 1, uavs, 3))
+    return Window(
+        position, np.zeros((steps, uavs, 3), np.float32), np.ones((steps + 1, uavs), bool), np.ones(uavs, bool)
+    )
+
+
+def permuted(window: Window, order: NDArray[np.intp]) -> Window:
+    """The same window with UAV ``order[i]`` at index i."""
+    return Window(
+        window.position[:, order], window.velocity[:, order], window.seen[:, order], window.alive[order], window.round
+    )
+
+
+def swarm_with_heads(window: Window, heads: NDArray[np.intp]) -> SwarmState:
+    """The truth of some other swarm of as many UAVs, with its heads at ``heads``."""
+    config = SwarmConfig(clusters=1, uavs=window.uavs, observation_steps=window.observation_steps)
+    state = start(config, [np.random.default_rng(0)]).episode()
+    head = np.zeros(window.uavs, bool)
+    head[heads] = True
+    return replace(state, head=head, leader=np.where(head, np.arange(window.uavs), heads[0]))
+
+
+def _masked(
+    position: NDArray[np.float32],
+    velocity: NDArray[np.float32],
+    seen: NDArray[np.bool_],
+    alive: NDArray[np.bool_],
+    round: int,
+) -> Window:
+    """A window whose unseen samples are 0, as the environments have it."""
+    both = seen[1:] & seen[:-1]
+    return Window(np.where(seen[..., None], position, 0), np.where(both[..., None], velocity, 0), seen, alive, round)

@@ -1,0 +1,213 @@
+"""A policy as a detector: what reinforcement learning has trained plays beside the detectors.
+
+The other way round, :meth:`detectors.Detector.as_policy` makes a policy of a detector.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.base import Detector
+from usnet_env.config import InvalidArgument, shown
+from usnet_env.detection import Detection
+from usnet_env.window import Window
+
+__all__ = ["PolicyDetector", "observation_of"]
+
+Observation = dict[str, NDArray[Any]]
+
+_SCORES = ("logits", "probs", "probability", "loc", "scores")  # where TorchRL's actors leave what they act on
+
+
+def observation_of(window: Window) -> Observation:
+    """The observation of an environment that the window was made from: ``Window.from_observation`` turned round.
+
+    Returns:
+        ``position`` ``(T_ob + 1, N, 3)`` and ``velocity`` ``(T_ob, N, 3)`` float32, ``seen`` ``(T_ob + 1, N)`` and
+        ``alive`` ``(N,)`` int8, ``round`` ``(1,)`` float32: copies that may be written into.
+    """
+    return {
+        "position": window.position.copy(),
+        "velocity": window.velocity.copy(),
+        "seen": window.seen.astype(np.int8),
+        "alive": window.alive.astype(np.int8),
+        "round": np.array([window.round], np.float32),
+    }
+
+
+class PolicyDetector(Detector):
+    """A policy of Stable-Baselines3 or TorchRL, or a plain PyTorch module, in a detector's form.
+
+    Three forms are told apart by what the policy has:
+
+    * ``predict(observation, state, episode_start, deterministic)`` (Stable-Baselines3, and what ``as_policy`` gives):
+      the action's bits are the candidates, or its number the one candidate of a ``Discrete(N)`` action. Scores are
+      the probabilities of the policy's distribution where it has ``get_distribution``, else the bits. Masks go to
+      policies that take ``action_masks``. A state is handed back until the episode ends.
+    * ``in_keys`` and ``out_keys`` (TorchRL): called with a ``TensorDict`` of the observation; ``"action"`` as above,
+      and scores from ``"logits"``, ``"probs"``, ``"probability"``, ``"loc"`` or ``"scores"``.
+    * any other callable, such as a ``torch.nn.Module``: called with the observation as tensors with a leading axis of
+      1, it gives one score a UAV, ``(N,)`` or ``(1, N)``; who scores above ``threshold`` is a candidate.
+
+    A policy always acts deterministically, as the referee has it. Destroyed UAVs are never candidates.
+
+    Args:
+        policy: the policy. It must not hold an environment: give ``model.policy`` of a Stable-Baselines3 model, not the
+            model.
+        observe: makes the policy's observation of a window, for policies that were trained behind wrappers;
+            ``None``: :func:`observation_of`. A function of a module, so that the detector can be pickled.
+        threshold: of the third form; 0 is right for logits, 0.5 for probabilities.
+
+    Raises:
+        InvalidArgument: from :meth:`reset` and :meth:`detect`: the policy has none of the forms, holds an environment,
+            or gives another number of values than UAVs.
+    """
+
+    def __init__(self, policy: Any, observe: Callable[[Window], Any] | None = None, threshold: float = 0.0) -> None:
+        self.policy = policy
+        self.observe = observe
+        self.threshold = threshold
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode: a recurrent policy's state is forgotten."""
+        self._check_arguments()
+        super().reset(seed)
+        self._state: Any = None
+        self._start = True
+
+    def detect(self, window: Window) -> Detection:
+        """The policy's deterministic action on the window."""
+        if not hasattr(self, "_start"):
+            self.reset()
+        observation = (self.observe or observation_of)(window)
+        if callable(getattr(self.policy, "predict", None)):
+            candidates, scores = self._predicted(observation, window)
+        elif hasattr(self.policy, "in_keys") and hasattr(self.policy, "out_keys"):
+            candidates, scores = self._acted(observation, window)
+        else:
+            scores = _per_uav(self._called(_tensors(observation, _device(self.policy))), window.uavs)
+            candidates = scores > self.threshold
+        return Detection(candidates=candidates & window.alive, scores=scores)
+
+    def _predicted(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        predict = self.policy.predict
+        more: dict[str, Any] = {}
+        if "action_masks" in inspect.signature(predict).parameters:
+            more["action_masks"] = np.stack([np.ones(window.uavs, bool), window.alive], axis=1).ravel()
+        action, self._state = predict(
+            observation, state=self._state, episode_start=np.array([self._start]), deterministic=True, **more
+        )
+        self._start = False
+        candidates = _candidates(action, window.uavs)
+        if (scores := self._probabilities(observation, window.uavs)) is None:
+            scores = candidates.astype(np.float64)
+        return candidates, scores
+
+    def _probabilities(self, observation: Any, uavs: int) -> NDArray[np.float64] | None:
+        """Stable-Baselines3's distribution over the action: a probability a UAV, if it is one."""
+        policy = self.policy
+        if not callable(getattr(policy, "get_distribution", None)) or not hasattr(policy, "obs_to_tensor"):
+            return None
+        import torch
+
+        with torch.no_grad():
+            distribution = policy.get_distribution(policy.obs_to_tensor(observation)[0])
+        inner = getattr(distribution, "distribution", None) or getattr(distribution, "distributions", None)
+        if isinstance(inner, list) and all(part.probs.shape == (1, 2) for part in inner):
+            probabilities: Any = torch.cat(
+                [part.probs[:, 1] for part in inner]
+            )  # MultiDiscrete([2] * N), and masked bits
+        else:
+            probabilities = getattr(inner, "probs", None)
+        if probabilities is None or probabilities.numel() != uavs:  # another kind of action: the bits have to serve
+            return None
+        return _per_uav(probabilities, uavs)
+
+    def _acted(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        tensordict = import_module("tensordict")  # whoever has such a policy has it
+        given = self._called(tensordict.TensorDict(_tensors(observation, _device(self.policy)), batch_size=[1]))
+        candidates = _candidates(_array(given.get("action")), window.uavs)
+        for key in _SCORES:
+            if (found := given.get(key, None)) is not None and found.numel() == window.uavs:
+                return candidates, _per_uav(found, window.uavs)
+        return candidates, candidates.astype(np.float64)
+
+    def _called(self, given: Any) -> Any:
+        """The policy's answer without gradients, with its layers in the mode of use."""
+        import torch
+
+        policy = self.policy
+        training = [module for module in policy.modules() if module.training] if hasattr(policy, "modules") else []
+        if training:
+            policy.eval()
+        try:
+            with torch.no_grad():
+                return policy(given)
+        finally:
+            for module in training:
+                module.training = True
+
+    def _check_arguments(self) -> None:
+        policy = self.policy
+        if isinstance(policy, type) or not (callable(policy) or callable(getattr(policy, "predict", None))):
+            raise InvalidArgument(
+                f"policy must have predict(observation, ...), or be a TorchRL or PyTorch module, got {shown(policy)}."
+            )
+        for name in ("env", "_vec_normalize_env"):
+            if getattr(policy, name, None) is not None:
+                raise InvalidArgument(
+                    f"policy must hold no environment (of a Stable-Baselines3 model give model.policy), got one "
+                    f"with {name}."
+                )
+        if self.observe is not None and not callable(self.observe):
+            raise InvalidArgument(f"observe must be a function of a window or None, got {shown(self.observe)}.")
+        if isinstance(self.threshold, bool) or not isinstance(self.threshold, int | float):
+            raise InvalidArgument(f"threshold must be a number, got {shown(self.threshold)}.")
+
+
+def _array(value: Any) -> NDArray[Any]:
+    """A tensor or anything like an array as a NumPy array."""
+    return np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
+
+
+def _device(policy: Any) -> Any:
+    """Where the weights of a module lie; the CPU for one without any."""
+    weight = next(iter(policy.parameters()), None) if hasattr(policy, "parameters") else None
+    return "cpu" if weight is None else weight.device
+
+
+def _tensors(observation: Any, device: Any) -> Any:
+    """An observation (a mapping of arrays, or one array) as tensors with a leading axis of 1."""
+    import torch
+
+    if isinstance(observation, dict):
+        return {name: torch.as_tensor(np.asarray(value), device=device)[None] for name, value in observation.items()}
+    return torch.as_tensor(np.asarray(observation), device=device)[None]
+
+
+def _per_uav(value: Any, uavs: int) -> NDArray[np.float64]:
+    """``(uavs,)`` numbers, with or without axes of length 1."""
+    values = _array(value)
+    if values.size != uavs or values.dtype.kind not in "biuf":
+        raise InvalidArgument(f"policy must give one number for each of {uavs} UAVs, got shape {values.shape}.")
+    return values.reshape(uavs).astype(np.float64)
+
+
+def _candidates(action: Any, uavs: int) -> NDArray[np.bool_]:
+    """An action as candidates: N bits, or the number of one UAV."""
+    values = _array(action)
+    if values.size == 1 and uavs > 1 and values.dtype.kind in "iu":
+        index = int(values.reshape(()))
+        if not 0 <= index < uavs:
+            raise InvalidArgument(f"policy must name a UAV from 0 to {uavs - 1}, got {index}.")
+        return np.arange(uavs) == index
+    bits = _per_uav(values, uavs)
+    if not ((bits == 0) | (bits == 1)).all():
+        raise InvalidArgument(f"policy must give an action of 0 and 1, got {shown(values)}.")
+    return bits.astype(bool)

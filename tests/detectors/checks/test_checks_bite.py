@@ -1,0 +1,141 @@
+"""Every check bites: a detector with one mistake fails the check that is about it, with a sentence that says so."""
+
+import random
+import re
+from itertools import combinations
+
+import broken_detectors as broken
+import numpy as np
+import pytest
+import torch
+
+from detectors.checks import CHECKS, check_detector
+from detectors.checks.repeatability import two_sample_p
+
+MISTAKES = [
+    ("check_constructor_only_stores", broken.StoresMore(), "got extra as well"),
+    ("check_constructor_only_stores", broken.ChecksInConstructor(), "TypeError"),
+    ("check_constructor_only_stores", broken.CopiesItsArgument(), "not iterable|must store names"),
+    ("check_parameters_and_clone", broken.ChangesItsArgument(), "must leave count as it is, got 4"),
+    ("check_parameters_and_clone", broken.FillsItsArgument(names=[]), "must leave names as it is"),
+    ("check_parameters_and_clone", broken.HidesAParameter(), r"get_params must give count, names, got \['count'\]"),
+    ("check_answers_with_a_detection", broken.NoDetection(), "must return a usnet_env.Detection"),
+    ("check_answers_with_a_detection", broken.TooShort(), "for all 14 UAVs, got candidates for 13"),
+    ("check_answers_with_a_detection", broken.NeedsASeed(), "TypeError: .*seed"),
+    ("check_smallest_swarm", broken.NeedsFour(), "too small a swarm"),
+    ("check_single_cluster", broken.NeedsTwoClusters(), "clusters must be at least 2"),
+    ("check_masked_uavs_are_never_candidates", broken.NamesTheDead(), "must not be a candidate"),
+    ("check_missing_samples", broken.NeedsEverySample(), "nobody was seen"),
+    ("check_scores_are_finite", broken.DividesByTheSpread(), "scores must be finite"),
+    ("check_scores_are_finite", broken.ProbabilityAboveOne(), "from 0 to 1"),
+    ("check_batch", broken.LosesAWindow(), "must give 4 answers, got 3"),
+    ("check_batch", broken.EmptiesTheList(), "leave the list of windows"),
+    ("check_input_unchanged", broken.WritesIntoTheWindow(), "got another velocity"),
+    ("check_input_unchanged", broken.ReplacesAnArray(), "got another position"),
+    ("check_same_seed_same_answer", broken.OwnClockAsSeed(), "the same seed must give the same answer, got two in"),
+    ("check_episodes_start_afresh", broken.Remembers(), "reset must forget the episode before"),
+    ("check_permuting_uavs_permutes_the_answer", broken.FavoursLowIndices(), "got others where nobody moves"),
+    ("check_permuting_uavs_permutes_the_answer", broken.NamesTheFirst(), "got others in a swarm"),
+    ("check_pickling", broken.CannotBePickled(), "pickle"),
+    ("check_pickling", broken.ForgetsWhenPickled(), "must go on where it was"),
+    ("check_global_generators_untouched", broken.DrawsFromNumPy(), "draws or seeds of numpy.random"),
+    ("check_global_generators_untouched", broken.DrawsFromPython(), "draws or seeds of random"),
+    ("check_global_generators_untouched", broken.SeedsTorch(), "draws or seeds of torch"),
+    ("check_process_settings_untouched", broken.SetsThreads(), "threads of torch"),
+    ("check_process_settings_untouched", broken.SilencesNumPy(), "numpy.geterr"),
+    ("check_no_reach_for_truth", broken.KeepsAnEnv(), r"detector\.tools\['simulate'\]\[0\]"),
+    ("check_no_reach_for_truth", broken.KeepsAState(), r"detector\.look.*SwarmState"),
+    ("check_no_reach_for_truth", broken.SharesAGenerator(), r"a shared one at detector\.generator"),
+    ("check_no_reach_for_truth", broken.SharesBits(), r"a shared one at detector\.more\.bit_generator"),
+    ("check_no_reach_for_truth", broken.KeepsTheGlobalGenerator(), r"a shared one at detector\.fallback"),
+    ("check_truth_nearby_changes_nothing", broken.LooksAtTheCaller(), "must not depend on a swarm"),
+    ("check_truth_nearby_changes_nothing", broken.SearchesMemory(), "must not depend on a swarm"),
+    ("check_large_swarm", broken.NeedsLessMemory(), "MemoryError"),
+    ("check_time_budget", broken.Slow(), r"at most 0\.05 s, got 0\.0[6-9]|at most 0\.05 s, got 0\.[1-9]"),
+]
+EVERY = {check.__name__ for check in CHECKS}
+# What a mistake also breaks, as it should. Of all other checks, none may fail.
+ALSO = {
+    "CopiesItsArgument": {"check_parameters_and_clone"},
+    "ChangesItsArgument": {"check_episodes_start_afresh"},
+    "NoDetection": EVERY - {"check_constructor_only_stores"},
+    "TooShort": EVERY - {"check_constructor_only_stores"},
+    "NeedsEverySample": {"check_scores_are_finite"},
+    "DividesByTheSpread": {"check_permuting_uavs_permutes_the_answer"},
+    "OwnClockAsSeed": {"check_episodes_start_afresh", "check_pickling", "check_truth_nearby_changes_nothing"},
+    "KeepsAState": {"check_pickling"},
+    "SearchesMemory": {"check_permuting_uavs_permutes_the_answer"},
+}
+
+
+@pytest.fixture(autouse=True)
+def the_process_as_it_was():
+    numpy_state, python_state, torch_state = np.random.get_state(), random.getstate(), torch.get_rng_state()  # noqa: NPY002
+    threads, errors = torch.get_num_threads(), np.geterr()
+    yield
+    np.random.set_state(numpy_state)  # noqa: NPY002
+    random.setstate(python_state)
+    torch.set_rng_state(torch_state)
+    torch.set_num_threads(threads)
+    np.seterr(**errors)
+
+
+def failures(detector, **options):
+    results = check_detector(detector, on_fail=None, **options)
+    return {result.check: result.reason for result in results if result.status == "failed"}
+
+
+def test_the_good_one_passes():
+    assert failures(broken.Good()) == {}
+
+
+def test_every_check_has_a_mistake():
+    assert {name for name, *_ in MISTAKES} == {check.__name__ for check in CHECKS}
+
+
+KINDS = [type(detector).__name__ for _, detector, _ in MISTAKES]
+
+
+@pytest.mark.parametrize(("name", "detector", "sentence"), MISTAKES, ids=KINDS)
+def test_a_mistake_fails_its_check(name, detector, sentence):
+    (check,) = [check for check in CHECKS if check.__name__ == name]
+    budget = {"seconds": 0.05} if name == "check_time_budget" else {}
+    with pytest.raises(Exception) as failure:  # noqa: PT011  # a check's own sentence, or what the detector raises
+        check(detector, **budget)
+    assert re.search(sentence, f"{type(failure.value).__name__}: {failure.value}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "detector", "sentence"), MISTAKES, ids=KINDS)
+def test_it_fails_no_other_check(name, detector, sentence):
+    failed = failures(detector, seconds=0.05 if name == "check_time_budget" else 30)
+    assert set(failed) == {name} | ALSO.get(type(detector).__name__, set()), failed
+    assert re.search(sentence, failed[name]), failed[name]
+    assert "\n" not in failed[name]
+
+
+def test_two_samples_of_one_distribution_seldom_differ():
+    rng = np.random.default_rng(0)
+    values = [two_sample_p(rng.random((8, 20)), rng.random((8, 20))) for _ in range(100)]
+    assert 0.3 < np.median(values) < 0.7
+    assert np.mean(np.array(values) < 0.05) < 0.12
+    assert min(values) >= 1 / 2000
+
+
+def test_the_p_value_is_that_of_all_relabellings():
+    rng = np.random.default_rng(1)
+    pooled = rng.random((8, 3))
+    means = [
+        np.delete(pooled, chosen, 0).mean(0) - pooled[list(chosen)].mean(0) for chosen in combinations(range(8), 4)
+    ]
+    lengths = np.linalg.norm(means, axis=1)
+    exact = np.mean(lengths >= np.linalg.norm(pooled[:4].mean(0) - pooled[4:].mean(0)) - 1e-12)
+    assert two_sample_p(pooled[:4], pooled[4:]) == pytest.approx(exact, abs=4 * np.sqrt(exact * (1 - exact) / 2000))
+
+
+def test_two_samples_of_two_distributions_do():
+    rng = np.random.default_rng(0)
+    assert two_sample_p(rng.random((8, 20)), rng.random((8, 20)) + 0.5) == 1 / 2000
+    same = np.tile(rng.random(20), (8, 1))
+    assert two_sample_p(same, same) == 1
+    assert two_sample_p(same, same + 1e-3) < 0.002

@@ -1,0 +1,258 @@
+"""How checks are run: results, expected failures, pytest cases, a table with an exit status."""
+
+import functools
+import io
+from collections import deque
+from types import MappingProxyType
+
+import broken_detectors as broken
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+from sklearn.base import clone
+
+from detectors.checks import (
+    CHECKS,
+    DetectorChecksFailed,
+    check_detector,
+    exit_status,
+    parametrize_with_checks,
+    results_table,
+)
+from detectors.checks.truth import truth_in_reach
+from detectors.checks.windows import hovering, permuted, simulated, unseen_in_part
+from usnet_env import InvalidArgument, Window
+from usnet_env.swarm import SwarmConfig
+
+NAMES = [check.__name__ for check in CHECKS]
+PERMUTING = "check_permuting_uavs_permutes_the_answer"
+REASON = "it names the first ones, whoever they are"
+
+
+def by_check(results):
+    assert [result.check for result in results] == NAMES
+    return {result.check: result for result in results}
+
+
+def test_a_good_detector_has_a_result_for_every_check():
+    seen = []
+    results = check_detector(broken.Good(), callback=seen.append)
+    assert seen == results
+    assert {result.status for result in by_check(results).values()} == {"passed"}
+    assert all(result.seconds > 0 and result.reason == "" and result.error is None for result in results)
+    assert exit_status(results) == 0
+
+
+def test_a_broken_one_raises_after_all_checks_and_says_what_failed():
+    with pytest.raises(
+        DetectorChecksFailed, match=rf"^FavoursLowIndices fails 1 of {len(CHECKS)} checks:\n  {PERMUTING}: "
+    ):
+        check_detector(broken.FavoursLowIndices())
+    results = check_detector(broken.FavoursLowIndices(), on_fail=None)
+    failed = by_check(results)[PERMUTING]
+    assert failed.status == "failed"
+    assert isinstance(failed.error, AssertionError)
+    assert failed.error.__traceback__ is not None
+    assert exit_status(results) == 1
+
+
+def test_an_expected_failure_carries_its_reason():
+    results = check_detector(broken.FavoursLowIndices(), expected_failed_checks={PERMUTING: REASON})
+    expected = by_check(results)[PERMUTING]
+    assert expected.status == "expected failure"
+    assert expected.reason.startswith(f"{REASON} (permuted UAVs must get")
+    assert exit_status(results) == 0
+
+
+def test_an_expected_failure_that_passes_says_so():
+    results = check_detector(broken.Good(), expected_failed_checks={PERMUTING: REASON})
+    assert by_check(results)[PERMUTING].status == "passed"
+    assert by_check(results)[PERMUTING].reason == f"passed, though expected to fail: {REASON}"
+
+
+def test_no_base_class_is_needed():
+    results = by_check(check_detector(broken.NoBase()))
+    skipped = {name for name, result in results.items() if result.status == "skipped"}
+    assert skipped == {"check_constructor_only_stores", "check_parameters_and_clone", "check_batch"}
+    assert all(results[name].reason.startswith("it has no ") for name in skipped)
+
+
+def test_what_was_fitted_is_kept_and_the_detector_left_alone():
+    with pytest.raises(AttributeError, match="weights_"):
+        clone(broken.Fitted().fit()).scores(simulated())
+    detector = broken.Fitted().fit()
+    before = dict(vars(detector))
+    check_detector(detector)
+    assert vars(detector) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"detector": broken.Good}, r"detector must be an object with detect\(window\) and reset\(seed\), got <class"),
+        ({"detector": "random"}, r"detector must be an object .*, got 'random'"),
+        ({"expected_failed_checks": {"check_pickle": "x"}}, r"must be one of .*did you mean 'check_pickling'\?"),
+        ({"expected_failed_checks": {PERMUTING: " "}}, "must give a reason for check_permuting"),
+        ({"expected_failed_checks": {PERMUTING: None}}, "must give a reason for check_permuting.*got None"),
+        ({"seconds": 0}, "seconds must be a number above 0, got 0"),
+        ({"seconds": "1"}, "seconds must be a number above 0, got '1'"),
+        ({"seconds": float("nan")}, "seconds must be a number above 0, got nan"),
+        ({"on_fail": "warn"}, "on_fail must be 'raise' or None, got 'warn'"),
+    ],
+)
+def test_bad_input_is_answered_in_one_sentence(arguments, sentence):
+    with pytest.raises(InvalidArgument, match=sentence):
+        check_detector(**{"detector": broken.Good(), **arguments})
+
+
+def test_the_decorator_refuses_the_same():
+    with pytest.raises(InvalidArgument, match="detector must be an object"):
+        parametrize_with_checks([broken.Good])
+    with pytest.raises(InvalidArgument, match="must give a reason"):
+        parametrize_with_checks([broken.Good()], expected_failed_checks=lambda detector: {PERMUTING: ""})
+
+
+@parametrize_with_checks(
+    [broken.Good(), broken.FavoursLowIndices(count=3), broken.NoBase()],
+    expected_failed_checks=lambda detector: (
+        {PERMUTING: REASON} if isinstance(detector, broken.FavoursLowIndices) else None
+    ),
+)
+def test_as_pytest_cases(detector, check):
+    check(detector)
+
+
+def test_a_case_has_a_name_and_a_mark():
+    mark = parametrize_with_checks(
+        [broken.Good(count=3)], expected_failed_checks=lambda detector: {PERMUTING: REASON}, seconds=3
+    ).mark
+    names, cases = mark.args
+    assert names == ("detector", "check")
+    assert [case.id for case in cases] == [f"Good(count=3)-{name}" for name in NAMES]
+    marked = [case for case in cases if case.marks]
+    assert [(case.id, case.marks[0].kwargs["reason"]) for case in marked] == [(f"Good(count=3)-{PERMUTING}", REASON)]
+    budget = cases[-1].values[1]
+    assert isinstance(budget, functools.partial)
+    assert budget.keywords == {"seconds": 3.0}
+
+
+def test_the_table_has_a_row_a_check():
+    console = Console(width=300, file=io.StringIO())
+    results = check_detector(broken.NoBase(), expected_failed_checks={"check_pickling": "[b]no[/b]"})
+    console.print(results_table(results))
+    text = console.file.getvalue()
+    assert all(name in text for name in NAMES)
+    assert text.count(" skipped ") == 4  # three rows and the line that counts
+    assert f"{len(NAMES)} checks: {len(NAMES) - 3} passed, 3 skipped" in text
+    assert "expected to fail: [b]no[/b]" in text
+
+
+# The windows
+
+
+def test_the_windows_are_what_they_are_called():
+    window = simulated(clusters=2, uavs=20, destroyed=50, round=3, miss_rate=0.2)
+    assert (window.uavs, window.alive.sum(), window.round) == (20, 3, 3)
+    partly = unseen_in_part()
+    assert not partly.seen[20].any()
+    assert not partly.velocity[~partly.velocity_seen].any()
+    assert not partly.position[~partly.seen].any()
+    assert (~partly.seen.any(axis=0) & partly.alive).sum() == 1
+    assert not np.diff(hovering().position, axis=0).any()
+    assert not np.ptp(hovering(together=True).position, axis=1).any()
+
+
+def test_a_permuted_window_is_the_same_swarm_in_another_order():
+    window = unseen_in_part()
+    order = np.random.default_rng(0).permutation(window.uavs)
+    turned = permuted(window, order)
+    for name in ("position", "velocity", "seen"):
+        np.testing.assert_array_equal(getattr(turned, name), getattr(window, name)[:, order])
+    np.testing.assert_array_equal(turned.alive, window.alive[order])
+
+
+# What can be reached
+
+
+class Holder:
+    def __init__(self, held):
+        self.held = held
+
+    def method(self):
+        return self.held
+
+
+class Slotted:
+    __slots__ = ("held",)
+
+    def __init__(self, held):
+        self.held = held
+
+
+def closure(held):
+    return lambda: held
+
+
+def default(held):
+    return lambda x=held: x
+
+
+def generator(held):
+    made = (held for _ in range(2))
+    next(made)
+    return made
+
+
+def array_of(held):
+    array = np.empty(2, object)
+    array[1] = held
+    return array[::-1]
+
+
+WRAPPERS = {
+    "list": lambda held: [0, held],
+    "tuple": lambda held: (held,),
+    "dict": lambda held: {"key": held},
+    "mapping": lambda held: MappingProxyType({"key": held}),
+    "deque": lambda held: deque([held]),
+    "iterator": lambda held: iter([held]),
+    "closure": closure,
+    "default": default,
+    "generator": generator,
+    "partial": lambda held: functools.partial(max, held),
+    "object": Holder,
+    "slots": Slotted,
+    "method": lambda held: Holder(held).method,
+    "array": array_of,
+}
+
+
+@given(st.lists(st.sampled_from(sorted(WRAPPERS)), max_size=6))
+def test_truth_is_found_however_it_is_wrapped(names):
+    config = SwarmConfig()
+    held, innocent = config, "config"
+    for name in names:
+        held, innocent = WRAPPERS[name](held), WRAPPERS[name](innocent)
+    assert truth_in_reach(held, "it").endswith(", a usnet_env.swarm.config.SwarmConfig")
+    assert truth_in_reach(held, "it").startswith("it")
+    assert truth_in_reach(innocent, "it") == ""
+
+
+def test_a_ring_is_walked_once():
+    ring = [0]
+    ring.append({"ring": ring})
+    assert truth_in_reach(ring, "it") == ""
+    ring.append(SwarmConfig())
+    assert truth_in_reach(ring[1], "it").startswith("it['ring'][2], a ")
+
+
+def test_nothing_is_in_reach_of_a_window_from_an_environment():
+    env = gym.make("USNET/MultiCluster-v0")
+    observation, _ = env.reset(seed=0)
+    assert truth_in_reach(Window.from_observation(observation), "window") == ""
+    assert truth_in_reach(env.reset, "it").endswith(", a gymnasium.wrappers.common.OrderEnforcing")
+    for held in (env, env.unwrapped, env.unwrapped.swarm, functools.partial(env.step)):
+        assert truth_in_reach(held, "it")

@@ -1,0 +1,37 @@
+"""Every detector that ships passes the checks that a stranger's has to pass."""
+
+import warnings
+from importlib.metadata import distribution
+
+import pytest
+
+from detectors.checks import check_detector, parametrize_with_checks
+from usnet_env import InvalidArgument, make_detector
+
+# Made small where the defaults train for long: what is checked doesn't depend on the number of steps.
+SMALL = {"gassl": "gassl(steps=4, voters=4)"}
+# Reasons why a detector can't pass a check, by its name.
+EXPECTED = {}
+NAMES = sorted(point.name for point in distribution("usnet").entry_points if point.group == "usnet.detectors")
+SECONDS = 60.0  # of a machine that does much else; each detector's own speed is measured by the benchmarks
+
+
+def made(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return make_detector(SMALL.get(name, name))
+        except InvalidArgument as error:  # its extra is not installed
+            pytest.skip(str(error))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_registered_detector_passes_all_checks(name):
+    results = check_detector(made(name), expected_failed_checks=EXPECTED.get(name), seconds=SECONDS)
+    assert {result.check for result in results if result.status == "expected failure"} == set(EXPECTED.get(name, ()))
+    assert not [result.check for result in results if result.status == "skipped"]
+
+
+@parametrize_with_checks([make_detector("gassl(preset='paper', steps=2, times=4)")], seconds=SECONDS)
+def test_gassl_as_the_paper_has_it(detector, check):
+    check(detector)

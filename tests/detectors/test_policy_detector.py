@@ -1,0 +1,272 @@
+"""Policies as detectors: Stable-Baselines3's, TorchRL's, a plain module, and a detector there and back."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from sklearn.base import clone
+from synthetic_windows import flight, window_of
+
+import usnet_env
+from detectors.checks import CHECKS, check_detector
+from detectors.policy_detector import PolicyDetector, observation_of
+from usnet_env import InvalidArgument, Window, make_detector
+
+UAVS = 14
+SMALL = {"clusters": 2, "uavs": UAVS, "observation_steps": 60, "max_rounds": 4}
+
+
+def a_window(alive=None, seed=0, round=1):
+    velocity, _ = flight(np.random.default_rng(seed), sizes=(7, 5), steps=60)
+    return window_of(velocity, alive=alive, round=round)
+
+
+class Bits:
+    """Names the UAVs below a number, and counts its rounds in the state."""
+
+    def __init__(self, below=3, dtype=np.float32):
+        self.below, self.dtype, self.starts = below, dtype, []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        assert deterministic
+        assert episode_start.shape == (1,)
+        self.starts.append((bool(episode_start[0]), state))
+        action = np.arange(len(observation["alive"])) < self.below
+        return action.astype(self.dtype), (0 if state is None else state) + 1
+
+
+class One:
+    def __init__(self, answer):
+        self.answer = answer
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.answer, None
+
+
+class Masked(One):
+    def predict(self, observation, state=None, episode_start=None, deterministic=False, action_masks=None):
+        may_be_zero, may_be_one = action_masks.reshape(-1, 2).T
+        assert may_be_zero.all()
+        return may_be_one.astype(np.int8), None
+
+
+def test_the_observation_is_the_environments():
+    env = gym.make("USNET/MultiCluster-v0", miss_rate=0.1, **SMALL)
+    observation, _ = env.reset(seed=0)
+    for _ in range(2):
+        ours = observation_of(Window.from_observation(observation))
+        assert ours.keys() == observation.keys()
+        for key, value in observation.items():
+            np.testing.assert_array_equal(ours[key], value)
+            assert ours[key].dtype == value.dtype
+            assert ours[key].flags.writeable
+        assert env.observation_space.contains(ours)
+        observation, *_ = env.step(np.eye(UAVS, dtype=np.int8)[0])
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int8, bool, np.int64])
+def test_bits_are_candidates_but_for_the_dead(dtype):
+    alive = np.arange(UAVS) != 1
+    detector = PolicyDetector(Bits(dtype=dtype))
+    detector.reset(0)
+    answer = detector.detect(a_window(alive))
+    assert np.flatnonzero(answer.candidates).tolist() == [0, 2]
+    np.testing.assert_array_equal(answer.scores, np.arange(UAVS) < 3)
+
+
+def test_the_state_lives_for_an_episode():
+    policy = Bits()
+    detector = PolicyDetector(policy)
+    for _ in range(2):
+        detector.reset(0)
+        for _ in range(3):
+            detector.detect(a_window())
+    assert policy.starts == 2 * [(True, None), (False, 1), (False, 2)]
+
+
+@pytest.mark.parametrize("answer", [4, np.int64(4), np.array(4), np.array([4])])
+def test_a_number_is_one_candidate(answer):
+    found = PolicyDetector(One(answer)).detect(a_window())
+    assert np.flatnonzero(found.candidates).tolist() == [4]
+
+
+def test_masks_go_to_whoever_takes_them():
+    alive = np.arange(UAVS) > 3
+    np.testing.assert_array_equal(PolicyDetector(Masked(None)).detect(a_window(alive)).candidates, alive)
+
+
+@pytest.mark.parametrize(
+    ("policy", "arguments", "sentence"),
+    [
+        (None, {}, r"policy must have predict\(observation, \.\.\.\), or be .*, got None"),
+        (Bits, {}, "policy must have predict.*got <class"),
+        (SimpleNamespace(predict=max, env=1), {}, r"policy must hold no environment .*give model\.policy.*with env"),
+        (Bits(), {"observe": 3}, "observe must be a function of a window or None, got 3"),
+        (Bits(), {"threshold": "high"}, "threshold must be a number, got 'high'"),
+        (One(np.full(UAVS, 0.5)), {}, "must give an action of 0 and 1"),
+        (One(np.zeros(UAVS + 1)), {}, r"must give one number for each of 14 UAVs, got shape \(15,\)"),
+        (One(UAVS), {}, "must name a UAV from 0 to 13, got 14"),
+        (One("head"), {}, "must give one number for each of 14 UAVs"),
+    ],
+)
+def test_each_mistake_has_its_sentence(policy, arguments, sentence):
+    with pytest.raises(InvalidArgument, match=sentence):
+        PolicyDetector(policy, **arguments).detect(a_window())
+
+
+def test_a_detector_there_and_back_is_the_same():
+    there = make_detector("lagged-regression(clusters=2)")
+    back = PolicyDetector(make_detector("lagged-regression(clusters=2)").as_policy())
+    result = usnet_env.evaluate(
+        "USNET/MultiCluster-v0", [there, back], episodes=5, env_kwargs={**SMALL, "follow": "f2"}
+    )
+    one, other = (entry["metrics"] for entry in result.summary)
+    for name in ("J", "rounds", "recall_first"):
+        assert one[name] == other[name]
+
+
+def test_it_keeps_the_contract_and_answers_swarms_of_any_size():
+    check_detector(
+        PolicyDetector(Bits(below=2)),
+        expected_failed_checks={
+            "check_permuting_uavs_permutes_the_answer": "the policy names the first two, whoever they are",
+        },
+    )
+    assert "policy" in clone(PolicyDetector(Bits())).get_params()
+
+
+def test_nothing_is_imported_that_the_policy_has_not_brought():
+    code = (
+        "import sys, detectors.policy_detector; "
+        "assert not {'torch', 'tensordict', 'torchrl', 'stable_baselines3'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# Plain PyTorch
+
+torch = pytest.importorskip("torch")
+
+
+class Follower(torch.nn.Module):
+    """Scores a UAV by how much the others' next velocity agrees with its own; with a dropout that must be off."""
+
+    def __init__(self, scale=1.0):
+        super().__init__()
+        self.drop = torch.nn.Dropout(0.9)
+        self.scale = torch.nn.Parameter(torch.tensor(float(scale)))
+
+    def forward(self, observation):
+        velocity = self.drop(observation["velocity"])
+        agreement = torch.einsum("btic,btjc->bij", velocity[:, 1:], velocity[:, :-1]).clamp(min=0)
+        return self.scale * (agreement.sum(dim=1) - agreement.sum(dim=1).mean())
+
+
+def test_a_plain_module_is_asked_without_gradients_in_the_mode_of_use():
+    policy = Follower()
+    policy.drop.eval()
+    policy.train()
+    policy.drop.eval()
+    detector = PolicyDetector(policy, threshold=5.0)
+    first, second = detector.detect(a_window()), detector.detect(a_window())
+    np.testing.assert_array_equal(first.scores, second.scores)
+    np.testing.assert_array_equal(first.candidates, first.scores > 5.0)
+    assert policy.training
+    assert not policy.drop.training, "each layer is left in the mode that it was in"
+    check_detector(detector)
+
+
+def test_a_module_with_another_observation():
+    detector = PolicyDetector(torch.nn.Flatten(), observe=lambda window: window.velocity[:, :, 0].sum(axis=0))
+    window = a_window()
+    np.testing.assert_allclose(detector.detect(window).scores, window.velocity[:, :, 0].sum(axis=0), rtol=1e-6)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
+def test_a_module_on_a_gpu():
+    window = a_window()
+    here, there = (PolicyDetector(Follower().to(device)).detect(window) for device in ("cpu", "cuda"))
+    np.testing.assert_allclose(there.scores, here.scores, rtol=1e-3, atol=1e-3)
+    check_detector(PolicyDetector(Follower().cuda(), threshold=5.0))
+
+
+# Stable-Baselines3
+
+
+@pytest.fixture(scope="module")
+def trained():
+    sb3 = pytest.importorskip("stable_baselines3")
+    env = gym.make("USNET/MultiCluster-v0", **SMALL)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield sb3.PPO("MultiInputPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=0).learn(32)
+    torch.set_num_threads(threads)
+
+
+def test_a_trained_model_gives_its_policy_and_not_itself(trained):
+    with pytest.raises(InvalidArgument, match=r"policy must hold no environment .*give model\.policy"):
+        PolicyDetector(trained).reset(0)
+    detector = PolicyDetector(trained.policy)
+    window = a_window()
+    detector.reset(0)
+    answer = detector.detect(window)
+    action, _ = trained.predict(observation_of(window), deterministic=True)
+    np.testing.assert_array_equal(answer.candidates, action.astype(bool))
+    np.testing.assert_array_equal(answer.candidates, answer.scores > 0.5)
+    assert np.unique(answer.scores).size > 2, "scores are the distribution's probabilities"
+
+
+def test_a_trained_policy_is_evaluated_beside_detectors(trained):
+    result = usnet_env.evaluate(
+        "USNET/MultiCluster-v0", [PolicyDetector(trained.policy), "random"], episodes=3, env_kwargs=SMALL
+    )
+    assert [entry["episodes"] for entry in result.summary] == [3, 3]
+
+
+def test_a_maskable_policy(trained):
+    contrib = pytest.importorskip("sb3_contrib")
+    env = gym.make("USNET/MultiCluster-v0", **SMALL)
+    model = contrib.MaskablePPO("MultiInputPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=0)
+    answer = PolicyDetector(model.policy).detect(a_window(np.arange(UAVS) > 2))
+    assert not answer.candidates[:3].any()
+    assert np.unique(answer.scores).size > 2
+
+
+FOR_ANY_SIZE = [  # these look at 14 UAVs and 60 steps only, which is what the policy was trained with
+    "check_process_settings_untouched",
+    "check_global_generators_untouched",
+    "check_constructor_only_stores",
+    "check_parameters_and_clone",
+    "check_answers_with_a_detection",
+    "check_input_unchanged",
+    "check_same_seed_same_answer",
+    "check_pickling",
+    "check_no_reach_for_truth",
+    "check_truth_nearby_changes_nothing",
+]
+
+
+@pytest.mark.parametrize("check", [check for check in CHECKS if check.__name__ in FOR_ANY_SIZE])
+def test_a_trained_policy_passes_what_does_not_change_the_size_of_the_swarm(trained, check):
+    check(PolicyDetector(trained.policy))
+
+
+# TorchRL
+
+
+def test_an_actor_of_torchrl():
+    tensordict = pytest.importorskip("tensordict")
+    from tensordict.nn import TensorDictModule, TensorDictSequential
+
+    actor = TensorDictSequential(
+        TensorDictModule(lambda velocity: velocity[..., 0].sum(dim=1), in_keys=["velocity"], out_keys=["logits"]),
+        TensorDictModule(lambda logits: (logits > 0).float(), in_keys=["logits"], out_keys=["action"]),
+    )
+    window = a_window()
+    answer = PolicyDetector(actor).detect(window)
+    np.testing.assert_allclose(answer.scores, window.velocity[..., 0].sum(axis=0), rtol=1e-4)
+    np.testing.assert_array_equal(answer.candidates, answer.scores > 0)
+    assert isinstance(actor(tensordict.TensorDict({"velocity": torch.ones(1, 3, 4, 3)}, [1])), tensordict.TensorDict)
