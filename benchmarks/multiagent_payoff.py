@@ -1,0 +1,78 @@
+"""Pay-offs of usnet_evasion_v0: every observer against every swarm policy, on the same seeds.
+
+OMP_NUM_THREADS=1 python benchmarks/multiagent_payoff.py      # writes benchmarks/results/multiagent_payoff.*
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from multiagent_table import RESULTS, play_cells, table
+
+from usnet_env import make_detector
+from usnet_env.files import written_whole
+from usnet_env.multiagent.play import play_game
+from usnet_env.multiagent.policies import CamouflagedHead, DetectorObserver, Policy, RandomHead, TruthfulHead
+from usnet_env.multiagent.usnet_evasion_v0 import parallel_env
+from usnet_env.plugins import detector_names
+
+MAX_ROUNDS = 10
+FOLLOW = ("f1", "f3", "f6")
+OBSERVERS = ("random", "lagged-regression", "lagged-regression(lags=8)", "follow-mixture")
+SWARMS: dict[str, Policy] = {
+    "truthful": TruthfulHead(),
+    "late": CamouflagedHead(mobility=0, decoys=0),
+    "camouflaged": CamouflagedHead(),
+    "random": RandomHead(),
+}
+
+
+def games(cell: Mapping[str, Any]) -> int:
+    """Fewer for the slow one."""
+    return 20 if cell["observer"] == "follow-mixture" else 40
+
+
+def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    observer = DetectorObserver(make_detector(cell["observer"]))
+    env = parallel_env(follow=cell["follow"], max_rounds=MAX_ROUNDS)
+    game = play_game(env, {"observer": observer, "head": SWARMS[cell["swarm"]]}, seed)
+    price = game.prices["observer_0"]
+    return {
+        "J": round(game.J, 6),
+        "price": round(price, 6),
+        "swarm_payoff": round(game.J - price, 6),
+        "rounds": game.rounds,
+        "success": int(game.success),
+        "first_hits": game.first_hits,
+        "first_redundant": game.first_redundant,
+        "redundant": game.redundant,
+    }
+
+
+def main() -> None:
+    """Play and print."""
+    known = detector_names()
+    observers = [name for name in OBSERVERS if name.partition("(")[0] in known]
+    cells = [
+        {"follow": follow, "observer": observer, "swarm": swarm}
+        for follow in FOLLOW
+        for observer in observers
+        for swarm in SWARMS
+    ]
+    rows = play_cells(RESULTS / "multiagent_payoff.csv", cells, games, play)
+    columns = {
+        "J": "J_m",
+        "swarm_payoff": "J_m less the price",
+        "success": "all heads hit",
+        "first_hits": "heads hit in round 1",
+        "first_redundant": "redundant in round 1",
+    }
+    text = table(rows, ["follow", "observer", "swarm"], columns)
+    with written_whole(RESULTS / "multiagent_payoff.md") as aside:
+        aside.write_text(text + "\n", encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""A swarm trained by PPO against a detector in usnet_evasion_v0: does it raise J_m over the truthful swarm's?
+
+The swarm plays as one: every head makes the same choice. Trained on seeds below 1000, measured on seeds from 2022.
+
+OMP_NUM_THREADS=1 python benchmarks/multiagent_ppo.py      # writes benchmarks/results/multiagent_ppo*.csv
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium import spaces
+from multiagent_table import RESULTS, SEED, table
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+
+from usnet_env import make_detector
+from usnet_env.files import written_whole
+from usnet_env.multiagent.policies import DetectorObserver
+from usnet_env.multiagent.usnet_evasion_v0 import OBSERVER, parallel_env
+
+DETECTORS = ("lagged-regression", "lagged-regression(lags=8)")
+FOLLOW, MAX_ROUNDS = "f1", 10
+STEPS, BATCH = 12_288, 512
+GAMES = 40
+CHOICES = ("mobility", "jitter", "decoys", "delay")
+
+
+class SwarmAsOne(gym.Env[Any, Any]):
+    """The whole swarm as one agent, the observer a detector; an observation is what the swarm knows of the game."""
+
+    def __init__(self, detector: str, seeds: Iterable[int]) -> None:
+        self.game = parallel_env(follow=FOLLOW, max_rounds=MAX_ROUNDS)
+        self.observer = DetectorObserver(make_detector(detector))
+        self.seeds = iter(seeds)
+        self.choices = self.game.manoeuvres.choices
+        self.action_space = spaces.MultiDiscrete(self.choices)
+        self.observation_space = spaces.Box(0, 1, (4 + int(self.choices.sum()),), np.float32)
+        self.paid = 0.0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start the next game; the seeds are those of the constructor."""
+        game_seed = next(self.seeds)
+        self.seen, infos = self.game.reset(seed=game_seed)
+        own = int(np.random.SeedSequence(game_seed, spawn_key=(1,)).generate_state(1)[0])
+        self.observer.reset(own, self.game.action_space(OBSERVER))
+        self.paid = 0.0
+        return self._known(infos[OBSERVER], np.zeros(4, np.int64)), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """The same choice for every head; the reward is the swarm's."""
+        actions = {agent: np.asarray(action) for agent in self.game.agents if agent != OBSERVER}
+        actions[OBSERVER] = self.observer.act(self.seen[OBSERVER])
+        self.seen, rewards, ended, cut, infos = self.game.step(actions)
+        info = infos[OBSERVER]
+        self.paid += info["price"]
+        info = {**info, "paid": self.paid}
+        return self._known(info, action), -rewards[OBSERVER] - info["price"], ended[OBSERVER], cut[OBSERVER], info
+
+    def _known(self, info: Mapping[str, Any], action: Any) -> Any:
+        heads = self.game.config.clusters
+        game = [info["round"] / MAX_ROUNDS, info["heads_left"] / heads, info["hits"] / heads, info["redundant"] / 82]
+        last = [np.arange(many) == value for many, value in zip(self.choices, action, strict=True)]
+        return np.concatenate([game, *last]).astype(np.float32)
+
+
+class Curve(BaseCallback):
+    """A row for every batch of steps: the mean over the games that ended in it."""
+
+    def __init__(self, detector: str) -> None:
+        super().__init__()
+        self.detector, self.rows, self.ended = detector, [], []
+
+    def _on_step(self) -> bool:
+        self.ended += [info for info, done in zip(self.locals["infos"], self.locals["dones"], strict=True) if done]
+        return True
+
+    def _on_rollout_end(self) -> None:
+        objective = np.array([info["J"] for info in self.ended])
+        paid = np.array([info["paid"] for info in self.ended])
+        means = {"J": objective.mean(), "swarm_payoff": (objective - paid).mean()}
+        self.rows.append(
+            {
+                "detector": self.detector,
+                "steps": self.num_timesteps,
+                "games": len(self.ended),
+                **{name: round(float(value), 4) for name, value in means.items()},
+            }
+        )
+        print(self.rows[-1], flush=True)
+        self.ended = []
+
+
+def training_seeds() -> Iterable[int]:
+    rng = np.random.default_rng(0)
+    while True:
+        yield int(rng.integers(1000))
+
+
+def measured(detector: str, swarm: str, choose: Any) -> list[dict[str, Any]]:
+    """A row for each of the games from 2022 on."""
+    env = SwarmAsOne(detector, range(SEED, SEED + GAMES))
+    rows = []
+    for seed in range(SEED, SEED + GAMES):
+        known, _ = env.reset()
+        over, chosen = False, []
+        while not over:
+            action = choose(known)
+            known, _, ended, cut, info = env.step(action)
+            over = ended or cut
+            chosen.append(action)
+        means = {name: round(float(value), 4) for name, value in zip(CHOICES, np.mean(chosen, axis=0), strict=True)}
+        payoff = {"J": round(info["J"], 6), "swarm_payoff": round(info["J"] - info["paid"], 6)}
+        rows.append({"detector": detector, "swarm": swarm, "seed": seed, **payoff, "success": info["success"], **means})
+    return rows
+
+
+def write(path: Path, rows: list[dict[str, Any]]) -> None:
+    with written_whole(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def main() -> None:
+    """Train, measure and print."""
+    torch.set_num_threads(1)
+    curves: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
+    for detector in DETECTORS:
+        agent = PPO(
+            "MlpPolicy",
+            SwarmAsOne(detector, training_seeds()),
+            learning_rate=3e-3,
+            n_steps=BATCH,
+            batch_size=128,
+            gamma=1.0,
+            ent_coef=0.01,
+            policy_kwargs={"net_arch": [32, 32]},
+            seed=0,
+            device="cpu",
+        )
+        curve = Curve(detector)
+        agent.learn(STEPS, callback=curve)
+        curves += curve.rows
+        rows += measured(detector, "truthful", lambda _: np.zeros(4, np.int64))
+        rows += measured(detector, "ppo", lambda known, agent=agent: agent.predict(known, deterministic=True)[0])
+    write(RESULTS / "multiagent_ppo_curve.csv", curves)
+    write(RESULTS / "multiagent_ppo.csv", rows)
+    columns = {"J": "J_m", "swarm_payoff": "J_m less the price", "success": "all heads hit"}
+    text = table(rows, ["detector", "swarm"], {**columns, **{name: name for name in CHOICES}})
+    with written_whole(RESULTS / "multiagent_ppo.md") as aside:
+        aside.write_text(text + "\n", encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,385 @@
+"""The heads that hide: what their choices do to the flight, what they cost, and who wins what."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import data_equivalence
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_games import drawn, small
+
+import usnet_env  # noqa: F401  # registers the single-agent environments
+from usnet_env import InvalidArgument
+from usnet_env.multiagent import usnet_evasion_v0
+from usnet_env.multiagent.evasion import Delayed, Manoeuvres, Mixed, Plan, fly, handed, price
+from usnet_env.swarm import FollowInputs, SwarmConfig, advance, start
+from usnet_env.swarm.follow import FollowFunction, Lags, Network, StayInRange, follow_strategies
+from usnet_env.swarm.mobility import mobilities, mobility
+
+OBSERVER = "observer_0"
+TRUTHFUL = [0, 0, 0, 0]
+
+
+def plan_of(heads, **choices):
+    values = {name: np.zeros(heads, np.int64) for name in ("mobility", "jitter", "decoys", "delay")}
+    for name, value in choices.items():
+        values[name][:] = value
+    return Plan(**values)
+
+
+def a_swarm(seed=0, **arguments):
+    config = SwarmConfig(**{"clusters": 2, "uavs": 20, "observation_steps": 60, "memory": 8, **arguments})
+    rngs = [np.random.default_rng(seed)]
+    return config, start(config, rngs), rngs
+
+
+def flown(config, state, rngs, plan, manoeuvres=None, before=None):
+    before = np.zeros(config.clusters, np.int64) if before is None else before
+    return fly(config, manoeuvres or Manoeuvres(), state, before, plan, rngs)
+
+
+def act(env, named=(), **choices):
+    """An action for everybody: whom the observer names, and what heads choose (all 0 unless said)."""
+    vote = np.zeros(env.config.uavs, np.int8)
+    vote[list(named)] = 1
+    heads = {agent: choices.get(agent, TRUTHFUL) for agent in env.agents if agent != OBSERVER}
+    return {OBSERVER: vote, **heads}
+
+
+# --- the flight ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("follow", ["f1", "f3", "f5", "f6", "f7"])
+@pytest.mark.parametrize("seed", [0, 1, 12345])
+def test_truthful_heads_fly_as_in_the_single_agent_game(follow, seed):
+    arguments = {"clusters": 3, "uavs": 20, "observation_steps": 20, "memory": 8, "follow": follow, "decoys": 1}
+    single = gym.make("USNET/MultiCluster-v0", **arguments).unwrapped
+    env = usnet_evasion_v0.parallel_env(**arguments)
+    expected, _ = single.reset(seed=seed)
+    env.reset(seed=seed)
+    observations, rewards, *_ = env.step(act(env))
+    assert set(rewards.values()) == {0.0}
+    rng, over = np.random.default_rng(0), False
+    while not over:
+        got = observations[OBSERVER]
+        assert data_equivalence(expected, {key: got[key] for key in expected}, exact=True)
+        candidates = rng.random(20) < 0.2
+        expected, reward, terminated, truncated, _ = single.step(candidates)
+        observations, rewards, terminations, truncations, _ = env.step(act(env, np.flatnonzero(candidates)))
+        assert rewards[OBSERVER] == reward
+        assert (terminations[OBSERVER], truncations[OBSERVER]) == (terminated, truncated)
+        over = terminated or truncated
+
+
+@pytest.mark.parametrize(
+    "strategy", [*follow_strategies().values(), FollowFunction(lambda one: one.head_velocity[:, 0])]
+)
+def test_a_delay_of_zero_is_the_strategy_itself(strategy):
+    config, state, rngs = a_swarm(follow=strategy)
+    late = config.model_copy(update={"follow": Delayed(strategy, np.zeros(20, np.int64))})
+    twin = [np.random.default_rng(0)]
+    start(config, twin)
+    _, expected = advance(config, state, rngs)
+    _, got = advance(late, state, twin)
+    np.testing.assert_array_equal(got.velocity, expected.velocity)
+
+
+@pytest.mark.parametrize(
+    ("strategy", "direction"),
+    [
+        (Lags(2, noise=0.0), lambda v, h, t, d: v[t - 1 - d, h] + v[t - 2 - d, h]),
+        (Lags(3, square=True, noise=0.0), lambda v, h, t, d: sum(v[t - 1 - d - lag, h] ** 2 for lag in range(3))),
+        (FollowFunction(lambda one: one.head_velocity[:, 1], noise=0.0), lambda v, h, t, d: v[t - 2 - d, h]),
+    ],
+)
+def test_followers_of_a_late_head_do_what_it_did_steps_earlier(strategy, direction):
+    """Against the definition, step by step; the other head's followers are on time."""
+    config, state, rngs = a_swarm(follow=strategy)
+    heads = np.flatnonzero(state.head[0])
+    after, sighting, _ = flown(config, state, rngs, plan_of(2, delay=[3, 0]))
+    v = sighting.velocity[0].astype(np.float64)
+    for head, delay in zip(heads, (3, 0), strict=True):
+        for i in np.flatnonzero((state.leader[0] == head) & ~state.head[0]):
+            for t in range(8, 60):
+                wanted = direction(v, head, t, delay)
+                np.testing.assert_allclose(v[t, i], wanted / np.linalg.norm(wanted), atol=1e-4)
+    np.testing.assert_array_equal(after.leader, state.leader)
+
+
+@pytest.mark.parametrize("strategy", [StayInRange(noise=0.0), Network(noise=0.0)])
+def test_a_late_follower_sees_its_heads_old_positions_too(strategy):
+    """Against equation (1) in NumPy, with the head's track shifted by the delay; f6 sees its head in reach or not."""
+    config, state, rngs = a_swarm(follow=strategy, formation="around", seed=3)
+    heads = np.flatnonzero(state.head[0])
+    _, sighting, _ = flown(config, state, rngs, plan_of(2, delay=[2, 4]))
+    place, v = sighting.position[0], sighting.velocity[0]
+    for head, late in zip(heads, (2, 4), strict=True):
+        followers = np.flatnonzero((state.leader[0] == head) & ~state.head[0])
+        for t in range(10, 60):
+            inputs = FollowInputs(
+                own_position=place[t - 8 : t + 1, followers][::-1].swapaxes(0, 1),
+                head_velocity=np.repeat(v[t - 4 - late : t - late, head][::-1][None], len(followers), axis=0),
+                head_position=np.repeat(place[t - 4 - late : t + 1 - late, head][::-1][None], len(followers), axis=0),
+                parameters=state.parameters[0],
+            )
+            wanted = strategy.direction(inputs)
+            wanted = wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
+            np.testing.assert_allclose(v[t, followers], wanted, atol=2e-3)
+
+
+def test_decoys_fly_by_themselves_and_leave_their_head_a_follower():
+    config, state, rngs = a_swarm(cluster_sizes=(2, 16), follow=Lags(1, noise=0.0))
+    who, rows = handed(state, plan_of(2, decoys=[5, 5]))
+    assert sorted(np.bincount(rows)) == [1, 5]  # of 2 followers one is kept
+    _, sighting, _ = flown(config, state, rngs, plan_of(2, decoys=[5, 5]))
+    v = sighting.velocity[0]
+    heads = np.flatnonzero(state.head[0])
+    for i in np.flatnonzero(~state.head[0]):
+        follows = np.allclose(v[1:, i], v[:-1, state.leader[0, i]], atol=1e-5)
+        assert follows != (i in who)
+    for row, head in enumerate(heads):  # the nearest ones, whoever else there is
+        mine = np.flatnonzero((state.leader[0] == head) & ~state.head[0])
+        away = np.linalg.norm(state.position[0, mine] - state.position[0, head], axis=1)
+        taken = np.isin(mine, who[rows == row])
+        assert away[taken].max() <= away[~taken].min()
+
+
+def test_the_role_of_a_decoy_lasts_one_window():
+    config, state, rngs = a_swarm(follow=Lags(1, noise=0.0))
+    after, _, _ = flown(config, state, rngs, plan_of(2, decoys=2))
+    assert after.free.shape == state.free.shape == after.mobility_state.shape[:2]
+    _, sighting, _ = flown(config, after, rngs, plan_of(2))
+    v = sighting.velocity[0]
+    for i in np.flatnonzero(~state.head[0]):
+        np.testing.assert_allclose(v[1:, i], v[:-1, state.leader[0, i]], atol=1e-5)
+
+
+def test_each_head_flies_the_mobility_it_chose():
+    config, state, rngs = a_swarm(observation_steps=200)
+    heads = np.flatnonzero(state.head[0])
+    offer = Manoeuvres(mobilities=("iid", "straight"))
+    _, sighting, now = flown(config, state, rngs, plan_of(2, mobility=[1, 0]), offer)
+    v = sighting.velocity[0]
+    np.testing.assert_array_equal(now, [1, 0])
+    np.testing.assert_allclose(v[:, heads[0]], v[[0], heads[0]].repeat(200, axis=0), atol=1e-6)
+    turns = (v[1:, heads[1]] * v[:-1, heads[1]]).sum(axis=1)
+    assert abs(turns.mean()) < 0.2
+    np.testing.assert_allclose(np.linalg.norm(v, axis=-1), 1.0, atol=1e-4)
+
+
+def test_jitter_is_the_followers_noise():
+    config, state, rngs = a_swarm(observation_steps=400)
+    heads = np.flatnonzero(state.head[0])
+    offer = Manoeuvres(mobilities=("straight",))
+    config = config.model_copy(update={"mobility": "straight"})
+    state = type(state)(**{**state.arrays(), "mobility_state": mobility("straight").start(rngs[0], 2)[None]})
+    _, sighting, _ = flown(config, state, rngs, plan_of(2, jitter=[1, 0]), offer)
+    v = sighting.velocity[0]
+    assert np.abs(v[:, heads[1]] - v[0, heads[1]]).max() < 1e-6
+    across = v[:, heads[0]] - v[:, heads[0]].mean(axis=0)
+    assert np.sqrt((across**2).sum(axis=1).mean() / 2) == pytest.approx(0.05, rel=0.1)
+
+
+@pytest.mark.parametrize("name", sorted(mobilities()))
+def test_a_mix_of_one_law_is_that_law(name):
+    law = mobility(name)
+    mixed = Mixed((law,), np.zeros(4, np.int64), np.zeros(4, bool), 0.05)
+    a, b = np.random.default_rng(0), np.random.default_rng(0)
+    one, other = law.start(a, 4), mixed.start(b, 4)
+    np.testing.assert_array_equal(one, other)
+    place = np.zeros((4, 3), np.float32)
+    np.testing.assert_array_equal(law.fly(one, place, 30, a), mixed.fly(other, place, 30, b))
+    np.testing.assert_array_equal(one, other)
+
+
+# --- the price and the sums ------------------------------------------------------------------------------------------
+
+
+def test_the_price_by_its_formula():
+    _, state, _ = a_swarm(cluster_sizes=(6, 12))
+    heads = np.flatnonzero(state.head[0])
+    led = np.array([((state.leader[0] == head) & ~state.head[0]).sum() for head in heads])
+    offer = Manoeuvres(mobility_price=0.3, jitter_price=0.2, decoy_price=2.0, delay_price=0.1)
+    got = price(offer, state, plan_of(2, mobility=[2, 0], jitter=[1, 0], decoys=[2, 1], delay=[0, 4]))
+    expected = [(led[0] + 1) * 0.5 + 2.0 * 2, 2.0 * 1 + 0.1 * 4 * (led[1] - 1)]
+    np.testing.assert_allclose(got, np.array(expected) / 20)
+    assert price(offer, state, plan_of(2)).tolist() == [0.0, 0.0]
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**31), share=st.floats(0, 0.5), scale=st.sampled_from([0.0, 0.5, 1.0, 3.0]))
+def test_zero_sum_on_j_m_up_to_the_price(seed, share, scale):
+    """In every step, for every head: observer + head + price = 0; and the observer's return is -J_m."""
+    env = small("evasion", max_rounds=5, redundancy_price=scale)
+    rng = np.random.default_rng(seed)
+    observations, infos = env.reset(seed=seed)
+    total, swarm, rounds, redundant = 0.0, env.swarm, 0, 0
+    while env.agents:
+        actions = drawn(env, rng, observations, share)
+        alive = swarm.alive
+        opening = not observations[OBSERVER]["legal"].any()
+        observations, rewards, terminations, _, infos = env.step(actions)
+        for agent, reward in rewards.items():
+            if agent != OBSERVER:
+                assert reward + rewards[OBSERVER] + infos[agent]["price"] == pytest.approx(0.0, abs=1e-12)
+                assert not (terminations[agent] and infos[agent]["price"])
+        total += rewards[OBSERVER]
+        if not opening:
+            rounds += 1
+            redundant += int((actions[OBSERVER] & ~(swarm.head & alive)).sum())
+        swarm = env.swarm
+    assert total == pytest.approx(-(rounds + scale * redundant / 20), abs=1e-9)
+    assert infos[OBSERVER]["J"] == pytest.approx(rounds + redundant / 20)
+
+
+# --- who is in the game ----------------------------------------------------------------------------------------------
+
+
+def test_destroyed_heads_leave_and_the_rest_plays_on():
+    env = small("evasion")
+    observations, _ = env.reset(seed=0)
+    observations, *_ = env.step(act(env))
+    heads = np.flatnonzero(env.swarm.head)
+    observations, rewards, terminations, truncations, infos = env.step(act(env, [heads[1]], head_1=[1, 1, 2, 4]))
+    assert env.agents == [OBSERVER, "head_0", "head_2"]
+    assert env.possible_agents == [OBSERVER, "head_0", "head_1", "head_2"]
+    assert terminations == {OBSERVER: False, "head_0": False, "head_1": True, "head_2": False}
+    assert not any(truncations.values())
+    assert (rewards["head_1"], infos["head_1"]["price"]) == (1.0, 0.0)  # its choice is void, its last reward is not
+    assert set(observations) == set(env.possible_agents)
+    assert not observations["head_1"]["alive"][heads[1]]
+    observations, rewards, *_ = env.step(act(env, [heads[0]]))
+    assert set(observations) == set(rewards) == {OBSERVER, "head_0", "head_2"}
+    observations, rewards, terminations, _, infos = env.step(act(env, [heads[2]]))
+    assert terminations == {OBSERVER: True, "head_2": True}
+    assert env.agents == []
+    assert infos[OBSERVER]["success"] == 1
+    assert infos[OBSERVER]["J"] == 3.0
+    assert not observations[OBSERVER]["seen"].any()
+
+
+def test_whoever_is_left_after_the_last_round_is_truncated():
+    env = small("evasion", max_rounds=2)
+    env.reset(seed=0)
+    env.step(act(env))
+    env.step(act(env, np.flatnonzero(env.swarm.head)[:1]))
+    _, _, terminations, truncations, infos = env.step(act(env, np.flatnonzero(env.swarm.head)[1:2]))
+    assert truncations == {OBSERVER: True, "head_1": False, "head_2": True}
+    assert terminations == {OBSERVER: False, "head_1": True, "head_2": False}
+    assert (env.agents, infos[OBSERVER]["round"]) == ([], 2)
+
+
+def test_what_the_observer_names_in_the_opening_does_not_count():
+    env = small("evasion")
+    observations, _ = env.reset(seed=0)
+    assert not observations[OBSERVER]["seen"].any()
+    assert not observations[OBSERVER]["legal"].any()
+    observations, rewards, _, _, infos = env.step(act(env, range(20)))
+    assert env.agents == env.possible_agents
+    assert observations[OBSERVER]["seen"].all()
+    assert observations[OBSERVER]["round"] == 1
+    assert (infos[OBSERVER]["round"], infos[OBSERVER]["J"], rewards[OBSERVER]) == (0, 0.0, 0.0)
+
+
+def test_what_a_head_knows():
+    env = small("evasion", cluster_sizes=(2, 2, 13))
+    observations, _ = env.reset(seed=4)
+    env.step(act(env))
+    swarm = env.swarm
+    heads = np.flatnonzero(swarm.head)
+    victim = np.flatnonzero(~swarm.head)[0]
+    observations, *_ = env.step(act(env, [victim]))
+    swarm = env.swarm
+    for j, head in enumerate(heads):
+        seen = observations[f"head_{j}"]
+        assert np.flatnonzero(seen["self"]).tolist() == [head]
+        np.testing.assert_array_equal(seen["heads"], swarm.head)
+        followers = (swarm.leader == head) & ~swarm.head & swarm.alive
+        np.testing.assert_array_equal(seen["followers"], followers)
+        np.testing.assert_array_equal(seen["position"], swarm.position)
+        np.testing.assert_array_equal(seen["alive"], swarm.alive)
+        assert np.flatnonzero(seen["named"]).tolist() == [victim]
+        decoys = np.split(seen["legal"], np.cumsum([3, 2, 3]))[2]
+        assert decoys.tolist() == [1, *(int(followers.sum() > many) for many in (1, 2))]
+
+
+def test_the_observers_view_has_no_trace_of_roles():
+    """Nothing but windows and masks; of the destroyed not even the sign of a zero is left, whatever the heads chose."""
+    env = small("evasion", miss_rate=0.2)
+    observations, infos = env.reset(seed=0)
+    everything = {f"head_{j}": [2, 1, 2, 4] for j in range(3)}
+    env.step(act(env, **everything))
+    gone = [*np.flatnonzero(env.swarm.head)[:1], *np.flatnonzero(~env.swarm.head)[:6]]
+    observations, _, _, _, infos = env.step(act(env, gone, **everything))
+    seen = observations[OBSERVER]
+    assert set(seen) == {"position", "velocity", "seen", "alive", "round", "legal"}
+    hidden = ~seen["seen"].astype(bool)
+    assert hidden[:, gone].all()
+    for name, where in (("position", hidden), ("velocity", hidden[1:] | hidden[:-1])):
+        assert not seen[name][where].any()
+        assert not np.signbit(seen[name][where]).any()
+    assert all(np.isscalar(value) for value in infos[OBSERVER].values())
+
+
+# --- the border ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"mobilities": ("iid", "hover")}, "mobility must be one of .*got 'hover'"),
+        ({"mobilities": ()}, "mobilities must hold one or more different names"),
+        ({"mobilities": ("iid", "iid")}, "mobilities must hold one or more different names"),
+        ({"mobilities": "iid"}, "mobilities must be a list, got 'iid'"),
+        ({"most_decoys": -1}, "most_decoys must be greater than or equal to 0, got -1"),
+        ({"most_delay": 2.5}, "most_delay must be a whole number, got 2.5"),
+        ({"decoy_price": np.nan}, "decoy_price must be a finite number, got nan"),
+        ({"delay_price": -1.0}, "delay_price must be greater than or equal to 0"),
+        ({"follow": "none"}, "follow must be a strategy by which followers follow, got 'none'"),
+        ({"follow": "f3", "memory": 6}, "memory must be at least 7 for follow='f3' and most_delay=4, got 6"),
+        ({"max_cycles": 1}, "max_cycles must be None or a whole number from 2, got 1"),
+        ({"render_mode": "human"}, "render_mode must be 'rgb_array' or None, got 'human'"),
+        ({"uavs": 5}, "uavs must be at least"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, sentence):
+    with pytest.raises(InvalidArgument, match=sentence):
+        usnet_evasion_v0.parallel_env(**arguments)
+
+
+@pytest.mark.parametrize(
+    "action", [None, 0, [0] * 3, [0, 0, 0, 5], [0, -1, 0, 0], [0.5, 0, 0, 0], [np.nan] * 4, ["a"] * 4, [[0], [1, 2]]]
+)
+def test_a_wrong_choice_is_refused_and_changes_nothing(action):
+    env, twin = small("evasion"), small("evasion")
+    env.reset(seed=0)
+    twin.reset(seed=0)
+    with pytest.raises(InvalidArgument, match=r"^action of head_1 must hold 4 whole numbers .*got .*\.$"):
+        env.step(act(env, head_1=action))
+    assert data_equivalence(env.step(act(env)), twin.step(act(twin)), exact=True)
+
+
+@pytest.mark.parametrize("wrong", [None, {}, {"observer_0": np.zeros(20)}, [1, 2]])
+def test_an_action_for_every_agent_is_asked_for(wrong):
+    env = small("evasion")
+    with pytest.raises(InvalidArgument, match="reset must be called first"):
+        env.step({})
+    env.reset(seed=0)
+    with pytest.raises(InvalidArgument, match="actions must map each of observer_0, head_0, head_1, head_2"):
+        env.step(wrong)
+    stray = {**act(env), "head_9": TRUTHFUL}
+    with pytest.raises(InvalidArgument, match="actions must map each of"):
+        env.step(stray)
+
+
+def test_what_is_unknown_or_too_early_is_refused():
+    env = small("evasion")
+    for early in (env.state, lambda: env.swarm):
+        with pytest.raises(InvalidArgument, match="reset must be called first"):
+            early()
+    for where in (env.observation_space, env.action_space):
+        with pytest.raises(InvalidArgument, match=r"agent must be one of observer_0, head_0.*got 'head_7'"):
+            where("head_7")
+    for seed in (-1, 1.5, "a", True):
+        with pytest.raises(InvalidArgument, match="seed must be a whole number from 0 or None"):
+            env.reset(seed=seed)

@@ -1,0 +1,259 @@
+"""The observers: what each sees, what they say to each other, and how their votes become candidates."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import data_equivalence
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_games import SMALL, small
+
+import usnet_env  # noqa: F401  # registers the single-agent environments
+from usnet_env import InvalidArgument, Window
+from usnet_env.multiagent import Fusion, fusions, register_fusion, usnet_observers_v0
+from usnet_env.multiagent.sight import Sight, placements, team_sight
+from usnet_env.swarm.formation import ARENA
+
+
+def votes(env, named):
+    """A vote for every observer: whom each names."""
+    actions = {}
+    for agent, who in zip(env.agents, named, strict=True):
+        actions[agent] = np.zeros(env.action_space(agent).shape, env.action_space(agent).dtype)
+        actions[agent][list(who)] = 1
+    return actions
+
+
+@pytest.mark.parametrize("seed", [0, 1, 12345])
+@pytest.mark.parametrize(
+    "more", [{}, {"sample_every": 3, "decoys": 1}, {"mobility": "gauss_markov", "head_jitter": True}]
+)
+def test_one_observer_who_sees_all_plays_the_single_agent_game(seed, more):
+    single = gym.make("USNET/MultiCluster-v0", **SMALL, **more).unwrapped
+    env = usnet_observers_v0.parallel_env(**SMALL, **more, observers=1, sensing_range=1e5)
+    expected, _ = single.reset(seed=seed)
+    observations, _ = env.reset(seed=seed)
+    rng, over = np.random.default_rng(0), False
+    while not over:
+        got = observations["observer_0"]
+        assert data_equivalence(expected, {key: got[key] for key in expected}, exact=True)
+        candidates = (rng.random(20) < 0.2) & expected["alive"].astype(bool)
+        expected, reward, terminated, truncated, info = single.step(candidates)
+        observations, rewards, terminations, truncations, infos = env.step({"observer_0": candidates})
+        assert rewards["observer_0"] == reward
+        assert infos["observer_0"] == info
+        assert (terminations["observer_0"], truncations["observer_0"]) == (terminated, truncated)
+        over = terminated or truncated
+
+
+def test_an_observer_sees_who_is_in_range_and_nobody_else():
+    env = usnet_observers_v0.parallel_env(**SMALL, observers=2, sensing_range=(300.0, 500.0), mobility="straight")
+    everything = usnet_observers_v0.parallel_env(**SMALL, observers=1, sensing_range=1e5, mobility="straight")
+    for seed in range(5):
+        observations, _ = env.reset(seed=seed)
+        truth = everything.reset(seed=seed)[0]["observer_0"]
+        for agent, reach in zip(env.agents, (300.0, 500.0), strict=True):
+            seen = observations[agent]
+            away = np.linalg.norm(truth["position"] - seen["place"], axis=-1)
+            np.testing.assert_array_equal(seen["seen"], away <= reach)
+            np.testing.assert_array_equal(seen["position"], truth["position"] * (away <= reach)[..., None])
+            both = (away[1:] <= reach) & (away[:-1] <= reach)
+            np.testing.assert_array_equal(seen["velocity"], truth["velocity"] * both[..., None])
+            np.testing.assert_array_equal(seen["legal"], (away <= reach).any(axis=0))
+            Window.from_observation(seen)
+
+
+def test_every_observer_has_noise_of_its_own_and_the_swarm_flies_the_same():
+    def look(**more):
+        env = usnet_observers_v0.parallel_env(**SMALL, sensing_range=1e5, **more)
+        return env.reset(seed=0)[0], env.swarm
+
+    quiet, truth = look(observers=2)
+    noisy, same = look(observers=3, position_noise=[0.0, 1.0, 2.0], miss_rate=[0.0, 0.0, 0.3])
+    np.testing.assert_array_equal(truth.position, same.position)
+    exact = quiet["observer_0"]["position"]
+    np.testing.assert_array_equal(noisy["observer_0"]["position"], exact)
+    errors = [noisy[f"observer_{k}"]["position"] - exact for k in (1, 2)]
+    seen = noisy["observer_2"]["seen"].astype(bool)
+    assert errors[0].std() == pytest.approx(1.0, rel=0.1)
+    assert errors[1][seen].std() == pytest.approx(2.0, rel=0.1)
+    assert seen.mean() == pytest.approx(0.7, abs=0.06)
+    assert abs(np.corrcoef(errors[0][seen].ravel(), errors[1][seen].ravel())[0, 1]) < 0.1
+
+
+def test_what_the_team_saw_is_what_any_of_them_saw():
+    env = small("observers", position_noise=0.0)
+    env.reset(seed=0)
+    together = team_sight(env._sightings)
+    truth = usnet_observers_v0.parallel_env(**SMALL, observers=1, sensing_range=1e5).reset(seed=0)[0]["observer_0"]
+    np.testing.assert_array_equal(together.seen, np.any([one.seen for one in env._sightings], axis=0))
+    np.testing.assert_array_equal(together.position, truth["position"] * together.seen[..., None])
+
+
+# --- votes -----------------------------------------------------------------------------------------------------------
+
+
+def masks(seed, count=4, uavs=9):
+    rng = np.random.default_rng(seed)
+    seen = rng.random((count, uavs)) < 0.7
+    return rng, seen
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**31))
+def test_the_rules_by_their_definitions(seed):
+    rng, seen = masks(seed)
+    named = (rng.random(seen.shape) < 0.5) & seen
+    scores = rng.random(seen.shape) * seen
+    union, majority = (fusions()[name].rule(named.astype(float), seen) for name in ("union", "majority"))
+    summed = fusions()["scores"].rule(scores, seen)
+    for i in range(seen.shape[1]):
+        who = np.flatnonzero(seen[:, i])
+        assert union[i] == any(named[k, i] for k in who)
+        assert majority[i] == (sum(named[k, i] for k in who) > len(who) / 2)
+        assert summed[i] == (sum(scores[k, i] for k in who) > len(who) / 2)
+    assert (majority <= union).all()
+
+
+@pytest.mark.parametrize("name", sorted(fusions()))
+def test_one_observer_alone_decides_and_order_does_not_matter(name):
+    rng, seen = masks(3)
+    sent = ((rng.random(seen.shape) < 0.5) & seen).astype(float)
+    rule = fusions()[name].rule
+    np.testing.assert_array_equal(rule(sent[:1], seen[:1]), sent[0] > 0.5)
+    np.testing.assert_array_equal(rule(sent, seen), rule(sent[::-1], seen[::-1]))
+
+
+def test_votes_count_for_those_seen_and_alive_only():
+    env = usnet_observers_v0.parallel_env(**SMALL, observers=2, sensing_range=(1.0, 1e5))
+    env.reset(seed=0)
+    assert not env.step(votes(env, [range(20), ()]))[-1]["observer_0"]["redundant"]  # it sees nobody
+    assert env.swarm.alive.all()
+    follower = int(np.flatnonzero(~env.swarm.head)[0])
+    _, rewards, *_ = env.step(votes(env, [(), [follower]]))
+    assert rewards == {"observer_0": -1.05, "observer_1": -1.05}
+    assert not env.swarm.alive[follower]
+    assert env.step(votes(env, [(), [follower]]))[-1]["observer_1"]["redundant"] == 0  # destroyed already
+
+
+def test_the_reward_is_shared_and_everybody_ends_together():
+    env = small("observers", sensing_range=1e5, fusion="majority")
+    env.reset(seed=0)
+    heads = np.flatnonzero(env.swarm.head)
+    _, rewards, terminations, *_ = env.step(votes(env, [heads, heads[:1], ()]))
+    assert set(rewards.values()) == {-1.0}
+    assert np.flatnonzero(~env.swarm.alive).tolist() == [heads[0]]
+    assert not any(terminations.values())
+    observations, rewards, terminations, truncations, infos = env.step(votes(env, [heads, heads, ()]))
+    assert all(terminations.values())
+    assert not any(truncations.values())
+    assert env.agents == []
+    assert infos["observer_2"]["J"] == 2.0
+    assert not any(one["seen"].any() or one["legal"].any() for one in observations.values())
+
+
+def test_summed_scores():
+    env = small("observers", sensing_range=1e5, fusion="scores", message_size=0)
+    assert env.action_space("observer_0") == gym.spaces.Box(0, 1, (20,), np.float32)
+    env.reset(seed=0)
+    sent = {agent: np.zeros(20) for agent in env.agents}
+    sent["observer_0"][:3], sent["observer_1"][:3], sent["observer_2"][:3] = (
+        [0.9, 1, 0.2],
+        [0.7, 0.4, 0.9],
+        [0, 0.2, 0.3],
+    )
+    env.step(sent)
+    np.testing.assert_array_equal(env.decided.candidates[:3], [True, True, False])
+    np.testing.assert_allclose(env.decided.scores[:3], [1.6, 1.6, 1.4])
+
+
+def test_messages_arrive_with_the_next_window():
+    env = small("observers")
+    observations, _ = env.reset(seed=0)
+    assert not observations["observer_1"]["messages"].any()
+    actions = votes(env, [(), (), ()])
+    actions["observer_1"][-2:] = [1, 0]
+    actions["observer_2"][-2:] = [1, 1]
+    observations, *_ = env.step(actions)
+    for seen in observations.values():
+        np.testing.assert_array_equal(seen["messages"], [[0, 0], [1, 0], [1, 1]])
+    observations, *_ = env.step(votes(env, [(), (), ()]))
+    assert not observations["observer_0"]["messages"].any()
+    assert "messages" not in small("observers", message_size=0).reset(seed=0)[0]["observer_0"]
+
+
+# --- places ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("observers", [1, 2, 3, 4, 7, 8])
+@pytest.mark.parametrize("placement", sorted(placements()))
+def test_observers_stand_in_the_arena(observers, placement):
+    places = Sight(observers=observers, placement=placement).places(np.random.default_rng(0))
+    assert places.shape == (observers, 3)
+    assert ((places >= 0) & (places <= ARENA)).all()
+    assert len(np.unique(places, axis=0)) == observers
+
+
+def test_the_grid_is_the_same_in_every_episode_and_uniform_places_are_not():
+    for placement, fixed in (("grid", True), ("uniform", False)):
+        env = small("observers", placement=placement)
+        places = [env.reset(seed=seed)[0]["observer_1"]["place"] for seed in (0, 1, 0)]
+        assert np.array_equal(places[0], places[1]) == fixed
+        np.testing.assert_array_equal(places[0], places[2])
+
+
+# --- the border ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"observers": 0}, "observers must be greater than or equal to 1, got 0"),
+        ({"sensing_range": -1.0}, "sensing_range must be .*got -1"),
+        ({"sensing_range": (100.0, 200.0)}, "sensing_range must be one number, or one for each of 4 observers"),
+        ({"position_noise": [1.0] * 5}, "position_noise must be one number, or one for each of 4 observers"),
+        ({"position_noise": "much"}, "position_noise must be"),
+        ({"miss_rate": 1.0}, "miss_rate must be"),
+        ({"placement": "gird"}, "placement must be one of grid, uniform, got 'gird' .did you mean 'grid'"),
+        ({"fusion": "vote"}, "fusion must be one of majority, scores, union"),
+        ({"message_size": -1}, "message_size must be greater than or equal to 0"),
+        ({"max_cycles": 0}, "max_cycles must be None or a whole number from 1, got 0"),
+        ({"max_rounds": 0}, "max_rounds must be greater than or equal to 1"),
+        ({"follow": "f8"}, "follow must be one of"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, sentence):
+    with pytest.raises(InvalidArgument, match=sentence):
+        usnet_observers_v0.parallel_env(**arguments)
+
+
+@pytest.mark.parametrize("fusion", ["union", "scores"])
+@pytest.mark.parametrize(
+    "action", [None, 0, np.zeros(19), np.full(20, 2), np.full(20, np.nan), ["a"] * 20, [[0], [1, 2]]]
+)
+def test_a_wrong_vote_is_refused(fusion, action):
+    env = small("observers", fusion=fusion, message_size=0)
+    env.reset(seed=0)
+    with pytest.raises(InvalidArgument, match=r"^action .*must .*got .*\.$"):
+        env.step({**votes(env, [(), (), ()]), "observer_1": action})
+
+
+def test_a_rule_of_ones_own():
+    first = Fusion("candidates", lambda sent, seen: sent[0] > 0, "whoever the first one names")
+    register_fusion("first", first)
+    register_fusion("first", first)
+    env = small("observers", sensing_range=1e5, fusion="first")
+    env.reset(seed=0)
+    env.step(votes(env, [[1], [2], [3]]))
+    assert np.flatnonzero(env.decided.candidates).tolist() == [1]
+    with pytest.raises(InvalidArgument, match="name must be a new one, got 'union'"):
+        register_fusion("union", first)
+    with pytest.raises(InvalidArgument, match="name must be a non-empty name"):
+        register_fusion("", first)
+    with pytest.raises(InvalidArgument, match="rule must be a Fusion"):
+        register_fusion("other", lambda sent, seen: sent[0] > 0)
+    register_fusion("broken", Fusion("candidates", lambda sent, seen: sent.sum()))
+    env = small("observers", fusion="broken")
+    env.reset(seed=0)
+    with pytest.raises(InvalidArgument, match="fusion rule must return 20 booleans"):
+        env.step(votes(env, [(), (), ()]))

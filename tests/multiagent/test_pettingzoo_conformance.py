@@ -1,0 +1,206 @@
+"""Both games in both forms under PettingZoo's own tests, and a whole-episode twin rollout that those lack."""
+
+import copy
+import pickle
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pettingzoo
+import pytest
+from gymnasium.utils.env_checker import data_equivalence
+from pettingzoo_suites import (
+    api_test,
+    max_cycles_test,
+    parallel_api_test,
+    parallel_seed_test,
+    render_test,
+    seed_test,
+    state_test,
+)
+from small_games import GAMES, drawn, episode, small
+
+from usnet_env.multiagent import register_games
+from usnet_env.multiagent.wrappers import DiscreteActions
+
+# Advice of the test suites that does not fit games of windows and masks.
+ADVICE = [
+    "ignore:Observation space for each agent probably should be",
+    "ignore:Action space for each agent probably should be",
+    "ignore:Agents have different observation space sizes",
+    "ignore:Observation is not a NumPy array",
+]
+pytestmark = [pytest.mark.filterwarnings(line) for line in ADVICE]
+
+both_games = pytest.mark.parametrize("game", list(GAMES))
+
+
+@both_games
+def test_parallel_api(game):
+    parallel_api_test(small(game), num_cycles=50)
+
+
+@both_games
+@pytest.mark.parametrize("form", ["env", "raw_env"])
+def test_aec_api(game, form):
+    api_test(small(game, form), num_cycles=20)
+
+
+@both_games
+def test_seeds(game):
+    seed_test(lambda: small(game, "env"), num_cycles=10)
+    parallel_seed_test(lambda: small(game), num_cycles=10)
+
+
+@both_games
+def test_state(game):
+    state_test(small(game, "env"), small(game), num_cycles=4)
+
+
+@both_games
+def test_render(game):
+    def make(render_mode):  # PettingZoo's test makes a "human" env and doesn't use it
+        return small(game, "env", render_mode=None if render_mode == "human" else render_mode)
+
+    render_test(make)
+
+
+@both_games
+def test_max_cycles(game):
+    """With one shot a round at most, drawn actions destroy nobody and only ``max_cycles`` ends the game."""
+    module = SimpleNamespace(
+        parallel_env=lambda max_cycles: small(game, shot_budget=1, max_cycles=max_cycles),
+        env=lambda max_cycles: small(game, "env", shot_budget=1, max_cycles=max_cycles),
+    )
+    max_cycles_test(module)
+
+
+@both_games
+@pytest.mark.parametrize("seed", [0, 1, 12345])
+def test_twins_play_the_same_whole_episode(game, seed):
+    one, other = small(game), small(game)
+    other.reset(seed=7)  # what was played before must not matter
+    first, second = episode(one, seed), episode(other, seed)
+    assert len(first) == len(second) > 2
+    for a, b in zip(first, second, strict=True):
+        assert all(data_equivalence(x, y, exact=True) for x, y in zip(a, b, strict=True))
+
+
+@both_games
+def test_seeds_differ(game):
+    windows = [small(game).reset(seed=seed)[0] for seed in (0, 1)]
+    states = [episode(small(game), seed)[0][5] for seed in (0, 1)]
+    assert not np.array_equal(states[0], states[1])
+    assert set(windows[0]) == set(windows[1])
+
+
+@both_games
+def test_reset_without_a_seed_goes_on_with_the_generator(game):
+    env, twin = small(game), small(game)
+    env.reset(seed=3)
+    twin.reset(seed=3)
+    env.reset()
+    twin.reset()
+    assert np.array_equal(env.state(), twin.state())
+    env.reset(seed=3)
+    assert not np.array_equal(env.state(), twin.state())
+
+
+@both_games
+@pytest.mark.parametrize("seed", [0, 1, 12345])
+def test_agents_in_turn_play_the_parallel_game(game, seed):
+    """The AEC form gives every agent the parallel form's observations and rewards."""
+    parallel = episode(small(game), seed)
+    env = small(game, "env")
+    env.reset(seed=seed)
+    rng, step, actions = np.random.default_rng(0), 0, {}
+    for agent in env.agent_iter():
+        observation, reward, terminated, truncated, info = env.last()
+        if not actions and not (terminated or truncated):
+            actions = drawn(SimpleNamespace(agents=parallel[step][6], action_space=env.action_space), rng, None)
+        expected = parallel[step] if agent in parallel[step][0] and not (terminated or truncated) else None
+        if expected is not None:
+            assert data_equivalence(observation, expected[0][agent], exact=True)
+            assert data_equivalence(info, expected[4][agent], exact=True)
+            assert reward == expected[1].get(agent, 0)
+            env.step(actions.pop(agent))
+            step += not actions
+        else:
+            env.step(None)
+    assert step == len(parallel) - 1
+
+
+@both_games
+def test_observations_and_states_stay_in_their_spaces(game):
+    env = small(game, decoys=1)
+    for seed in range(3):
+        for observations, *_, state, _ in episode(env, seed):
+            assert all(env.observation_space(agent).contains(seen) for agent, seen in observations.items())
+            assert env.state_space.contains(state)
+
+
+@both_games
+def test_observations_share_nothing_with_the_game(game):
+    env, twin = small(game), small(game)
+    rng = np.random.default_rng(0)
+    observations, _ = env.reset(seed=0)
+    twin.reset(seed=0)
+    while env.agents:
+        for seen in observations.values():
+            for array in seen.values():
+                array[...] = 0
+        actions = drawn(env, rng, None)
+        observations, rewards, *_ = env.step(actions)
+        expected, expected_rewards, *_ = twin.step(copy.deepcopy(actions))
+        assert rewards == expected_rewards
+        assert data_equivalence(observations, expected, exact=True)
+
+
+@both_games
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_in_mid_game_goes_on_alike(game, copied):
+    env = small(game, max_rounds=6)
+    env.reset(seed=5)
+    rng = np.random.default_rng(0)
+    env.step(drawn(env, rng, None, share=0.02))
+    twin = copied(env)
+    while env.agents:
+        actions = drawn(env, rng, None, share=0.05)
+        assert data_equivalence(env.step(actions), twin.step(actions), exact=True)
+    assert not twin.agents
+
+
+@both_games
+def test_discrete_actions_pass_pettingzoo_too(game):
+    parallel_api_test(DiscreteActions(small(game)), num_cycles=50)
+    parallel_seed_test(lambda: DiscreteActions(small(game)), num_cycles=10)
+
+
+@both_games
+def test_registered_in_both_forms(game):
+    name = f"usnet_{game}_v0"
+    register_games()  # a second time: no warning about an id that is taken
+    parallel = pettingzoo.make("parallel", name, clusters=2, uavs=12)
+    in_turns = pettingzoo.make("aec", name, clusters=2, uavs=12)
+    assert parallel.config.uavs == 12
+    assert str(parallel) == str(in_turns.unwrapped) == name
+    assert pettingzoo.make("parallel", name, max_cycles=3).rules.max_rounds == {"observers": 3, "evasion": 2}[game]
+
+
+def test_the_core_needs_no_pettingzoo():
+    """Without PettingZoo everything else imports, and a game says what to install."""
+    code = """
+import sys
+sys.modules["pettingzoo"] = None
+import importlib.util
+found = importlib.util.find_spec
+importlib.util.find_spec = lambda name, *rest: None if name == "pettingzoo" else found(name, *rest)
+import usnet_env, usnet_env.envs, usnet_env.multiagent
+try:
+    import usnet_env.multiagent.usnet_evasion_v0
+except ImportError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.strip() == "Games of several agents need PettingZoo: pip install 'usnet[multiagent]'."
