@@ -177,7 +177,7 @@ def parametrize_with_checks(
             name = _name(check)
             marks = [pytest.mark.xfail(reason=excuses[name], strict=False)] if name in excuses else []
             # The default representation holds an address, which would differ between pytest-xdist's workers.
-            plain = type(detector).__repr__ is object.__repr__
+            plain = "__repr__" not in {name for kind in type(detector).__mro__[:-1] for name in vars(kind)}
             label = type(detector).__name__ if plain else " ".join(repr(detector).split())[:60]
             cases.append(pytest.param(detector, check, marks=marks, id=f"{label}-{name}"))
     return pytest.mark.parametrize(("detector", "check"), cases)

@@ -129,8 +129,9 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
     the number of living UAVs is lowered to it, and K-Means and SNMF may find fewer clusters than asked for.
 
     Args:
-        count: the number of clusters: a whole number, ``"gap"`` (:func:`detectors.clustering.gap`, on the features)
-            or ``"eigengap"`` (:func:`detectors.clustering.eigengap`, on the affinity).
+        count: the number of clusters: a whole number, ``"gap"`` (:func:`detectors.clustering.gap`, on the features),
+            ``"gap-one-se"`` (the same by the one-standard-error rule alone) or ``"eigengap"``
+            (:func:`detectors.clustering.eigengap`, on the affinity).
         features: what is clustered: ``"raw"``, ``"scaled"``, ``"velocities"``
             (see :mod:`detectors.clustering.features`), or a callable from a window to ``(N, d)`` or ``(N, T, d)``.
         affinity: ``"lag"`` (a series only), ``"rbf"``, ``"cosine"`` (see :mod:`detectors.clustering.affinity`), or a
@@ -206,6 +207,8 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
             return count
         if count == "gap":
             return gap(living.flat, rng).count
+        if count == "gap-one-se":
+            return gap(living.flat, rng, clear=np.inf).count
         return eigengap(living.affinity, rng) if count == "eigengap" else None
 
     @abstractmethod

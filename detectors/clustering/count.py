@@ -14,7 +14,7 @@ __all__ = ["COUNTS", "Gap", "eigengap", "eigenvalues", "gap", "most_clusters", "
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-COUNTS = ("gap", "eigengap")
+COUNTS = ("gap", "gap-one-se", "eigengap")
 REFERENCES = 15  # B, uniform data sets that the gap is measured against
 STARTS = 3  # chains of K-Means for every data set, of which the best counts
 CLEAR = 10.0  # s by which a later gap is clearly higher: measured 40 and more on blobs, 8 at most on uniform clouds

@@ -25,7 +25,16 @@ from torch import Tensor
 from detectors.gassl.inputs import Samples
 from usnet_env.config import Config
 
-__all__ = ["Fit", "PredictionPooling", "fit_prediction_pooling"]
+__all__ = [
+    "AdditiveNetwork",
+    "Fit",
+    "PredictionPooling",
+    "Problem",
+    "fit_prediction_pooling",
+    "held_out_times",
+    "other_times",
+    "weighted_mean",
+]
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -122,6 +131,21 @@ class AdditiveNetwork:
         some.free = [parameter.detach()[index] for parameter in self.free]
         return some
 
+    def copies(self, count: int) -> AdditiveNetwork:
+        """``count`` times the only network, whose gradients add up."""
+        same = object.__new__(AdditiveNetwork)
+        same.weights = [parameter.expand(count, *parameter.shape[1:]) for parameter in self.weights]
+        same.free = [parameter.expand(count, *parameter.shape[1:]) for parameter in self.free]
+        return same
+
+    def optimiser(self, settings: PredictionPooling) -> torch.optim.AdamW:
+        """AdamW on its parameters, decay only where it belongs."""
+        groups = [
+            {"params": self.weights, "weight_decay": settings.weight_decay},
+            {"params": self.free, "weight_decay": 0.0},
+        ]
+        return torch.optim.AdamW(groups, lr=settings.learning_rate)
+
     def from_source(self, window: Tensor) -> Tensor:
         """The part that depends on the source alone: ``(S, t, C)`` to ``(S, t, 3)``."""
         slope, readout, linear, _ = self.weights
@@ -173,7 +197,7 @@ def _blocks(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Te
     return held, near
 
 
-def _others(used: Tensor, times: int) -> Tensor:
+def other_times(used: Tensor, times: int) -> Tensor:
     """Indices of the times that are not trained on; all of them where none is left."""
     rest = torch.ones(times, dtype=torch.bool, device=used.device)
     rest[used] = False
@@ -202,7 +226,7 @@ def own_history(samples: Samples, ridge: float, folds: int = 8) -> Tensor:
     return prediction.view(windows, uavs, times, 3)
 
 
-def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
+def weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
     """Mean over the last axis with weights; 0 where all weights are 0."""
     return (values * weight).sum(-1) / weight.sum(-1).clamp(min=1.0)
 
@@ -218,7 +242,7 @@ def _centred(velocity: Tensor) -> Tensor:
     return torch.where(seen, velocity - mean, velocity)
 
 
-class _Problem:
+class Problem:
     """The tensors of one fit, and errors of pairs from them."""
 
     def __init__(self, samples: Samples, settings: PredictionPooling) -> None:
@@ -227,7 +251,7 @@ class _Problem:
         self.null_error = ((self.null - samples.target) ** 2).sum(-1)  # (E, n, R)
         windows, uavs, times = samples.windows, samples.uavs, samples.times
         self.source = _VELOCITY_SCALE * _centred(samples.velocity).reshape(windows * uavs, times, -1)
-        surprise = (_weighted_mean(self.null_error, samples.weight) / 3.0).sqrt()
+        surprise = (weighted_mean(self.null_error, samples.weight) / 3.0).sqrt()
         self.noise = (settings.input_noise * _VELOCITY_SCALE * surprise).reshape(-1, 1, 1)
 
     def errors(
@@ -274,7 +298,7 @@ def fit_prediction_pooling(samples: Samples, settings: PredictionPooling, genera
     """
     windows, uavs = samples.windows, samples.uavs
     device = samples.target.device
-    problem = _Problem(samples, settings)
+    problem = Problem(samples, settings)
     used, held = held_out_times(samples.times, settings.blocks, samples.velocity.shape[3], device)
     network = AdditiveNetwork(windows * uavs, problem.source.shape[2], settings.units, generator)
     _train(problem, network, used, generator)
@@ -282,10 +306,10 @@ def fit_prediction_pooling(samples: Samples, settings: PredictionPooling, genera
     everyone = torch.arange(uavs, device=device)
     with torch.no_grad():
         gains = []
-        for times in (used, held, _others(used, samples.times)):
+        for times in (used, held, other_times(used, samples.times)):
             weight = samples.weight[:, :, times]
-            null = _weighted_mean(problem.null_error[:, :, times], weight)
-            errors = _all_errors(problem, network, everyone, times)
+            null = weighted_mean(problem.null_error[:, :, times], weight)
+            errors = all_errors(problem, network, everyone, times)
             gains.append(torch.log((null.unsqueeze(2) + settings.floor) / (errors + settings.floor)))
         trained, held_out, untrained = gains
         for gain in gains:
@@ -300,7 +324,7 @@ def fit_prediction_pooling(samples: Samples, settings: PredictionPooling, genera
     return Fit(trained, held_out, torch.softmax(likelihood, dim=2), likelihood, winner, explained)
 
 
-def _train(problem: _Problem, network: AdditiveNetwork, used: Tensor, generator: torch.Generator) -> None:
+def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: torch.Generator) -> None:
     """Every candidate's network learns to predict the others; errors count by their logarithm.
 
     The logarithm of a UAV's mean error is its Gaussian likelihood with a variance of its own: a UAV that nobody can
@@ -308,13 +332,7 @@ def _train(problem: _Problem, network: AdditiveNetwork, used: Tensor, generator:
     """
     settings, samples = problem.settings, problem.samples
     device = samples.target.device
-    optimiser = torch.optim.AdamW(
-        [
-            {"params": network.weights, "weight_decay": settings.weight_decay},
-            {"params": network.free, "weight_decay": 0.0},
-        ],
-        lr=settings.learning_rate,
-    )
+    optimiser = network.optimiser(settings)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
     columns = torch.arange(samples.uavs, device=device)
     for _ in range(settings.steps):
@@ -323,14 +341,14 @@ def _train(problem: _Problem, network: AdditiveNetwork, used: Tensor, generator:
         errors = problem.errors(network, columns, voters, times, generator)
         weight = samples.weight[:, voters][:, :, times].unsqueeze(1)
         others = (columns[:, None] != voters[None]) & (weight.sum(-1) > 0)
-        loss = (torch.log(_weighted_mean(errors, weight) + settings.floor) * others).sum() / len(voters)
+        loss = (torch.log(weighted_mean(errors, weight) + settings.floor) * others).sum() / len(voters)
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         optimiser.step()
         schedule.step()
 
 
-def _all_errors(problem: _Problem, network: AdditiveNetwork, voters: Tensor, times: Tensor) -> Tensor:
+def all_errors(problem: Problem, network: AdditiveNetwork, voters: Tensor, times: Tensor) -> Tensor:
     """Mean squared error ``(E, n, n)``, entry (i, j): UAV i from candidate j by j's own network; in bounded memory."""
     samples = problem.samples
     windows, uavs = samples.windows, samples.uavs
@@ -340,11 +358,11 @@ def _all_errors(problem: _Problem, network: AdditiveNetwork, voters: Tensor, tim
     for first in range(0, uavs, step):
         columns = torch.arange(first, min(first + step, uavs), device=times.device)
         rows = (torch.arange(windows, device=times.device)[:, None] * uavs + columns).reshape(-1)
-        parts.append(_weighted_mean(problem.errors(network.rows(rows), columns, voters, times), weight))
+        parts.append(weighted_mean(problem.errors(network.rows(rows), columns, voters, times), weight))
     return torch.cat(parts, dim=1).transpose(1, 2)
 
 
-def _attend(problem: _Problem, network: AdditiveNetwork, winner: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
+def _attend(problem: Problem, network: AdditiveNetwork, winner: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
     """Log-likelihoods ``(E, n, n)`` of all pairs under the winning network, and the explained shares ``(E, n)``."""
     samples, floor = problem.samples, problem.settings.floor
     windows, uavs, device = samples.windows, samples.uavs, winner.device
@@ -359,18 +377,18 @@ def _attend(problem: _Problem, network: AdditiveNetwork, winner: Tensor, held: T
             columns = everyone[first : first + step]
             weight = samples.weight[:, :, times].unsqueeze(1)
             errors = problem.errors(network.rows(rows.repeat_interleave(len(columns))), columns, everyone, times)
-            parts.append(_weighted_mean(errors, weight))
+            parts.append(weighted_mean(errors, weight))
         return torch.cat(parts, dim=1).transpose(1, 2)
 
     error = shared(all_times)
-    null = _weighted_mean(problem.null_error, samples.weight)
+    null = weighted_mean(problem.null_error, samples.weight)
     error.diagonal(dim1=1, dim2=2).copy_(null)
     seen = samples.weight.sum(-1)
     likelihood = -1.5 * seen.unsqueeze(2) * torch.log(error + floor)
     choice = likelihood.argmax(2)
     weight = samples.weight[:, :, held]
     left = shared(held)
-    left.diagonal(dim1=1, dim2=2).copy_(_weighted_mean(problem.null_error[:, :, held], weight))
-    power = _weighted_mean((samples.target[:, :, held] ** 2).sum(-1), weight)
+    left.diagonal(dim1=1, dim2=2).copy_(weighted_mean(problem.null_error[:, :, held], weight))
+    power = weighted_mean((samples.target[:, :, held] ** 2).sum(-1), weight)
     chosen = left.gather(2, choice.unsqueeze(2)).squeeze(2)
     return likelihood, 1.0 - chosen / power.clamp(min=1e-12)

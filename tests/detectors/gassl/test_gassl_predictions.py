@@ -9,8 +9,8 @@ from detectors.gassl import prediction_pooling
 from detectors.gassl.prediction_pooling import (
     AdditiveNetwork,
     PredictionPooling,
-    _all_errors,
-    _Problem,
+    Problem,
+    all_errors,
     fit_prediction_pooling,
     held_out_times,
     own_history,
@@ -101,12 +101,12 @@ def literal_error(network, problem, batch, e, i, j, times):
 def test_errors_of_all_pairs(monkeypatch, entries):
     monkeypatch.setattr(prediction_pooling, "_CHUNK_ENTRIES", entries)
     batch, _ = batch_of(follow="f6", miss_rate=0.1)
-    problem = _Problem(batch, PredictionPooling())
+    problem = Problem(batch, PredictionPooling())
     network = AdditiveNetwork(8, 12, 6, torch.Generator().manual_seed(0))
     for parameter in (*network.weights, *network.free):
         parameter.data += 0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(1))
     times = torch.arange(10, 24)
-    got = _all_errors(problem, network.rows(torch.arange(8)), torch.arange(4), times)
+    got = all_errors(problem, network.rows(torch.arange(8)), torch.arange(4), times)
     for e in range(2):
         for i in range(4):
             for j in range(4):
@@ -120,11 +120,11 @@ def test_gains_are_log_ratios_of_the_nulls_error(monkeypatch):
     seen = []
 
     def watched(problem, network, voters, times):
-        errors = _all_errors(problem, network, voters, times)
+        errors = all_errors(problem, network, voters, times)
         seen.append((problem, times, errors))
         return errors
 
-    monkeypatch.setattr(prediction_pooling, "_all_errors", watched)
+    monkeypatch.setattr(prediction_pooling, "all_errors", watched)
     fit = fit_prediction_pooling(batch, settings, torch.Generator().manual_seed(0))
     used, held, untrained = (times for _, times, _ in seen)  # the last for the choice of the winner
     assert sorted([*used.tolist(), *untrained.tolist()]) == list(range(batch.times))
@@ -153,11 +153,11 @@ def test_the_winner_and_attention():
 
 
 def test_noise_on_the_sources_is_a_share_of_what_their_own_history_leaves():
-    smooth = _Problem(batch_of(follow="none", mobility="gauss_markov")[0], PredictionPooling())
-    random = _Problem(batch_of(follow="none")[0], PredictionPooling())
+    smooth = Problem(batch_of(follow="none", mobility="gauss_markov")[0], PredictionPooling())
+    random = Problem(batch_of(follow="none")[0], PredictionPooling())
     assert smooth.noise.mean() < 0.7 * random.noise.mean()
     np.testing.assert_allclose(random.noise, 0.2, rtol=0.2)  # unit variance after scaling, nothing predicted
-    assert (_Problem(batch_of()[0], PredictionPooling(input_noise=0.0)).noise == 0).all()
+    assert (Problem(batch_of()[0], PredictionPooling(input_noise=0.0)).noise == 0).all()
 
 
 def test_rows_are_copies_without_gradient():
