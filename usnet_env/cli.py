@@ -294,6 +294,29 @@ def attention(out: str, seed: int) -> None:
         click.echo(str(path))
 
 
+@_usnet.group()
+def train() -> None:
+    """Make again what ships trained."""
+
+
+@train.command()
+@click.option("--out", default="runs/meta", show_default=True, metavar="DIR", help="Weights and losses go here.")
+@click.option("--method", type=click.Choice(["meta", "joint"]), default="meta", show_default=True, help="The training.")
+@click.option("--strategies", type=_WholeNumber(1, 10**7), default=100, show_default=True, help="F, drawn at random.")
+@click.option("--episodes", type=_WholeNumber(1, 10**7), default=10_000, show_default=True, help="Of the training.")
+@click.option("--seed", type=_WholeNumber(0, 2**31), default=0, show_default=True, help="Of the training.")
+@click.option("--resume/--no-resume", default=True, show_default=True, help="Go on from a checkpoint in --out.")
+def meta(out: str, method: str, strategies: int, episodes: int, seed: int, resume: bool) -> None:
+    """The GRU network of MC-GASSL, off line, on random follow strategies (none of f1 to f7)."""
+    from detectors.mc_gassl.train import MetaTraining, train_meta
+
+    training = MetaTraining.model_validate(
+        {"method": method, "strategies": strategies, "episodes": episodes, "seed": seed}
+    )
+    with _bar("strategies and episodes") as progress:
+        click.echo(str(train_meta(out, training, progress, resume)))
+
+
 @contextmanager
 def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
     """A progress bar on standard error, as a function of what is done and of all there is to do."""

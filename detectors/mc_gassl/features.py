@@ -1,0 +1,94 @@
+"""A window as the GRU network reads it, and the network's features as clusterers take them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+import torch
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from pydantic import Field
+
+from detectors.clustering.features import raw
+from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, embed
+from usnet_env.config import Config, unknown_name
+from usnet_env.window import Window
+
+__all__ = ["MODES", "gru_features", "inputs_of"]
+
+#: features of the newest T_0 samples (the paper's), their mean over all times, or one for every time
+MODES = ("single", "mean", "series")
+
+_Metres = Annotated[float, Field(gt=0)]
+
+
+class _Arguments(Config):
+    mode: str
+    memory: Annotated[int, Field(ge=1, le=1000)]
+    scale: _Metres | tuple[_Metres, _Metres, _Metres]
+
+
+def inputs_of(window: Window, memory: int = 4) -> GruInputs:
+    """What the GRU network reads of all N UAVs at all R = T_ob - T_0 + 1 times of a window.
+
+    Args:
+        window: what the observer saw. What it did not see is filled in, see :mod:`detectors.clustering.features`.
+        memory: T_0; of a shorter window, all samples that there are make one time.
+
+    Returns:
+        Float32 inputs; destroyed UAVs are 0 and never seen.
+    """
+    steps = window.observation_steps
+    memory = min(memory, steps)
+    filled = raw(window, steps).reshape(window.uavs, steps, 6).swapaxes(0, 1)
+    filled[:, ~window.alive] = 0.0
+    position = filled[: steps - memory + 1, :, :3]
+    velocity = sliding_window_view(filled[:, :, 3:], memory, axis=0).swapaxes(2, 3)
+    seen = sliding_window_view(window.velocity_seen, memory, axis=0).all(axis=-1)
+    return GruInputs(_single(position), _single(velocity), torch.from_numpy(seen))
+
+
+def _single(values: NDArray[np.float64]) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))
+
+
+def gru_features(
+    window: Window,
+    parameters: GruParameters,
+    mode: str = "single",
+    memory: int = 4,
+    scale: Scale = ARENA_SCALE,
+) -> NDArray[np.float64]:
+    """The GRU network's features of all N UAVs; destroyed UAVs are 0.
+
+    As ``features=`` of a clusterer: ``functools.partial(gru_features, parameters=parameters, mode="series")``.
+
+    Args:
+        window: what the observer saw.
+        parameters: W, see :func:`detectors.mc_gassl.weights.load_meta_weights`.
+        mode: ``"single"``, the paper's e_{i,t} of the last T_0 samples; ``"mean"``, the mean of e_{i,t} over the times
+            at which the UAV was seen throughout (over all, if there are none); ``"series"``, e_{i,t} at all times.
+        memory: T_0.
+        scale: metres by which positions are divided; the one that the parameters were trained with.
+
+    Returns:
+        ``(N, w)``, or ``(N, T_ob - T_0 + 1, w)`` for ``"series"``.
+
+    Raises:
+        InvalidArgument: an argument is refused.
+    """
+    arguments = _Arguments(mode=mode, memory=memory, scale=scale)
+    if mode not in MODES:
+        raise unknown_name("mode", mode, MODES)
+    inputs = inputs_of(window, arguments.memory)
+    if mode == "single":
+        inputs = inputs.at(torch.tensor([inputs.times - 1]))
+    with torch.no_grad():
+        embedding = embed(parameters, inputs, arguments.scale).double()
+    if mode == "mean":
+        seen = inputs.seen | ~inputs.seen.any(dim=0)
+        embedding = (embedding * seen[..., None]).sum(dim=0, keepdim=True) / seen.sum(dim=0)[:, None]
+    values: NDArray[np.float64] = embedding.numpy().swapaxes(0, 1).copy()
+    values[~window.alive] = 0.0
+    return values if mode == "series" else values[:, 0]

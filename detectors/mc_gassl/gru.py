@@ -1,0 +1,145 @@
+"""The GRU network of §IV-A: T_0 cells of equations (26) to (29), which are not ``torch.nn.GRU``'s.
+
+The paper's numbers are counted in its source; issue and decisions count one more. The cell has no biases, the reset
+gate acts before W_h, and the first hidden state is not zero: it is where the UAV was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Self
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from usnet_env.config import Config, InvalidArgument, shown
+
+__all__ = ["ARENA_SCALE", "GruInputs", "GruParameters", "GruSizes", "Scale", "draw_parameters", "embed", "gru"]
+
+Scale = float | tuple[float, float, float]
+
+#: metres by which positions are divided, axis by axis: the paper's arena. Metres as they are saturate the gates.
+ARENA_SCALE = (1000.0, 1000.0, 100.0)
+
+
+class GruSizes(Config):
+    """Sizes of the GRU network.
+
+    Args:
+        width: entries of h, and so of a feature. The paper's h_0 is a position, which makes it 3; a wider h starts
+            with the position in its first three entries and 0 in the others.
+    """
+
+    width: Annotated[int, Field(ge=3, le=4096)] = 3
+
+
+@dataclass(frozen=True, eq=False)
+class GruParameters:
+    """W = {W_r, W_u, W_h}, shared by all cells and all UAVs; w is the width.
+
+    Args:
+        reset: W_r ``(w, w + 3)``, for [h; v].
+        update: W_u ``(w, w + 3)``, for [h; v].
+        candidate: W_h ``(w, 3 + w)``, for [v; g_r * h].
+
+    Raises:
+        InvalidArgument: the three don't have one such shape.
+    """
+
+    reset: Tensor
+    update: Tensor
+    candidate: Tensor
+
+    def __post_init__(self) -> None:
+        shapes = [tuple(tensor.shape) for tensor in self.tensors()]
+        width = shapes[0][0] if shapes[0] else 0
+        if width < 3 or any(shape != (width, width + 3) for shape in shapes):
+            raise InvalidArgument(
+                f"parameters must be three arrays of one shape (width, width + 3) with width >= 3, got {shown(shapes)}."
+            )
+
+    @property
+    def width(self) -> int:
+        """Entries of a feature."""
+        return int(self.reset.shape[0])
+
+    def tensors(self) -> tuple[Tensor, Tensor, Tensor]:
+        """W_r, W_u, W_h."""
+        return self.reset, self.update, self.candidate
+
+    def mapped(self, change: Callable[[Tensor], Tensor]) -> Self:
+        """New parameters: ``change`` of each array."""
+        return type(self)(*(change(tensor) for tensor in self.tensors()))
+
+    def trainable(self) -> Self:
+        """A copy cut off from any earlier computation, in which gradients flow."""
+        return self.mapped(lambda tensor: tensor.detach().clone().requires_grad_(True))
+
+
+@dataclass(frozen=True, eq=False)
+class GruInputs:
+    """What the GRU network reads of n UAVs at R times t.
+
+    Args:
+        position: ``(R, n, 3)`` metres, p_{i,t-T_0+1}, where the first of the velocities starts.
+        velocity: ``(R, n, T_0, 3)`` metres per step, v_{i,t-T_0+1}, ..., v_{i,t}: oldest first.
+        seen: ``(R, n)`` bool, all of the T_0 velocities were seen. What was not seen is filled in.
+    """
+
+    position: Tensor
+    velocity: Tensor
+    seen: Tensor
+
+    @property
+    def times(self) -> int:
+        """R."""
+        return int(self.position.shape[0])
+
+    @property
+    def uavs(self) -> int:
+        """How many UAVs, n."""
+        return int(self.position.shape[1])
+
+    def at(self, times: Tensor) -> GruInputs:
+        """The inputs of some times, ``(r,)`` indices."""
+        return GruInputs(self.position[times], self.velocity[times], self.seen[times])
+
+
+def draw_parameters(sizes: GruSizes, generator: torch.Generator) -> GruParameters:
+    """A random start: uniform in ±1/sqrt(w + 3), float32."""
+    shape = (sizes.width, sizes.width + 3)
+    reset, update, candidate = (
+        (2.0 * torch.rand(shape, generator=generator) - 1.0) / shape[1] ** 0.5 for _ in range(3)
+    )
+    return GruParameters(reset, update, candidate)
+
+
+def gru(parameters: GruParameters, first: Tensor, velocity: Tensor) -> Tensor:
+    """Equations (26) to (29), T_0 times over: h_{T_0} of any number of UAVs and times at once.
+
+    Args:
+        parameters: W.
+        first: ``(..., 3)``, h_0 or its first three entries: positions, scaled.
+        velocity: ``(..., T_0, 3)`` metres per step, oldest first.
+
+    Returns:
+        The features e ``(..., w)``.
+    """
+    width = parameters.width
+    h = torch.nn.functional.pad(first, (0, width - 3))
+    from_h = torch.cat([parameters.reset[:, :width], parameters.update[:, :width]]).T
+    from_reset_h = parameters.candidate[:, 3:].T
+    from_v = torch.cat([parameters.reset[:, width:], parameters.update[:, width:], parameters.candidate[:, :3]]).T
+    for velocity_part in (velocity @ from_v).unbind(-2):
+        gates = torch.sigmoid(h @ from_h + velocity_part[..., : 2 * width])
+        g_r, g_u = gates[..., :width], gates[..., width:]
+        new = torch.tanh(velocity_part[..., 2 * width :] + (g_r * h) @ from_reset_h)
+        h = (1.0 - g_u) * h + g_u * new
+    return h
+
+
+def embed(parameters: GruParameters, inputs: GruInputs, scale: Scale = ARENA_SCALE) -> Tensor:
+    """Features e_{i,t} ``(R, n, w)``; positions are divided by ``scale`` metres, one number or one an axis."""
+    return gru(parameters, inputs.position / inputs.position.new_tensor(scale), inputs.velocity)

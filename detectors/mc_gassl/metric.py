@@ -1,0 +1,156 @@
+"""Metric learning of §IV-A: triplets drawn from known clusters, and the Siamese network's triplet loss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, embed, gru
+from usnet_env.config import Config, InvalidArgument
+
+__all__ = ["SAMPLINGS", "Metric", "Triplets", "batch_loss", "draw_triplets", "triplet_loss"]
+
+#: how positives and negatives are chosen, see :func:`draw_triplets`
+SAMPLINGS = ("hard", "semi-hard", "random")
+
+_Metres = Annotated[float, Field(gt=0)]
+
+
+class Metric(Config):
+    """What a batch of triplets and its loss are made of.
+
+    Args:
+        sampling: ``"hard"``, ``"semi-hard"`` or ``"random"``, see :func:`draw_triplets`.
+        margin: gamma.
+        times: random times t of the window in a batch.
+        anchors: B, triplets in a batch.
+        scale: metres by which positions are divided, axis by axis.
+    """
+
+    sampling: Literal["hard", "semi-hard", "random"] = "hard"
+    margin: Annotated[float, Field(gt=0)] = 0.5
+    times: Annotated[int, Field(ge=1, le=100_000)] = 8
+    anchors: Annotated[int, Field(ge=1, le=100_000)] = 256
+    scale: _Metres | tuple[_Metres, _Metres, _Metres] = ARENA_SCALE
+
+
+@dataclass(frozen=True, eq=False)
+class Triplets:
+    """B triplets, each at one time.
+
+    Args:
+        time: ``(B,)`` indices of the R times.
+        anchor: ``(B,)`` indices of the n UAVs, i_a.
+        positive: ``(B,)`` i_p, of the anchor's cluster.
+        negative: ``(B,)`` i_n, of another cluster.
+    """
+
+    time: Tensor
+    anchor: Tensor
+    positive: Tensor
+    negative: Tensor
+
+
+def draw_triplets(
+    metric: Metric, parameters: GruParameters, inputs: GruInputs, labels: Tensor, generator: torch.Generator
+) -> Triplets:
+    """Triplets for random anchors.
+
+    ``"hard"`` is the paper's, equations (30) and (31): of the anchor's cluster the farthest in input space, of the
+    others the nearest in input space. Inputs are in metres there, so positions decide. ``"semi-hard"`` (Schroff et al.,
+    FaceNet, 2015): a random positive, and of the other clusters the nearest *feature* that is farther away than the
+    positive's; where there is none, the farthest. ``"random"``: both at random.
+
+    Args:
+        metric: sampling, and B, the anchors at most; all that are possible, if these are fewer.
+        parameters: W, whose features ``"semi-hard"`` looks at.
+        inputs: of n UAVs at R times.
+        labels: ``(n,)`` int64, clusters; UAVs with -1 take no part.
+        generator: where all draws come from.
+
+    Returns:
+        Triplets whose three UAVs were seen; none where there are no two clusters, one of them with two UAVs.
+    """
+    there = inputs.seen & (labels >= 0)
+    cluster = torch.from_numpy(np.unique(labels.numpy(), return_inverse=True)[1])
+    size = torch.zeros(there.shape, dtype=torch.int64).index_add_(1, cluster, there.long())[:, cluster]
+    possible = there & (size > 1) & (size < there.sum(dim=1, keepdim=True))
+    pairs = possible.nonzero()
+    time, anchor = pairs[torch.randperm(len(pairs), generator=generator)[: metric.anchors]].unbind(1)
+    if len(anchor) == 0:
+        return Triplets(time, anchor, anchor, anchor)
+
+    alike = labels[anchor, None] == labels
+    same, other = there[time] & alike, there[time] & ~alike
+    same[torch.arange(len(anchor)), anchor] = False
+    if metric.sampling == "hard":
+        distance = _distances(torch.cat([inputs.position, inputs.velocity.flatten(-2)], dim=-1), time, anchor)
+        return Triplets(time, anchor, _farthest(distance, same), _nearest(distance, other))
+    positive = _farthest(torch.rand(same.shape, generator=generator), same)
+    if metric.sampling == "random":
+        return Triplets(time, anchor, positive, _farthest(torch.rand(other.shape, generator=generator), other))
+    with torch.no_grad():
+        distance = _distances(embed(parameters, inputs, metric.scale), time, anchor)
+    farther = other & (distance > distance.gather(1, positive[:, None]))
+    negative = torch.where(farther.any(dim=1), _nearest(distance, farther), _farthest(distance, other))
+    return Triplets(time, anchor, positive, negative)
+
+
+def _distances(values: Tensor, time: Tensor, anchor: Tensor) -> Tensor:
+    """``(B, n)``: how far ``values`` ``(R, n, d)`` of every UAV are from the anchor's at the same time."""
+    distance = values.new_empty(len(anchor), values.shape[1])
+    for t, there in enumerate(values):
+        rows = time == t
+        # Not by way of squares and products: positions of a kilometre would leave centimetres of rounding.
+        distance[rows] = torch.cdist(there[anchor[rows]], there, compute_mode="donot_use_mm_for_euclid_dist")
+    return distance
+
+
+def _farthest(distance: Tensor, among: Tensor) -> Tensor:
+    return distance.masked_fill(~among, -torch.inf).argmax(dim=1)
+
+
+def _nearest(distance: Tensor, among: Tensor) -> Tensor:
+    return distance.masked_fill(~among, torch.inf).argmin(dim=1)
+
+
+def triplet_loss(anchor: Tensor, positive: Tensor, negative: Tensor, margin: float) -> Tensor:
+    """Equation (32) of triplets of features ``(B, w)`` each, ``(B,)``: [|e_p - e_a| - |e_n - e_a| + gamma]_+."""
+    near = torch.linalg.vector_norm(positive - anchor, dim=-1)
+    far = torch.linalg.vector_norm(negative - anchor, dim=-1)
+    return torch.relu(near - far + margin)
+
+
+def batch_loss(
+    parameters: GruParameters, inputs: GruInputs, labels: Tensor, metric: Metric, generator: torch.Generator
+) -> Tensor:
+    """Equation (33) of one random batch, as a mean, so that rates and losses do not depend on B.
+
+    Args:
+        parameters: W.
+        inputs: of n UAVs at R times.
+        labels: ``(n,)`` int64, clusters; UAVs with -1 take no part.
+        metric: what the batch is made of.
+        generator: where all draws come from.
+
+    Returns:
+        The loss; 0 where no triplet can be drawn.
+
+    Raises:
+        InvalidArgument: ``labels`` has another length than n.
+    """
+    if labels.shape != (inputs.uavs,):
+        raise InvalidArgument(f"labels must have shape ({inputs.uavs},), got {tuple(labels.shape)}.")
+    batch = inputs.at(torch.randperm(inputs.times, generator=generator)[: metric.times])
+    triplets = draw_triplets(metric, parameters, batch, labels, generator)
+    # The Siamese network: the same cells for the anchors, the positives and the negatives, and for nobody else.
+    members = torch.stack([triplets.anchor, triplets.positive, triplets.negative])
+    scale = batch.position.new_tensor(metric.scale)
+    features = gru(parameters, batch.position[triplets.time, members] / scale, batch.velocity[triplets.time, members])
+    losses = triplet_loss(features[0], features[1], features[2], metric.margin)
+    return losses.sum() / max(len(losses), 1)

@@ -1,0 +1,70 @@
+"""On-line training of the GRU network on the re-clustered swarm, equations (34) and (39)."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from detectors.mc_gassl.gru import GruInputs, GruParameters
+from detectors.mc_gassl.metric import Metric, batch_loss
+from usnet_env.config import Config
+
+__all__ = ["OnlineTraining", "descend", "train_online"]
+
+
+class OnlineTraining(Config):
+    """Settings of :func:`train_online`.
+
+    Args:
+        steps: gradient steps a round.
+        rate: beta'.
+        metric: batches and loss.
+    """
+
+    steps: Annotated[int, Field(ge=0, le=1_000_000)] = 100
+    rate: Annotated[float, Field(gt=0)] = 1.0
+    metric: Metric = Metric()
+
+
+def descend(parameters: GruParameters, loss: Tensor, at: GruParameters, rate: float) -> GruParameters:
+    """``parameters`` less ``rate`` times the gradient of ``loss`` with respect to ``at``; no graph is kept."""
+    gradients = torch.autograd.grad(loss, at.tensors())
+    moved = (
+        tensor.detach() - rate * gradient for tensor, gradient in zip(parameters.tensors(), gradients, strict=True)
+    )
+    return GruParameters(*moved)
+
+
+def train_online(
+    parameters: GruParameters,
+    inputs: GruInputs,
+    labels: Tensor,
+    settings: OnlineTraining,
+    generator: torch.Generator,
+) -> tuple[GruParameters, list[float]]:
+    """Gradient descent on the triplet loss of one window whose clusters are known, or taken as known.
+
+    Args:
+        parameters: where to start; left as they are.
+        inputs: of n UAVs at R times, see :func:`detectors.mc_gassl.features.inputs_of`.
+        labels: ``(n,)`` int64, clusters; UAVs with -1 take no part.
+        settings: steps, rate, batches.
+        generator: where all draws come from.
+
+    Returns:
+        The trained parameters, and the loss before each step. Where no triplet can be drawn (one cluster, or nobody
+        with a fellow), the parameters come back as they were and the losses are 0.
+
+    Raises:
+        InvalidArgument: ``labels`` has another length than n.
+    """
+    losses: list[float] = []
+    for _ in range(settings.steps):
+        at = parameters.trainable()
+        loss = batch_loss(at, inputs, labels, settings.metric, generator)
+        parameters = descend(at, loss, at, settings.rate)
+        losses.append(float(loss.detach()))
+    return parameters, losses

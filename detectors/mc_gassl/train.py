@@ -1,0 +1,223 @@
+"""Off-line training from nothing: draws follow strategies and swarms, trains, and writes the weights.
+
+Every draw has a seed of its own, from the training's seed and what is drawn. So training that was interrupted goes on
+from its checkpoint to the very result it would have had, and can be prolonged later.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import torch
+from pydantic import Field
+from safetensors.torch import load, save
+
+from detectors.mc_gassl.features import inputs_of
+from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, GruSizes, draw_parameters
+from detectors.mc_gassl.meta import Clustered, OfflineTraining, Task, train_offline
+from detectors.mc_gassl.metric import Metric, batch_loss
+from detectors.mc_gassl.weights import NAMES, parameters_of, save_weights
+from usnet_env.config import Config, InvalidArgument, shown
+from usnet_env.files import written_whole
+from usnet_env.swarm import SwarmConfig, advance, start
+from usnet_env.swarm.random_follow import random_follow_strategy
+from usnet_env.window import Window
+
+__all__ = ["MetaTraining", "draw_task", "train_meta"]
+
+_START, _TASK, _EPISODE, _HELD_OUT, _MEASURE = range(5)  # what a seed is for
+_HELD_OUT_TASKS = 20
+_CHECKPOINT = "checkpoint.safetensors"
+
+Count = Annotated[int, Field(ge=1, le=10_000_000)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class MetaTraining(Config):
+    """Everything that decides the weights.
+
+    Args:
+        method: ``"meta"``, or ``"joint"``, the paper's pre-training.
+        strategies: F, random follow strategies, none of f1 to f7.
+        episodes: E.
+        seed: of all draws.
+        width: entries of a feature, see :class:`detectors.mc_gassl.gru.GruSizes`.
+        inner_rate: alpha.
+        outer_rate: beta.
+        sampling, margin, times, anchors, scale: of a batch, see :class:`detectors.mc_gassl.metric.Metric`.
+        clusters, uavs, observation_steps, memory, mobility, head_jitter: of the swarms, see
+            :class:`usnet_env.swarm.SwarmConfig`.
+    """
+
+    method: Literal["meta", "joint"] = "meta"
+    strategies: Count = 100
+    episodes: Count = 10_000
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    width: Annotated[int, Field(ge=3, le=4096)] = 3
+    inner_rate: Positive = 0.1
+    outer_rate: Positive = 0.3
+    sampling: Literal["hard", "semi-hard", "random"] = "hard"
+    margin: Positive = 0.5
+    times: Count = 8
+    anchors: Count = 256
+    scale: Positive | tuple[Positive, Positive, Positive] = ARENA_SCALE
+    clusters: Count = 5
+    uavs: Count = 82
+    observation_steps: Count = 100
+    memory: Count = 4
+    mobility: str = "iid"
+    head_jitter: bool = False
+
+    def offline(self) -> OfflineTraining:
+        """Method, rates and batches."""
+        metric = Metric(
+            sampling=self.sampling, margin=self.margin, times=self.times, anchors=self.anchors, scale=self.scale
+        )
+        return OfflineTraining(
+            method=self.method, inner_rate=self.inner_rate, outer_rate=self.outer_rate, metric=metric
+        )
+
+
+def _rng(training: MetaTraining, purpose: int, number: int = 0) -> np.random.Generator:
+    return np.random.default_rng([training.seed, purpose, number])
+
+
+def _generator(training: MetaTraining, purpose: int, number: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(int(_rng(training, purpose, number).integers(2**63)))
+
+
+def draw_task(training: MetaTraining, rng: np.random.Generator) -> Task:
+    """A random follow strategy, and a support and a query swarm that obey it, in their first round."""
+    swarm = SwarmConfig(
+        follow=random_follow_strategy(rng),
+        clusters=training.clusters,
+        uavs=training.uavs,
+        observation_steps=training.observation_steps,
+        memory=training.memory,
+        mobility=training.mobility,
+        head_jitter=training.head_jitter,
+    )
+    rngs = rng.spawn(2)
+    state, sighting = advance(swarm, start(swarm, rngs), rngs)
+    drawn = []
+    for b in range(2):
+        window = Window(sighting.position[b], sighting.velocity[b], sighting.seen[b], sighting.alive[b])
+        labels = torch.from_numpy(np.unique(state.leader[b], return_inverse=True)[1].astype(np.int64))
+        drawn.append(Clustered(inputs_of(window, training.memory), labels))
+    return Task(*drawn)
+
+
+def train_meta(
+    out: str | os.PathLike[str],
+    training: MetaTraining | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    resume: bool = True,
+    checkpoint_every: int = 500,
+) -> Path:
+    """Train the GRU network off-line and write its weights.
+
+    Files in ``out``, each appearing whole: ``meta.safetensors`` and ``meta.json`` (``joint.…`` with that method), see
+    :mod:`detectors.mc_gassl.weights`; ``losses.csv``, the query loss of every episode; ``checkpoint.safetensors``.
+
+    Args:
+        out: a folder; made if it is missing.
+        training: what to train; the defaults make the weights that the package ships.
+        progress: called with what is done (strategies drawn, then episodes) and all there is to do.
+        resume: go on from the checkpoint in ``out``, if there is one; otherwise start again.
+        checkpoint_every: episodes between two checkpoints.
+
+    Returns:
+        The weights file.
+
+    Raises:
+        InvalidArgument: an argument is refused, ``out`` can't be written to, or its checkpoint is of another training
+            or of more episodes.
+    """
+    training = MetaTraining() if training is None else training
+    if isinstance(checkpoint_every, bool) or not isinstance(checkpoint_every, int) or checkpoint_every < 1:
+        raise InvalidArgument(f"checkpoint_every must be a whole number from 1, got {shown(checkpoint_every)}.")
+    folder, settings, total = Path(out), training.offline(), training.strategies + training.episodes
+    parameters = draw_parameters(GruSizes(width=training.width), _generator(training, _START))
+    losses: list[float] = []
+    checkpoint = folder / _CHECKPOINT
+    if resume and checkpoint.exists():
+        parameters, losses = _read_checkpoint(checkpoint, training)
+    tasks = []
+    for number in range(training.strategies):
+        tasks.append(draw_task(training, _rng(training, _TASK, number)))
+        progress(number + 1, total)
+    while len(losses) < training.episodes:
+        episodes = range(len(losses), min(len(losses) + checkpoint_every, training.episodes))
+        parameters, more = train_offline(
+            parameters, tasks, episodes, settings, lambda episode: _generator(training, _EPISODE, episode)
+        )
+        losses += more
+        _write_checkpoint(checkpoint, training, parameters, losses)
+        progress(training.strategies + len(losses), total)
+    with written_whole(folder / "losses.csv") as aside, aside.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["episode", "loss"])
+        writer.writerows(enumerate(losses, start=1))
+    record = {**training.model_dump(mode="json"), "torch": torch.__version__, "numpy": np.__version__}
+    return save_weights(
+        folder / f"{training.method}.safetensors", parameters, record, _metrics(training, parameters, losses)
+    )
+
+
+def _metrics(training: MetaTraining, parameters: GruParameters, losses: list[float]) -> dict[str, Any]:
+    """The loss at the beginning and end, and on strategies that were not trained on, beside the random start's."""
+    settings, few = training.offline(), max(1, min(500, len(losses) // 2))
+    begin = draw_parameters(GruSizes(width=training.width), _generator(training, _START))
+    held_out: dict[str, list[float]] = {"trained": [], "start": []}
+    for number in range(_HELD_OUT_TASKS):
+        swarm = draw_task(training, _rng(training, _HELD_OUT, number)).query
+        for name, weights in (("trained", parameters), ("start", begin)):
+            generator = _generator(training, _MEASURE, number)  # the same batch for both
+            with torch.no_grad():
+                loss = batch_loss(weights, swarm.inputs, swarm.labels, settings.metric, generator)
+            held_out[name].append(float(loss))
+    return {
+        "episodes_averaged": few,
+        "first_loss": float(np.mean(losses[:few])),
+        "last_loss": float(np.mean(losses[-few:])),
+        "held_out_strategies": _HELD_OUT_TASKS,
+        "held_out_loss": float(np.mean(held_out["trained"])),
+        "held_out_loss_of_random_start": float(np.mean(held_out["start"])),
+    }
+
+
+def _identity(training: MetaTraining) -> torch.Tensor:
+    """What must be equal for a checkpoint to be gone on from, as bytes: everything but the number of episodes."""
+    text = json.dumps(training.model_dump(mode="json", exclude={"episodes"}), sort_keys=True)
+    return torch.tensor(list(text.encode()), dtype=torch.uint8)
+
+
+def _write_checkpoint(path: Path, training: MetaTraining, parameters: GruParameters, losses: list[float]) -> None:
+    arrays = dict(zip(NAMES, parameters.tensors(), strict=True))
+    arrays |= {"losses": torch.tensor(losses, dtype=torch.float64), "training": _identity(training)}
+    with written_whole(path) as aside:
+        aside.write_bytes(save({name: value.contiguous() for name, value in arrays.items()}))
+
+
+def _read_checkpoint(path: Path, training: MetaTraining) -> tuple[GruParameters, list[float]]:
+    data = path.read_bytes()
+    parameters = parameters_of(str(path), data)
+    arrays = load(data)
+    if "losses" not in arrays or not torch.equal(arrays.get("training", torch.empty(0)), _identity(training)):
+        raise InvalidArgument(
+            f"out must hold no checkpoint of another training (train from the start with resume=False, or elsewhere), "
+            f"got {shown(str(path))}."
+        )
+    losses: list[float] = arrays["losses"].tolist()
+    if len(losses) > training.episodes:
+        raise InvalidArgument(
+            f"episodes must be at least the {len(losses)} of the checkpoint in {shown(str(path.parent))}, "
+            f"got {training.episodes}."
+        )
+    return parameters, losses

@@ -1,0 +1,42 @@
+"""GRU inputs with known clusters for the tests of MC-GASSL."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from detectors.mc_gassl.gru import GruInputs, GruParameters
+from detectors.mc_gassl.meta import Clustered
+from usnet_env import Window
+from usnet_env.swarm import SwarmConfig, advance, start
+
+
+def generator(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def parameters(width=3, seed=0, dtype=torch.float64, spread=1.0):
+    drawn = (spread * torch.randn(width, width + 3, generator=generator(seed + k), dtype=dtype) for k in range(3))
+    return GruParameters(*drawn)
+
+
+def random_inputs(times=5, uavs=9, memory=4, seed=0, dtype=torch.float64, unseen=0.0):
+    """Positions in a small arena, velocities of any length."""
+    own = generator(seed)
+    position = 2.0 * torch.randn(times, uavs, 3, generator=own, dtype=dtype)
+    velocity = torch.randn(times, uavs, memory, 3, generator=own, dtype=dtype)
+    return GruInputs(position, velocity, torch.rand(times, uavs, generator=own) >= unseen)
+
+
+def clustered(times=5, uavs=9, clusters=3, seed=0):
+    labels = torch.arange(uavs) % clusters
+    return Clustered(random_inputs(times, uavs, seed=seed), labels)
+
+
+def swarm_window(seed=0, **config):
+    """A window of a simulated swarm's first round and its leaders (N,)."""
+    rngs = [np.random.default_rng(seed)]
+    settings = SwarmConfig(**config)
+    state, sighting = advance(settings, start(settings, rngs), rngs)
+    arrays = (getattr(sighting, name)[0] for name in ("position", "velocity", "seen", "alive"))
+    return Window(*arrays), state.leader[0]

@@ -1,0 +1,174 @@
+"""Triplets and their loss, held against loops over all pairs."""
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mc_gassl_inputs import generator, parameters, random_inputs
+
+from detectors.mc_gassl.gru import GruParameters, embed
+from detectors.mc_gassl.metric import SAMPLINGS, Metric, batch_loss, draw_triplets, triplet_loss
+from usnet_env.config import InvalidArgument
+
+
+def drawn(sampling, inputs, labels, anchors=10_000, seed=0):
+    metric = Metric(sampling=sampling, anchors=anchors, scale=1.0)
+    weights = parameters()
+    return embed(weights, inputs, 1.0), draw_triplets(metric, weights, inputs, labels, generator(seed))
+
+
+def loss_of(features, triplets, margin):
+    """The loss of each triplet, from the features ``(R, n, w)`` of everybody."""
+    members = (triplets.anchor, triplets.positive, triplets.negative)
+    return triplet_loss(*(features[triplets.time, member] for member in members), margin)
+
+
+def rows(triplets):
+    columns = (triplets.time, triplets.anchor, triplets.positive, triplets.negative)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def in_input_space(inputs, t, i, j):
+    """Equations (30) and (31)'s norm, number by number."""
+    one = [*inputs.position[t, i].tolist(), *inputs.velocity[t, i].flatten().tolist()]
+    two = [*inputs.position[t, j].tolist(), *inputs.velocity[t, j].flatten().tolist()]
+    return sum((a - b) ** 2 for a, b in zip(one, two, strict=True)) ** 0.5
+
+
+def partners(inputs, labels, t, i):
+    """Seen UAVs of the anchor's cluster, and of the others."""
+    there = [j for j in range(inputs.uavs) if bool(inputs.seen[t, j]) and labels[j] >= 0]
+    same = [j for j in there if labels[j] == labels[i] and j != i]
+    return same, [j for j in there if labels[j] != labels[i]]
+
+
+@pytest.mark.parametrize("unseen", [0.0, 0.3])
+def test_hard_sampling_is_the_papers(unseen):
+    inputs, labels = random_inputs(unseen=unseen), torch.tensor([0, 1, 2, 0, 1, 2, 0, 1, -1])
+    triplets = drawn("hard", inputs, labels)[1]
+    found = {(t, a): (p, n) for t, a, p, n in rows(triplets)}
+    for t in range(inputs.times):
+        for i in range(inputs.uavs):
+            same, other = partners(inputs, labels, t, i)
+            if not bool(inputs.seen[t, i]) or labels[i] < 0 or not same or not other:
+                assert (t, i) not in found
+                continue
+            positive = max(same, key=lambda j: in_input_space(inputs, t, i, j))
+            negative = min(other, key=lambda j: in_input_space(inputs, t, i, j))
+            assert found[t, i] == (positive, negative)
+
+
+def test_semi_hard_negatives_are_the_nearest_beyond_the_positive():
+    inputs, labels = random_inputs(times=6, uavs=12), torch.arange(12) % 3
+    features, triplets = drawn("semi-hard", inputs, labels)
+    kinds = set()
+    for t, a, p, n in rows(triplets):
+        distance = torch.linalg.vector_norm(features[t] - features[t, a], dim=-1)
+        _, other = partners(inputs, labels, t, a)
+        beyond = [j for j in other if distance[j] > distance[p]]
+        kinds.add(bool(beyond))
+        assert n == (min(beyond, key=lambda j: distance[j]) if beyond else max(other, key=lambda j: distance[j]))
+    assert kinds == {True, False}
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    sampling=st.sampled_from(SAMPLINGS),
+    labels=st.lists(st.integers(-1, 3), min_size=1, max_size=9),
+    anchors=st.integers(1, 60),
+    seed=st.integers(0, 1000),
+)
+def test_every_triplet_is_one(sampling, labels, anchors, seed):
+    inputs = random_inputs(times=3, uavs=len(labels), seed=seed, unseen=0.3)
+    labels = torch.tensor(labels)
+    triplets = drawn(sampling, inputs, labels, anchors, seed)[1]
+    possible = 0
+    for t in range(3):
+        for i in range(inputs.uavs):
+            same, other = partners(inputs, labels, t, i)
+            possible += bool(inputs.seen[t, i]) and bool(labels[i] >= 0) and bool(same) and bool(other)
+    found = rows(triplets)
+    assert len(found) == min(anchors, possible)
+    assert len({(t, a) for t, a, _, _ in found}) == len(found)
+    for t, a, p, n in found:
+        same, other = partners(inputs, labels, t, a)
+        assert bool(inputs.seen[t, a])
+        assert p in same
+        assert n in other
+
+
+def test_random_triplets_choose_everybody_alike():
+    inputs = random_inputs(times=1500, uavs=6)
+    triplets = drawn("random", inputs, torch.tensor([0, 0, 0, 1, 1, 1]))[1]
+    negatives = torch.bincount(triplets.negative[triplets.anchor == 0], minlength=6)
+    positives = torch.bincount(triplets.positive[triplets.anchor == 0], minlength=6)
+    assert negatives[:3].sum() == 0
+    assert positives[[0, 3, 4, 5]].sum() == 0
+    assert (negatives[3:] - 500).abs().max() < 100
+    assert (positives[1:3] - 750).abs().max() < 120
+
+
+@settings(max_examples=30, deadline=None)
+@given(margin=st.floats(0.01, 5.0), seed=st.integers(0, 1000))
+def test_the_loss_is_the_hinge_of_two_distances(margin, seed):
+    inputs, labels = random_inputs(seed=seed), torch.arange(9) % 3
+    features, triplets = drawn("random", inputs, labels, seed=seed)
+    losses = loss_of(features, triplets, margin)
+    for loss, (t, a, p, n) in zip(losses.tolist(), rows(triplets), strict=True):
+        near = sum((x - y) ** 2 for x, y in zip(features[t, p].tolist(), features[t, a].tolist(), strict=True)) ** 0.5
+        far = sum((x - y) ** 2 for x, y in zip(features[t, n].tolist(), features[t, a].tolist(), strict=True)) ** 0.5
+        assert loss == pytest.approx(max(0.0, near - far + margin), abs=1e-12)
+
+
+def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences():
+    inputs, labels = random_inputs(), torch.arange(9) % 3
+    metric = Metric(sampling="hard", margin=5.0, times=5, anchors=1000, scale=1.0)  # no hinge is at its kink
+
+    def loss(reset, update, candidate):
+        return batch_loss(GruParameters(reset, update, candidate), inputs, labels, metric, generator())
+
+    arrays = parameters().tensors()
+    features, triplets = drawn("hard", inputs, labels)
+    assert loss(*arrays).item() == pytest.approx(loss_of(features, triplets, 5.0).mean().item())
+    assert torch.autograd.gradcheck(loss, tuple(tensor.requires_grad_(True) for tensor in arrays))
+
+
+def test_collapsed_features_have_the_margin_as_loss_and_a_finite_gradient():
+    inputs, labels = random_inputs(), torch.arange(9) % 3
+    inputs.position.zero_()
+    at = parameters().mapped(torch.zeros_like).trainable()
+    loss = batch_loss(at, inputs, labels, Metric(margin=0.7, scale=1.0), generator())
+    assert loss.item() == pytest.approx(0.7)
+    assert all(bool(gradient.isfinite().all()) for gradient in torch.autograd.grad(loss, at.tensors()))
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("labels", [[0] * 9, list(range(9)), [-1] * 9, [0, 0, *[-1] * 7]])
+def test_without_a_triplet_the_loss_and_its_gradient_are_nothing(sampling, labels):
+    at = parameters().trainable()
+    loss = batch_loss(at, random_inputs(), torch.tensor(labels), Metric(sampling=sampling), generator())
+    assert loss.item() == 0.0
+    assert all(not gradient.any() for gradient in torch.autograd.grad(loss, at.tensors()))
+
+
+def test_far_away_from_the_origin_hard_sampling_is_still_exact():
+    near, labels = random_inputs(dtype=torch.float32), torch.arange(9) % 3
+    far = random_inputs(dtype=torch.float32)
+    far.position.add_(4096.0)
+    far.position.sub_(4096.0)  # the rounding of what is far away, and nothing else
+    near.position.copy_(far.position)
+    far.position.add_(4096.0)
+    weights = parameters(dtype=torch.float32)
+    one, two = (draw_triplets(Metric(sampling="hard"), weights, inputs, labels, generator()) for inputs in (near, far))
+    assert rows(one) == rows(two)
+
+
+def test_labels_of_another_length_are_refused():
+    with pytest.raises(InvalidArgument, match=r"labels must have shape \(9,\), got \(8,\)"):
+        batch_loss(parameters(), random_inputs(), torch.zeros(8, dtype=torch.int64), Metric(), generator())
+
+
+@pytest.mark.parametrize("bad", [{"sampling": "hardest"}, {"margin": 0.0}, {"times": 0}, {"scale": -1.0}])
+def test_bad_settings_are_refused(bad):
+    with pytest.raises(InvalidArgument, match=next(iter(bad))):
+        Metric(**bad)

@@ -1,0 +1,110 @@
+"""Off-line training: the same weights whether interrupted or not, and better than a random start."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from detectors.mc_gassl.train import MetaTraining, draw_task, train_meta
+from detectors.mc_gassl.weights import load_weights
+from usnet_env.config import InvalidArgument
+
+SMALL = {"strategies": 3, "episodes": 12, "uavs": 16, "clusters": 3, "observation_steps": 12, "times": 2, "anchors": 20}
+
+
+class Interrupted(Exception):
+    """Stands for whatever ends a training early."""
+
+
+def stop_at(limit):
+    def progress(done, total):
+        if done >= limit:
+            raise Interrupted
+
+    return progress
+
+
+@pytest.mark.parametrize("method", ["meta", "joint"])
+def test_interrupted_training_goes_on_to_the_identical_result(tmp_path, method):
+    training = MetaTraining(method=method, **SMALL)
+    before = torch.random.get_rng_state(), np.random.get_state()[1].tobytes()  # noqa: NPY002  # must stay as it is
+    whole = train_meta(tmp_path / "whole", training, checkpoint_every=100)
+    with pytest.raises(Interrupted):
+        train_meta(tmp_path / "parts", training, stop_at(3 + 5), checkpoint_every=5)
+    assert not (tmp_path / "parts" / f"{method}.safetensors").exists()
+    calls = []
+    parts = train_meta(tmp_path / "parts", training, lambda *call: calls.append(call), checkpoint_every=5)
+    assert calls == [(1, 15), (2, 15), (3, 15), (13, 15), (15, 15)]
+    for name in (f"{method}.safetensors", f"{method}.json", "losses.csv", "checkpoint.safetensors"):
+        assert (whole.parent / name).read_bytes() == (parts.parent / name).read_bytes()
+    assert torch.equal(before[0], torch.random.get_rng_state())
+    assert before[1] == np.random.get_state()[1].tobytes()  # noqa: NPY002
+
+
+def test_training_can_be_prolonged_but_not_cut_short_or_changed(tmp_path):
+    long = train_meta(tmp_path / "long", MetaTraining(**SMALL))
+    short = {**SMALL, "episodes": 7}
+    train_meta(tmp_path / "grown", MetaTraining(**short))
+    grown = train_meta(tmp_path / "grown", MetaTraining(**SMALL))
+    assert long.read_bytes() == grown.read_bytes()
+    with pytest.raises(InvalidArgument, match="episodes must be at least the 12"):
+        train_meta(tmp_path / "grown", MetaTraining(**short))
+    with pytest.raises(InvalidArgument, match="out must hold no checkpoint of another training"):
+        train_meta(tmp_path / "grown", MetaTraining(seed=1, **SMALL))
+    anew = train_meta(tmp_path / "grown", MetaTraining(seed=1, **SMALL), resume=False)
+    assert long.read_bytes() != anew.read_bytes()
+
+
+def test_what_is_written(tmp_path):
+    training = MetaTraining(seed=5, **SMALL)
+    path = train_meta(tmp_path, training)
+    record = json.loads((tmp_path / "meta.json").read_text())
+    assert load_weights(path).width == 3
+    assert record["training"] == {
+        **training.model_dump(mode="json"),
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+    }
+    with (tmp_path / "losses.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["episode"]) for row in rows] == list(range(1, 13))
+    losses = [float(row["loss"]) for row in rows]
+    assert record["metrics"]["last_loss"] == pytest.approx(np.mean(losses[-6:]))
+
+
+def test_a_broken_checkpoint_is_refused(tmp_path):
+    (tmp_path / "checkpoint.safetensors").write_bytes(b"half of one")
+    with pytest.raises(InvalidArgument, match="path must be a safetensors file"):
+        train_meta(tmp_path, MetaTraining(**SMALL))
+
+
+def test_a_task_is_two_swarms_of_one_strategy():
+    task = draw_task(MetaTraining(**SMALL), np.random.default_rng(1))
+    for swarm in (task.support, task.query):
+        assert swarm.inputs.velocity.shape == (9, 16, 4, 3)
+        assert sorted(set(swarm.labels.tolist())) == [0, 1, 2]
+        assert torch.bincount(swarm.labels).min() >= 3
+    assert not torch.equal(task.support.inputs.position, task.query.inputs.position)
+    again = draw_task(MetaTraining(**SMALL), np.random.default_rng(1))
+    assert torch.equal(task.query.inputs.velocity, again.query.inputs.velocity)
+
+
+def test_training_beats_a_random_start_on_strategies_it_has_not_seen(tmp_path):
+    path = train_meta(tmp_path, MetaTraining(**{**SMALL, "strategies": 10, "episodes": 200, "uavs": 30, "anchors": 90}))
+    metrics = json.loads(path.with_suffix(".json").read_text())["metrics"]
+    assert metrics["held_out_loss"] < 0.7 * metrics["held_out_loss_of_random_start"]
+    assert metrics["last_loss"] < metrics["first_loss"]
+
+
+@pytest.mark.parametrize("bad", [{"episodes": 0}, {"strategies": 0}, {"seed": -1}, {"method": "maml"}, {"width": 2}])
+def test_bad_settings_are_refused(bad):
+    with pytest.raises(InvalidArgument, match=next(iter(bad))):
+        MetaTraining(**bad)
+
+
+@pytest.mark.parametrize("bad", [0, 1.5, True])
+def test_a_bad_checkpoint_interval_is_refused(tmp_path, bad):
+    with pytest.raises(InvalidArgument, match="checkpoint_every"):
+        train_meta(tmp_path, MetaTraining(**SMALL), checkpoint_every=bad)
