@@ -1,0 +1,264 @@
+"""What follow-mixture finds, cell by cell, beside lagged regression and the trivial policies. Resumable.
+
+OMP_NUM_THREADS=1 python benchmarks/follow_mixture.py --tier paper --episodes 20 --detectors follow-mixture
+python benchmarks/follow_mixture.py --list            # the cells
+python benchmarks/follow_mixture.py --table           # only the table of the rows that are there
+
+Rows go to benchmarks/results/follow_mixture/<tier>.csv, one an episode, as they come; episodes that are there are not
+played again. Swarm seeds come from --seed (2022 by default; below 1000 for tuning) and the episode's number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from follow_mixture_strategies import OUT_OF_LIST
+
+from usnet_env import Window
+from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
+from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.evaluation.statistics import mean_interval, rate_interval
+from usnet_env.objectives import average_precision, multi_cluster_objective, single_cluster_objective
+from usnet_env.plugins import make_detector
+
+RESULTS = Path(__file__).parent / "results" / "follow_mixture"
+OURS = "detectors.follow_mixture:FollowMixture"
+PEERS = ("lagged-regression", "destroy-all", "random", "none")
+PAPER = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
+SMOOTH = ("gauss_markov", "smooth_turn", "local_waypoint")
+LONG = {"clusters": 3, "uavs": 30, "observation_steps": 900}  # 30 samples a UAV: five autocorrelation times
+EVERY_MOBILITY = ("iid", "gauss_markov", "smooth_turn", "waypoint", "local_waypoint", "straight")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One kind of episode.
+
+    Args:
+        tier: name of the group, and of the file.
+        name: within the tier.
+        env: arguments of the environment.
+        kind: ``P2`` (a game), ``P1``, ``silence`` (nobody follows: nobody may be named) or ``shifted`` (every track
+            moved in time by an amount of its own: nobody may be named).
+        episodes: how many the contract asks for.
+        detector: arguments of ours.
+    """
+
+    tier: str
+    name: str
+    env: dict[str, Any] = field(default_factory=dict)
+    kind: str = "P2"
+    episodes: int = 50
+    detector: str = ""
+
+
+def cells() -> list[Cell]:
+    found = [Cell("paper", f, {"follow": f}, episodes=300) for f in PAPER]
+    sizes = ((2, 20), (3, 45), (5, 50), (8, 185), (10, 120), (20, 237))
+    found += [Cell("sizes", f"{f}-M{m}-N{n}", {"follow": f, "clusters": m, "uavs": n}) for f in PAPER for m, n in sizes]
+    for mobility in SMOOTH:
+        found += [
+            Cell("smooth", f"{f}-{mobility}", {"follow": f, "mobility": mobility, "head_jitter": True}, episodes=100)
+            for f in PAPER
+        ]
+    for jitter in (True, False):
+        name = "jitter" if jitter else "bare"
+        found += [
+            Cell("straight", f"{f}-{name}", {"follow": f, "mobility": "straight", "head_jitter": jitter}) for f in PAPER
+        ]
+    for steps in (8, 12, 20, 50):
+        found += [
+            Cell("short", f"{f}-T{steps}", {"follow": f, "observation_steps": steps}, episodes=100) for f in PAPER
+        ]
+    for sigma in (0.1, 0.3, 0.5, 1.0):
+        found += [Cell("noise", f"{f}-{sigma}", {"follow": f, "position_noise": sigma}) for f in PAPER]
+    for sigma in (0.1, 0.3, 0.5):
+        smooth = {"mobility": "gauss_markov", "head_jitter": True, "position_noise": sigma}
+        found += [Cell("noise", f"{f}-gauss_markov-{sigma}", {"follow": f, **smooth}) for f in PAPER]
+    for rate in (0.1, 0.3):
+        found += [Cell("missed", f"{f}-{rate}", {"follow": f, "miss_rate": rate}, episodes=100) for f in PAPER]
+    found += [Cell("sampled", f"{f}-2", {"follow": f, "sample_every": 2}, episodes=20) for f in PAPER]
+    silent = "policy='map'"
+    for mobility in EVERY_MOBILITY:
+        for jitter in (True, False):
+            env = {"mobility": mobility, "head_jitter": jitter}
+            name = f"{mobility}-{'jitter' if jitter else 'bare'}"
+            found.append(Cell("silence", f"none-{name}", {"follow": "none", **env}, "silence", 100, silent))
+        for f in PAPER:
+            env = {"follow": f, "mobility": mobility, "head_jitter": True, **LONG}
+            found.append(Cell("shifted", f"{f}-{mobility}", env, "shifted", 30, silent))
+    for decoys in (1, 3, 10):
+        for mobility in ("iid", "gauss_markov"):
+            env = {"mobility": mobility, "head_jitter": mobility != "iid", "decoys": decoys, "uavs": 82 + decoys}
+            found += [Cell("decoys", f"{f}-{mobility}-{decoys}", {"follow": f, **env}, "P2", 50, silent) for f in PAPER]
+    found += [
+        Cell("P1", f"{f}-m{m}-d{d}", {"follow": f, "followers": m, "decoys": d}, "P1", 100, "objective='P1'")
+        for f in PAPER
+        for m, d in ((2, 1), (2, 0), (15, 1))
+    ]
+    found += [Cell("unlisted", f, {"follow": f}) for f in OUT_OF_LIST]
+    found += [
+        Cell("unlisted", f"{f}-gauss_markov", {"follow": f, "mobility": "gauss_markov", "head_jitter": True})
+        for f in OUT_OF_LIST
+    ]
+    return found
+
+
+COLUMNS = (
+    "tier", "cell", "detector", "seed", "episode", "uavs", "heads", "J", "rounds", "exact", "named", "false_first",
+    "missed_first", "decoys_named", "ap", "brier", "seconds",
+)  # fmt: skip
+
+
+def shifted_tracks(window: Window, seed: int) -> Window:
+    """Every UAV's velocities moved circularly by an amount of its own; tracks are flown anew from their start.
+
+    Any two UAVs are moved by T_ob / N samples or more against each other: two fellows moved by less than the memory
+    would be a follower and its head.
+    """
+    steps, uavs = window.observation_steps, window.uavs
+    velocity = window.velocity.copy()
+    for uav, place in enumerate(np.random.default_rng(seed).permutation(uavs)):
+        velocity[:, uav] = np.roll(velocity[:, uav], place * (steps // uavs), axis=0)
+    position = np.concatenate([window.position[:1], window.position[:1] + np.cumsum(velocity, axis=0)])
+    return Window(position, velocity, window.seen, window.alive, window.round)
+
+
+def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict[str, Any]:
+    """One episode; its row."""
+    env = (SingleClusterEnv if cell.kind == "P1" else MultiClusterEnv)(**cell.env)
+    swarm_seed, detector_seed = episode_seeds(seed, episode)
+    observation, _ = env.reset(seed=swarm_seed)
+    truth = env.swarm
+    head = truth.head & (cell.kind not in ("silence", "shifted"))
+    detector.reset(detector_seed)
+    fired, over, first = [], False, None
+    begun = time.perf_counter()
+    while not over:
+        window = Window.from_observation(observation)
+        if cell.kind == "shifted":
+            window = shifted_tracks(window, detector_seed)
+        answer = detector.detect(window)
+        first = first or answer
+        fired.append(answer.candidates)
+        over = cell.kind in ("silence", "shifted")
+        if not over:
+            observation, _, terminated, truncated, _ = env.step(answer.candidates.astype(np.int8))
+            over = terminated or truncated
+    seconds = (time.perf_counter() - begun) / len(fired)
+    rounds = np.array(fired)
+    if cell.kind == "P2":
+        value = multi_cluster_objective(truth.head, rounds)
+    elif cell.kind == "P1":
+        value = float(single_cluster_objective(truth.head, rounds[0]))
+    else:
+        value = float(rounds[0].sum())
+    probability = first.extras.get("probability")
+    return {
+        "tier": cell.tier,
+        "cell": cell.name,
+        "detector": label,
+        "seed": seed,
+        "episode": episode,
+        "uavs": len(head),
+        "heads": int(head.sum()),
+        "J": round(value, 5),
+        "rounds": len(fired),
+        "exact": int(np.array_equal(rounds[0], head)),
+        "named": int(rounds[0].sum()),
+        "false_first": int((rounds[0] & ~head).sum()),
+        "missed_first": int((head & ~rounds[0]).sum()),
+        "decoys_named": int((rounds[0] & truth.decoy).sum()),
+        "ap": round(average_precision(head, first.scores), 4),
+        "brier": "" if probability is None else round(float(((probability - head) ** 2).mean()), 6),
+        "seconds": round(seconds, 5),
+    }
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [row for row in csv.DictReader(file) if row["seconds"]]  # a row cut off in writing lacks its end
+
+
+def measure(wanted: list[Cell], detectors: list[str], episodes: int | None, seed: int, results: Path) -> None:
+    """Play what is missing and append its rows."""
+    results.mkdir(parents=True, exist_ok=True)
+    for cell in wanted:
+        path = results / f"{cell.tier}.csv"
+        there = {(r["cell"], r["detector"], int(r["seed"]), int(r["episode"])) for r in rows_of(path)}
+        new = not path.exists()
+        with path.open("a", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            if new:
+                writer.writeheader()
+            for name in detectors:
+                spec = f"{name}({cell.detector})" if name == OURS and cell.detector else name
+                detector, label = make_detector(spec), name.rpartition(":")[2]
+                for episode in range(cell.episodes if episodes is None else episodes):
+                    if (cell.name, label, seed, episode) not in there:
+                        writer.writerow(play(cell, detector, label, seed, episode))
+                        file.flush()
+
+
+def table(wanted: list[Cell], results: Path, seed: int) -> Iterator[str]:
+    """One line a cell and detector, with 95 % intervals."""
+    yield "| tier | cell | detector | n | exact (95 %) | mean J (95 %) | false | missed | decoys | AP | ms |"
+    yield "| --- |" + " --- |" * 10
+    for tier in dict.fromkeys(cell.tier for cell in wanted):
+        rows = [row for row in rows_of(results / f"{tier}.csv") if int(row["seed"]) == seed]
+        for cell in (cell for cell in wanted if cell.tier == tier):
+            own = [row for row in rows if row["cell"] == cell.name]
+            for label in dict.fromkeys(row["detector"] for row in own):
+                some = [row for row in own if row["detector"] == label]
+                exact = rate_interval([int(row["exact"]) for row in some])
+                cost = mean_interval([float(row["J"]) for row in some])
+                means = [
+                    np.mean([float(row[name]) for row in some])
+                    for name in ("false_first", "missed_first", "decoys_named", "ap")
+                ]
+                yield (
+                    f"| {tier} | {cell.name} | {label} | {len(some)} "
+                    f"| {exact.mean:.3f} ({exact.low:.3f}-{exact.high:.3f}) "
+                    f"| {cost.mean:.3f} ({cost.low:.3f}-{cost.high:.3f}) | "
+                    + " | ".join(f"{mean:.2f}" for mean in means)
+                    + f" | {1e3 * np.median([float(row['seconds']) for row in some]):.0f} |"
+                )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tier", nargs="*", help="only these tiers")
+    parser.add_argument("--cell", nargs="*", help="only cells whose names contain one of these")
+    parser.add_argument("--episodes", type=int, help="a cell; by default what the contract asks for")
+    parser.add_argument("--seed", type=int, default=2022)
+    parser.add_argument("--detectors", nargs="*", default=[OURS, *PEERS])
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--table", action="store_true", help="play nothing")
+    parser.add_argument("--list", action="store_true", help="list the cells")
+    asked = parser.parse_args()
+    wanted = [
+        cell
+        for cell in cells()
+        if (not asked.tier or cell.tier in asked.tier)
+        and (not asked.cell or any(part in cell.name for part in asked.cell))
+    ]
+    if asked.list:
+        for cell in wanted:
+            print(cell.tier, cell.name, cell.kind, cell.episodes, cell.env)
+        return
+    if not asked.table:
+        measure(wanted, asked.detectors, asked.episodes, asked.seed, asked.results)
+    print("\n".join(table(wanted, asked.results, asked.seed)))
+
+
+if __name__ == "__main__":
+    main()

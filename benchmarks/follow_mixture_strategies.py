@@ -1,0 +1,79 @@
+"""Follow strategies that no list of the detector contains; importing this registers them as `own_...`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.swarm import FollowInputs, FollowStrategy, register_follow_strategy
+
+__all__ = ["OUT_OF_LIST"]
+
+Array = NDArray[np.float32]
+
+
+class OwnDelays(FollowStrategy):
+    """Every follower copies its head with a delay of its own, of one to three steps."""
+
+    equation = "v_{i,t+1} = norm(v_{iL,t-d_i} + κ_n n)"
+    lags = 3
+
+    def direction(self, inputs: FollowInputs) -> Array:
+        # A row is one follower, always at the same place while nobody is destroyed.
+        delay = np.arange(len(inputs.own_position)) % 3
+        return inputs.head_velocity[np.arange(len(delay)), delay]
+
+
+class Turned(FollowStrategy):
+    """A rotation about a random axis, drawn for each episode."""
+
+    equation = "v_{i,t+1} = norm(R v_{iL,t} + κ_n n)"
+    lags = 1
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+        return (q * np.sign(np.linalg.det(q))).astype(np.float32).reshape(-1)
+
+    def direction(self, inputs: FollowInputs) -> Array:
+        return inputs.head_velocity[:, 0] @ inputs.parameters.reshape(3, 3).T
+
+
+def saturated(inputs: FollowInputs) -> Array:
+    """tanh(3 v) on every axis, over two lags."""
+    return np.tanh(3.0 * (inputs.head_velocity[:, 0] + 0.5 * inputs.head_velocity[:, 1]))
+
+
+def products(inputs: FollowInputs) -> Array:
+    """The cross product of the head's last two velocities."""
+    return 1.5 * np.cross(inputs.head_velocity[:, 0], inputs.head_velocity[:, 1])
+
+
+def absolute(inputs: FollowInputs) -> Array:
+    """|v| on every axis, less the velocity before."""
+    return np.abs(inputs.head_velocity[:, 0]) - 0.7 * inputs.head_velocity[:, 1]
+
+
+OFFSET = np.array([20.0, -15.0, 5.0], np.float32)
+
+
+def formation(inputs: FollowInputs) -> Array:
+    """The head's velocity, and a pull towards a place beside the head."""
+    gap = inputs.head_position[:, 1] + OFFSET - inputs.own_position[:, 1]
+    distance = np.sqrt((gap * gap).sum(axis=1, keepdims=True))
+    return inputs.head_velocity[:, 0] + 0.5 * gap / np.maximum(distance, 5.0)
+
+
+def _register() -> tuple[str, ...]:
+    register_follow_strategy("own_delays", OwnDelays())
+    register_follow_strategy("turned", Turned())
+    for name, function, lags in (
+        ("saturated", saturated, 2),
+        ("products", products, 2),
+        ("absolute", absolute, 2),
+        ("formation_offset", formation, 1),
+    ):
+        register_follow_strategy(name, function, lags=lags)
+    return "own_delays", "turned", "saturated", "products", "absolute", "formation_offset"
+
+
+OUT_OF_LIST = _register()

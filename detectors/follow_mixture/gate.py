@@ -1,0 +1,81 @@
+"""Why a head passes: what it adds to the explanation, against the same with every follower's flight moved in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.follow_mixture.history import OwnHistory
+from detectors.follow_mixture.mixture import Mixture, head_price
+from detectors.follow_mixture.samples import Samples
+from detectors.follow_mixture.strategy import Strategy, gain_matrix
+
+__all__ = ["Gate", "gate_heads"]
+
+Floats = NDArray[np.float64]
+
+_SHIFTS = 3
+_MARGIN = 3.0  # times the surrogates' spread
+_TIMES = 2.0  # a head that is timed right gains more than this times what one does that is timed wrong
+
+
+@dataclass(frozen=True, eq=False)
+class Gate:
+    """The heads of a mixture, judged. All arrays are ``(M,)`` in the order of ``mixture.heads.heads``.
+
+    Args:
+        followers: how many follow each head.
+        added: log-likelihood that the head adds to the explanation without it, less its price.
+        chance: the highest that a surrogate gives, and a margin: the same followers at other times.
+        passed: ``added`` exceeds ``_TIMES`` what chance gives.
+    """
+
+    followers: NDArray[np.int64]
+    added: Floats
+    chance: Floats
+    passed: NDArray[np.bool_]
+
+    def reasons(self) -> list[str]:
+        """One sentence a head."""
+        words = []
+        for count, added, chance, passed in zip(self.followers, self.added, self.chance, self.passed, strict=True):
+            verdict = "passed" if passed else "failed"
+            words.append(f"{verdict}: {count} followers gain {added:.0f} nats by it; chance gives {chance:.0f}.")
+        return words
+
+
+def gate_heads(samples: Samples, history: OwnHistory, mixture: Mixture) -> Gate:
+    """Judge every head of a mixture.
+
+    A surrogate moves the velocities of all heads in time. It keeps the strategy that was fitted, what followers gain by
+    their own pasts and by the places of their heads (tracks that drift are predictable from anywhere), and destroys the
+    following. What its followers still gain by their best head,
+    chosen anew, is chance.
+    """
+    heads = mixture.heads.heads
+    followers = np.flatnonzero(mixture.heads.leader >= 0)
+    price = head_price(samples.uavs)
+    count = np.array([(mixture.heads.leader == head).sum() for head in heads], np.int64)
+    flights, null, leaders = samples.take(followers), history.take(followers), samples.take(heads)
+    shifts = np.unique(np.linspace(0, samples.rows, _SHIFTS + 2).astype(int)[1:-1])
+    observed = _per_head(flights, null, leaders, mixture.strategy)
+    surrogate = np.array(
+        [_per_head(flights, null, leaders.moved(int(shift)), mixture.strategy) for shift in shifts if shift > 0]
+    ).reshape(-1, len(heads))
+    chance = np.zeros(len(heads))
+    if len(surrogate):
+        chance = np.maximum(surrogate.max(axis=0), 0.0) + _MARGIN * surrogate.std(axis=0)
+    return Gate(count, observed - price, chance, observed - price > _TIMES * chance)
+
+
+def _per_head(flights: Samples, null: OwnHistory, leaders: Samples, strategy: Strategy) -> Floats:
+    """``(M,)`` what followers gain by their best head over their second best or nobody, by head."""
+    count = flights.uavs
+    both, law = flights.beside(leaders), null.padded(leaders.uavs)
+    heads = np.arange(count, both.uavs)
+    gain = np.maximum(gain_matrix(both, law, strategy, heads, np.arange(count)), 0.0)
+    ranked = np.sort(gain, axis=1)
+    margin = ranked[:, -1] - (ranked[:, -2] if leaders.uavs > 1 else 0.0)
+    return np.asarray(np.bincount(gain.argmax(axis=1), weights=margin, minlength=leaders.uavs), np.float64)

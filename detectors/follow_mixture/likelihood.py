@@ -1,0 +1,188 @@
+"""How likely a flight is under a predicted direction: von Mises-Fisher on the sphere, or a normal law in space.
+
+Where everybody flies at one speed a velocity is a point of the sphere, and a normal law in space would count the
+radius, which everybody predicts, as evidence. So unit speeds are judged by the von Mises-Fisher law, whose density
+relative to the uniform one is kappa / sinh(kappa) exp(kappa mu·y). With the raw direction D before norm(·) and raw
+noise of spread sigma per axis, the direction of D + noise spreads by sigma / |D|: a step at which a strategy's terms
+cancel says little, and its kappa is small. ``floor`` is what the class of strategy itself leaves unexplained.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Noise", "concentration_of", "fit_directions", "fit_noise", "log_normaliser", "natural_parameters"]
+
+Floats = NDArray[np.float64]
+
+_FLOORS = (0.0, 0.25, 1.0)  # floor as a multiple of the spread
+_LEAST_SPREAD = 5e-3
+_RIDGE = 1e-7
+_FIXED_POINTS = 12
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What a prediction leaves open.
+
+    Args:
+        spread: sigma, per axis, relative to the root mean square of |D| (sphere) or to the mean speed (space).
+        floor: an additional spread that does not shrink where |D| is large; 0 in space.
+        unit: sphere or space.
+    """
+
+    spread: float
+    floor: float
+    unit: bool
+
+
+def log_normaliser(kappa: Floats) -> Floats:
+    """Logarithm of kappa / sinh(kappa) e^kappa: the density relative to uniform is exp(this + kappa (mu·y - 1))."""
+    small = kappa < 1e-4
+    safe = np.where(small, 1.0, kappa)
+    value: Floats = np.where(small, kappa, np.log(2.0 * safe) - np.log(-np.expm1(-2.0 * safe)))
+    return value
+
+
+def natural_parameters(direction: Floats, noise: Noise) -> tuple[Floats, Floats]:
+    """Theta and c such that the log-likelihood of y is theta·y + c (space: less |y|²/(2 sigma²), which is y's own).
+
+    Args:
+        direction: ``(..., 3)`` D.
+        noise: fitted.
+
+    Returns:
+        theta ``(..., 3)`` and c ``(...)``.
+    """
+    square = (direction * direction).sum(axis=-1)
+    if not noise.unit:
+        precision = 1.0 / noise.spread**2
+        return direction * precision, -0.5 * precision * square - 3.0 * np.log(noise.spread)
+    square = np.maximum(square, 1e-12)
+    kappa = 1.0 / (noise.floor**2 + noise.spread**2 / square)
+    return direction * (kappa / np.sqrt(square))[..., None], log_normaliser(kappa) - kappa
+
+
+def fit_noise(square: Floats, along: Floats, weight: Floats, error: float, unit: bool) -> Noise:
+    """The noise that makes the flights likeliest.
+
+    Args:
+        square: ``(rows,)`` |D|².
+        along: ``(rows,)`` mean of mu·y over the UAVs that share the row.
+        weight: ``(rows,)`` how many share it.
+        error: mean square of (y - D) per axis over all; used in space.
+        unit: sphere or space.
+    """
+    if not unit:
+        return Noise(max(float(np.sqrt(error)), _LEAST_SPREAD), 0.0, False)
+    total = max(float(weight.sum()), 1.0)
+    # The tangential spread at large kappa is a good centre for the search; the grid covers the rest.
+    ratio = 1.0 / np.maximum(square, 1e-12)
+    # (1 - mu·y) is about spread² / |D|²: chi-square with two degrees of freedom.
+    guess = np.sqrt(max(float((weight * (1.0 - along)).sum() / max((weight * ratio).sum(), 1e-12)), 1e-8))
+    spreads = np.clip(guess * np.array([0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0]), _LEAST_SPREAD, 20.0)
+    best, found = -np.inf, Noise(4.0, 0.0, True)
+    for floor in _FLOORS:
+        variance = spreads[:, None] ** 2 * (floor**2 + ratio[None])
+        kappa = 1.0 / variance
+        value = ((log_normaliser(kappa) + kappa * (along - 1.0)[None]) * weight[None]).sum(axis=1) / total
+        top = int(value.argmax())
+        if value[top] > best + 1e-9:
+            best, found = float(value[top]), Noise(float(spreads[top]), float(floor * spreads[top]), True)
+    return found
+
+
+def fit_directions(
+    features: Floats,
+    total: Floats,
+    weight: Floats,
+    unit: bool,
+    energy: float | None = None,
+    isotropic: bool = False,
+) -> tuple[Floats, Noise]:
+    """Coefficients ``(p, 3)`` of a linear law of flight and what it leaves open.
+
+    norm(.) is undone by the fixed point D = argmin sum |D - |D| y|^2, whose residual is the raw noise across y.
+
+    Args:
+        features: ``(rows, p)``.
+        total: ``(rows, 3)`` sum of the flights y that share a row.
+        weight: ``(rows,)`` how many share it.
+        unit: the flights are directions.
+        energy: summed squares of all flights; ``None`` where every row has one flight.
+        isotropic: the same law on every axis; all features but the last, the intercept, are triples.
+    """
+    coefficients = _solve_direction(features, total, weight, unit, isotropic)
+    direction = features @ coefficients
+    square = np.maximum((direction * direction).sum(axis=1), 1e-12)
+    across = (direction * total).sum(axis=1)
+    along = across / (np.sqrt(square) * np.maximum(weight, 1e-12))
+    energy = float((total**2).sum()) if energy is None else energy
+    left = energy - 2.0 * float(across.sum()) + float((weight * square).sum())
+    return coefficients, fit_noise(square, along, weight, max(left, 0.0) / max(3.0 * float(weight.sum()), 1.0), unit)
+
+
+class _Regression:
+    """Least squares with one factorisation and many right-hand sides; ``isotropic``: the same law on every axis.
+
+    Features then come in triples, one for each axis, and an intercept; a triple has one coefficient.
+    """
+
+    def __init__(self, features: Floats, weight: Floats, isotropic: bool) -> None:
+        self.features, self.isotropic = features, isotropic
+        rows, width = features.shape
+        if isotropic:
+            ones = np.ones((rows, 1, 3))
+            self.triples = np.concatenate([features[:, :-1].reshape(rows, -1, 3), ones], axis=1)
+            flat = self.triples.transpose(0, 2, 1).reshape(3 * rows, -1)
+            gram = flat.T @ (flat * np.repeat(weight, 3)[:, None])
+        else:
+            gram = features.T @ (features * weight[:, None])
+        power = np.trace(gram) / len(gram)
+        gram[np.diag_indices(len(gram))] += _RIDGE * power + 1e-9
+        self.inverse = np.linalg.inv(gram)
+        self.width = width
+
+    def solve(self, total: Floats) -> Floats:
+        """Coefficients ``(p, 3)`` for weighted targets ``(rows, 3)``."""
+        if not self.isotropic:
+            return np.asarray(self.inverse @ (self.features.T @ total))
+        single = self.inverse @ np.einsum("rka,ra->k", self.triples, total)
+        coefficients = np.zeros((self.width, 3))
+        for axis in range(3):
+            coefficients[axis:-1:3, axis] = single[:-1]
+        coefficients[-1] = single[-1]
+        return coefficients
+
+
+def _solve_direction(features: Floats, total: Floats, weight: Floats, unit: bool, isotropic: bool) -> Floats:
+    """Coefficients ``(p, 3)``: rows of ``features`` predict y, whose sum over the row's followers is ``total``."""
+    regression = _Regression(features, weight, isotropic)
+    coefficients = regression.solve(total)
+    if not unit:
+        return coefficients
+    amount = max(float(weight.sum()), 1e-12)
+    for _ in range(_FIXED_POINTS):
+        direction = features @ coefficients
+        length = np.sqrt((direction * direction).sum(axis=1))
+        size = np.sqrt(float((weight * length**2).sum()) / amount)
+        if size < 1e-9:
+            break
+        updated = regression.solve(total * (length / size)[:, None])
+        done = np.abs(updated - coefficients / size).max() < 1e-3 * np.abs(updated).max()
+        coefficients = updated
+        if done:
+            break
+    direction = features @ coefficients
+    size = np.sqrt(float((weight * (direction * direction).sum(axis=1)).sum()) / amount)
+    return np.asarray(coefficients / max(size, 1e-9))
+
+
+def concentration_of(resultant: Floats) -> Floats:
+    """Kappa of the von Mises-Fisher law on the sphere from the mean resultant length (Banerjee et al., 2005)."""
+    length = np.clip(resultant, 0.0, 0.9999)
+    kappa: Floats = length * (3.0 - length**2) / (1.0 - length**2)
+    return kappa

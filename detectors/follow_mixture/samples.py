@@ -1,0 +1,124 @@
+"""One window as the samples of a regression: what each UAV flies at t, and what every UAV's past shows before t."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.window import Window
+
+__all__ = ["Samples", "samples_of"]
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_EACH = ("target", "seen", "lagged", "lag_seen", "position", "position_seen")  # arrays with a row a UAV
+_UNIT_SPREAD = 0.02  # speeds that differ by less than this share of their mean are one speed
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """R rows of n UAVs; row r is time t = ``memory`` + r of the window.
+
+    Args:
+        target: ``(n, R, 3)`` velocity at t, in units of the swarm's mean speed; 0 where not seen.
+        seen: ``(n, R)`` bool, the target was seen.
+        lagged: ``(n, R, L, 3)`` velocities at t - 1, ..., t - L, newest first; 0 where not seen.
+        lag_seen: ``(n, R, L)`` bool.
+        position: ``(n, R, 3)`` metres, at the instant t - 1, where the velocity of lag 1 begins.
+        position_seen: ``(n, R)`` bool.
+        speed: mean speed, metres per step.
+        unit: every UAV flies at the same constant speed: velocities are directions.
+        whiten: ``(R, R)`` applied to the targets already, and to be applied to all features along time; ``None``: none.
+    """
+
+    target: Floats
+    seen: Mask
+    lagged: Floats
+    lag_seen: Mask
+    position: Floats
+    position_seen: Mask
+    speed: float
+    unit: bool
+    whiten: Floats | None = None
+
+    def whitened(self, features: Floats) -> Floats:
+        """Features ``(..., R, p)`` beside the targets."""
+        return features if self.whiten is None else self.whiten @ features
+
+    @property
+    def uavs(self) -> int:
+        """How many UAVs."""
+        return int(self.target.shape[0])
+
+    @property
+    def rows(self) -> int:
+        """R."""
+        return int(self.target.shape[1])
+
+    @property
+    def memory(self) -> int:
+        """L."""
+        return int(self.lagged.shape[2])
+
+    @property
+    def complete(self) -> bool:
+        """Nothing is missing."""
+        return bool(self.seen.all() and self.lag_seen.all())
+
+    def take(self, uavs: NDArray[np.int64]) -> Samples:
+        """Some of the UAVs."""
+        some: dict[str, Any] = {name: getattr(self, name)[uavs] for name in _EACH}
+        return replace(self, **some)
+
+    def beside(self, others: Samples) -> Samples:
+        """These UAVs, then the others."""
+        both: dict[str, Any] = {name: np.concatenate([getattr(self, name), getattr(others, name)]) for name in _EACH}
+        return replace(self, **both)
+
+    def moved(self, shift: int) -> Samples:
+        """With all pasts moved by ``shift`` rows (circularly)."""
+        return replace(self, lagged=np.roll(self.lagged, shift, axis=1), lag_seen=np.roll(self.lag_seen, shift, axis=1))
+
+
+def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Samples | None:
+    """The samples of the living UAVs.
+
+    Args:
+        window: what was seen.
+        living: ``(n,)`` indices.
+        memory: L, shortened where the window has fewer than L + 4 velocities.
+
+    Returns:
+        ``None`` for fewer than 2 UAVs, fewer than 5 velocities, or where nothing moves.
+    """
+    steps = window.observation_steps
+    memory = min(memory, steps - 4)
+    if len(living) < 2 or memory < 1:
+        return None
+    velocity = np.ascontiguousarray(window.velocity[:, living].swapaxes(0, 1), np.float64)
+    seen = np.ascontiguousarray(window.velocity_seen[:, living].T)
+    speeds = np.sqrt((velocity * velocity).sum(axis=2))
+    if not seen.any():
+        return None
+    flown = speeds if seen.all() else speeds[seen]
+    speed = float(flown.mean())
+    if speed <= 0:
+        return None
+    velocity = np.where(seen[..., None], velocity, 0.0) / speed
+    rows = steps - memory
+    lags = np.arange(memory)[None, :]
+    at = np.arange(rows)[:, None] + memory - 1 - lags  # (R, L): index of the velocity at lag 1, 2, ...
+    return Samples(
+        target=velocity[:, memory:],
+        seen=seen[:, memory:],
+        lagged=velocity[:, at],
+        lag_seen=seen[:, at],
+        position=window.position[memory - 1 : steps - 1, living].swapaxes(0, 1).astype(np.float64),
+        position_seen=window.seen[memory - 1 : steps - 1, living].T.copy(),
+        speed=speed,
+        unit=bool(flown.std() < _UNIT_SPREAD * speed),
+    )

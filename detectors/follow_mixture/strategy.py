@@ -1,0 +1,298 @@
+"""The shared follow strategy: one linear map of a head's past and place, fitted to all followers at once.
+
+Followers of one head share its past, so a fit to thousands of flights is a regression on as many rows as the heads
+have. norm(·) is undone by the fixed point D = argmin sum |D - |D| y|², whose residual is the raw noise across y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.follow_mixture.history import OwnHistory
+from detectors.follow_mixture.likelihood import Noise, fit_directions, natural_parameters
+from detectors.follow_mixture.samples import Samples
+
+__all__ = ["Library", "Strategy", "directions", "fit_strategy", "gain_matrix", "head_features"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_CHUNK_ENTRIES = 2_000_000
+_UNIT_SEED = 1
+_UNIT_GAIN = 0.8  # of a unit's weights: a velocity's coordinate has variance 1/3
+_FAR = 300.0  # metres; keeps offsets near 1
+
+
+@dataclass(frozen=True)
+class Library:
+    """Which features a shared strategy may use: a class of strategies.
+
+    Args:
+        lags: how many past velocities of the head.
+        linear: the velocities.
+        squares: their axis-wise squares.
+        products: products of two axes of one velocity.
+        towards: the direction to the head, and the offset to it.
+        own: the follower's own past velocities.
+        isotropic: the same law on every axis.
+        centred: about the means of head and follower: only changes follow changes.
+        units: tanh units with fixed random weights on all of the above: a network of which only the last layer is
+            fitted, for strategies that no list contains.
+        reach: metres; the direction to the head counts apart within and beyond it. 0: the same everywhere.
+    """
+
+    lags: int
+    linear: bool = True
+    squares: bool = False
+    products: bool = False
+    towards: bool = False
+    own: bool = False
+    isotropic: bool = False
+    centred: bool = False
+    units: int = 0
+    reach: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """How the class is called in reports."""
+        names = ("linear", "squares", "products", "towards", "own", "isotropic", "centred")
+        parts = [name for name in names if getattr(self, name)]
+        if self.reach:
+            parts.append(f"reach[{self.reach:.0f} m]")
+        if self.units:
+            parts.append(f"network[{self.units}]")
+        return f"{'+'.join(parts)}({self.lags})"
+
+    @property
+    def paired(self) -> bool:
+        """Whether predictions depend on the follower too."""
+        return self.towards or self.own or self.centred or self.units > 0
+
+
+@dataclass(frozen=True, eq=False)
+class Strategy:
+    """A fitted shared strategy.
+
+    Args:
+        library: its class.
+        coefficients: ``(p, 3)``, the last row the intercept.
+        noise: what it leaves open.
+        parameters: how many numbers were fitted.
+        observations: how many numbers they were fitted to.
+    """
+
+    library: Library
+    coefficients: Floats
+    noise: Noise
+    parameters: int
+    observations: int
+
+    @property
+    def price(self) -> float:
+        """Half the logarithm of the observations for every number fitted."""
+        return 0.5 * self.parameters * float(np.log(max(self.observations, 2)))
+
+
+def head_features(samples: Samples, library: Library, heads: Indices | slice = slice(None)) -> tuple[Floats, Mask]:
+    """Features of the pasts of some UAVs ``(h, R, p)``, an intercept last, and the rows where all are seen."""
+    past = samples.lagged[heads, :, : library.lags]
+    valid = np.asarray(samples.lag_seen[heads, :, : library.lags].all(axis=2), bool)
+    shape = past.shape[:2]
+    parts = []
+    if library.linear:
+        parts.append(past.reshape(*shape, -1))
+    if library.squares:
+        parts.append((past * past).reshape(*shape, -1))
+    if library.products:
+        parts.append((past[..., [1, 2, 0]] * past[..., [2, 0, 1]]).reshape(*shape, -1))
+    if library.centred and parts:
+        joined = np.concatenate(parts, axis=2)
+        weight = valid[..., None]
+        mean = (joined * weight).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1)
+        parts = [joined - mean]
+    parts.append(np.ones((*shape, 1)))
+    return samples.whitened(np.concatenate(parts, axis=2)), valid
+
+
+def pair_features(samples: Samples, library: Library, followers: Indices, heads: Indices) -> tuple[Floats, Mask]:
+    """What depends on the follower as well: ``(..., R, p)`` for ``followers`` and ``heads`` of one shape ``(...)``."""
+    parts = []
+    valid = np.ones((*followers.shape, samples.rows), bool)
+    if library.towards:
+        gap = samples.position[heads] - samples.position[followers]
+        distance = np.sqrt((gap * gap).sum(axis=-1, keepdims=True))
+        towards = gap / np.maximum(distance, 1e-6)
+        parts += [towards, gap / _FAR] + ([towards * (distance > library.reach)] if library.reach else [])
+        valid &= samples.position_seen[heads] & samples.position_seen[followers]
+    if library.centred:
+        seen = samples.seen[..., None]
+        mean = (samples.target * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+        parts.append(np.broadcast_to(mean[followers][..., None, :], (*valid.shape, 3)))
+    if library.own:
+        parts.append(samples.lagged[followers][..., : library.lags, :].reshape(*valid.shape, -1))
+        valid &= samples.lag_seen[followers][..., : library.lags].all(axis=-1)
+    if library.units:
+        parts.append(_random_units(samples, library, followers, heads))
+    return samples.whitened(np.concatenate(parts, axis=-1)), valid
+
+
+def _random_units(samples: Samples, library: Library, followers: Indices, heads: Indices) -> Floats:
+    """``(..., R, units)`` random tanh units of the head's and the follower's pasts and the offset between them.
+
+    The first layer is a sum of a part of the head and a part of the follower, each formed once a UAV.
+    """
+    rng = np.random.default_rng(_UNIT_SEED)
+    width = 3 * library.lags
+    scale = np.repeat([_UNIT_GAIN, 0.5 * _UNIT_GAIN, 0.5 * _UNIT_GAIN], [width, width, 3])
+    weights = scale[:, None] * rng.standard_normal((2 * width + 3, library.units))
+    bias = 0.5 * rng.standard_normal(library.units)
+    past = samples.lagged[:, :, : library.lags].reshape(samples.uavs, samples.rows, width)
+    place = samples.position / _FAR @ weights[2 * width :]
+    led = past @ weights[:width] + place + bias
+    own = past @ weights[width : 2 * width] - place
+    return np.tanh(led[heads] + own[followers])
+
+
+def fit_strategy(samples: Samples, leader: Indices, library: Library) -> Strategy | None:
+    """The strategy of a class that fits the followers best.
+
+    Args:
+        samples: n UAVs.
+        leader: ``(n,)`` the head that each follows, -1 for none.
+        library: the class.
+
+    Returns:
+        ``None`` where there are fewer rows than numbers to fit.
+    """
+    followers = np.flatnonzero(leader >= 0)
+    if not len(followers):
+        return None
+    features, total, weight, energy = (_paired_rows if library.paired else _shared_rows)(
+        samples, leader, followers, library
+    )
+    width = features.shape[1]
+    observations = int(weight.sum()) * (2 if samples.unit else 3)
+    numbers = (width - 1) // 3 + 1 if library.isotropic else 3 * width
+    if len(features) <= numbers // 3 or observations <= numbers:
+        return None
+    coefficients, noise = fit_directions(features, total, weight, samples.unit, energy, library.isotropic)
+    return Strategy(library, coefficients, noise, numbers + 2, observations)
+
+
+def _shared_rows(
+    samples: Samples, leader: Indices, followers: Indices, library: Library
+) -> tuple[Floats, Floats, Floats, float]:
+    """One row a head and time: features, sum of the followers' flights, how many, and their summed squares."""
+    heads, group = np.unique(leader[followers], return_inverse=True)
+    features, valid = head_features(samples, library, heads)
+    member = np.zeros((len(heads), len(followers)))
+    member[group, np.arange(len(followers))] = 1.0
+    seen = samples.seen[followers].astype(np.float64)
+    target = samples.target[followers]
+    total = (member @ target.reshape(len(followers), -1)).reshape(len(heads), samples.rows, 3)
+    weight = member @ seen
+    keep = valid & (weight > 0)
+    energy = float(((target**2).sum(axis=2) * keep[group]).sum())
+    return features[keep], total[keep], weight[keep], energy
+
+
+def _paired_rows(
+    samples: Samples, leader: Indices, followers: Indices, library: Library
+) -> tuple[Floats, Floats, Floats, float]:
+    """One row a follower and time."""
+    heads = leader[followers]
+    shared, valid = head_features(samples, library, heads)
+    extra, also = pair_features(samples, library, followers, heads)
+    keep = valid & also & samples.seen[followers]
+    target = samples.target[followers][keep]
+    features = np.concatenate([extra, shared], axis=2)[keep]
+    return features, target, np.ones(len(target)), float((target**2).sum())
+
+
+def directions(samples: Samples, strategy: Strategy, followers: Indices, heads: Indices) -> tuple[Floats, Mask]:
+    """Predicted directions ``(f, R, 3)`` of followers behind one head each, and the rows where they can be known."""
+    unique, group = np.unique(heads, return_inverse=True)
+    features, valid = head_features(samples, strategy.library, unique)
+    extra = len(strategy.coefficients) - features.shape[2]
+    shared = (features @ strategy.coefficients[extra:])[group]
+    if not strategy.library.paired:
+        return shared, valid[group]
+    own, also = pair_features(samples, strategy.library, followers, heads)
+    return shared + own @ strategy.coefficients[:extra], valid[group] & also
+
+
+def gain_matrix(
+    samples: Samples, history: OwnHistory, strategy: Strategy, columns: Indices, voters: Indices | None = None
+) -> Floats:
+    """Log-likelihood that each UAV gains over its own history by following each of ``columns``.
+
+    A time at which the candidate's past was not seen counts for neither.
+
+    Args:
+        samples: n UAVs.
+        history: the null.
+        strategy: fitted.
+        columns: ``(c,)`` indices of candidates.
+        voters: ``(v,)`` indices of the UAVs that are asked; all by default.
+
+    Returns:
+        ``(v, c)``; 0 where a UAV meets itself.
+    """
+    voters = np.arange(samples.uavs) if voters is None else voters
+    matrix = (_paired_gain if strategy.library.paired else _shared_gain)(samples, history, strategy, columns, voters)
+    matrix[voters[:, None] == columns[None, :]] = 0.0
+    return matrix
+
+
+def _null(samples: Samples, history: OwnHistory, strategy: Strategy, voters: Indices) -> Floats:
+    """``(v, R)`` log-likelihood of the null, plus what the natural parameters leave out of y in space."""
+    null = history.log_likelihood[voters]
+    if not samples.unit:
+        null = null + 0.5 * (samples.target[voters] ** 2).sum(axis=2) / strategy.noise.spread**2
+    return null
+
+
+def _shared_gain(
+    samples: Samples, history: OwnHistory, strategy: Strategy, columns: Indices, voters: Indices
+) -> Floats:
+    features, valid = head_features(samples, strategy.library, columns)
+    theta, constant = natural_parameters(features @ strategy.coefficients, strategy.noise)
+    complete = samples.complete
+    if not complete:
+        theta = theta * valid[..., None]
+        constant = constant * valid
+    target = samples.target[voters].reshape(len(voters), -1)
+    null = _null(samples, history, strategy, voters)
+    value = target @ theta.reshape(len(columns), -1).T
+    if complete:
+        return value + constant.sum(axis=1)[None] - null.sum(axis=1)[:, None]
+    seen = samples.seen[voters].astype(np.float64)
+    return value + seen @ constant.T - (null * seen) @ valid.T.astype(np.float64)
+
+
+def _paired_gain(
+    samples: Samples, history: OwnHistory, strategy: Strategy, columns: Indices, voters: Indices
+) -> Floats:
+    features, valid = head_features(samples, strategy.library, columns)
+    extra = len(strategy.coefficients) - features.shape[2]
+    shared = features @ strategy.coefficients[extra:]
+    result = np.empty((len(voters), len(columns)))
+    # A mean of one's own costs three numbers, as it does in the null.
+    price = 1.5 * np.log(np.maximum(samples.seen[voters].sum(axis=1), 2)) if strategy.library.centred else 0.0
+    step = max(1, _CHUNK_ENTRIES // (len(columns) * samples.rows * (extra + 6)))
+    for first in range(0, len(voters), step):
+        some = voters[first : first + step]
+        grid = np.broadcast_arrays(some[:, None], columns[None, :])
+        own, also = pair_features(samples, strategy.library, *grid)
+        direction = shared[None] + own @ strategy.coefficients[:extra]
+        theta, constant = natural_parameters(direction, strategy.noise)
+        value = (theta * samples.target[some][:, None]).sum(axis=3) + constant
+        value -= _null(samples, history, strategy, some)[:, None]
+        counts = also & valid[None] & samples.seen[some][:, None]
+        result[first : first + step] = np.where(counts, value, 0.0).sum(axis=2)
+    result -= np.reshape(price, (-1, 1))
+    return result

@@ -1,0 +1,133 @@
+"""Factions and their leaders from who is ahead of whom (after Amornbunchornvej and Berger-Wolf's mFLICA, 2018)."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from detectors.base import Detector
+from detectors.lagged.selection import centred, ranked
+from usnet_env.config import Config
+from usnet_env.detection import Detection
+from usnet_env.window import Window
+
+__all__ = ["Factions", "following_network", "pagerank"]
+
+Floats = NDArray[np.float64]
+
+_DAMPING = 0.85
+_ITERATIONS = 100
+
+
+class _Arguments(Config):
+    max_lag: Annotated[int, Field(ge=1)]
+    threshold: Annotated[float, Field(ge=0, le=1)]
+
+
+class Factions(Detector):
+    """Leaders are those who are followed and follow nobody; a faction is whom a leader can be reached from.
+
+    i follows j if i's flight is most like j's some steps ago and more so than the other way round, with a similarity
+    above ``threshold``. In this network of followings a leader has followers and no one to follow; the faction of a
+    leader is everybody from whom a path leads to it. Leaders are ranked by PageRank. mFLICA measures similarity by
+    dynamic time warping of positions; here delays are constant and short, so that the lagged correlation of velocities
+    measures the same.
+
+    Args:
+        max_lag: the longest delay in samples, at least 1.
+        threshold: the least correlation of a following, from 0 to 1.
+
+    Raises:
+        InvalidArgument: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    """
+
+    def __init__(self, max_lag: int = 4, threshold: float = 0.4) -> None:
+        self.max_lag = max_lag
+        self.threshold = threshold
+
+    def _arguments(self) -> _Arguments:
+        return _Arguments(max_lag=self.max_lag, threshold=self.threshold)
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode; the generator serves to break ties only."""
+        self._arguments()
+        super().reset(seed)
+
+    def detect(self, window: Window) -> Detection:
+        """Name the leaders of all factions, or the best ranked UAV where there is none.
+
+        Returns:
+            Candidates, scores (PageRank), clusters (factions; -1: in none) and leader.
+        """
+        arguments = self._arguments()
+        rng = getattr(self, "rng", None) or np.random.default_rng()
+        living = np.flatnonzero(window.alive)
+        scores = np.zeros(window.uavs)
+        leader = np.full(window.uavs, -1, np.int64)
+        clusters = np.full(window.uavs, -1, np.int64)
+        candidates = np.zeros(window.uavs, bool)
+        if len(living):
+            network = following_network(
+                window.velocity[:, living], window.velocity_seen[:, living], arguments.max_lag, arguments.threshold
+            )
+            rank = pagerank(network)
+            scores[living] = rank
+            leads = np.flatnonzero((network > 0).any(axis=0) & ~(network > 0).any(axis=1))
+            reached = _reached(network > 0, leads)
+            for label, lead in enumerate(leads):
+                mine = (reached.argmax(axis=1) == label) & reached.any(axis=1)
+                leader[living[mine]] = living[lead]
+                clusters[living[mine]] = label
+            candidates[living[leads]] = True
+            if not len(leads):
+                candidates[ranked(scores, window.alive, rng)[:1]] = True
+        return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader)
+
+
+def following_network(
+    velocity: NDArray[np.floating], seen: NDArray[np.bool_], max_lag: int, threshold: float
+) -> Floats:
+    """Weighted followings ``(n, n)``, entry (i, j) > 0: i follows j, with that correlation.
+
+    Args:
+        velocity: ``(T, n, 3)``.
+        seen: ``(T, n)`` bool.
+        max_lag: the longest delay.
+        threshold: the least correlation.
+    """
+    steps, uavs = velocity.shape[:2]
+    flight = centred(velocity.astype(np.float64), seen)
+    length = np.sqrt((flight**2).sum(axis=(0, 2)))
+    flight = (flight / np.where(length > 1e-9, length, np.inf)[:, None]).transpose(1, 0, 2)
+    best = np.full((uavs, uavs), -np.inf)
+    for lag in range(1, min(max_lag, steps - 2) + 1):
+        later, earlier = flight[:, lag:].reshape(uavs, -1), flight[:, : steps - lag].reshape(uavs, -1)
+        best = np.maximum(best, later @ earlier.T)
+    ahead = np.where((best >= threshold) & (best > best.T), best, 0.0)
+    np.fill_diagonal(ahead, 0.0)
+    return np.where(np.isfinite(ahead), ahead, 0.0)
+
+
+def pagerank(network: Floats) -> Floats:
+    """PageRank of a network of followings ``(n, n)``: who is followed by those who are followed (Page et al., 1999)."""
+    uavs = len(network)
+    out = network.sum(axis=1, keepdims=True)
+    step = np.where(out > 0, network / np.where(out > 0, out, 1.0), 1.0 / uavs)
+    rank = np.full(uavs, 1.0 / uavs)
+    for _ in range(_ITERATIONS):
+        rank = (1.0 - _DAMPING) / uavs + _DAMPING * (rank @ step)
+    return rank
+
+
+def _reached(follows: NDArray[np.bool_], leads: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """``(n, leaders)`` whether a path of followings leads from a UAV to a leader; a leader reaches itself."""
+    reached = np.zeros((len(follows), len(leads)), bool)
+    reached[leads, np.arange(len(leads))] = True
+    while True:
+        further = reached | (follows.astype(np.float32) @ reached.astype(np.float32) > 0)
+        if np.array_equal(further, reached):
+            return reached
+        reached = further
