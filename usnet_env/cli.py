@@ -294,6 +294,187 @@ def attention(out: str, seed: int) -> None:
         click.echo(str(path))
 
 
+@reproduce.command()
+@click.option(
+    "--out", default="runs/purity", show_default=True, metavar="DIR", help="Rows, tables and picture go here."
+)
+@click.option("--episodes", type=_WholeNumber(1, 1_000_000), default=30, show_default=True, help="For each method.")
+@click.option("--follow", multiple=True, metavar="NAME", help="Follow strategy; may repeat; by default f1 to f7.")
+@click.option("--clusterer", "clusterers", multiple=True, metavar="NAME", help="May repeat; by default all.")
+@click.option(
+    "--features",
+    multiple=True,
+    metavar="NAME",
+    help="raw, scaled, velocities, gru-single, gru-mean or gru-series; may repeat; by default all.",
+)
+@click.option("--count", "counts", multiple=True, metavar="NAME", help="M given or estimated; by default both.")
+@click.option("--clusters", type=_WholeNumber(1, 1000), default=5, show_default=True, help="M.")
+@click.option("--uavs", type=_WholeNumber(3, 10_000), default=82, show_default=True, help="N.")
+@click.option("--mobility", default="iid", show_default=True, metavar="NAME", help="How the heads fly.")
+@click.option("--head-jitter", is_flag=True, help="The heads have the followers' noise.")
+@click.option("--seed", type=_WholeNumber(0, 2**31), default=2022, show_default=True, help="Of the episodes.")
+@click.option("--workers", type=_WholeNumber(1, 256), help="Processes; by default one a core.")
+@click.pass_context
+def purity(
+    ctx: click.Context,
+    out: str,
+    episodes: int,
+    follow: tuple[str, ...],
+    clusterers: tuple[str, ...],
+    features: tuple[str, ...],
+    counts: tuple[str, ...],
+    clusters: int,
+    uavs: int,
+    mobility: str,
+    head_jitter: bool,
+    seed: int,
+    workers: int | None,
+) -> None:
+    """Purity and head-in-cluster of every clusterer, M given and estimated."""
+    from pathlib import Path
+
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    from usnet_env.reproduce import purity as figure
+    from usnet_env.reproduce import purity_report
+
+    ctx.find_root().obj = f"Finished windows are kept in {out}: the same command goes on from there."
+    methods = figure.methods_of(clusterers or tuple(figure.CLUSTERERS), features or None, counts or figure.COUNTS)
+    with _bar("windows") as progress:
+        rows = figure.reproduce(
+            Path(out),
+            follow=follow or figure.FOLLOW,
+            methods=methods,
+            clusters=clusters,
+            uavs=uavs,
+            episodes=episodes,
+            mobility=mobility,
+            head_jitter=head_jitter,
+            seed=seed,
+            workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )
+    Console(width=_PIPE_WIDTH).print(Markdown(purity_report.markdown(rows, "Purity and head-in-cluster")))
+    click.echo(f"Rows, tables and picture are in {out}.", err=True)
+
+
+@reproduce.command()
+@click.option(
+    "--out", default="runs/rounds", show_default=True, metavar="DIR", help="Rows, tables and picture go here."
+)
+@click.option(
+    "--study",
+    "studies",
+    multiple=True,
+    metavar="NAME",
+    help="follow, clusters, uavs or example; may repeat; by default all four.",
+)
+@click.option(
+    "--detector",
+    "detectors",
+    multiple=True,
+    metavar="NAME",
+    help="May repeat; by default both presets of mc-gassl and lagged-regression.",
+)
+@click.option("--no-trivial", is_flag=True, help="Leave out destroy-all, none, random and one-per-round.")
+@click.option(
+    "--episodes", type=_WholeNumber(1, 1_000_000), default=30, show_default=True, help="A swarm and detector."
+)
+@click.option("--mobility", default="iid", show_default=True, metavar="NAME", help="How the heads fly.")
+@click.option("--head-jitter", is_flag=True, help="The heads have the followers' noise.")
+@click.option("--seed", type=_WholeNumber(0, 2**31), default=2022, show_default=True, help="Of the episodes.")
+@click.option("--workers", type=_WholeNumber(1, 256), help="Processes; by default one a core.")
+@click.pass_context
+def rounds(
+    ctx: click.Context,
+    out: str,
+    studies: tuple[str, ...],
+    detectors: tuple[str, ...],
+    no_trivial: bool,
+    episodes: int,
+    mobility: str,
+    head_jitter: bool,
+    seed: int,
+    workers: int | None,
+) -> None:
+    """Rounds, redundancy and J_m of P2 against follow strategy, M and N, and one swarm round by round."""
+    from pathlib import Path
+
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    from usnet_env.reproduce import rounds as figure
+    from usnet_env.reproduce import rounds_report
+
+    ctx.find_root().obj = f"Finished episodes are kept in {out}: the same command goes on from there."
+    with _bar("episodes") as progress:
+        rows = figure.reproduce(
+            Path(out),
+            studies=studies or tuple(figure.STUDIES),
+            detectors=detectors or figure.DETECTORS,
+            trivial=not no_trivial,
+            episodes=episodes,
+            mobility=mobility,
+            head_jitter=head_jitter,
+            seed=seed,
+            workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )
+    with_paper = mobility == "iid" and not head_jitter
+    text = rounds_report.markdown(rows, "P2 (all columns are in the file)", with_paper, rounds_report.SHORT)
+    Console(width=_PIPE_WIDTH).print(Markdown(text))
+    click.echo(f"Rows, tables and picture are in {out}.", err=True)
+
+
+@reproduce.command(name="meta")
+@click.option("--out", default="runs/meta-losses", show_default=True, metavar="DIR", help="What is made goes here.")
+@click.option("--trainings", type=_WholeNumber(2, 1000), default=5, show_default=True, help="Seeds, for the bands.")
+@click.option("--strategies", type=_WholeNumber(1, 10**6), default=30, show_default=True, help="F of each training.")
+@click.option("--episodes", type=_WholeNumber(1, 10**6), default=1000, show_default=True, help="E of each training.")
+@click.option("--seed", type=_WholeNumber(0, 2**31), default=2022, show_default=True, help="Of the measurement.")
+@click.option("--workers", type=_WholeNumber(1, 256), help="Processes; by default one a core.")
+@click.pass_context
+def meta_losses(
+    ctx: click.Context, out: str, trainings: int, strategies: int, episodes: int, seed: int, workers: int | None
+) -> None:
+    """Off-line loss, and on-line loss from meta-learned, jointly trained and random starts."""
+    from pathlib import Path
+
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    from usnet_env.reproduce import metric_learning
+
+    ctx.find_root().obj = f"Finished trainings are kept in {out}: the same command goes on from there."
+    with _bar("losses") as progress:
+        rows = metric_learning.losses(
+            Path(out),
+            trainings=trainings,
+            strategies=strategies,
+            episodes=episodes,
+            seed=seed,
+            workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )
+    Console(width=_PIPE_WIDTH).print(Markdown(metric_learning.markdown(rows)))
+    click.echo(f"Rows, table and picture are in {out}.", err=True)
+
+
+@reproduce.command()
+@click.option("--out", default="runs/features", show_default=True, metavar="DIR", help="The pictures go here.")
+@click.option("--follow", multiple=True, metavar="NAME", help="May repeat; by default f1 and f4.")
+@click.option("--seed", type=_WholeNumber(0, 2**31), default=2022, show_default=True, help="Of the swarm.")
+def features(out: str, follow: tuple[str, ...], seed: int) -> None:
+    """The feature space of the GRU network before and after training."""
+    from pathlib import Path
+
+    from usnet_env.reproduce import metric_learning
+
+    for name in follow or ("f1", "f4"):
+        click.echo(str(metric_learning.features(Path(out), seed, name)))
+
+
 @_usnet.group()
 def train() -> None:
     """Make again what ships trained."""

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import Field
 from safetensors.torch import load, save
 
@@ -22,6 +23,7 @@ from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, GruSizes, draw_parameters
 from detectors.mc_gassl.meta import Clustered, OfflineTraining, Task, train_offline
 from detectors.mc_gassl.metric import Metric, batch_loss
+from detectors.mc_gassl.online import OnlineTraining, train_online
 from detectors.mc_gassl.weights import NAMES, parameters_of, save_weights
 from usnet_env.config import Config, InvalidArgument, shown
 from usnet_env.files import written_whole
@@ -29,9 +31,9 @@ from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
 
-__all__ = ["MetaTraining", "draw_task", "train_meta"]
+__all__ = ["MetaTraining", "draw_task", "online_losses", "start_of", "train_meta", "trained"]
 
-_START, _TASK, _EPISODE, _HELD_OUT, _MEASURE = range(5)  # what a seed is for
+_START, _TASK, _EPISODE, _HELD_OUT, _MEASURE, _ONLINE = range(6)  # what a seed is for
 _HELD_OUT_TASKS = 20
 _CHECKPOINT = "checkpoint.safetensors"
 
@@ -113,6 +115,43 @@ def draw_task(training: MetaTraining, rng: np.random.Generator) -> Task:
     return Task(*drawn)
 
 
+def start_of(training: MetaTraining) -> GruParameters:
+    """The random parameters that the training starts from."""
+    return draw_parameters(GruSizes(width=training.width), _generator(training, _START))
+
+
+def trained(training: MetaTraining) -> tuple[GruParameters, list[float]]:
+    """The parameters, and the query loss of every episode; nothing is written."""
+    tasks = [draw_task(training, _rng(training, _TASK, number)) for number in range(training.strategies)]
+    return train_offline(
+        start_of(training),
+        tasks,
+        range(training.episodes),
+        training.offline(),
+        lambda episode: _generator(training, _EPISODE, episode),
+    )
+
+
+def online_losses(
+    parameters: GruParameters, window: Window, labels: NDArray[np.int64], steps: int, training: MetaTraining
+) -> tuple[GruParameters, list[float]]:
+    """On-line training on one window whose clusters are known.
+
+    Args:
+        parameters: where to start.
+        window: N UAVs.
+        labels: ``(N,)`` cluster of each.
+        steps: gradient steps.
+        training: the batches are those of this training, its seed decides the draws.
+
+    Returns:
+        The trained parameters, and the loss before each step.
+    """
+    settings = OnlineTraining(steps=steps, metric=training.offline().metric)
+    generator = _generator(training, _ONLINE)
+    return train_online(parameters, inputs_of(window, training.memory), torch.from_numpy(labels), settings, generator)
+
+
 def train_meta(
     out: str | os.PathLike[str],
     training: MetaTraining | None = None,
@@ -143,7 +182,7 @@ def train_meta(
     if isinstance(checkpoint_every, bool) or not isinstance(checkpoint_every, int) or checkpoint_every < 1:
         raise InvalidArgument(f"checkpoint_every must be a whole number from 1, got {shown(checkpoint_every)}.")
     folder, settings, total = Path(out), training.offline(), training.strategies + training.episodes
-    parameters = draw_parameters(GruSizes(width=training.width), _generator(training, _START))
+    parameters = start_of(training)
     losses: list[float] = []
     checkpoint = folder / _CHECKPOINT
     if resume and checkpoint.exists():
@@ -173,7 +212,7 @@ def train_meta(
 def _metrics(training: MetaTraining, parameters: GruParameters, losses: list[float]) -> dict[str, Any]:
     """The loss at the beginning and end, and on strategies that were not trained on, beside the random start's."""
     settings, few = training.offline(), max(1, min(500, len(losses) // 2))
-    begin = draw_parameters(GruSizes(width=training.width), _generator(training, _START))
+    begin = start_of(training)
     held_out: dict[str, list[float]] = {"trained": [], "start": []}
     for number in range(_HELD_OUT_TASKS):
         swarm = draw_task(training, _rng(training, _HELD_OUT, number)).query

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import asdict, dataclass, fields
-from itertools import islice
-from multiprocessing import get_context
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from usnet_env.config import InvalidArgument
 from usnet_env.envs import SingleClusterEnv
 from usnet_env.evaluation.statistics import Interval, rate_interval
-from usnet_env.files import written_whole
 from usnet_env.plugins import make_detector
+from usnet_env.reproduce import rows
 from usnet_env.window import Window
 
 __all__ = ["Cell", "Row", "Task", "measure", "rate_of", "read_rows", "tasks_for", "write_rows"]
 
 _BATCH_UAVS = 64  # UAVs of the windows that a detector gets at once: small swarms train side by side
-_SAVE_EVERY = 10.0  # seconds between two writings of the rows
 
 
 @dataclass(frozen=True)
@@ -135,11 +127,6 @@ def play(task: Task, seed: int) -> list[Row]:
     ]
 
 
-def _prepare() -> None:
-    """One thread a process: the processes are as many as the cores."""
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-
 def measure(
     tasks: Sequence[Task],
     seed: int,
@@ -159,57 +146,21 @@ def measure(
     Returns:
         The rows of the tasks, in their order.
     """
-    rows = {(row.detector, row.cell, row.episode): row for row in read_rows(path)}
-    keys = {(task.detector, task.cell, episode) for task in tasks for episode in _episodes(task)}
-    todo = [
-        task for task in tasks if any((task.detector, task.cell, episode) not in rows for episode in _episodes(task))
-    ]
-    advance(len(keys & rows.keys()))
-    saved = time.monotonic()
-    try:
-        for done in _played(todo, seed, workers):
-            fresh = [row for row in done if (row.detector, row.cell, row.episode) not in rows]
-            rows.update({(row.detector, row.cell, row.episode): row for row in fresh})
-            advance(len(fresh))
-            if time.monotonic() - saved > _SAVE_EVERY:
-                write_rows(path, rows.values())
-                saved = time.monotonic()
-    finally:
-        if todo:
-            write_rows(path, rows.values())
-    return [rows[task.detector, task.cell, episode] for task in tasks for episode in _episodes(task)]
+    return rows.measure(_measurement(seed), tasks, path, workers, advance)
 
 
-def _episodes(task: Task) -> range:
-    return range(task.first, task.first + task.count)
+def _measurement(seed: int) -> rows.Measurement[Task, Row]:
+    return rows.Measurement(
+        Row, partial(play, seed=seed), _keys, lambda row: (row.detector, row.cell, row.episode), _order
+    )
 
 
-def _played(tasks: Sequence[Task], seed: int, workers: int) -> Iterator[list[Row]]:
-    if workers == 1 or len(tasks) < 2:
-        for task in tasks:
-            yield play(task, seed)
-        return
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_prepare)
-    queue = iter(tasks)
-    waiting: set[Future[list[Row]]] = set()
-    try:
-        while True:
-            waiting.update(pool.submit(play, task, seed) for task in islice(queue, 2 * workers - len(waiting)))
-            if not waiting:
-                return
-            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+def _keys(task: Task) -> list[tuple[str, Cell, int]]:
+    return [(task.detector, task.cell, episode) for episode in range(task.first, task.first + task.count)]
 
 
-_KINDS: dict[str, Callable[[str], Any]] = {
-    "int": int,
-    "float": float,
-    "str": str,
-    "bool": lambda text: {"True": True, "False": False}[text],
-}
+def _order(row: Row) -> tuple[str, int, str, int, str, int]:
+    return row.mobility, row.decoys, row.follow, row.followers, row.detector, row.episode
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -218,31 +169,15 @@ def read_rows(path: Path) -> list[Row]:
     Raises:
         InvalidArgument: the file holds something else.
     """
-    if not path.exists():
-        return []
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            kinds = {field.name: _KINDS[str(field.type)] for field in fields(Row)}
-            return [Row(**{name: kind(row[name]) for name, kind in kinds.items()}) for row in csv.DictReader(file)]
-    except (KeyError, ValueError, TypeError, csv.Error):
-        raise InvalidArgument(f"out must hold rows of this measurement, got something else in {path.name!r}.") from None
+    return rows.read_rows(path, Row)
 
 
-def write_rows(path: Path, rows: Iterable[Row]) -> None:
+def write_rows(path: Path, made: Iterable[Row]) -> None:
     """Write the rows, sorted, so that the file is there in full or as it was."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
-    writer.writeheader()
-    for row in sorted(
-        rows, key=lambda row: (row.mobility, row.decoys, row.follow, row.followers, row.detector, row.episode)
-    ):
-        values = asdict(row)
-        writer.writerow({**values, "explained": f"{row.explained:.4f}", "seconds": f"{row.seconds:.4f}"})
-    with written_whole(path) as aside:
-        aside.write_text(text.getvalue(), encoding="utf-8")
+    rows.write_rows(path, made, Row, _order)
 
 
-def rate_of(rows: Iterable[Row], what: str = "hit") -> tuple[int, Interval] | None:
+def rate_of(made: Iterable[Row], what: str = "hit") -> tuple[int, Interval] | None:
     """Number of episodes and the share with ``what`` (``"hit"`` or ``"named"``), Wilson; ``None`` without a row."""
-    values = [getattr(row, what) for row in rows]
+    values = [getattr(row, what) for row in made]
     return (len(values), rate_interval(values)) if values else None

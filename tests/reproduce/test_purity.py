@@ -1,0 +1,132 @@
+"""The figure of purity: every clusterer meets the same windows, with M given and estimated."""
+
+from dataclasses import asdict, replace
+
+import pytest
+
+from detectors.clustering import clusterers
+from usnet_env import InvalidArgument
+from usnet_env.reproduce import purity, purity_report
+from usnet_env.reproduce.purity import CLUSTERERS, FEATURES, Method, Row, Task, methods_of, play, reproduce
+from usnet_env.reproduce.rounds import Cell
+from usnet_env.reproduce.rows import read_rows
+
+CELL = Cell("f1", clusters=3, uavs=30)
+PLAIN = FEATURES[:3]
+
+
+def row(method, follow="f1", episode=0, **more):
+    values = {"found": 5, "purity": 0.5, "head_in_cluster": 0.25, "seconds": 0.1} | more
+    return Row(method.clusterer, method.features, method.count, follow, 5, 82, "iid", False, episode, **values)
+
+
+def test_every_clusterer_takes_part():
+    assert set(CLUSTERERS) == set(clusterers())
+    methods = methods_of(features=PLAIN)
+    assert len(methods) == len(set(methods)) == (4 * 3 + 1) * 2 + 3 + 3
+    assert Method("hdbscan", "raw", "given") not in methods
+    assert {method.features for method in methods if method.clusterer == "lead-votes"} == {"velocities"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"clusterers": ["k-means"]}, "clusterer"),
+        ({"features": ["rawest"]}, "features"),
+        ({"counts": ["own"]}, "count"),
+    ],
+)
+def test_unknown_names_are_refused(arguments, said):
+    with pytest.raises(InvalidArgument, match=said):
+        methods_of(**arguments)
+
+
+def test_features_of_a_network_that_is_not_there_are_refused(monkeypatch):
+    monkeypatch.setattr(purity, "_has_gru", lambda: False)
+    assert {method.features for method in methods_of()} == set(PLAIN)
+    with pytest.raises(InvalidArgument, match="without PyTorch, got 'gru-mean'"):
+        methods_of(features=["gru-mean"])
+
+
+@pytest.mark.skipif(not purity._has_gru(), reason="needs PyTorch")
+def test_features_of_the_network_are_clustered_as_others_are():
+    for features in FEATURES[3:]:
+        (made,) = play(Task(Method("kmeans", features, "given"), CELL, 0, 1), 7)
+        assert made.found == 3
+        assert 1 / 3 < made.purity <= 1.0
+
+
+@pytest.mark.parametrize("method", methods_of(features=PLAIN), ids=lambda method: "-".join(asdict(method).values()))
+def test_every_method_clusters_a_small_swarm(method):
+    for made in play(Task(method, CELL, 0, 2), 7):
+        assert made.method == method
+        assert made.cell == CELL
+        assert 0 < made.purity <= 1
+        assert 0 <= made.head_in_cluster <= 1
+        if method.count == "given":
+            assert made.found <= 3
+
+
+def test_known_cases_are_told_apart():
+    """Lagged votes place everybody; metres alone do not; a correlation without lags misplaces the heads."""
+    rows = {
+        name: play(Task(Method(*name.split("/")), Cell("f1"), 0, 3), 7)
+        for name in ("lead-votes/velocities/given", "kmeans/raw/given", "kmeans/velocities/given")
+    }
+    lead, metres, unlagged = rows.values()
+    assert all(made.purity == made.head_in_cluster == 1.0 for made in lead)
+    assert max(made.purity for made in metres) < 0.7
+    assert min(made.purity for made in unlagged) > 0.85
+    assert max(made.head_in_cluster for made in unlagged) < 0.5
+
+
+def test_a_measurement_goes_on_and_makes_tables_and_a_picture(tmp_path, monkeypatch):
+    methods = methods_of(["kmeans", "lead-votes"], ["scaled"])
+    small = {"methods": methods, "clusters": 2, "uavs": 14, "seed": 5}
+    reproduce(tmp_path, follow=["f1"], episodes=10, **small)
+    path, played, seen = tmp_path / "purity-M2N14-seed5.csv", [], []
+    monkeypatch.setattr(purity, "play", lambda task, seed: played.append(task) or play(task, seed))
+    rows = reproduce(tmp_path, follow=["f1", "f4"], episodes=10, progress=lambda *count: seen.append(count), **small)
+    assert {task.cell.follow for task in played} == {"f4"}
+    assert seen[0] == (50, 100)
+    assert seen[-1] == (100, 100)
+    assert len(rows) == len(read_rows(path, Row)) == 100
+    table = path.with_suffix(".md").read_text(encoding="utf-8")
+    for name, own in {"kmeans": ("given", "gap-one-se", "gap"), "lead-votes": ("given", "own")}.items():
+        features = "scaled" if name == "kmeans" else "velocities"
+        assert all(table.count(f"| {name} | {count} | {features} | 20 |") == 2 for count in own)
+    assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_rows_are_the_same_on_two_processes(tmp_path):
+    arguments = {"follow": ["f1"], "methods": methods_of(["kmeans"], ["raw"]), "episodes": 12}
+    one, two = (reproduce(tmp_path / str(workers), workers=workers, **arguments) for workers in (1, 2))
+    assert [replace(made, seconds=0) for made in one] == [replace(made, seconds=0) for made in two]
+    assert len({made.purity for made in one}) > 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"follow": ["f9"]}, "f9"),
+        ({"mobility": "iids"}, "mobility"),
+        ({"episodes": 0}, "episodes"),
+        ({"methods": []}, "methods"),
+        ({"clusters": 40}, "uavs|clusters"),
+    ],
+)
+def test_bad_arguments_leave_nothing_behind(tmp_path, arguments, said):
+    with pytest.raises(InvalidArgument, match=said):
+        reproduce(tmp_path, **{"episodes": 1} | arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_tables_tell_means_and_leave_out_what_is_not_there():
+    good, part = Method("spectral", "raw", "given"), Method("kmeans", "raw", "given")
+    rows = [row(good, "f1", purity=1.0), row(good, "f2", purity=0.0), row(part, "f2")]
+    table = purity_report.markdown(rows, "title")
+    assert "| spectral | given | raw | 2 | 0.50 (0.50–0.50) | 1.00 (1.00–1.00) | 0.00 (0.00–0.00) |" in table
+    assert "| kmeans | given | raw | 1 | 0.50 (0.50–0.50) |  | 0.50 (0.50–0.50) |" in table
+    assert "estimated" not in table.partition("## ")[2]
+    assert len(purity_report.draw(rows, "title").axes) == 2

@@ -1,0 +1,259 @@
+"""The paper's figure of purity: every clusterer on raw and scaled inputs, M given and estimated; heads beside it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache, partial
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from detectors.clustering import make_clusterer
+from usnet_env.config import InvalidArgument, unknown_name
+from usnet_env.envs import MultiClusterEnv
+from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.files import written_whole
+from usnet_env.objectives import head_in_cluster, purity
+from usnet_env.reproduce.rounds import Cell
+from usnet_env.reproduce.rows import Measurement, counter, measure, read_rows
+from usnet_env.window import Window
+
+__all__ = ["CLUSTERERS", "COUNTS", "FEATURES", "FOLLOW", "Method", "Row", "Task", "methods_of", "play", "reproduce"]
+
+FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
+#: The clusterers, and how each estimates M: by the paper's gap statistic (its rule, and ours) or by what it clusters.
+CLUSTERERS = {
+    "kmeans": ("gap-one-se", "gap"),
+    "snmf": ("eigengap",),
+    "spectral": ("eigengap",),
+    "agglomerative": ("eigengap",),
+    "hdbscan": ("own",),
+    "lead-votes": ("own",),
+}
+#: Features of the paper's one window in metres and standardised, the whole series, and what the GRU makes of them.
+FEATURES = ("raw", "scaled", "velocities", "gru-single", "gru-mean", "gru-series")
+COUNTS = ("given", "estimated")
+_GRU = "detectors.mc_gassl"
+_EPISODES_A_TASK = 10
+
+
+@dataclass(frozen=True)
+class Method:
+    """A clusterer on features; ``count`` is ``"given"`` or how M is estimated.
+
+    ``lead-votes`` looks at the velocities, whatever the features.
+    """
+
+    clusterer: str
+    features: str
+    count: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """One window clustered by one method.
+
+    Args:
+        clusterer, features, count: the method.
+        follow, clusters, uavs, mobility, head_jitter: the cell; ``clusters`` is M.
+        episode: number of the episode.
+        found: number of clusters of the answer.
+        purity, head_in_cluster: as in :mod:`usnet_env.objectives`.
+        seconds: that clustering took, features included.
+    """
+
+    clusterer: str
+    features: str
+    count: str
+    follow: str
+    clusters: int
+    uavs: int
+    mobility: str
+    head_jitter: bool
+    episode: int
+    found: int
+    purity: float
+    head_in_cluster: float
+    seconds: float
+
+    @property
+    def method(self) -> Method:
+        """Its method."""
+        return Method(self.clusterer, self.features, self.count)
+
+    @property
+    def cell(self) -> Cell:
+        """Its cell."""
+        return Cell(self.follow, self.clusters, self.uavs, self.mobility, self.head_jitter)
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some consecutive episodes of one method in one cell."""
+
+    method: Method
+    cell: Cell
+    first: int
+    count: int
+
+
+def _has_gru() -> bool:
+    """Whether the GRU can be used: it needs PyTorch, which is not installed everywhere."""
+    try:
+        return find_spec("torch") is not None and find_spec(f"{_GRU}.weights") is not None
+    except ModuleNotFoundError:  # of the package around it
+        return False
+
+
+def methods_of(
+    clusterers: Iterable[str] = tuple(CLUSTERERS), features: Iterable[str] | None = None, counts: Iterable[str] = COUNTS
+) -> list[Method]:
+    """All combinations that there are: HDBSCAN takes no M, and ``lead-votes`` has its own features.
+
+    Args:
+        clusterers: names of :data:`CLUSTERERS`.
+        features: names of :data:`FEATURES`; ``None``: all, those of the GRU only where it can be used.
+        counts: names of :data:`COUNTS`.
+
+    Raises:
+        InvalidArgument: an unknown name, or features of a GRU that is not there.
+    """
+    wanted = tuple(features) if features is not None else FEATURES if _has_gru() else FEATURES[:3]
+    for name in wanted:
+        if name not in FEATURES:
+            raise unknown_name("features", name, FEATURES)
+        if name.startswith("gru-") and not _has_gru():
+            raise InvalidArgument(f"features must be {', '.join(FEATURES[:3])} without PyTorch, got {name!r}.")
+    found = []
+    for clusterer in clusterers:
+        if clusterer not in CLUSTERERS:
+            raise unknown_name("clusterer", clusterer, CLUSTERERS)
+        for count in counts:
+            if count not in COUNTS:
+                raise unknown_name("count", count, COUNTS)
+            if (clusterer, count) != ("hdbscan", "given"):
+                own = ("velocities",) if clusterer == "lead-votes" else wanted
+                rules = CLUSTERERS[clusterer] if count == "estimated" else ("given",)
+                found += [Method(clusterer, name, rule) for rule in rules for name in own]
+    return found
+
+
+def _features(name: str) -> Any:
+    """What a clusterer takes as ``features``."""
+    return _gru(name.removeprefix("gru-")) if name.startswith("gru-") else name
+
+
+@cache
+def _gru(mode: str) -> Callable[[Window], Any]:
+    # By name: the world imports no neural network, so this works where there is no PyTorch.
+    parameters = import_module(f"{_GRU}.weights").load_meta_weights()
+    made: Callable[[Window], Any] = partial(
+        import_module(f"{_GRU}.features").gru_features, parameters=parameters, mode=mode
+    )
+    return made
+
+
+def play(task: Task, seed: int) -> list[Row]:
+    """Cluster the first windows of the task's episodes, the ones that ``usnet evaluate`` shows with the same seed."""
+    env, method = MultiClusterEnv(**asdict(task.cell)), task.method
+    count = task.cell.clusters if method.count == "given" else method.count
+    clusterer = make_clusterer(method.clusterer, count=count, features=_features(method.features))
+    made = []
+    for episode in range(task.first, task.first + task.count):
+        swarm_seed, own_seed = episode_seeds(seed, episode)
+        observation, _ = env.reset(seed=swarm_seed)
+        window, truth = Window.from_observation(observation), env.swarm
+        begun = time.perf_counter()
+        clustering = clusterer.cluster(window, np.random.default_rng(own_seed))
+        seconds = time.perf_counter() - begun
+        made.append(
+            Row(
+                **asdict(method),
+                **asdict(task.cell),
+                episode=episode,
+                found=clustering.count,
+                purity=purity(truth.leader, clustering.labels),
+                head_in_cluster=head_in_cluster(truth.head, truth.leader, clustering.labels),
+                seconds=seconds,
+            )
+        )
+    return made
+
+
+def _keys(task: Task) -> list[tuple[Method, Cell, int]]:
+    return [(task.method, task.cell, episode) for episode in range(task.first, task.first + task.count)]
+
+
+def _order(row: Row) -> tuple[str, int, int, str, str, str, int]:
+    return row.follow, row.clusters, row.uavs, row.clusterer, row.features, row.count, row.episode
+
+
+def reproduce(
+    folder: Path,
+    *,
+    follow: Sequence[str] = FOLLOW,
+    methods: Sequence[Method] | None = None,
+    clusters: int = 5,
+    uavs: int = 82,
+    episodes: int = 30,
+    mobility: str = "iid",
+    head_jitter: bool = False,
+    seed: int = 2022,
+    workers: int = 1,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Row]:
+    """Measure purity and head-in-cluster; an interrupted measurement goes on where it stopped.
+
+    Args:
+        folder: gets ``purity[-MmNn][-mobility][-jitter]-seedS.csv``, ``.md`` and ``.png``; table and picture are of
+            all rows in the file, those of earlier measurements included.
+        follow: follow strategies.
+        methods: from :func:`methods_of`; ``None``: all.
+        clusters: M.
+        uavs: N.
+        episodes: for each method and follow strategy.
+        mobility: how the heads fly.
+        head_jitter: whether they have the followers' noise.
+        seed: of the episodes; the reporting seed is one that nothing was tuned on.
+        workers: processes.
+        progress: called with the windows done and to do.
+
+    Returns:
+        The rows that were asked for.
+
+    Raises:
+        InvalidArgument: an argument was refused.
+    """
+    from usnet_env.reproduce import purity_report
+
+    cells = [Cell(name, clusters, uavs, mobility, head_jitter) for name in dict.fromkeys(follow)]
+    for cell in cells:
+        MultiClusterEnv(**asdict(cell))
+    chosen = list(dict.fromkeys(methods_of() if methods is None else methods))
+    if not cells or not chosen or episodes < 1:
+        raise InvalidArgument("follow, methods and episodes must leave something to do, got none of one of them.")
+    tasks = [
+        Task(method, cell, first, min(_EPISODES_A_TASK, episodes - first))
+        for first in range(0, episodes, _EPISODES_A_TASK)
+        for cell in cells
+        for method in chosen
+    ]
+    size = "" if (clusters, uavs) == (5, 82) else f"-M{clusters}N{uavs}"
+    suffix = size + (f"-{mobility}" if mobility != "iid" else "") + ("-jitter" if head_jitter else "")
+    path = folder / f"purity{suffix}-seed{seed}.csv"
+    what = Measurement(Row, partial(play, seed=seed), _keys, lambda row: (row.method, row.cell, row.episode), _order)
+    rows = measure(what, tasks, path, workers, counter(sum(task.count for task in tasks), progress))
+    title = (
+        f"Purity and head-in-cluster, M={clusters}, N={uavs}, {mobility} heads{' with jitter' if head_jitter else ''}"
+    )
+    kept = read_rows(path, Row)
+    with written_whole(path.with_suffix(".md")) as aside:
+        aside.write_text(purity_report.markdown(kept, title), encoding="utf-8")
+    with written_whole(path.with_suffix(".png")) as aside:
+        purity_report.draw(kept, title).savefig(aside, format="png", dpi=100)
+    return rows

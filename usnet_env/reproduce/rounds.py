@@ -1,0 +1,239 @@
+"""The paper's figures of P2: rounds and redundancy against follow strategy, M and N, and one swarm round by round."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.config import InvalidArgument, unknown_name
+from usnet_env.envs import MultiClusterEnv
+from usnet_env.evaluation import TRIVIAL
+from usnet_env.evaluation.episode import episode_seeds, play_episode, warm_up
+from usnet_env.evaluation.players import Answer, Player, as_player
+from usnet_env.files import written_whole
+from usnet_env.objectives import rounds_hits_and_redundant
+from usnet_env.plugins import make_detector
+from usnet_env.reproduce.rows import Measurement, counter, measure, read_rows
+
+__all__ = ["DETECTORS", "STUDIES", "Cell", "Row", "Task", "cells_of", "play", "reproduce", "tasks_for"]
+
+#: Ours by default, the paper's as written, and a training-free one; the trivial policies stand beside them.
+DETECTORS = ("mc-gassl", "mc-gassl(preset='paper')", "lagged-regression")
+_EPISODES_A_TASK = 2  # few: an episode takes up to minutes, and an interruption loses those of a task
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One kind of swarm: follow strategy, M, N, mobility, jitter of the heads."""
+
+    follow: str = "f1"
+    clusters: int = 5
+    uavs: int = 82
+    mobility: str = "iid"
+    head_jitter: bool = False
+
+
+#: The cells of each study (follow strategy, M, N), as the paper has them.
+STUDIES: dict[str, tuple[tuple[str, int, int], ...]] = {
+    "follow": tuple((f"f{number}", 5, 82) for number in range(1, 8)),
+    "clusters": tuple(("f1", clusters, 82) for clusters in (2, 3, 5, 8, 10)),
+    "uavs": tuple(("f3", 5, uavs) for uavs in (40, 60, 82, 120, 160, 200)),
+    "example": (("f1", 8, 185),),
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One episode of one detector in one cell; metrics by the names of :data:`usnet_env.evaluation.METRICS`.
+
+    Args:
+        detector: as it was named.
+        follow, clusters, uavs, mobility, head_jitter: the cell.
+        episode: number of the episode.
+        redundant: redundant candidates of all rounds.
+        named, hits: candidates of each round, and those of them that were heads, with spaces between.
+    """
+
+    detector: str
+    follow: str
+    clusters: int
+    uavs: int
+    mobility: str
+    head_jitter: bool
+    episode: int
+    J: float
+    rounds: int
+    redundant: int
+    redundancy: float
+    success: int
+    exact: int
+    precision_first: float
+    recall_first: float
+    f1_first: float
+    ap_first: float
+    purity_first: float
+    head_in_cluster_first: float
+    seconds_per_round: float
+    named: str
+    hits: str
+
+    @property
+    def cell(self) -> Cell:
+        """Its cell."""
+        return Cell(self.follow, self.clusters, self.uavs, self.mobility, self.head_jitter)
+
+    def each_round(self) -> list[tuple[int, int]]:
+        """Candidates and hits of every round."""
+        return list(zip(map(int, self.named.split()), map(int, self.hits.split()), strict=True))
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some consecutive episodes of one detector in one cell."""
+
+    detector: str
+    cell: Cell
+    first: int
+    count: int
+
+
+def cells_of(studies: Sequence[str], mobility: str = "iid", head_jitter: bool = False) -> list[Cell]:
+    """The cells of some studies; those that several share stand once.
+
+    Raises:
+        InvalidArgument: no such study.
+    """
+    for study in studies:
+        if study not in STUDIES:
+            raise unknown_name("study", study, STUDIES)
+    found = [cell for study in studies for cell in STUDIES[study]]
+    return [Cell(*cell, mobility, head_jitter) for cell in dict.fromkeys(found)]
+
+
+def tasks_for(detectors: Sequence[str], cells: Sequence[Cell], episodes: int) -> list[Task]:
+    """Tasks of all cells, the first episodes of all of them first: an interruption leaves all cells alike."""
+    return [
+        Task(detector, cell, first, min(_EPISODES_A_TASK, episodes - first))
+        for first in range(0, episodes, _EPISODES_A_TASK)
+        for cell in cells
+        for detector in detectors
+    ]
+
+
+class _Recorder:
+    """A player whose candidates are remembered."""
+
+    def __init__(self, player: Player) -> None:
+        self.player = player
+        self.candidates: list[NDArray[np.bool_]] = []
+        self.warm_up = player.warm_up
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+        self.candidates = []
+        self.player.reset(seed)
+
+    def answer(self, observation: Any) -> Answer:
+        """The player's answer."""
+        answer = self.player.answer(observation)
+        self.candidates.append(answer.candidates)
+        return answer
+
+
+@cache
+def _recorder(detector: str) -> _Recorder:
+    """This process's player of that name, warmed up so that no episode's seconds hold compiling and loading."""
+    player = _Recorder(as_player(make_detector(detector)))
+    warm_up(MultiClusterEnv(), player, detector, 0)
+    return player
+
+
+def play(task: Task, seed: int) -> list[Row]:
+    """Play the episodes of one task, the ones that ``usnet evaluate`` plays with the same seed."""
+    env, player = MultiClusterEnv(**asdict(task.cell)), _recorder(task.detector)
+    made = []
+    for episode in range(task.first, task.first + task.count):
+        found = play_episode(env, player, task.detector, seed, episode)
+        env.reset(seed=episode_seeds(seed, episode)[0])
+        hits, redundant = rounds_hits_and_redundant(env.swarm.head, np.array(player.candidates))
+        values = {name: found[name] for name in Row.__annotations__ if name in found}
+        values |= {name: np.nan if value is None else value for name, value in values.items()}
+        values |= asdict(task.cell) | {
+            "redundant": int(redundant.sum()),
+            "named": " ".join(map(str, hits + redundant)),
+            "hits": " ".join(map(str, hits)),
+        }
+        made.append(Row(**values))
+    return made
+
+
+def _keys(task: Task) -> list[tuple[str, Cell, int]]:
+    return [(task.detector, task.cell, episode) for episode in range(task.first, task.first + task.count)]
+
+
+def _order(row: Row) -> tuple[str, int, int, str, int]:
+    return row.follow, row.clusters, row.uavs, row.detector, row.episode
+
+
+def reproduce(
+    folder: Path,
+    *,
+    studies: Sequence[str] = tuple(STUDIES),
+    detectors: Sequence[str] = DETECTORS,
+    trivial: bool = True,
+    episodes: int = 30,
+    mobility: str = "iid",
+    head_jitter: bool = False,
+    seed: int = 2022,
+    workers: int = 1,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Row]:
+    """Measure the studies' cells; an interrupted measurement goes on where it stopped.
+
+    Args:
+        folder: gets ``rounds[-mobility][-jitter]-seedS.csv``, ``.md`` and ``.png``; table and picture are of all rows
+            in the file, those of earlier measurements included.
+        studies: names of :data:`STUDIES`.
+        detectors: names of detectors.
+        trivial: also play the trivial policies.
+        episodes: a cell and detector.
+        mobility: how the heads fly.
+        head_jitter: whether they have the followers' noise.
+        seed: of the episodes; the reporting seed is one that nothing was tuned on.
+        workers: processes.
+        progress: called with the episodes done and to do.
+
+    Returns:
+        The rows that were asked for.
+
+    Raises:
+        InvalidArgument: an argument was refused.
+        EvaluationError: a detector failed; rows that were finished are kept.
+    """
+    from usnet_env.reproduce import rounds_report
+
+    cells = cells_of(studies, mobility, head_jitter)
+    names = list(dict.fromkeys([*detectors, *(TRIVIAL if trivial else ())]))
+    if not cells or not names or episodes < 1:
+        raise InvalidArgument("studies, detectors and episodes must leave something to play, got none of one of them.")
+    for name in names:
+        make_detector(name)
+    MultiClusterEnv(**asdict(cells[0]))
+    tasks = tasks_for(names, cells, episodes)
+    suffix = (f"-{mobility}" if mobility != "iid" else "") + ("-jitter" if head_jitter else "")
+    path = folder / f"rounds{suffix}-seed{seed}.csv"
+    what = Measurement(Row, partial(play, seed=seed), _keys, lambda row: (row.detector, row.cell, row.episode), _order)
+    rows = measure(what, tasks, path, workers, counter(sum(task.count for task in tasks), progress))
+    title = f"P2, {mobility} heads{' with jitter' if head_jitter else ''}"
+    kept = read_rows(path, Row)
+    with written_whole(path.with_suffix(".md")) as aside:
+        aside.write_text(rounds_report.markdown(kept, title, with_paper=not suffix), encoding="utf-8")
+    with written_whole(path.with_suffix(".png")) as aside:
+        rounds_report.draw(kept, title, with_paper=not suffix).savefig(aside, format="png", dpi=100)
+    return rows

@@ -1,0 +1,172 @@
+"""Rows of a long measurement: made on every core, kept in a CSV file as they come, and never made twice."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import time
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, fields
+from itertools import islice
+from math import isfinite
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from usnet_env.config import InvalidArgument
+from usnet_env.files import written_whole
+
+__all__ = ["Measurement", "counter", "episode_means", "measure", "read_rows", "write_rows"]
+
+_SAVE_EVERY = 10.0  # seconds between two writings of the rows
+
+RowT = TypeVar("RowT")
+TaskT = TypeVar("TaskT")
+
+
+@dataclass(frozen=True)
+class Measurement(Generic[TaskT, RowT]):
+    """What is measured.
+
+    Args:
+        row: the class of its rows, a frozen dataclass of ``int``, ``float``, ``str`` and ``bool``.
+        play: gives the rows of a task. Other processes must be able to import it: a function of a module, or a
+            ``partial`` of one.
+        keys: what tells the rows of a task from all others, in their order.
+        key: the same of a row.
+        order: what the rows of a file are sorted by.
+    """
+
+    row: type[RowT]
+    play: Callable[[TaskT], list[RowT]]
+    keys: Callable[[TaskT], Sequence[Hashable]]
+    key: Callable[[RowT], Hashable]
+    order: Callable[[RowT], Any]
+
+
+def measure(
+    what: Measurement[TaskT, RowT],
+    tasks: Sequence[TaskT],
+    path: Path,
+    workers: int,
+    advance: Callable[[int], None] = lambda rows: None,
+) -> list[RowT]:
+    """Play all tasks that ``path`` does not hold yet; rows are written as they come.
+
+    Args:
+        what: the measurement.
+        tasks: what there is to play.
+        path: the CSV of rows, appearing whole each time it is written. Its name should hold whatever its rows do not
+            say, such as the seed.
+        workers: processes; the rows are the same for any number of them, seconds apart.
+        advance: called with the number of rows that are newly done.
+
+    Returns:
+        The rows of the tasks, in their order.
+    """
+    rows = {what.key(row): row for row in read_rows(path, what.row)}
+    wanted = [key for task in tasks for key in what.keys(task)]
+    todo = [task for task in tasks if any(key not in rows for key in what.keys(task))]
+    advance(len(set(wanted) & rows.keys()))
+    saved = time.monotonic()
+    try:
+        for done in _played(what.play, todo, workers):
+            fresh = {what.key(row): row for row in done if what.key(row) not in rows}
+            rows.update(fresh)
+            advance(len(fresh))
+            if time.monotonic() - saved > _SAVE_EVERY:
+                write_rows(path, rows.values(), what.row, what.order)
+                saved = time.monotonic()
+    finally:
+        if todo:
+            write_rows(path, rows.values(), what.row, what.order)
+    return [rows[key] for key in wanted]
+
+
+def _prepare() -> None:
+    """One thread a process: the processes are as many as the cores."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+def _played(play: Callable[[TaskT], list[RowT]], tasks: Sequence[TaskT], workers: int) -> Iterator[list[RowT]]:
+    if workers == 1 or len(tasks) < 2:
+        for task in tasks:
+            yield play(task)
+        return
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_prepare)
+    queue = iter(tasks)
+    waiting: set[Future[list[RowT]]] = set()
+    try:
+        while True:
+            waiting.update(pool.submit(play, task) for task in islice(queue, 2 * workers - len(waiting)))
+            if not waiting:
+                return
+            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def counter(total: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
+    """An ``advance`` for :func:`measure` that calls ``progress`` with the rows done and to do."""
+    done = 0
+
+    def advance(more: int) -> None:
+        nonlocal done
+        done += more
+        progress(done, total)
+
+    return advance
+
+
+_KINDS: dict[str, Callable[[str], Any]] = {
+    "int": int,
+    "float": float,
+    "str": str,
+    "bool": lambda text: {"True": True, "False": False}[text],
+}
+
+
+def read_rows(path: Path, kind: type[RowT]) -> list[RowT]:
+    """The rows of a file; none if there is no file.
+
+    Raises:
+        InvalidArgument: the file holds something else.
+    """
+    if not path.exists():
+        return []
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            kinds = {field.name: _KINDS[str(field.type)] for field in fields(kind)}  # type: ignore[arg-type]
+            return [kind(**{name: read(row[name]) for name, read in kinds.items()}) for row in csv.DictReader(file)]
+    except (KeyError, ValueError, TypeError, csv.Error):
+        raise InvalidArgument(f"out must hold rows of this measurement, got something else in {path.name!r}.") from None
+
+
+def write_rows(path: Path, rows: Iterable[RowT], kind: type[RowT], order: Callable[[RowT], Any]) -> None:
+    """Write the rows, sorted, so that the file is there in full or as it was; floats have four decimals."""
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for row in sorted(rows, key=order):
+        values = [getattr(row, name) for name in names]
+        writer.writerow([f"{value:.4f}" if isinstance(value, float) else value for value in values])
+    with written_whole(path) as aside:
+        aside.write_text(text.getvalue(), encoding="utf-8")
+
+
+def episode_means(rows: Iterable[Any], field: str) -> list[float]:
+    """Mean of a field over the rows of each episode, NaN left out.
+
+    Cells share the seed of an episode and so its chances: their rows are no independent sample, these means are.
+    """
+    values: dict[int, list[float]] = {}
+    for row in rows:
+        value = float(getattr(row, field))
+        if isfinite(value):
+            values.setdefault(row.episode, []).append(value)
+    return [sum(own) / len(own) for own in values.values()]
