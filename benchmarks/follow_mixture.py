@@ -29,8 +29,8 @@ from usnet_env.objectives import average_precision, multi_cluster_objective, sin
 from usnet_env.plugins import make_detector
 
 RESULTS = Path(__file__).parent / "results" / "follow_mixture"
-OURS = "detectors.follow_mixture:FollowMixture"
-PEERS = ("lagged-regression", "destroy-all", "random", "none")
+OURS = "follow-mixture"
+PEERS = ("lagged-regression", "granger", "factions", "destroy-all", "random", "none")
 PAPER = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 SMOOTH = ("gauss_markov", "smooth_turn", "local_waypoint")
 LONG = {"clusters": 3, "uavs": 30, "observation_steps": 900}  # 30 samples a UAV: five autocorrelation times

@@ -63,6 +63,18 @@ def formation(inputs: FollowInputs) -> Array:
     return inputs.head_velocity[:, 0] + 0.5 * gap / np.maximum(distance, 5.0)
 
 
+def median(inputs: FollowInputs) -> Array:
+    """The axis-wise median of the head's last three velocities."""
+    return np.median(inputs.head_velocity[:, :3], axis=1).astype(np.float32)
+
+
+def pursuit(inputs: FollowInputs) -> Array:
+    """Towards where the head was two steps ago, and half of its velocity's sign."""
+    gap = inputs.head_position[:, 2] - inputs.own_position[:, 0]
+    distance = np.sqrt((gap * gap).sum(axis=1, keepdims=True))
+    return gap / np.maximum(distance, 1.0) + 0.5 * np.sign(inputs.head_velocity[:, 0])
+
+
 def _register() -> tuple[str, ...]:
     register_follow_strategy("own_delays", OwnDelays())
     register_follow_strategy("turned", Turned())
@@ -71,9 +83,11 @@ def _register() -> tuple[str, ...]:
         ("products", products, 2),
         ("absolute", absolute, 2),
         ("formation_offset", formation, 1),
+        ("median", median, 3),  # this one and the next were written by another hand than the detector
+        ("pursuit", pursuit, 2),
     ):
         register_follow_strategy(name, function, lags=lags)
-    return "own_delays", "turned", "saturated", "products", "absolute", "formation_offset"
+    return "own_delays", "turned", "saturated", "products", "absolute", "formation_offset", "median", "pursuit"
 
 
 OUT_OF_LIST = _register()

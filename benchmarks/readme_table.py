@@ -9,7 +9,10 @@ import json
 import sys
 from pathlib import Path
 
+from usnet_env.evaluation.statistics import mean_interval
 from usnet_env.reproduce.detection_rate import Cell, Row, rate_of, read_rows
+from usnet_env.reproduce.rounds import Row as Game
+from usnet_env.reproduce.rows import read_rows as read_any
 from usnet_env.reproduce.table2 import paper_rates
 
 RESULTS = Path(__file__).parent / "results"
@@ -95,9 +98,34 @@ def detection_rates() -> str:
     return "\n".join(lines)
 
 
+def multi_cluster_gassl() -> str:
+    """P2 with MC-GASSL: J_m by follow strategy, R and redundancy over all, the paper's words and `destroy-all`."""
+    lines = [f"| P2, M=5, N=82: J_m | heads | n | {' | '.join(FOLLOW)} | R | redundancy |", "| --- |" + " --- |" * 11]
+    lines.append("| the paper, in words | iid | | " + "3.06–4.06 | " * len(FOLLOW) + "3–4 | 6.1 % |")
+    for path in sorted((RESULTS / "rounds").glob("rounds*.csv"), key=lambda path: (len(path.name), path.name)):
+        rows = [row for row in read_any(path, Game) if (row.clusters, row.uavs) == (5, 82)]
+        for detector in ("mc-gassl", "mc-gassl(preset='paper')", "lagged-regression", "destroy-all"):
+            own = [row for row in rows if row.detector == detector]
+            if {row.follow for row in own} != set(FOLLOW):
+                continue
+            counts = {sum(row.follow == follow for row in own) for follow in FOLLOW}
+            heads = own[0].mobility + (" with jitter" if own[0].head_jitter else "")
+            costs = []
+            for follow in FOLLOW:
+                mean, low, high = mean_interval([row.J for row in own if row.follow == follow])
+                costs.append(f"{mean:.2f}" if low == high else f"{mean:.2f} ({low:.2f}–{high:.2f})")
+            beside = [sum(getattr(row, name) for row in own) / len(own) for name in ("rounds", "redundancy")]
+            n = "–".join(map(str, sorted({min(counts), max(counts)})))
+            lines.append(
+                f"| `{detector}` | {heads} | {n} | {' | '.join(costs)} | {beside[0]:.2f} | {100 * beside[1]:.1f} % |"
+            )
+    return "\n".join(lines)
+
+
 def filled(text: str) -> str:
     """The README with its tables between the markers replaced."""
-    for name, table in (("table", multi_cluster()), ("rates", detection_rates())):
+    tables = (("table", multi_cluster()), ("rates", detection_rates()), ("rounds", multi_cluster_gassl()))
+    for name, table in tables:
         begin, end = f"<!-- {name}:begin -->\n", f"<!-- {name}:end -->"
         before, rest = text.split(begin)
         text = f"{before}{begin}{table}\n{end}{rest.split(end)[1]}"
