@@ -9,7 +9,7 @@ from detectors.checks import check_detector, parametrize_with_checks
 from usnet_env import InvalidArgument, make_detector
 
 # Made small where the defaults train for long: what is checked doesn't depend on the number of steps.
-SMALL = {"gassl": "gassl(steps=4, voters=4)"}
+SMALL = {"gassl": "gassl(steps=4, voters=4)", "mc-gassl": "mc-gassl(gate_steps=4, passes=1)"}
 # Reasons why a detector can't pass a check, by its name.
 EXPECTED = {}
 NAMES = sorted(point.name for point in distribution("usnet").entry_points if point.group == "usnet.detectors")
@@ -20,7 +20,10 @@ def made(name):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            return make_detector(SMALL.get(name, name))
+            detector = make_detector(SMALL.get(name, name))
+            if name == "mc-gassl":
+                detector.set_params(head_detector=make_detector(SMALL["gassl"]))
+            return detector
         except InvalidArgument as error:  # its extra is not installed
             pytest.skip(str(error))
 
