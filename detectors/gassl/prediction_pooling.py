@@ -243,14 +243,22 @@ def _centred(velocity: Tensor) -> Tensor:
 
 
 class Problem:
-    """The tensors of one fit, and errors of pairs from them."""
+    """The tensors of one fit, and errors of pairs from them.
 
-    def __init__(self, samples: Samples, settings: PredictionPooling) -> None:
+    Args:
+        samples: E windows of n UAVs.
+        settings: sizes and rates.
+        centre: whether sources are looked at without their mean velocities, which biases make up for where a network
+            has one source to learn from; a network of several sources needs the means.
+    """
+
+    def __init__(self, samples: Samples, settings: PredictionPooling, centre: bool = True) -> None:
         self.samples, self.settings = samples, settings
         self.null = own_history(samples, settings.ridge)
         self.null_error = ((self.null - samples.target) ** 2).sum(-1)  # (E, n, R)
         windows, uavs, times = samples.windows, samples.uavs, samples.times
-        self.source = _VELOCITY_SCALE * _centred(samples.velocity).reshape(windows * uavs, times, -1)
+        velocity = _centred(samples.velocity) if centre else samples.velocity
+        self.source = _VELOCITY_SCALE * velocity.reshape(windows * uavs, times, -1)
         surprise = (weighted_mean(self.null_error, samples.weight) / 3.0).sqrt()
         self.noise = (settings.input_noise * _VELOCITY_SCALE * surprise).reshape(-1, 1, 1)
 

@@ -62,7 +62,7 @@ def follow_by_shared_network(
         generator: where all draws come from.
         passes: trainings; from the second on every UAV's head is the one that it chose of the supposed ones.
     """
-    problem = Problem(samples, settings)
+    problem = Problem(samples, settings, centre=False)
     used, _ = held_out_times(samples.times, settings.blocks, samples.velocity.shape[3], head.device)
     rest = other_times(used, samples.times)
     heads = torch.unique(head)

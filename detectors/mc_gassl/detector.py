@@ -140,7 +140,7 @@ class McGassl(Detector):
         head_detector: Any = None,
         gate: str | None = None,
         followers: int = 2,
-        gate_threshold: float = 0.4,
+        gate_threshold: float = 0.25,
         passes: int = 2,
         gate_steps: int = 200,
         online: bool | None = None,
