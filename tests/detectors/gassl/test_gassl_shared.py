@@ -36,6 +36,15 @@ def test_followers_choose_their_head_and_heads_gain_nothing(follow):
     np.testing.assert_array_equal(found.followed(0.4), torch.bincount(head[follower], minlength=12))
 
 
+def test_one_network_serves_clusters_that_fly_in_different_directions():
+    batch, head = swarm("f4", mobility="gauss_markov", head_jitter=True, clusters=3, uavs=24)
+    everybody = torch.arange(24)
+    found = follow_by_shared_network(batch, head, everybody, PredictionPooling(), generator(), passes=1)
+    follower = head != everybody
+    np.testing.assert_array_equal(found.leader[follower], head[follower])
+    assert (found.gain[follower] > 0.25).float().mean() > 0.7
+
+
 def test_a_second_pass_mends_a_wrong_head():
     batch, head = swarm("f1")
     heads = head.unique()
