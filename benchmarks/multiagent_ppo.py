@@ -130,7 +130,7 @@ def write(path: Path, rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Train, measure and print."""
-    torch.set_num_threads(1)
+    torch.set_num_threads(1)  # a program of its own, not the library: small networks wait for each other on more
     curves: list[dict[str, Any]] = []
     rows: list[dict[str, Any]] = []
     for detector in DETECTORS:
