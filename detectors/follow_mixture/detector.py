@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -9,17 +10,15 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.follow_mixture.fellows import FELLOW, heads_of_fellows, present_to_past
-from detectors.follow_mixture.gate import gate_heads
-from detectors.follow_mixture.history import OwnHistory, own_history
-from detectors.follow_mixture.mixture import Mixture
-from detectors.follow_mixture.noise import noisy_problem
+from detectors.follow_mixture.explanation import Explanation
+from detectors.follow_mixture.flock_evidence import explained_by_flocks
+from detectors.follow_mixture.flock_search import flock_search, seen_spectra
+from detectors.follow_mixture.history import own_history
+from detectors.follow_mixture.mixture_evidence import explained_by_mixture
 from detectors.follow_mixture.policy import Policy, choose
-from detectors.follow_mixture.probability import head_probability
-from detectors.follow_mixture.samples import Samples, samples_of
+from detectors.follow_mixture.samples import Samples, filled, samples_of
 from detectors.follow_mixture.scale import ALL_PAIRS, sampled_search
-from detectors.follow_mixture.search import MISFIT, misfit, search
-from detectors.follow_mixture.strategy import directions
+from detectors.follow_mixture.search import quick
 from usnet_env.config import InvalidArgument
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -28,7 +27,8 @@ __all__ = ["FollowMixture"]
 
 Floats = NDArray[np.float64]
 
-_NOISE_ROWS = 12  # fewer can't tell noise from flight
+_LAGS = 4  # of a head's past for a flock, where the window can feed them
+_STEPS_A_LAG = 5
 
 
 class _Arguments(Policy):
@@ -115,29 +115,22 @@ class FollowMixture(Detector):
         clusters = np.full(window.uavs, -1, np.int64)
         gain, share = np.zeros(window.uavs), np.zeros(window.uavs)
         extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "gate": [], "nats": 0.0}
-        probability[living] = head_probability(None, None, len(living))
+        probability[living] = 1.0 / (len(living) + 1.0)  # as long as nobody seems to follow anybody
         if samples is not None:
-            samples, history, mixture = explain(samples, most, rng)
-            if mixture is not None:
-                gate = gate_heads(samples, history, mixture)
-                probability[living] = head_probability(
-                    mixture, gate, len(living), misfit(samples, mixture.strategy, mixture.heads.leader).worst <= MISFIT
-                )
-                leader[living] = np.where(mixture.heads.leader >= 0, living[mixture.heads.leader], -1)
-                heads = living[mixture.heads.heads]
+            found = explain(window, samples, living, most, rng)
+            if found is not None:
+                probability[living] = found.probability
+                leader[living] = np.where(found.leader >= 0, living[found.leader], -1)
+                heads = living[found.heads]
                 leader[heads] = heads
                 for label, head in enumerate(heads):
                     clusters[leader == head] = label
-                place = np.searchsorted(mixture.columns, np.maximum(mixture.heads.leader, 0))
-                place = np.minimum(place, len(mixture.columns) - 1)
-                follows = mixture.heads.leader >= 0
-                gain[living] = np.where(follows, mixture.gain[np.arange(len(living)), place], 0.0)
-                share[living] = _explained(samples, history, mixture)
+                gain[living], share[living] = found.gain, found.explained
                 extras |= {
-                    "strategy": _described(mixture, samples),
+                    "strategy": found.strategy,
                     "heads": heads,
-                    "gate": gate.reasons(),
-                    "nats": mixture.value,
+                    "gate": found.reasons,
+                    "nats": found.value,
                 }
         odds = np.clip(probability[living], 1e-12, 1 - 1e-12)
         scores[living] = np.log(odds) - np.log1p(-odds)
@@ -150,68 +143,23 @@ class FollowMixture(Detector):
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader, extras=extras)
 
 
-def explain(samples: Samples, most: int | None, rng: np.random.Generator) -> tuple[Samples, OwnHistory, Mixture | None]:
-    """The likelier of two explanations: of the velocities as they were seen, and of flights behind an observer's noise.
-
-    An explanation whose heads are fellow followers gives way to one whose heads are not.
-    """
-    history = own_history(samples)
+def explain(
+    window: Window, samples: Samples, living: NDArray[np.int64], most: int | None, rng: np.random.Generator
+) -> Explanation | None:
+    """Who leads whom: at once where pairwise evidence shows it, else by flocks."""
     if samples.uavs > ALL_PAIRS:
-        return samples, history, sampled_search(samples, history, most, rng)
-    plain = search(samples, history, most)
-    if samples.unit or not samples.complete or samples.rows < _NOISE_ROWS:
-        return samples, history, plain
-    velocity = np.concatenate([samples.lagged[:, 0, ::-1], samples.target], axis=1)
-    noisy = noisy_problem(samples, velocity)
-    if noisy is None:
-        return samples, history, plain
-    behind, null, jacobian = noisy
-    ways = ((samples, history, plain, 0.0), (behind, null, search(behind, null, most), jacobian))
-    choices = []
-    for rows, law, found, omitted in ways:
-        honest = found is None or present_to_past(rows, found) <= FELLOW
-        if found is not None and not honest:
-            instead = heads_of_fellows(rows, law, found, most)
-            if instead is not None and instead.value > 0 and present_to_past(rows, instead) <= FELLOW:
-                found, honest = instead, True
-        worth = float(law.log_likelihood.sum()) + omitted + (found.value if found is not None else 0.0)
-        choices.append((honest and found is not None, honest, worth, (rows, law, found)))
-    return max(choices, key=lambda choice: choice[:3])[3]
-
-
-def _explained(samples: Samples, history: OwnHistory, mixture: Mixture) -> Floats:
-    """``(n,)`` share of each follower's surprise that its head explains; 0 for all others."""
-    share = np.zeros(samples.uavs)
-    followers = np.flatnonzero(mixture.heads.leader >= 0)
-    predicted, valid = directions(samples, mixture.strategy, followers, mixture.heads.leader[followers])
-    if samples.unit:
-        predicted = predicted / np.maximum(np.sqrt((predicted**2).sum(axis=2, keepdims=True)), 1e-12)
-    keep = (valid & samples.seen[followers])[..., None]
-    left = ((samples.target[followers] - predicted) ** 2 * keep).sum(axis=(1, 2))
-    whole = (history.surprise[followers] ** 2 * keep).sum(axis=(1, 2))
-    share[followers] = np.clip(1.0 - left / np.maximum(whole, 1e-12), 0.0, 1.0)
-    return share
-
-
-def _lag_profile(mixture: Mixture) -> Floats:
-    """``(L,)`` share of each lag in the squared weights of the head's velocities and their functions."""
-    library = mixture.strategy.library
-    groups = int(library.linear) + int(library.squares) + int(library.products)
-    weights = mixture.strategy.coefficients[-1 - 3 * library.lags * groups : -1]
-    power = (weights**2).reshape(groups, library.lags, 9).sum(axis=(0, 2))
-    return np.asarray(power / max(float(power.sum()), 1e-12))
-
-
-def _described(mixture: Mixture, samples: Samples) -> dict[str, Any]:
-    """The strategy found, for people."""
-    strategy = mixture.strategy
-    library = strategy.library
-    return {
-        "lag_profile": _lag_profile(mixture),
-        "class": library.name,
-        "coefficients": strategy.coefficients,
-        "spread": strategy.noise.spread,
-        "floor": strategy.noise.floor,
-        "parameters": strategy.parameters,
-        "unit_speed": samples.unit,
-    }
+        history = own_history(samples)
+        return explained_by_mixture(samples, history, sampled_search(samples, history, most, rng))
+    whole = filled(window)
+    rows = samples_of(whole, living, int(np.clip(window.observation_steps // _STEPS_A_LAG, 1, _LAGS)))
+    if rows is None:
+        return None
+    rows = replace(rows, unit=samples.unit)  # a gap that was filled is flown more slowly
+    spectra = seen_spectra(rows)
+    if spectra.noise == 0:
+        history = own_history(samples)
+        found = explained_by_mixture(samples, history, quick(samples, history, most))
+        if found is not None:
+            return found
+    watch, led = flock_search(rows, spectra, most)
+    return explained_by_flocks(watch, led, float(np.median(spectra.memory))) if led is not None else None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from detectors.follow_mixture.samples import Samples
 
-__all__ = ["KINDS", "FeatureKind", "affordable_kinds", "pairwise_gain"]
+__all__ = ["KINDS", "FeatureKind", "affordable_kinds", "pairwise_gain", "whitened"]
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def _features(samples: Samples, kind: FeatureKind, uavs: slice) -> Floats:
         weight = np.broadcast_to(seen, stacked.shape)
         mean = (stacked * weight).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1)
         stacked = (stacked - mean) * weight
-    return samples.whitened(stacked.reshape(len(stacked), samples.rows, -1))
+    return stacked.reshape(len(stacked), samples.rows, -1)
 
 
 def pairwise_gain(
@@ -103,7 +103,7 @@ def pairwise_gain(
     voters = np.arange(samples.uavs) if voters is None else voters
     surprise = surprise[voters]
     uavs = len(voters)
-    total = (surprise**2).sum(axis=(1, 2)) if samples.whiten is None else np.ones(uavs)
+    total = (surprise**2).sum(axis=(1, 2))
     scaled = surprise / np.sqrt(np.where(total > 1e-12, total, np.inf))[:, None, None]
     axis_major = scaled.transpose(1, 2, 0).astype(np.float32)  # (R, 3, n)
     targets = [np.ascontiguousarray(np.roll(axis_major, shift, axis=0).reshape(rows, -1)) for shift in shifts]
@@ -112,24 +112,22 @@ def pairwise_gain(
     step = max(1, _CHUNK_ENTRIES // (width * uavs * 3))
     for first in range(0, samples.uavs, step):
         part = slice(first, first + step)
-        white = _whitened(_features(samples, kind, part))
+        white = whitened(_features(samples, kind, part))
         stacked = white.transpose(0, 2, 1).reshape(-1, rows).astype(np.float32)
         for index, target in enumerate(targets):
             product = stacked @ target
             np.square(product, out=product)
             share[index, :, part] = product.reshape(len(white), width, 3, uavs).sum(axis=(1, 2)).T
-    # Rows of known variance 1; else two free dimensions a row, half a logarithm each.
-    known = samples.whiten is not None
-    gain = 0.5 * share if known else -rows * np.log1p(-np.clip(share, 0.0, 1.0 - 1e-6))
+    gain = -rows * np.log1p(-np.clip(share, 0.0, 1.0 - 1e-6))  # two free dimensions a row, half a logarithm each
     gain[:, np.arange(uavs), voters] = 0.0
     return gain
 
 
-def _whitened(features: Floats) -> Floats:
+def whitened(features: Floats, ridge: float = _RIDGE) -> Floats:
     """Orthonormal columns that span those of each ``(R, p)`` block, but for a little ridge."""
     gram = features.transpose(0, 2, 1) @ features
     width = gram.shape[1]
     power = np.trace(gram, axis1=1, axis2=2) / width
-    gram += (_RIDGE * power + 1e-9)[:, None, None] * np.eye(width)
+    gram += (ridge * power + 1e-9)[:, None, None] * np.eye(width)
     inverse = np.linalg.inv(np.linalg.cholesky(gram))
     return features @ inverse.transpose(0, 2, 1)

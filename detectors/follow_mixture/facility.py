@@ -37,6 +37,7 @@ def locate_heads(
     price: float,
     most: int | None = None,
     start: Indices | None = None,
+    votes: Indices | None = None,
 ) -> Heads:
     """The heads that gain most: greedy additions, then drops and swaps as long as they gain.
 
@@ -49,6 +50,7 @@ def locate_heads(
         price: of one head.
         most: the largest number of heads, or ``None``.
         start: heads to begin from.
+        votes: ``(n,)`` how many UAVs each row speaks for; one by default.
 
     Returns:
         The set; empty where no head pays its price.
@@ -68,7 +70,7 @@ def locate_heads(
         chosen, value = _swap(positive, columns, chosen, price, value)
         if value <= before + 1e-9:
             break
-    chosen = _with_enough(positive, columns, chosen)
+    chosen = _with_enough(positive, columns, chosen, np.ones(len(gain), np.int64) if votes is None else votes)
     heads = np.sort(columns[chosen]) if chosen else np.empty(0, np.int64)
     leader = np.full(len(gain), -1, np.int64)
     if chosen:
@@ -142,12 +144,12 @@ def _swap(positive: Floats, columns: Indices, chosen: list[int], price: float, v
     return chosen, value
 
 
-def _with_enough(positive: Floats, columns: Indices, chosen: list[int]) -> list[int]:
+def _with_enough(positive: Floats, columns: Indices, chosen: list[int], votes: Indices) -> list[int]:
     """Without heads that hardly anybody follows, the weakest first, as their followers go to others."""
     while chosen:
         gained = _followers(positive, columns, chosen)
         best = np.asarray(positive[:, chosen]).argmax(axis=1)
-        count = np.bincount(best[gained > 0], minlength=len(chosen))
+        count = np.bincount(best[gained > 0], weights=votes[gained > 0], minlength=len(chosen))
         if count.min() >= LEAST_VOTERS:
             break
         weakest = int(count.argmin())

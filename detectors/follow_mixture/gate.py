@@ -12,7 +12,7 @@ from detectors.follow_mixture.mixture import Mixture, head_price
 from detectors.follow_mixture.samples import Samples
 from detectors.follow_mixture.strategy import Strategy, gain_matrix
 
-__all__ = ["Gate", "gate_heads"]
+__all__ = ["Gate", "gate_heads", "judged"]
 
 Floats = NDArray[np.float64]
 
@@ -64,10 +64,15 @@ def gate_heads(samples: Samples, history: OwnHistory, mixture: Mixture) -> Gate:
     surrogate = np.array(
         [_per_head(flights, null, leaders.moved(int(shift)), mixture.strategy) for shift in shifts if shift > 0]
     ).reshape(-1, len(heads))
-    chance = np.zeros(len(heads))
-    if len(surrogate):
-        chance = np.maximum(surrogate.max(axis=0), 0.0) + _MARGIN * surrogate.std(axis=0)
-    return Gate(count, observed - price, chance, observed - price > _TIMES * chance)
+    return judged(count, observed - price, surrogate)
+
+
+def judged(followers: NDArray[np.int64], added: Floats, surrogates: Floats) -> Gate:
+    """The verdict on heads that add ``added`` ``(M,)``, of which chance adds ``surrogates`` ``(S, M)``."""
+    chance = np.zeros(len(added))
+    if len(surrogates):
+        chance = np.maximum(surrogates.max(axis=0), 0.0) + _MARGIN * surrogates.std(axis=0)
+    return Gate(followers, added, chance, added > _TIMES * chance)
 
 
 def _per_head(flights: Samples, null: OwnHistory, leaders: Samples, strategy: Strategy) -> Floats:

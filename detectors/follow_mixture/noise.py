@@ -1,30 +1,25 @@
-"""Noise of the observer: how large it is, smoothed pasts, and residuals whitened in time.
+"""Noise of the observer: how large it is, and pasts smoothed behind it.
 
 Velocities that are differences of noisy positions carry noise of spectrum 2 sigma² (1 - cos w): hardly any at low
-frequencies, four times sigma² at the highest. A regression on them is attenuated and treats every frequency alike. So
-the past of a candidate is replaced by its expectation given all that was seen of it (Wiener's smoother): the error of
-such a regressor is uncorrelated with it (Berkson's case), and least squares stay unbiased. What a follower's flight
-leaves over is the difference of its own observation noise, and that smoothing error: a covariance known but for its
-scale, whose inverse square root whitens the rows.
+frequencies, four times sigma² at the highest. A regression on them is attenuated. So the past of a candidate is
+replaced by its expectation given what was seen of it (Wiener's smoother): the error of such a regressor is uncorrelated
+with it (Berkson's case), and least squares stay unbiased.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
-from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.samples import Samples
 
-__all__ = ["FlightSpectra", "fit_spectra", "noisy_problem"]
+__all__ = ["LEAST_NOISE", "FlightSpectra", "fit_spectra", "smoothed_pasts"]
 
 Floats = NDArray[np.float64]
 
 LEAST_NOISE = 0.004  # variance of position noise per axis, relative to the squared speed, below which it is none
-_SLACK = 0.02  # what a strategy leaves open of a clean flight, relative to its variance
 _MEMORIES = np.concatenate([np.linspace(0.0, 0.9, 7), [0.95, 0.98]])
 _POWERS = np.exp(np.linspace(np.log(0.005), np.log(2.0), 16))  # of the mean periodogram
 _NOISES = np.concatenate([[1e-4], np.exp(np.linspace(np.log(0.005), 0.0, 24))])
@@ -80,58 +75,30 @@ def fit_spectra(velocity: Floats) -> FlightSpectra:
     return found
 
 
-def noisy_problem(samples: Samples, velocity: Floats) -> tuple[Samples, OwnHistory, float] | None:
-    """The samples with smoothed pasts and whitened rows, and the null beside them.
+def smoothed_pasts(samples: Samples, velocity: Floats, spectra: FlightSpectra) -> Floats:
+    """What is expected of every UAV's past velocities, given all that was seen of it before the row's time.
+
+    "Before" matters: behind noise, a fellow follower smoothed with its future tells a follower's flight better than
+    their head does.
 
     Args:
-        samples: with targets in space, nothing missing.
+        samples: nothing missing.
         velocity: ``(n, T, 3)`` the velocities that they were cut from, in the same unit.
+        spectra: of the same flights.
 
     Returns:
-        Samples, null, and what a log-likelihood in whitened rows leaves out of one of the velocities seen; ``None``
-        where there is no noise to speak of.
+        ``(n, R, L, 3)``, in the place of ``samples.lagged``.
     """
-    spectra = fit_spectra(velocity)
-    if spectra.noise < LEAST_NOISE:
-        return None
-    uavs, steps = velocity.shape[:2]
-    memory, rows = samples.memory, samples.rows
+    steps, memory = velocity.shape[1], samples.memory
     flight, noise = spectra.flight(steps), spectra.seen(steps)
     mean = velocity.mean(axis=1, keepdims=True)
     # With V = L L' and z = L^-1 y, the expectation of v at s given y before t is sum over k < t of (S L'^-1)_sk z_k.
-    lower_seen = np.linalg.cholesky(flight + noise)
-    innovation = np.linalg.solve(lower_seen, velocity - mean)
-    reach = np.linalg.solve(lower_seen, flight).transpose(0, 2, 1)
+    lower = np.linalg.cholesky(flight + noise)
+    innovation = np.linalg.solve(lower, velocity - mean)
+    reach = np.linalg.solve(lower, flight).transpose(0, 2, 1)
     times = np.arange(memory, steps)
     before = np.arange(steps)[None, :] < times[:, None]
     lagged = np.empty_like(samples.lagged)
     for lag in range(memory):
         lagged[:, :, lag] = mean + (reach[:, times - 1 - lag] * before) @ innovation
-    # Who leads is not known yet: the error of those whose flight is least predictable stands for the heads'.
-    surprise_power = spectra.power * (1.0 - spectra.memory**2)
-    lively = surprise_power >= np.quantile(surprise_power, 0.75)
-    there = reach[lively][:, times - 1]
-    unseen = there * ~before
-    error = (
-        flight[lively][:, times - 1][:, :, times - 1]
-        - there @ there.transpose(0, 2, 1)
-        + unseen @ unseen.transpose(0, 2, 1)
-    ).mean(axis=0)
-    late = slice(memory, steps)
-    slack = _SLACK * float(np.median(spectra.power))
-    left = noise[late, late] + error + slack * np.eye(rows)
-    lower = np.linalg.cholesky(left)
-    whiten = solve_triangular(lower, np.eye(rows), lower=True)
-    null_lower = np.linalg.cholesky(flight[:, late, late] + noise[late, late])
-    null_white = np.linalg.solve(null_lower, samples.target - mean)
-    # Both laws are densities of the seen velocities; the Jacobian of the whitening is left out of both.
-    whitening = float(np.log(np.diag(lower)).sum())
-    jacobian = np.log(np.diagonal(null_lower, axis1=1, axis2=2)).sum(axis=1) - whitening
-    total = -0.5 * (null_white**2).sum(axis=(1, 2)) - 3.0 * jacobian - 2.5 * np.log(rows)
-    whitened = replace(samples, target=whiten @ samples.target, lagged=lagged, whiten=whiten)
-    null = OwnHistory(
-        np.repeat(total[:, None] / rows, rows, axis=1),
-        whiten @ (samples.target - mean),
-        float(np.median(spectra.memory)),
-    )
-    return whitened, null, -3.0 * uavs * whitening
+    return lagged

@@ -20,17 +20,14 @@ _ALONE = 0.003  # unexplained beside a strategy that leaves nothing but noise: a
 _SMALLEST_CLUSTER = 3
 
 
-def head_probability(mixture: Mixture | None, gate: Gate | None, uavs: int, holds: bool = True) -> Floats:
+def head_probability(mixture: Mixture, gate: Gate, holds: bool) -> Floats:
     """``(n,)`` probability of being a head.
 
     Args:
-        mixture: the explanation, or ``None``: nobody seems to follow anybody, and all are alike.
+        mixture: the explanation.
         gate: its heads, judged.
-        uavs: n.
         holds: the strategy found leaves nothing but noise.
     """
-    if mixture is None or gate is None or not len(mixture.heads.heads):
-        return np.full(uavs, 1.0 / (uavs + 1.0))
     left = mixture.heads.leader < 0
     left[mixture.heads.heads] = False
     missing = not holds and left.sum() >= _SMALLEST_CLUSTER

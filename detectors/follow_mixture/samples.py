@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from usnet_env.window import Window
 
-__all__ = ["Samples", "samples_of"]
+__all__ = ["Samples", "filled", "samples_of"]
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,7 +32,6 @@ class Samples:
         position_seen: ``(n, R)`` bool.
         speed: mean speed, metres per step.
         unit: every UAV flies at the same constant speed: velocities are directions.
-        whiten: ``(R, R)`` applied to the targets already, and to be applied to all features along time; ``None``: none.
     """
 
     target: Floats
@@ -43,11 +42,6 @@ class Samples:
     position_seen: Mask
     speed: float
     unit: bool
-    whiten: Floats | None = None
-
-    def whitened(self, features: Floats) -> Floats:
-        """Features ``(..., R, p)`` beside the targets."""
-        return features if self.whiten is None else self.whiten @ features
 
     @property
     def uavs(self) -> int:
@@ -122,3 +116,18 @@ def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Sample
         speed=speed,
         unit=bool(flown.std() < _UNIT_SPREAD * speed),
     )
+
+
+def filled(window: Window) -> Window:
+    """The window with missed samples of the living filled in: straight flight at one speed across every gap."""
+    missed = ~window.seen & window.alive
+    if not missed.any():
+        return window
+    position = np.array(window.position, np.float64)
+    instants = np.arange(len(position))
+    for uav in np.flatnonzero(missed.any(axis=0) & window.seen.any(axis=0)):
+        there = window.seen[:, uav]
+        for axis in range(3):
+            position[~there, uav, axis] = np.interp(instants[~there], instants[there], position[there, uav, axis])
+    velocity = np.where(window.velocity_seen[..., None], window.velocity, np.diff(position, axis=0))
+    return Window(position.astype(np.float32), velocity, window.seen | window.alive, window.alive, window.round)

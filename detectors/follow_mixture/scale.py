@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from detectors.follow_mixture.evidence import affordable_kinds, pairwise_gain
 from detectors.follow_mixture.facility import Heads, locate_heads
+from detectors.follow_mixture.flock_search import flock_search, seen_spectra
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, head_price
 from detectors.follow_mixture.samples import Samples
-from detectors.follow_mixture.search import search
+from detectors.follow_mixture.search import led, quick
 from detectors.follow_mixture.strategy import Strategy, fit_strategy, gain_matrix
 
 __all__ = ["ALL_PAIRS", "sampled_search"]
@@ -48,7 +49,7 @@ def sampled_search(samples: Samples, history: OwnHistory, most: int | None, rng:
     observed, surrogate = pairwise_gain(samples, history.surprise, kind, (0, samples.rows // 2), voters)
     worth = np.maximum(observed - float(np.median(surrogate.max(axis=1))), 0.0).sum(axis=0)
     few = np.union1d(voters, np.argsort(-worth, kind="stable")[:_CANDIDATES])
-    found = search(samples.take(few), history.take(few), most)
+    found = _explained(samples.take(few), history.take(few), most)
     if found is None:
         return None
     heads = few[found.heads.heads]
@@ -75,6 +76,15 @@ def sampled_search(samples: Samples, history: OwnHistory, most: int | None, rng:
     final = locate_heads(gain, located.heads, head_price(samples.uavs), most, located.heads)
     place = np.searchsorted(located.heads, final.heads)
     return Mixture(strategy, final, gain[:, place], final.heads, final.value - strategy.price)
+
+
+def _explained(samples: Samples, history: OwnHistory, most: int | None) -> Mixture | None:
+    """The explanation of a small swarm: the quick way, else by flocks."""
+    found = quick(samples, history, most)
+    if found is not None or not samples.complete:
+        return found
+    watch, flocks = flock_search(samples, seen_spectra(samples), most)
+    return None if flocks is None else led(samples, history, flocks.head[watch.label], most)
 
 
 def _gain(samples: Samples, history: OwnHistory, strategy: Strategy, heads: Indices) -> Floats:

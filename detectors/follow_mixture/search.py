@@ -1,4 +1,4 @@
-"""The search: several first assignments, classes of growing power where the data ask for them, and the best of all."""
+"""The quick way: pairwise evidence, and the class of strategies that the misfit of a first fit asks for."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from detectors.follow_mixture.evidence import FeatureKind, affordable_kinds, pairwise_gain
 from detectors.follow_mixture.facility import LEAST_VOTERS, locate_heads
 from detectors.follow_mixture.history import OwnHistory
-from detectors.follow_mixture.mixture import Mixture, fit_mixture, head_price
+from detectors.follow_mixture.mixture import Mixture, fit_mixture
 from detectors.follow_mixture.samples import Samples
-from detectors.follow_mixture.strategy import Library, Strategy, directions, fit_strategy, gain_matrix
+from detectors.follow_mixture.strategy import Library, Strategy, directions, fit_strategy
 
-__all__ = ["Misfit", "first_assignment", "misfit", "search"]
+__all__ = ["Misfit", "first_assignment", "led", "misfit", "quick"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -23,13 +23,6 @@ MISFIT = 1.35  # ratios above this ask for a richer class; a class that holds gi
 NEARLY = 2.5  # a misfit with which nobody's leader is in doubt, where nobody is left over
 EXPLAINED = 0.9  # share of the UAVs that a finished explanation accounts for
 _REACHES, _NEAREST = 12, 24  # distances tried at once; followers nearest to their heads on which they are tried
-NETWORKS = (64, 128)  # units
-PAIRED_STARTS = 2  # starts that go on to the costly classes
-_WIDENINGS = 4
-_MANY_LEFT = 60  # unexplained UAVs beyond which asking all of them is a search of its own
-_NEW = 12
-_FEW = 0.4  # share of unexplained UAVs up to which a network, the costliest class, asks everybody
-_LONG = 60  # rows from which the rich class needs no poorer ones beside it
 
 
 @dataclass(frozen=True)
@@ -87,51 +80,16 @@ def first_assignment(samples: Samples, history: OwnHistory, kind: FeatureKind) -
     return found.leader, evidence
 
 
-def search(samples: Samples, history: OwnHistory, most: int | None = None) -> Mixture | None:
-    """The best explanation found, or ``None`` where nobody seems to follow anybody.
-
-    The richest evidence and class come first, and end the search where they explain the swarm within noise. Otherwise
-    every kind of evidence gives a start, classes of one strategy for all followers of a head are climbed from each,
-    and the best of them go on to classes that look at the follower as well.
-    """
-    best: Mixture | None = None
-    starts: list[tuple[float, Indices, Floats]] = []
-    for place, kind in enumerate(affordable_kinds(samples.rows, samples.memory)):
-        leader, evidence = first_assignment(samples, history, kind)
-        if not (leader >= 0).any():
-            continue
-        if place == 0:
-            best = shortcut(samples, history, leader, evidence, most)
-            if best is not None and (finished(samples, best) or settled(samples, best)):
-                return complete(samples, history, best, most)
-        reached = -np.inf
-        for library in shared_libraries(samples):
-            found = fit_mixture(samples, history, leader, library, np.arange(samples.uavs), most)
-            if found is None:
-                continue
-            reached = max(reached, found.value)
-            if best is None or found.value > best.value:
-                best = found
-            if finished(samples, found):
-                return complete(samples, history, found, most)
-        starts.append((reached, leader, evidence))
-    starts.sort(key=lambda start: -start[0])
-    for _, leader, evidence in starts[:PAIRED_STARTS]:
-        found = climb(samples, history, leader, evidence, best, most)
-        if found is not None and (best is None or found.value > best.value):
-            best = found
-        if best is not None and best.strategy.library.paired and explained(samples, best):
-            break
-    if best is None or best.value <= 0 or not len(best.heads.heads):
+def quick(samples: Samples, history: OwnHistory, most: int | None = None) -> Mixture | None:
+    """The explanation that the richest evidence leads to at once, or ``None`` where it does not explain the swarm."""
+    kind = affordable_kinds(samples.rows, samples.memory)[0]
+    leader, evidence = first_assignment(samples, history, kind)
+    if not (leader >= 0).any():
         return None
-    return complete(samples, history, best, most)
-
-
-def settled(samples: Samples, mixture: Mixture) -> bool:
-    """Whether nobody is left unexplained and the strategy holds nearly: a richer one would change nobody's leader."""
-    if not len(mixture.heads.heads) or unexplained(mixture) >= LEAST_VOTERS:
-        return False
-    return misfit(samples, mixture.strategy, mixture.heads.leader).worst <= NEARLY
+    found = shortcut(samples, history, leader, evidence, most)
+    if found is None or not len(found.heads.heads) or unexplained(found) >= LEAST_VOTERS:
+        return None
+    return found if misfit(samples, found.strategy, found.heads.leader).worst <= NEARLY else None
 
 
 def shortcut(
@@ -151,7 +109,9 @@ def shortcut(
         worth = np.maximum(evidence, 0.0).sum(axis=0)
         columns = np.union1d(np.argsort(-worth, kind="stable")[: 2 * len(heads)], heads)
     found = fit_mixture(samples, history, leader, library, columns, most)
-    if found is None or not library.paired or (finished(samples, found) and unexplained(found) < LEAST_VOTERS):
+    if found is None or not library.paired:
+        return found
+    if unexplained(found) < LEAST_VOTERS and misfit(samples, found.strategy, found.heads.leader).worst <= MISFIT:
         return found
     ranged = within_reach(samples, leader, library)
     other = None if ranged is None else fit_mixture(samples, history, leader, ranged, columns, most)
@@ -181,140 +141,28 @@ def within_reach(samples: Samples, leader: Indices, library: Library) -> Library
     return replace(library, reach=min(spreads, key=spreads.__getitem__))
 
 
-def shared_libraries(samples: Samples) -> list[Library]:
-    """Classes of one strategy for all followers of a head, in the order in which they are tried."""
-    memory = samples.memory
-    if samples.rows >= _LONG and samples.whiten is None:
-        return [Library(memory, squares=True)]
-    poor = [Library(memory, squares=True, isotropic=True), Library(memory), Library(memory, linear=False, squares=True)]
-    return [Library(memory, squares=True), *poor]
+def led(samples: Samples, history: OwnHistory, leader: Indices, most: int | None = None) -> Mixture | None:
+    """The mixture that explains best who follows whom, where the heads are known.
 
-
-def finished(samples: Samples, mixture: Mixture) -> bool:
-    """Whether a mixture of a shared class explains nearly everybody, and leaves nothing but noise."""
-    if not len(mixture.heads.heads) or not explained(samples, mixture):
-        return False
-    return misfit(samples, mixture.strategy, mixture.heads.leader).worst <= MISFIT
+    Args:
+        samples: n UAVs.
+        history: the null.
+        leader: ``(n,)`` whom each follows, -1 for nobody.
+        most: the largest number of heads.
+    """
+    heads = np.unique(leader[leader >= 0])
+    found = [
+        fit_mixture(samples, history, leader, library, heads, most)
+        for library in (
+            Library(samples.memory, squares=True),
+            Library(samples.memory, squares=True, towards=True),
+            Library(samples.memory, squares=True, towards=True, own=True),
+        )
+    ]
+    worthy = [mixture for mixture in found if mixture is not None and mixture.value > 0]
+    return max(worthy, key=lambda mixture: mixture.value, default=None)
 
 
 def unexplained(mixture: Mixture) -> int:
     """How many UAVs are neither heads nor follow one."""
     return int((mixture.heads.leader < 0).sum()) - len(mixture.heads.heads)
-
-
-def explained(samples: Samples, mixture: Mixture) -> bool:
-    """Whether nearly everybody is a head or follows one."""
-    followers = int((mixture.heads.leader >= 0).sum())
-    return bool(followers >= EXPLAINED * (samples.uavs - len(mixture.heads.heads)))
-
-
-def climb(
-    samples: Samples, history: OwnHistory, leader: Indices, evidence: Floats, known: Mixture | None, most: int | None
-) -> Mixture | None:
-    """From a first assignment, and from the best mixture so far, through classes that look at the follower too."""
-    best = known
-    for library in (
-        Library(samples.memory, squares=True, products=True),
-        Library(samples.memory, squares=True, towards=True),
-        Library(samples.memory, squares=True, towards=True, own=True),
-        Library(samples.memory, squares=True, centred=True),
-        Library(samples.memory, squares=True, centred=True, own=True),
-        *(Library(samples.memory, towards=True, own=True, units=units) for units in NETWORKS),
-    ):
-        if samples.whiten is not None and (library.own or library.centred):
-            continue  # the null behind noise knows one's own past and mean already
-        if (library.units or library.centred) and best is not None and unexplained(best) < LEAST_VOTERS:
-            continue  # nobody is left whom a richer class could win
-        if library.units and (best is None or best.value <= 0):
-            continue  # a network is for a following that is there and not understood
-        columns = np.arange(samples.uavs)
-        if library.paired:
-            columns = candidates(evidence, leader if best is None else np.append(leader, best.heads.heads))
-        lost = best is None or unexplained(best) > _FEW * samples.uavs
-        starts = [] if library.units and lost else [leader]
-        if best is not None and len(best.heads.heads):
-            starts.append(best.heads.leader)
-        for start in starts:
-            found = fit_mixture(samples, history, start, library, columns, most)
-            for _ in range(_WIDENINGS):
-                if found is None or not library.paired or explained(samples, found):
-                    break
-                if library.units and unexplained(found) > _FEW * samples.uavs:
-                    break
-                wider = widen(samples, history, found, most)
-                if wider is None or wider.value <= found.value + 1e-6:
-                    break
-                found = wider
-            if found is not None and (best is None or found.value > best.value):
-                best = found
-    return best
-
-
-def trim(samples: Samples, history: OwnHistory, mixture: Mixture, most: int | None) -> Mixture:
-    """Drop the oldest lag as long as all is likelier without: a row counts where all lags were seen."""
-    while mixture.strategy.library.lags > 1:
-        shorter = replace(mixture.strategy.library, lags=mixture.strategy.library.lags - 1)
-        found = fit_mixture(samples, history, mixture.heads.leader, shorter, mixture.columns, most)
-        if found is None or found.value <= mixture.value:
-            break
-        mixture = found
-    return mixture
-
-
-def complete(samples: Samples, history: OwnHistory, mixture: Mixture, most: int | None) -> Mixture:
-    """Ask those who are left unexplained about everybody, as a small cluster's head may never have been a candidate.
-
-    Where nobody explains two of them under the strategy found, which was fitted without them, they are made to follow
-    whoever does best, and the strategy is fitted again: it stays so if all is likelier then.
-    """
-    everybody = np.arange(samples.uavs)
-    if not samples.complete or samples.rows < _LONG:
-        mixture = trim(samples, history, mixture, most)
-    for _ in range(_WIDENINGS):
-        left = np.setdiff1d(np.flatnonzero(mixture.heads.leader < 0), mixture.heads.heads)
-        if len(left) < LEAST_VOTERS or len(left) > _MANY_LEFT:
-            break
-        gain = gain_matrix(samples, history, mixture.strategy, everybody, left)
-        worth = np.maximum(gain, 0.0)
-        enough = (worth > 0).sum(axis=0) >= LEAST_VOTERS
-        new = np.flatnonzero(enough & (worth.sum(axis=0) > head_price(samples.uavs)))
-        new = new[np.argsort(-worth.sum(axis=0)[new], kind="stable")][:_NEW]
-        leaders = [mixture.heads.leader]
-        if len(left) <= _NEW:
-            taken = np.isin(everybody, np.flatnonzero(mixture.heads.leader >= 0))
-            chief = int(np.where(taken, -np.inf, gain.sum(axis=0)).argmax())
-            forced = mixture.heads.leader.copy()
-            forced[left[left != chief]] = chief
-            leaders.append(forced)
-            new = np.append(new, chief)
-        columns = np.union1d(mixture.columns, new)
-        before = mixture
-        for leader in leaders:
-            for library in dict.fromkeys(
-                (before.strategy.library, Library(before.strategy.library.lags, squares=True))
-            ):
-                found = fit_mixture(samples, history, leader, library, columns, most)
-                if found is not None and found.value > mixture.value + 1e-6:
-                    mixture = found
-        if mixture is before:
-            break
-    return mixture
-
-
-def widen(samples: Samples, history: OwnHistory, mixture: Mixture, most: int | None) -> Mixture | None:
-    """Ask everybody whether they are a head under the strategy found, and climb on with the best."""
-    everybody = np.arange(samples.uavs)
-    gain = gain_matrix(samples, history, mixture.strategy, everybody)
-    heads = locate_heads(gain, everybody, head_price(samples.uavs), most, mixture.heads.heads)
-    if not len(heads.heads):
-        return None
-    columns = candidates(gain, heads.heads)
-    return fit_mixture(samples, history, heads.leader, mixture.strategy.library, columns, most)
-
-
-def candidates(evidence: Floats, present: Indices) -> Indices:
-    """Who may be a head where pairs are costly: the present heads and those with the most evidence."""
-    worth = np.maximum(evidence, 0.0).sum(axis=0)
-    present = np.unique(present[present >= 0])
-    best = np.argsort(-worth, kind="stable")[: max(16, 3 * len(present))]
-    return np.union1d(best, present)

@@ -22,8 +22,6 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _CHUNK_ENTRIES = 2_000_000
-_UNIT_SEED = 1
-_UNIT_GAIN = 0.8  # of a unit's weights: a velocity's coordinate has variance 1/3
 _FAR = 300.0  # metres; keeps offsets near 1
 
 
@@ -39,10 +37,8 @@ class Library:
         towards: the direction to the head, and the offset to it.
         own: the follower's own past velocities.
         isotropic: the same law on every axis.
-        centred: about the means of head and follower: only changes follow changes.
-        units: tanh units with fixed random weights on all of the above: a network of which only the last layer is
-            fitted, for strategies that no list contains.
         reach: metres; the direction to the head counts apart within and beyond it. 0: the same everywhere.
+        across: products of the last velocity and the one before, axis by axis.
     """
 
     lags: int
@@ -52,25 +48,22 @@ class Library:
     towards: bool = False
     own: bool = False
     isotropic: bool = False
-    centred: bool = False
-    units: int = 0
     reach: float = 0.0
+    across: bool = False
 
     @property
     def name(self) -> str:
         """How the class is called in reports."""
-        names = ("linear", "squares", "products", "towards", "own", "isotropic", "centred")
+        names = ("linear", "squares", "products", "across", "towards", "own", "isotropic")
         parts = [name for name in names if getattr(self, name)]
         if self.reach:
             parts.append(f"reach[{self.reach:.0f} m]")
-        if self.units:
-            parts.append(f"network[{self.units}]")
         return f"{'+'.join(parts)}({self.lags})"
 
     @property
     def paired(self) -> bool:
         """Whether predictions depend on the follower too."""
-        return self.towards or self.own or self.centred or self.units > 0
+        return self.towards or self.own
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,13 +102,11 @@ def head_features(samples: Samples, library: Library, heads: Indices | slice = s
         parts.append((past * past).reshape(*shape, -1))
     if library.products:
         parts.append((past[..., [1, 2, 0]] * past[..., [2, 0, 1]]).reshape(*shape, -1))
-    if library.centred and parts:
-        joined = np.concatenate(parts, axis=2)
-        weight = valid[..., None]
-        mean = (joined * weight).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1)
-        parts = [joined - mean]
+    if library.across:
+        newest, before = past[:, :, 0], past[:, :, min(1, library.lags - 1)]
+        parts.append((newest[..., :, None] * before[..., None, :]).reshape(*shape, -1))
     parts.append(np.ones((*shape, 1)))
-    return samples.whitened(np.concatenate(parts, axis=2)), valid
+    return np.concatenate(parts, axis=2), valid
 
 
 def pair_features(samples: Samples, library: Library, followers: Indices, heads: Indices) -> tuple[Floats, Mask]:
@@ -128,33 +119,10 @@ def pair_features(samples: Samples, library: Library, followers: Indices, heads:
         towards = gap / np.maximum(distance, 1e-6)
         parts += [towards, gap / _FAR] + ([towards * (distance > library.reach)] if library.reach else [])
         valid &= samples.position_seen[heads] & samples.position_seen[followers]
-    if library.centred:
-        seen = samples.seen[..., None]
-        mean = (samples.target * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
-        parts.append(np.broadcast_to(mean[followers][..., None, :], (*valid.shape, 3)))
     if library.own:
         parts.append(samples.lagged[followers][..., : library.lags, :].reshape(*valid.shape, -1))
         valid &= samples.lag_seen[followers][..., : library.lags].all(axis=-1)
-    if library.units:
-        parts.append(_random_units(samples, library, followers, heads))
-    return samples.whitened(np.concatenate(parts, axis=-1)), valid
-
-
-def _random_units(samples: Samples, library: Library, followers: Indices, heads: Indices) -> Floats:
-    """``(..., R, units)`` random tanh units of the head's and the follower's pasts and the offset between them.
-
-    The first layer is a sum of a part of the head and a part of the follower, each formed once a UAV.
-    """
-    rng = np.random.default_rng(_UNIT_SEED)
-    width = 3 * library.lags
-    scale = np.repeat([_UNIT_GAIN, 0.5 * _UNIT_GAIN, 0.5 * _UNIT_GAIN], [width, width, 3])
-    weights = scale[:, None] * rng.standard_normal((2 * width + 3, library.units))
-    bias = 0.5 * rng.standard_normal(library.units)
-    past = samples.lagged[:, :, : library.lags].reshape(samples.uavs, samples.rows, width)
-    place = samples.position / _FAR @ weights[2 * width :]
-    led = past @ weights[:width] + place + bias
-    own = past @ weights[width : 2 * width] - place
-    return np.tanh(led[heads] + own[followers])
+    return np.concatenate(parts, axis=-1), valid
 
 
 def fit_strategy(samples: Samples, leader: Indices, library: Library) -> Strategy | None:
@@ -281,8 +249,6 @@ def _paired_gain(
     extra = len(strategy.coefficients) - features.shape[2]
     shared = features @ strategy.coefficients[extra:]
     result = np.empty((len(voters), len(columns)))
-    # A mean of one's own costs three numbers, as it does in the null.
-    price = 1.5 * np.log(np.maximum(samples.seen[voters].sum(axis=1), 2)) if strategy.library.centred else 0.0
     step = max(1, _CHUNK_ENTRIES // (len(columns) * samples.rows * (extra + 6)))
     for first in range(0, len(voters), step):
         some = voters[first : first + step]
@@ -294,5 +260,4 @@ def _paired_gain(
         value -= _null(samples, history, strategy, some)[:, None]
         counts = also & valid[None] & samples.seen[some][:, None]
         result[first : first + step] = np.where(counts, value, 0.0).sum(axis=2)
-    result -= np.reshape(price, (-1, 1))
     return result

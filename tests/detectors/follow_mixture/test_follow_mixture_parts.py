@@ -14,7 +14,7 @@ from detectors.follow_mixture.evidence import FeatureKind, affordable_kinds, pai
 from detectors.follow_mixture.facility import LEAST_VOTERS, locate_heads
 from detectors.follow_mixture.history import own_history
 from detectors.follow_mixture.likelihood import Noise, fit_directions, log_normaliser, natural_parameters
-from detectors.follow_mixture.noise import fit_spectra, noisy_problem
+from detectors.follow_mixture.noise import fit_spectra, smoothed_pasts
 from detectors.follow_mixture.policy import Policy, choose
 from detectors.follow_mixture.samples import samples_of
 from detectors.follow_mixture.search import misfit
@@ -187,7 +187,7 @@ def test_smoothed_pasts_know_nothing_of_the_present():
     samples = samples_of(window, np.arange(window.uavs), 4)
     velocity = np.concatenate([samples.lagged[:, 0, ::-1], samples.target], axis=1)
     spectra = fit_spectra(velocity)
-    behind, _, _ = noisy_problem(samples, velocity)
+    lagged = smoothed_pasts(samples, velocity, spectra)
     # the definition: the expectation of v at t - 2 given all that was seen before t, under the fitted spectrum
     steps, uav, row, lag = velocity.shape[1], 7, 40, 2
     t = row + 4
@@ -195,7 +195,7 @@ def test_smoothed_pasts_know_nothing_of_the_present():
     flight = spectra.flight(steps)[uav]
     seen = (flight + spectra.seen(steps))[:t, :t]
     expected = mean + flight[t - lag, :t] @ np.linalg.solve(seen, velocity[uav, :t] - mean)
-    np.testing.assert_allclose(behind.lagged[uav, row, lag - 1], expected, atol=1e-8)
+    np.testing.assert_allclose(lagged[uav, row, lag - 1], expected, atol=1e-8)
 
 
 def test_short_windows_get_poor_features():

@@ -1,0 +1,39 @@
+"""An explanation of a swarm, however it was found: who leads, who follows whom, and why one should believe it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Explanation"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What a window says of n UAVs.
+
+    Args:
+        heads: ``(M,)`` indices, ascending.
+        leader: ``(n,)`` whom each UAV follows, -1 for nobody (heads among them).
+        probability: ``(n,)`` of being a head.
+        gain: ``(n,)`` log-likelihood that each follower gains by its head.
+        explained: ``(n,)`` share of each follower's surprise that its head explains.
+        reasons: one sentence a head: why it passed its gate, or failed.
+        strategy: the strategy found, for people.
+        value: what the whole explanation gains over nobody following anybody, after prices, in nats.
+    """
+
+    heads: Indices
+    leader: Indices
+    probability: Floats
+    gain: Floats
+    explained: Floats
+    reasons: list[str] = field(default_factory=list)
+    strategy: dict[str, Any] = field(default_factory=dict)
+    value: float = 0.0

@@ -1,0 +1,121 @@
+"""What to believe of heads of flocks: a gate of surrogates for each, and how likely every UAV is a head."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.follow_mixture.explanation import Explanation
+from detectors.follow_mixture.flock_heads import LONELY, FlockHeads, Shown, Watch, exact_gain, shared_gain
+from detectors.follow_mixture.gate import Gate, judged
+from detectors.follow_mixture.mixture import head_price
+
+__all__ = ["explained_by_flocks", "flock_gate", "flock_posterior"]
+
+Floats = NDArray[np.float64]
+
+_SHIFTS = 3
+_TEMPER = 0.7  # rows are not quite independent
+_MEMBER = 3.0  # log-odds by which who flies with others at once is less likely a head, where flight forgets
+_FORGETS = 0.3  # lag-1 autocorrelation below which it does
+_GONE = 3.0  # log-odds that the head of a flock is in the window
+_TYPICAL = 0.1  # share of what flocks gain by their heads that a head gives at least
+_FAILED = 0.2  # what is left of a head's probability where chance explains as much
+_LEAST = 10.0  # nats that a head adds at least
+
+
+def flock_gate(watch: Watch, found: FlockHeads) -> Gate:
+    """Judge every head: its flocks' gain against the same with all heads' pasts moved in time."""
+    heads = found.heads
+    rows = watch.flight.shape[1]
+    count = np.array([np.isin(watch.label, np.flatnonzero(found.head == head)).sum() for head in heads], np.int64)
+    followed = found.head >= 0
+    shifts = np.unique(np.linspace(0, rows, _SHIFTS + 2).astype(int)[1:-1])
+    observed = _per_head(watch, found, followed, 0)
+    surrogates = np.array([_per_head(watch, found, followed, int(shift)) for shift in shifts if shift > 0])
+    gate = judged(count, observed - head_price(watch.uavs), surrogates)
+    return replace(gate, passed=gate.passed & (gate.added > _LEAST))
+
+
+def _per_head(watch: Watch, found: FlockHeads, followed: NDArray[np.bool_], shift: int) -> Floats:
+    """``(M,)`` what the flocks that follow somebody gain by their best head, by head."""
+    heads = found.heads
+    if found.weights is not None:
+        predicted = np.roll(found.shown.predicted(found.weights), shift, axis=1)
+        gain = shared_gain(watch, predicted)[1][:, heads]
+    else:
+        moved = Shown(found.shown.library, np.roll(found.shown.values, shift, axis=1))
+        gain = np.array(
+            [[exact_gain(watch, moved, flock, int(head)) for head in heads] for flock in range(watch.flocks)]
+        )
+    gain = np.maximum(gain[followed] - found.chance, 0.0)
+    return np.asarray(np.bincount(gain.argmax(axis=1), weights=gain.max(axis=1), minlength=len(heads)), np.float64)
+
+
+def flock_posterior(watch: Watch, found: FlockHeads | None, memory: float) -> Floats:
+    """``(n,)`` probability of being a head, if every flock of two and more has one, and who flies alone perhaps.
+
+    Args:
+        watch: n UAVs in C flocks.
+        found: evidence of every flock for every UAV; ``None``: there is none.
+        memory: lag-1 autocorrelation of flights. Where it is low a head does not fly at once with its followers.
+    """
+    sizes = np.bincount(watch.label, minlength=watch.flocks)
+    alone = sizes[watch.label] == 1
+    prior = np.where(alone, 0.0, -_MEMBER if memory < _FORGETS else 0.0)
+    gain = np.zeros((watch.flocks, watch.uavs)) if found is None else found.gain
+    logits = _TEMPER * gain + prior
+    logits[watch.label[alone], np.flatnonzero(alone)] = -np.inf  # nobody follows itself
+    typical = 0.0
+    if found is not None and (found.head[sizes > 1] >= 0).any():
+        led = np.flatnonzero((sizes > 1) & (found.head >= 0))
+        typical = _TYPICAL * float(np.median(found.gain[led, found.head[led]]))
+    none = np.where(sizes == 1, LONELY, np.maximum(typical, 0.0) - _GONE)
+    nobody = _TEMPER * none + np.log(watch.uavs)
+    top = np.maximum(logits.max(axis=1), nobody)
+    weight = np.exp(logits - top[:, None])
+    share = np.minimum(weight / (weight.sum(axis=1) + np.exp(nobody - top))[:, None], 1.0 - 1e-6)
+    several = 1.0 - np.prod(1.0 - share[sizes > 1], axis=0)
+    lonely = np.flatnonzero(alone)
+    share[watch.label[lonely]] *= (1.0 - several[lonely])[:, None]  # a head follows nobody
+    return np.asarray(1.0 - np.prod(1.0 - share, axis=0))
+
+
+def explained_by_flocks(watch: Watch, found: FlockHeads, memory: float) -> Explanation:
+    """The explanation that heads of flocks give.
+
+    Args:
+        watch: n UAVs in C flocks.
+        found: their heads.
+        memory: lag-1 autocorrelation of flights.
+    """
+    gate = flock_gate(watch, found)
+    heads = found.heads
+    leader = found.head[watch.label]
+    leader[heads] = -1
+    sizes = np.bincount(watch.label, minlength=watch.flocks)
+    nats = np.where(found.head >= 0, found.gain[np.arange(watch.flocks), np.maximum(found.head, 0)], 0.0)
+    follows = leader >= 0
+    share = 1.0 - np.exp(-np.maximum(nats, 0.0) / (1.5 * watch.freedom))
+    probability = flock_posterior(watch, found, memory)
+    probability[heads] *= np.where(gate.passed, 1.0, _FAILED)
+    trust = float(gate.added[gate.passed].sum()) / max(float(np.maximum(gate.added, 0.0).sum()), 1e-9)
+    if trust < 0.5:  # evidence that chance matches says nothing of others either
+        probability *= trust
+    return Explanation(
+        heads=heads,
+        leader=leader,
+        probability=probability,
+        gain=np.where(follows, (nats / sizes)[watch.label], 0.0),
+        explained=np.where(follows, share[watch.label], 0.0),
+        reasons=gate.reasons(),
+        strategy={
+            "class": found.shown.library.name,
+            "shared": found.weights is not None,
+            "weights": found.weights,
+            "flocks": watch.label,
+        },
+        value=found.value,
+    )

@@ -1,0 +1,47 @@
+"""From a window's flights to its flocks and their heads, with or without an observer's noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.follow_mixture.flock_heads import FlockHeads, Watch, heads_of_flocks, watch_flocks
+from detectors.follow_mixture.flocks import flocks_of
+from detectors.follow_mixture.noise import LEAST_NOISE, FlightSpectra, fit_spectra, smoothed_pasts
+from detectors.follow_mixture.samples import Samples
+
+__all__ = ["flights", "flock_search", "seen_spectra"]
+
+Floats = NDArray[np.float64]
+
+
+def flights(samples: Samples) -> Floats:
+    """``(n, T, 3)`` the velocities that samples were cut from, in units of the mean speed; 0 where unseen."""
+    return np.concatenate([samples.lagged[:, 0, ::-1], samples.target], axis=1)
+
+
+def seen_spectra(samples: Samples) -> FlightSpectra:
+    """Spectra of flight and of the observer's noise; who flies at one speed is seen without noise."""
+    spectra = fit_spectra(flights(samples))
+    return replace(spectra, noise=0.0) if samples.unit or spectra.noise < LEAST_NOISE else spectra
+
+
+def flock_search(samples: Samples, spectra: FlightSpectra, most: int | None = None) -> tuple[Watch, FlockHeads | None]:
+    """Flocks as voters, and their heads.
+
+    Args:
+        samples: n UAVs, nothing missing.
+        spectra: of the same flights; ``noise`` 0 where there is none.
+        most: the largest number of heads.
+
+    Returns:
+        The flocks, and the heads that explain them best or ``None``.
+    """
+    velocity = flights(samples)
+    watch = watch_flocks(samples, flocks_of(velocity, spectra))
+    candidates = samples
+    if spectra.noise > 0:
+        candidates = replace(samples, lagged=smoothed_pasts(samples, velocity, spectra))
+    return watch, heads_of_flocks(candidates, watch, most)

@@ -1,0 +1,79 @@
+"""What to believe of a mixture: a gate of surrogates for each head, probabilities, and the strategy in words."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.follow_mixture.explanation import Explanation
+from detectors.follow_mixture.gate import gate_heads
+from detectors.follow_mixture.history import OwnHistory
+from detectors.follow_mixture.mixture import Mixture
+from detectors.follow_mixture.probability import head_probability
+from detectors.follow_mixture.samples import Samples
+from detectors.follow_mixture.search import MISFIT, misfit
+from detectors.follow_mixture.strategy import directions
+
+__all__ = ["explained_by_mixture"]
+
+Floats = NDArray[np.float64]
+
+
+def explained_by_mixture(samples: Samples, history: OwnHistory, mixture: Mixture | None) -> Explanation | None:
+    """The explanation that a mixture gives."""
+    if mixture is None or not len(mixture.heads.heads):
+        return None
+    gate = gate_heads(samples, history, mixture)
+    holds = misfit(samples, mixture.strategy, mixture.heads.leader).worst <= MISFIT
+    leader = mixture.heads.leader
+    place = np.minimum(np.searchsorted(mixture.columns, np.maximum(leader, 0)), len(mixture.columns) - 1)
+    return Explanation(
+        heads=mixture.heads.heads,
+        leader=leader,
+        probability=head_probability(mixture, gate, holds),
+        gain=np.where(leader >= 0, mixture.gain[np.arange(samples.uavs), place], 0.0),
+        explained=_explained(samples, history, mixture),
+        reasons=gate.reasons(),
+        strategy=_described(mixture, samples),
+        value=mixture.value,
+    )
+
+
+def _explained(samples: Samples, history: OwnHistory, mixture: Mixture) -> Floats:
+    """``(n,)`` share of each follower's surprise that its head explains; 0 for all others."""
+    share = np.zeros(samples.uavs)
+    followers = np.flatnonzero(mixture.heads.leader >= 0)
+    predicted, valid = directions(samples, mixture.strategy, followers, mixture.heads.leader[followers])
+    if samples.unit:
+        predicted = predicted / np.maximum(np.sqrt((predicted**2).sum(axis=2, keepdims=True)), 1e-12)
+    keep = (valid & samples.seen[followers])[..., None]
+    left = ((samples.target[followers] - predicted) ** 2 * keep).sum(axis=(1, 2))
+    whole = (history.surprise[followers] ** 2 * keep).sum(axis=(1, 2))
+    share[followers] = np.clip(1.0 - left / np.maximum(whole, 1e-12), 0.0, 1.0)
+    return share
+
+
+def _lag_profile(mixture: Mixture) -> Floats:
+    """``(L,)`` share of each lag in the squared weights of the head's velocities and their functions."""
+    library = mixture.strategy.library
+    groups = int(library.linear) + int(library.squares) + int(library.products)
+    weights = mixture.strategy.coefficients[-1 - 3 * library.lags * groups : -1]
+    power = (weights**2).reshape(groups, library.lags, 9).sum(axis=(0, 2))
+    return np.asarray(power / max(float(power.sum()), 1e-12))
+
+
+def _described(mixture: Mixture, samples: Samples) -> dict[str, Any]:
+    """The strategy found, for people."""
+    strategy = mixture.strategy
+    library = strategy.library
+    return {
+        "lag_profile": _lag_profile(mixture),
+        "class": library.name,
+        "coefficients": strategy.coefficients,
+        "spread": strategy.noise.spread,
+        "floor": strategy.noise.floor,
+        "parameters": strategy.parameters,
+        "unit_speed": samples.unit,
+    }
