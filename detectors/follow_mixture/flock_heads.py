@@ -194,18 +194,18 @@ def heads_of_flocks(samples: Samples, watch: Watch, most: int | None = None) -> 
         return None
     starts.sort(key=lambda start: -start.value)
     best = max((in_company(watch, start, most) for start in starts), key=lambda found: found.value)
-    for start in starts[:_STARTS]:
+    waiting = [start.head for start in starts[:_STARTS]]
+    climbed: set[bytes] = set()
+    while waiting:
+        start = waiting.pop(0)
+        if start.tobytes() in climbed:
+            continue
+        climbed.add(start.tobytes())
         for some in classes:
-            found = fit_flocks(watch, some, start.head, most)
-            if found is not None and found.value > best.value:
-                best = found
-    before = None
-    while before is not best:
-        before = best
-        for some in classes:
-            found = fit_flocks(watch, some, before.head, most)
+            found = fit_flocks(watch, some, start, most)
             if found is not None and found.value > best.value + 1e-6:
                 best = found
+        waiting.append(best.head)
     return best if len(best.heads) else None
 
 
@@ -293,14 +293,14 @@ def fit_flocks(watch: Watch, some: Shown, head: Indices, most: int | None = None
     """Climb from the heads ``(C,)`` of the flocks within one class, with one strategy for all."""
     best: FlockHeads | None = None
     spread = np.ones(watch.flocks)
-    for _ in range(_ROUNDS):
+    for turn in range(_ROUNDS):
         followed = np.flatnonzero(head >= 0)
         observations = 3 * watch.freedom * len(followed)
         if observations <= 2 * some.numbers:
             break
         weights = fit_weights(watch, some, head, spread)
         left, gain = shared_gain(watch, some.predicted(weights))
-        head = locate(watch, gain, head_price(watch.uavs), most)
+        before, head = head, locate(watch, gain, head_price(watch.uavs), most)
         followed = np.flatnonzero(head >= 0)
         if not len(followed):
             break
@@ -309,6 +309,8 @@ def fit_flocks(watch: Watch, some: Shown, head: Indices, most: int | None = None
         if best is not None and value <= best.value + 1e-6:
             break
         best = FlockHeads(head, gain, some, weights, 0.0, value)
+        if turn > 0 and np.array_equal(head, before):  # the first turn knows no spreads yet
+            break
     return best
 
 
