@@ -150,16 +150,24 @@ def explain(
     if samples.uavs > ALL_PAIRS:
         history = own_history(samples)
         return explained_by_mixture(samples, history, sampled_search(samples, history, most, rng))
+    if samples.unit:  # seen without noise
+        found = at_once(samples, most)
+        if found is not None:
+            return found
     whole = filled(window)
     rows = samples_of(whole, living, int(np.clip(window.observation_steps // _STEPS_A_LAG, 1, _LAGS)))
     if rows is None:
         return None
     rows = replace(rows, unit=samples.unit)  # a gap that was filled is flown more slowly
     spectra = seen_spectra(rows)
-    if spectra.noise == 0:
-        history = own_history(samples)
-        found = explained_by_mixture(samples, history, quick(samples, history, most))
+    if spectra.noise == 0 and not samples.unit:
+        found = at_once(samples, most)
         if found is not None:
             return found
-    watch, led = flock_search(rows, spectra, most)
-    return explained_by_flocks(watch, led, float(np.median(spectra.memory))) if led is not None else None
+    return explained_by_flocks(*flock_search(rows, spectra, most), float(np.median(spectra.memory)))
+
+
+def at_once(samples: Samples, most: int | None) -> Explanation | None:
+    """What the quick way says, if it explains the swarm."""
+    history = own_history(samples)
+    return explained_by_mixture(samples, history, quick(samples, history, most))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.follow_mixture.explanation import Explanation
-from detectors.follow_mixture.flock_heads import LONELY, FlockHeads, Shown, Watch, exact_gain, shared_gain
+from detectors.follow_mixture.flock_heads import LONELY, FlockHeads, Watch, pair_gain
 from detectors.follow_mixture.gate import Gate, judged
 from detectors.follow_mixture.mixture import head_price
 
@@ -19,11 +19,12 @@ Floats = NDArray[np.float64]
 _SHIFTS = 3
 _TEMPER = 0.7  # rows are not quite independent
 _MEMBER = 3.0  # log-odds by which who flies with others at once is less likely a head, where flight forgets
-_FORGETS = 0.3  # lag-1 autocorrelation below which it does
+_FORGETS = 0.55  # lag-1 autocorrelation below which it does
 _GONE = 3.0  # log-odds that the head of a flock is in the window
 _TYPICAL = 0.1  # share of what flocks gain by their heads that a head gives at least
 _FAILED = 0.2  # what is left of a head's probability where chance explains as much
-_LEAST = 10.0  # nats that a head adds at least
+_UNKNOWN = 0.45  # the most likely that somebody is a head by the way of flying alone
+_LEAST = 20.0  # nats that a head adds at least
 
 
 def flock_gate(watch: Watch, found: FlockHeads) -> Gate:
@@ -42,15 +43,12 @@ def flock_gate(watch: Watch, found: FlockHeads) -> Gate:
 def _per_head(watch: Watch, found: FlockHeads, followed: NDArray[np.bool_], shift: int) -> Floats:
     """``(M,)`` what the flocks that follow somebody gain by their best head, by head."""
     heads = found.heads
-    if found.weights is not None:
-        predicted = np.roll(found.shown.predicted(found.weights), shift, axis=1)
-        gain = shared_gain(watch, predicted)[1][:, heads]
-    else:
-        moved = Shown(found.shown.library, np.roll(found.shown.values, shift, axis=1))
-        gain = np.array(
-            [[exact_gain(watch, moved, flock, int(head)) for head in heads] for flock in range(watch.flocks)]
-        )
-    gain = np.maximum(gain[followed] - found.chance, 0.0)
+    predicted = None if found.weights is None else found.shown.predicted(found.weights)
+    flocks = np.flatnonzero(followed)
+    gain = np.array(
+        [[pair_gain(watch, found, predicted, int(flock), int(head), shift) for head in heads] for flock in flocks]
+    )
+    gain = np.maximum(gain, 0.0)
     return np.asarray(np.bincount(gain.argmax(axis=1), weights=gain.max(axis=1), minlength=len(heads)), np.float64)
 
 
@@ -83,14 +81,24 @@ def flock_posterior(watch: Watch, found: FlockHeads | None, memory: float) -> Fl
     return np.asarray(1.0 - np.prod(1.0 - share, axis=0))
 
 
-def explained_by_flocks(watch: Watch, found: FlockHeads, memory: float) -> Explanation:
-    """The explanation that heads of flocks give.
+def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -> Explanation | None:
+    """The explanation that flocks and their heads give.
 
     Args:
         watch: n UAVs in C flocks.
-        found: their heads.
+        found: their heads, or ``None`` where nobody's past tells a flock's flight.
         memory: lag-1 autocorrelation of flights.
+
+    Returns:
+        ``None`` where nobody flies with anybody and nobody leads.
     """
+    unknown = np.minimum(flock_posterior(watch, None, memory), _UNKNOWN)
+    if found is None:
+        nobody = np.full(watch.uavs, -1, np.int64)
+        nothing = np.zeros(watch.uavs)
+        if watch.flocks == watch.uavs:
+            return None
+        return Explanation(np.empty(0, np.int64), nobody, unknown, nothing, nothing)
     gate = flock_gate(watch, found)
     heads = found.heads
     leader = found.head[watch.label]
@@ -103,7 +111,7 @@ def explained_by_flocks(watch: Watch, found: FlockHeads, memory: float) -> Expla
     probability[heads] *= np.where(gate.passed, 1.0, _FAILED)
     trust = float(gate.added[gate.passed].sum()) / max(float(np.maximum(gate.added, 0.0).sum()), 1e-9)
     if trust < 0.5:  # evidence that chance matches says nothing of others either
-        probability *= trust
+        probability = np.maximum(probability * trust, unknown)
     return Explanation(
         heads=heads,
         leader=leader,

@@ -30,7 +30,12 @@ _ROWS_A_LAG = 12  # of one's own past in the null: three numbers each
 _RIDGE = 1e-6
 _STARTS = 3
 LONELY = 12.0  # nats that a flight like nobody else's must gain before it is said to follow somebody
-_ITS_OWN = 50.0  # the same, to be said to follow by a strategy of its own
+_ITS_OWN = 70.0  # the same, to be said to follow by a strategy of its own
+_SOBERED = 8  # candidates of a flock whose gain is looked at moment by moment
+_MOMENT = 6.0  # nats that one moment may add
+_MEDIAN = 2.366  # of a chi-square with three degrees of freedom
+_LEAST_SPREAD = 0.005  # of a flight, in mean speeds
+_NOTHING = 1e-9
 _EXACT = 6  # candidates of a flock whose evidence is computed exactly
 _LEAST_LEFT = 1e-4  # share of a flock's flight that no head explains
 
@@ -206,6 +211,7 @@ def heads_of_flocks(samples: Samples, watch: Watch, most: int | None = None) -> 
             if found is not None and found.value > best.value + 1e-6:
                 best = found
         waiting.append(best.head)
+    best = sobered(watch, best, most)
     return best if len(best.heads) else None
 
 
@@ -268,17 +274,62 @@ def in_company(watch: Watch, found: FlockHeads, most: int | None) -> FlockHeads:
 
 def exact_gain(watch: Watch, some: Shown, flock: int, uav: int) -> float:
     """Log-likelihood that a UAV's features add to a flock's own past, by a regression on both."""
-    watcher = watch.watcher(flock, uav)
-    seen = some.one(uav, watch.past[watcher])
-    flight = watch.flight[watcher].reshape(len(seen), -1)
+    flight, error = by_regression(watch, some, flock, uav)
     power = float((flight**2).sum())
-    if power <= 1e-9:
+    if power <= _NOTHING:
         return 0.0
+    return -1.5 * watch.freedom * float(np.log(max(float((error**2).sum()) / power, _LEAST_LEFT)))
+
+
+def by_regression(watch: Watch, some: Shown, flock: int, uav: int) -> tuple[Floats, Floats]:
+    """``(R, 3)`` flight, and what a strategy of the pair's own leaves of it."""
+    row = watch.watcher(flock, uav)
+    seen = some.one(uav, watch.past[row])
+    flight = watch.flight[row]
+    target = flight.reshape(len(seen), -1)
     gram = seen.T @ seen
     gram[np.diag_indices(len(gram))] += _RIDGE * np.trace(gram) / len(gram) + 1e-12
-    moment = seen.T @ flight
-    left = 1.0 - float((moment * np.linalg.solve(gram, moment)).sum()) / power
-    return -1.5 * watch.freedom * float(np.log(max(left, _LEAST_LEFT)))
+    return flight, (target - seen @ np.linalg.solve(gram, seen.T @ target)).reshape(flight.shape)
+
+
+def sober_gain(flight: Floats, error: Floats, freedom: int) -> float:
+    """What an explanation gains when no moment may count for much.
+
+    Rows ``(R, 3)`` are judged by Student's law with four degrees of freedom about a robust spread. Where flight is a
+    few sharp turns between straight lines, a normal law takes one turn soon after another for a thousand nats.
+    """
+
+    def rows(values: Floats) -> Floats:
+        square = (values**2).sum(axis=1)
+        spread = max(float(np.sqrt(np.median(square) / _MEDIAN)), _LEAST_SPREAD)
+        return np.asarray(-3.0 * np.log(spread) - 3.5 * np.log1p(square / (4.0 * spread**2)))
+
+    return freedom / len(flight) * float(np.minimum(rows(error) - rows(flight), _MOMENT).sum())
+
+
+def sobered(watch: Watch, found: FlockHeads, most: int | None) -> FlockHeads:
+    """The heads again, by sober gains of every flock's best candidates; who was none is none."""
+    predicted = None if found.weights is None else found.shown.predicted(found.weights)
+    gain = np.minimum(found.gain, 0.0)
+    for flock in range(watch.flocks):
+        for uav in np.union1d(np.argsort(-found.gain[flock], kind="stable")[:_SOBERED], found.heads):
+            if found.gain[flock, uav] > 0:
+                gain[flock, uav] = min(pair_gain(watch, found, predicted, flock, int(uav)), found.gain[flock, uav])
+    head = locate(watch, gain, head_price(watch.uavs), most)
+    return replace(found, head=head, gain=gain, value=worth(watch, gain, head))
+
+
+def pair_gain(watch: Watch, found: FlockHeads, predicted: Floats | None, flock: int, uav: int, shift: int = 0) -> float:
+    """Sober gain of a flock by one UAV, whose past may be moved in time; above chance where the pair has its own."""
+    if predicted is None:
+        moved = found.shown if shift == 0 else Shown(found.shown.library, np.roll(found.shown.values, shift, axis=1))
+        flight, error = by_regression(watch, moved, flock, uav)
+        alone = np.count_nonzero(watch.label == flock) == 1
+        return sober_gain(flight, error, watch.freedom) - found.chance - (_ITS_OWN if alone else 0.0)
+    row = watch.watcher(flock, uav)
+    past, flight = watch.past[row], watch.flight[row]
+    shown_now = np.roll(predicted[uav], shift, axis=0)
+    return sober_gain(flight, flight - shown_now + past @ (past.T @ shown_now), watch.freedom)
 
 
 def worth(watch: Watch, gain: Floats, head: Indices) -> float:

@@ -15,6 +15,9 @@ __all__ = ["Policy", "choose"]
 Floats = NDArray[np.float64]
 
 
+_GUESS = 0.2  # nobody is more likely a head than this: rounds of guessing lie ahead
+
+
 class Policy(Config):
     """What is played and how candidates follow from probabilities.
 
@@ -74,7 +77,7 @@ def choose(probability: Floats, alive: NDArray[np.bool_], policy: Policy, tie: F
     else:
         nobody_left = np.append(np.cumprod((1.0 - p)[::-1])[::-1][1:], 1.0)[:budget]
         redundant = np.cumsum(1.0 - p)[:budget]
-        guessing = bool(p[0] < 0.5)
+        guessing = bool(p[0] < _GUESS)
         price = policy.round_price if policy.round_price is not None else (len(alive) / 4.0 if guessing else 1.0)
         cost = price * (1.0 - nobody_left) + policy.redundancy_price * redundant / len(alive)
     named[order[: int(cost.argmin()) + 1]] = True
