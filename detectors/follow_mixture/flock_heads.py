@@ -30,7 +30,7 @@ _ROWS_A_LAG = 12  # of one's own past in the null: three numbers each
 _RIDGE = 1e-6
 _STARTS = 3
 LONELY = 12.0  # nats that a flight like nobody else's must gain before it is said to follow somebody
-_ITS_OWN = 70.0  # the same, to be said to follow by a strategy of its own
+_FAIR = 0.25  # share of a flock's gain that a flight like nobody else's must have to count beside it
 _SOBERED = 8  # candidates of a flock whose gain is looked at moment by moment
 _MOMENT = 6.0  # nats that one moment may add
 _MEDIAN = 2.366  # of a chi-square with three degrees of freedom
@@ -265,11 +265,22 @@ def each_by_itself(watch: Watch, some: Shown, most: int | None) -> FlockHeads:
 
 
 def in_company(watch: Watch, found: FlockHeads, most: int | None) -> FlockHeads:
-    """Who flies alone must gain a lot to be believed: one flight and a strategy of its own are little evidence."""
-    alone = np.bincount(watch.label, minlength=watch.flocks) == 1
-    gain = np.where(alone[:, None], np.maximum(found.gain - _ITS_OWN, 0.0), found.gain)
+    """The heads by gains of strategies that pairs have of their own, with :func:`lone_votes` for who flies alone."""
+    gain = lone_votes(watch, found.gain)
     head = locate(watch, gain, head_price(watch.uavs), most)
     return replace(found, head=head, gain=gain, value=worth(watch, gain, head))
+
+
+def lone_votes(watch: Watch, gain: Floats) -> Floats:
+    """Gains ``(C, n)`` of strategies of one's own, in which one flight alone has little voice.
+
+    Who flies alone must gain a fair share of what flocks gain by their heads; where no flock has one, nothing counts.
+    """
+    alone = np.bincount(watch.label, minlength=watch.flocks) == 1
+    best = gain[~alone].max(axis=1, initial=0.0)
+    led = best[best > LONELY]
+    least = max(LONELY, _FAIR * float(np.median(led))) if len(led) else np.inf
+    return np.where(alone[:, None] & (gain < least), np.minimum(gain, 0.0), gain)
 
 
 def exact_gain(watch: Watch, some: Shown, flock: int, uav: int) -> float:
@@ -315,6 +326,8 @@ def sobered(watch: Watch, found: FlockHeads, most: int | None) -> FlockHeads:
         for uav in np.union1d(np.argsort(-found.gain[flock], kind="stable")[:_SOBERED], found.heads):
             if found.gain[flock, uav] > 0:
                 gain[flock, uav] = min(pair_gain(watch, found, predicted, flock, int(uav)), found.gain[flock, uav])
+    if found.weights is None:
+        gain = lone_votes(watch, gain)
     head = locate(watch, gain, head_price(watch.uavs), most)
     return replace(found, head=head, gain=gain, value=worth(watch, gain, head))
 
@@ -324,8 +337,7 @@ def pair_gain(watch: Watch, found: FlockHeads, predicted: Floats | None, flock: 
     if predicted is None:
         moved = found.shown if shift == 0 else Shown(found.shown.library, np.roll(found.shown.values, shift, axis=1))
         flight, error = by_regression(watch, moved, flock, uav)
-        alone = np.count_nonzero(watch.label == flock) == 1
-        return sober_gain(flight, error, watch.freedom) - found.chance - (_ITS_OWN if alone else 0.0)
+        return sober_gain(flight, error, watch.freedom) - found.chance
     row = watch.watcher(flock, uav)
     past, flight = watch.past[row], watch.flight[row]
     shown_now = np.roll(predicted[uav], shift, axis=0)
