@@ -54,7 +54,7 @@ class InputPooling(Config):
     similarity_hidden: tuple[Width, Width] = (16, 8)
     ifsn_hidden: tuple[Width, ...] = (32, 32, 32)
     learning_rate: Positive = 3e-2
-    ifsn_learning_rate: Positive = 3e-3
+    ifsn_learning_rate: Positive = 1e-2
     weight_decay: NonNegative = 1.0
     input_noise: NonNegative = 0.5
 
