@@ -116,10 +116,11 @@ class FollowMixture(Detector):
         gain, share = np.zeros(window.uavs), np.zeros(window.uavs)
         extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "gate": [], "nats": 0.0}
         probability[living] = 1.0 / (len(living) + 1.0)  # as long as nobody seems to follow anybody
+        given = probability.copy()
         if samples is not None:
             found = explain(window, samples, living, most, rng)
             if found is not None:
-                probability[living] = found.probability
+                probability[living], given[living] = found.probability, found.given
                 leader[living] = np.where(found.leader >= 0, living[found.leader], -1)
                 heads = living[found.heads]
                 leader[heads] = heads
@@ -139,7 +140,8 @@ class FollowMixture(Detector):
         extras["probability"] = probability
         extras["gain"] = gain
         extras["explained"] = share
-        candidates = choose(probability, window.alive, arguments, rng.random(window.uavs))
+        odds_in_play = given if arguments.policy == "cost" else probability
+        candidates = choose(odds_in_play, window.alive, arguments, rng.random(window.uavs))
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader, extras=extras)
 
 

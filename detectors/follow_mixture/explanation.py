@@ -22,6 +22,7 @@ class Explanation:
         heads: ``(M,)`` indices, ascending.
         leader: ``(n,)`` whom each UAV follows, -1 for nobody (heads among them).
         probability: ``(n,)`` of being a head.
+        given: ``(n,)`` the same given that somebody leads, as in a game that is not over.
         gain: ``(n,)`` log-likelihood that each follower gains by its head.
         explained: ``(n,)`` share of each follower's surprise that its head explains.
         reasons: one sentence a head: why it passed its gate, or failed.
@@ -32,6 +33,7 @@ class Explanation:
     heads: Indices
     leader: Indices
     probability: Floats
+    given: Floats
     gain: Floats
     explained: Floats
     reasons: list[str] = field(default_factory=list)

@@ -98,7 +98,7 @@ def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -
         nothing = np.zeros(watch.uavs)
         if watch.flocks == watch.uavs:
             return None
-        return Explanation(np.empty(0, np.int64), nobody, unknown, nothing, nothing)
+        return Explanation(np.empty(0, np.int64), nobody, unknown, unknown, nothing, nothing)
     gate = flock_gate(watch, found)
     heads = found.heads
     leader = found.head[watch.label]
@@ -107,15 +107,19 @@ def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -
     nats = np.where(found.head >= 0, found.gain[np.arange(watch.flocks), np.maximum(found.head, 0)], 0.0)
     follows = leader >= 0
     share = 1.0 - np.exp(-np.maximum(nats, 0.0) / (1.5 * watch.freedom))
-    probability = flock_posterior(watch, found, memory)
+    given = flock_posterior(watch, found, memory)
+    probability = given.copy()
     probability[heads] *= np.where(gate.passed, 1.0, _FAILED)
     trust = float(gate.added[gate.passed].sum()) / max(float(np.maximum(gate.added, 0.0).sum()), 1e-9)
     if trust < 0.5:  # evidence that chance matches says nothing of others either
         probability = np.maximum(probability * trust, unknown)
+        if memory < _FORGETS:  # who flies alone is told by more than chance
+            given = np.maximum(given, unknown)
     return Explanation(
         heads=heads,
         leader=leader,
         probability=probability,
+        given=given,
         gain=np.where(follows, (nats / sizes)[watch.label], 0.0),
         explained=np.where(follows, share[watch.label], 0.0),
         reasons=gate.reasons(),

@@ -28,11 +28,13 @@ def explained_by_mixture(samples: Samples, history: OwnHistory, mixture: Mixture
     gate = gate_heads(samples, history, mixture)
     holds = misfit(samples, mixture.strategy, mixture.heads.leader).worst <= MISFIT
     leader = mixture.heads.leader
+    probability = head_probability(mixture, gate, holds)
     place = np.minimum(np.searchsorted(mixture.columns, np.maximum(leader, 0)), len(mixture.columns) - 1)
     return Explanation(
         heads=mixture.heads.heads,
         leader=leader,
-        probability=head_probability(mixture, gate, holds),
+        probability=probability,
+        given=probability,
         gain=np.where(leader >= 0, mixture.gain[np.arange(samples.uavs), place], 0.0),
         explained=_explained(samples, history, mixture),
         reasons=gate.reasons(),
