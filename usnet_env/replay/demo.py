@@ -43,7 +43,7 @@ def run_demo(
     uavs: int = 185,
     follow: str = "f1",
     seed: int = 0,
-    detector: str = "lagged-regression",
+    detector: str = "follow-mixture",
     console: Console | None = None,
 ) -> dict[str, Path]:
     """Play one episode of ``USNET/MultiCluster-v0``, print a line a round, and keep it.
