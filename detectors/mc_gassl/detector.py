@@ -285,10 +285,13 @@ class McGassl(Detector):
         proposed, score = np.zeros(uavs, bool), np.zeros(uavs)
         leader, attention = np.full(uavs, -1, np.int64), np.zeros((uavs, uavs))
         clusters = [clustering.labels == label for label in range(clustering.count)]
-        for members in clusters:
-            if members.sum() < _LEAST_UAVS:
+        evident = [
+            members.sum() >= _LEAST_UAVS and bool(window.velocity_seen[:, members].any()) for members in clusters
+        ]
+        for members, tells in zip(clusters, evident, strict=True):
+            if not tells:
                 proposed |= members if gated else self._one_of(members)
-        large = sorted((members for members in clusters if members.sum() >= _LEAST_UAVS), key=np.sum)
+        large = sorted((members for members, tells in zip(clusters, evident, strict=True) if tells), key=np.sum)
         while large:
             size = max(1, _BATCH_UAVS // int(large[0].sum()))
             part, large = large[:size], large[size:]

@@ -223,6 +223,14 @@ def test_any_game_is_played_to_its_end(**arguments):
     play_any(**arguments)
 
 
+def test_a_cluster_of_which_nothing_was_seen_is_played_on():
+    """Found by the thousand games below: three UAVs share a cluster, and none was seen twice in a row."""
+    play_any(
+        uavs=13, clusters=2, follow="f1", steps=6, miss_rate=0.3, decoys=2, rounds=1, preset="default",
+        clusterer="spectral", gate=None, seed=6,
+    )  # fmt: skip
+
+
 @pytest.mark.slow
 @settings(max_examples=1000, deadline=None)
 @ANY_GAME
