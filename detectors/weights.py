@@ -1,0 +1,115 @@
+"""Arrays that ship with a detector: safetensors, with a JSON beside them that says how they came about.
+
+Loading reads arrays and JSON and never unpickles. The JSON names the SHA-256 of the arrays; others are refused.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from hashlib import sha256
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from torch import Tensor
+
+from usnet_env.config import InvalidArgument, shown
+from usnet_env.files import written_whole
+
+__all__ = ["arrays_of", "packaged_arrays", "packaged_record", "read_arrays", "write_arrays", "write_weights"]
+
+
+def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Tensor]) -> bytes:
+    """Write arrays as safetensors, whole or not at all; the bytes that were written."""
+    data: bytes = save({name: value.detach().contiguous() for name, value in arrays.items()})
+    with written_whole(path) as aside:
+        aside.write_bytes(data)
+    return data
+
+
+def write_weights(
+    path: str | os.PathLike[str], arrays: Mapping[str, Tensor], training: Mapping[str, Any], metrics: Mapping[str, Any]
+) -> Path:
+    """Write arrays, and ``path`` with the suffix ``.json`` beside them; both appear whole.
+
+    Args:
+        path: a name that ends in ``.safetensors``.
+        arrays: by name.
+        training: how they were trained, as JSON takes it.
+        metrics: how well, as JSON takes it.
+
+    Returns:
+        ``path``.
+
+    Raises:
+        InvalidArgument: the path has another suffix or can't be written to.
+    """
+    final = Path(path)
+    if final.suffix != ".safetensors":
+        raise InvalidArgument(f"path must be a name that ends in .safetensors, got {shown(str(path))}.")
+    data = write_arrays(final, arrays)
+    record = {"sha256": sha256(data).hexdigest(), "training": dict(training), "metrics": dict(metrics)}
+    with written_whole(final.with_suffix(".json")) as aside:
+        aside.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    return final
+
+
+def read_arrays(path: str | os.PathLike[str]) -> dict[str, Tensor]:
+    """The arrays of a file that :func:`write_weights` wrote.
+
+    Raises:
+        InvalidArgument: a file is missing or broken, or the arrays are not those that the JSON names.
+    """
+    final = Path(path)
+    try:
+        data, record = final.read_bytes(), final.with_suffix(".json").read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InvalidArgument(
+            f"path must be a weights file with its JSON beside it, got {shown(str(path))}: {reason}."
+        ) from None
+    return _checked(str(path), data, record)
+
+
+def packaged_arrays(package: str, name: str) -> dict[str, Tensor]:
+    """The arrays of ``data/<name>.safetensors`` in a package, such as ``"detectors.learned"``."""
+    folder = files(package) / "data"
+    record = (folder / f"{name}.json").read_text(encoding="utf-8")
+    return _checked(f"{name}.safetensors", (folder / f"{name}.safetensors").read_bytes(), record)
+
+
+def packaged_record(package: str, name: str) -> dict[str, Any]:
+    """How those arrays were trained, and how well: ``sha256``, ``training``, ``metrics``."""
+    record: dict[str, Any] = json.loads((files(package) / "data" / f"{name}.json").read_text(encoding="utf-8"))
+    return record
+
+
+def _checked(path: str, data: bytes, record: str) -> dict[str, Tensor]:
+    try:
+        expected = json.loads(record)["sha256"]
+    except (ValueError, KeyError, TypeError):
+        raise InvalidArgument(f"path must have a JSON with a sha256 beside it, got {shown(path)} without.") from None
+    found = sha256(data).hexdigest()
+    if found != expected:
+        raise InvalidArgument(
+            f"path must hold the weights that its JSON names (sha256 {shown(expected)}), "
+            f"got {shown(path)} with the sha256 {found!r}."
+        )
+    return arrays_of(path, data)
+
+
+def arrays_of(path: str, data: bytes) -> dict[str, Tensor]:
+    """The arrays in the bytes of a safetensors file.
+
+    Raises:
+        InvalidArgument: the bytes are none; ``path`` is named.
+    """
+    try:
+        arrays: dict[str, Tensor] = load(data)
+    except SafetensorError as error:
+        raise InvalidArgument(f"path must be a safetensors file, got {shown(path)}: {error}.") from None
+    return arrays
