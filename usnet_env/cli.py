@@ -498,6 +498,21 @@ def meta(out: str, method: str, strategies: int, episodes: int, seed: int, resum
         click.echo(str(train_meta(out, training, progress, resume)))
 
 
+@train.command()
+@click.option("--out", default="runs/learned", show_default=True, metavar="DIR", help="Weights and losses go here.")
+@click.option("--steps", type=_WholeNumber(1, 10**7), default=4000, show_default=True, help="Of the optimiser.")
+@click.option("--swarms", type=_WholeNumber(1, 10**5), default=8, show_default=True, help="In each step.")
+@click.option("--seed", type=_WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Of the training.")
+@click.option("--resume/--no-resume", default=True, show_default=True, help="Go on from a checkpoint in --out.")
+def learned(out: str, steps: int, swarms: int, seed: int, resume: bool) -> None:
+    """The network of the learned detector, on random follow strategies (none of f1 to f7)."""
+    from detectors.learned.train import HeadTraining, train_heads
+
+    training = HeadTraining.model_validate({"steps": steps, "swarms": swarms, "seed": seed})
+    with _bar("steps") as progress:
+        click.echo(str(train_heads(out, training, progress, resume)))
+
+
 @contextmanager
 def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
     """A progress bar on standard error, as a function of what is done and of all there is to do."""

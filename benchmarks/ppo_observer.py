@@ -1,0 +1,251 @@
+"""An observer trained by PPO in a small P2 (M=3, N=20), scored beside the detectors.
+
+OMP_NUM_THREADS=1 python benchmarks/ppo_observer.py        # writes benchmarks/results/ppo_observer*
+
+It is trained on seeds below 1000, with heads that fly iid and follow strategies drawn by random_follow_strategy, and
+scored from seed 2022 on, on f1 to f7, which it never saw, in swarms as it saw them and in others. Its only teacher is
+the reward of the game, -1 a round and -1/N a redundant candidate. Its weights are kept as safetensors; where they are
+there, they are scored and not trained again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium import spaces
+from learned import DETECTORS, KEPT, pivot
+from multiagent_table import RESULTS, SEED
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import MultiInputActorCriticPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import Tensor, nn
+
+from detectors.learned.features import PAIR_FEATURES, pair_features
+from detectors.policy_detector import PolicyDetector
+from detectors.weights import read_arrays, write_weights
+from usnet_env import Window
+from usnet_env.envs import MultiClusterEnv
+from usnet_env.evaluation.episode import play_episode
+from usnet_env.evaluation.players import as_player
+from usnet_env.evaluation.statistics import mean_interval, rate_interval
+from usnet_env.files import written_whole
+from usnet_env.plugins import make_detector
+from usnet_env.swarm.random_follow import random_follow_strategy
+
+SMALL = {"clusters": 3, "uavs": 20, "max_rounds": 10}
+SWARMS: dict[str, dict[str, Any]] = {
+    "iid": {},
+    "iid, T_ob = 12": {"observation_steps": 12},
+    "gauss_markov, jitter": {"mobility": "gauss_markov", "head_jitter": True},
+}
+WEIGHTS = RESULTS / "ppo_observer.safetensors"
+FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
+STEPS, BATCH = 12_288, 512
+GAMES = 20
+WIDTH = 16
+
+
+def observe(window: Window) -> dict[str, np.ndarray]:
+    """The observation of the trained policy: statistics of all pairs, 0 for the destroyed, and who lives."""
+    living = np.flatnonzero(window.alive)
+    pairs = np.zeros((window.uavs, window.uavs, PAIR_FEATURES), np.float32)
+    pairs[np.ix_(living, living)] = pair_features(window, living)
+    return {"pairs": pairs, "alive": window.alive.astype(np.float32)}
+
+
+class SmallGame(gym.Env[Any, Any]):
+    """P2 with another random follow strategy in every episode; the policy sees what :func:`observe` makes of it."""
+
+    def __init__(self) -> None:
+        uavs = SMALL["uavs"]
+        self.observation_space = spaces.Dict(
+            {
+                "pairs": spaces.Box(-np.inf, np.inf, (uavs, uavs, PAIR_FEATURES), np.float32),
+                "alive": spaces.Box(0, 1, (uavs,), np.float32),
+            }
+        )
+        self.action_space = spaces.MultiBinary(uavs)
+        self.draws = np.random.default_rng(0)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start the next game: its swarm's seed is below 1000."""
+        self.game = MultiClusterEnv(follow=random_follow_strategy(self.draws), **SMALL)
+        seen, info = self.game.reset(seed=int(self.draws.integers(1000)))
+        return self._observed(seen), info
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Name the living ones among the action's bits."""
+        named = np.asarray(action).astype(bool) & self.alive
+        seen, reward, ended, cut, info = self.game.step(named.astype(np.int8))
+        return self._observed(seen), reward, ended, cut, info
+
+    def _observed(self, seen: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        window = Window.from_observation(seen)
+        self.alive = window.alive
+        return observe(window)
+
+
+class Attention(BaseFeaturesExtractor):
+    """A vector for each UAV from the pairs, ``(B, N * (WIDTH + 1))``; its last number says whether the UAV lives."""
+
+    def __init__(self, space: spaces.Dict) -> None:
+        uavs = space["alive"].shape[0]
+        super().__init__(space, uavs * (WIDTH + 1))
+        self.pair = nn.Linear(2 * PAIR_FEATURES, WIDTH)
+        self.mixed = nn.Linear(WIDTH, WIDTH)
+        self.attention = nn.Linear(WIDTH, 1)
+        self.uav = nn.Linear(2 * WIDTH, WIDTH)
+
+    def forward(self, seen: dict[str, Tensor]) -> Tensor:
+        """UAV i attends to all j; j sums up who attends to it, i whom it attends to."""
+        pairs, alive = seen["pairs"], seen["alive"]
+        x = torch.tanh(self.mixed(torch.tanh(self.pair(torch.cat([pairs, pairs.transpose(1, 2)], dim=3)))))
+        legal = alive[:, :, None] * alive[:, None, :] * (1 - torch.eye(alive.shape[1]))
+        attention = torch.softmax(self.attention(x)[..., 0].masked_fill(legal == 0, -1e9), dim=2) * legal
+        given = attention[..., None] * x
+        uav = torch.tanh(self.uav(torch.cat([given.sum(dim=1), given.sum(dim=2)], dim=2)))
+        return torch.cat([uav, alive[..., None]], dim=2).flatten(1)
+
+
+class PerUav(nn.Module):
+    """One logit for each UAV by the same weights; the likeliest living one is always named, as a head is left."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.logit = nn.Linear(WIDTH, 1)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """``(B, N)`` logits."""
+        uav = features.unflatten(1, (-1, WIDTH + 1))
+        dead = uav[..., -1] == 0
+        logits = self.logit(uav[..., :-1])[..., 0].masked_fill(dead, -20.0)
+        return logits + torch.relu(0.1 - logits.max(dim=1, keepdim=True).values)
+
+
+class Whole(nn.Module):
+    """The value of a swarm: the mean over the living."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.value = nn.Linear(WIDTH, 1)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """``(B, 1)``."""
+        uav = features.unflatten(1, (-1, WIDTH + 1))
+        alive = uav[..., -1:]
+        return self.value((uav[..., :-1] * alive).sum(dim=1) / alive.sum(dim=1).clamp(min=1))
+
+
+class EquivariantPolicy(MultiInputActorCriticPolicy):
+    """Numbering the UAVs otherwise numbers the action's bits otherwise."""
+
+    def _build(self, lr_schedule: Any) -> None:
+        super()._build(lr_schedule)
+        self.action_net, self.value_net = PerUav(), Whole()
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+
+
+class Curve(BaseCallback):
+    """A row for every batch of steps: the mean over the games that ended in it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rows, self.ended = [], []
+
+    def _on_step(self) -> bool:
+        self.ended += [info for info, done in zip(self.locals["infos"], self.locals["dones"], strict=True) if done]
+        return True
+
+    def _on_rollout_end(self) -> None:
+        row = {"steps": self.num_timesteps, "games": len(self.ended)}
+        row |= {name: round(float(np.mean([info[name] for info in self.ended])), 4) for name in ("J", "success")}
+        self.rows.append(row)
+        print(row, flush=True)
+        self.ended = []
+
+
+def untrained() -> PPO:
+    return PPO(
+        EquivariantPolicy,
+        SmallGame(),
+        learning_rate=2e-3,
+        n_steps=BATCH,
+        batch_size=128,
+        n_epochs=8,
+        gamma=1.0,
+        ent_coef=0.0,
+        policy_kwargs={"net_arch": [], "features_extractor_class": Attention},
+        seed=0,
+        device="cpu",
+    )
+
+
+def trained() -> EquivariantPolicy:
+    """The policy of the file, which is made first where it is missing."""
+    agent = untrained()
+    if WEIGHTS.exists():
+        agent.policy.load_state_dict(read_arrays(WEIGHTS), strict=False)  # shared layers are in the file once
+        return agent.policy
+    curve = Curve()
+    agent.learn(STEPS, callback=curve)
+    write(RESULTS / "ppo_observer_curve.csv", curve.rows)
+    arrays = dict(agent.policy.named_parameters())
+    write_weights(WEIGHTS, arrays, {"algorithm": "PPO", "steps": STEPS, **SMALL}, curve.rows[-1])
+    return agent.policy
+
+
+def measured(detectors: Mapping[str, Any], games: int) -> list[dict[str, Any]]:
+    """A row for each swarm, follow strategy, detector and game from 2022 on."""
+    rows = []
+    for swarm, more in SWARMS.items():
+        for follow in FOLLOW:
+            env = MultiClusterEnv(follow=follow, **SMALL, **more)
+            for label, detector in detectors.items():
+                for episode in range(games):
+                    row = play_episode(env, as_player(detector), label, SEED, episode)
+                    kept = {name: round(row[name], 5) for name in KEPT}
+                    rows.append({"swarm": swarm, "follow": follow, "detector": label, "episode": episode, **kept})
+    return rows
+
+
+def write(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    with written_whole(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def main() -> None:
+    """Train, measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--games", type=int, default=GAMES, help="for each detector and follow strategy")
+    games = parser.parse_args().games
+    torch.set_num_threads(1)  # a program of its own, not the library: small networks wait for each other on more
+    detectors = {"ppo": PolicyDetector(trained(), observe=observe)}
+    detectors |= {label: make_detector(name) for label, name in DETECTORS.items()}
+    rows = measured(detectors, games)
+    write(RESULTS / "ppo_observer.csv", rows)
+    keys = ("swarm", "follow")
+    text = "\n\n".join(
+        [
+            f"M=3, N=20, at most {SMALL['max_rounds']} rounds. J_m, mean (95 % interval); destroying all costs 1.85.",
+            pivot(rows, keys, "J", mean_interval, list(detectors)),
+            "Share of games whose round 1 names the heads, no more and no less (95 % interval).",
+            pivot(rows, keys, "exact", rate_interval, list(detectors)),
+        ]
+    )
+    with written_whole(RESULTS / "ppo_observer.md") as aside:
+        aside.write_text(text + "\n", encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,5 @@
+"""A learned head detector: attention over UAVs, trained on simulated swarms with random follow strategies."""
+
+from detectors.learned.detector import Learned
+
+__all__ = ["Learned"]

@@ -1,0 +1,214 @@
+"""The learned detector: equivariance, masks, its choice of candidates, what it refuses, and that it finds heads."""
+
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detectors.checks.windows import hovering, permuted, simulated, unseen_in_part
+from detectors.learned import Learned
+from detectors.learned.detector import MOST_UAVS, load_network
+from detectors.learned.features import PAIR_FEATURES, pair_features
+from detectors.learned.inputs import inputs_of
+from detectors.learned.network import NetworkSizes, draw_network
+from detectors.learned.train import HeadTraining, draw_example
+from usnet_env import InvalidArgument, Window
+from usnet_env.swarm import SwarmConfig, advance, start
+from usnet_env.swarm.random_follow import random_follow_strategy
+
+
+def swarm(config, seed):
+    """A window and the truth about it."""
+    rngs = [np.random.default_rng(seed)]
+    state, sighting = advance(config, start(config, rngs), rngs)
+    return Window(sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0]), state
+
+
+def answer(window, seed=0, **arguments):
+    detector = Learned(**arguments)
+    detector.reset(seed)
+    return detector.detect(window)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    uavs=st.integers(6, 20),
+    steps=st.integers(8, 40),
+    destroyed=st.integers(0, 3),
+    miss_rate=st.sampled_from([0.0, 0.2]),
+    seed=st.integers(0, 1000),
+)
+def test_numbering_the_uavs_otherwise_numbers_the_answer_otherwise(uavs, steps, destroyed, miss_rate, seed):
+    window = simulated(
+        2, uavs, seed=seed, destroyed=destroyed, observation_steps=steps, miss_rate=miss_rate, mobility="gauss_markov"
+    )
+    order = np.random.default_rng(seed).permutation(uavs)
+    here, there = answer(window), answer(permuted(window, order))
+    np.testing.assert_allclose(there.scores, here.scores[order], atol=1e-4)
+    np.testing.assert_allclose(there.attention, here.attention[np.ix_(order, order)], atol=1e-4)
+    np.testing.assert_array_equal(there.leader < 0, here.leader[order] < 0)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 1000), metres=st.floats(0.1, 10.0))
+def test_turning_moving_and_measuring_otherwise_changes_no_feature(seed, metres):
+    rng = np.random.default_rng(seed)
+    window = simulated(2, 9, seed=seed, mobility="smooth_turn", head_jitter=True)
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    moved = Window(
+        metres * (window.position @ turn + rng.normal(0, 100, 3)),
+        metres * (window.velocity @ turn),
+        window.seen,
+        window.alive,
+    )
+    everybody = np.arange(9)
+    np.testing.assert_allclose(pair_features(moved, everybody), pair_features(window, everybody), atol=0.02)
+
+
+def test_a_pair_of_head_and_follower_stands_out_in_its_row():
+    window, state = swarm(SwarmConfig(follow="f1", clusters=2, uavs=12, observation_steps=60), 3)
+    leader = state.leader[0]
+    features = pair_features(window, np.arange(12))
+    assert features.shape == (12, 12, PAIR_FEATURES)
+    assert features.dtype == np.float32
+    assert not features[np.arange(12), np.arange(12)].any()
+    copied = features[..., 1]  # what a linear map of v_j explains of v_i a step later
+    followers = np.flatnonzero(leader != np.arange(12))
+    np.testing.assert_array_equal(copied[followers].argmax(axis=1), leader[followers])
+    assert copied[followers].max(axis=1).min() > 0.8
+
+
+@pytest.mark.parametrize("window", [hovering(), hovering(together=True), unseen_in_part(), simulated(1, 3)])
+def test_odd_windows_get_finite_answers_with_a_candidate(window):
+    found = answer(window)
+    assert np.isfinite(found.scores).all()
+    assert found.candidates.any()
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 5, 8])
+def test_short_windows_are_answered(steps):
+    window = simulated(2, 8, observation_steps=steps)
+    assert np.isfinite(pair_features(window, np.arange(8))).all()
+    assert answer(window).candidates.any()
+
+
+def test_destroyed_uavs_are_no_candidates_and_change_nothing():
+    window = simulated(3, 14, destroyed=5)
+    found = answer(window, policy="threshold", threshold=0.0)
+    np.testing.assert_array_equal(found.candidates, window.alive)
+    assert not found.scores[~window.alive].any()
+    np.testing.assert_array_equal(found.leader < 0, ~window.alive)
+    np.testing.assert_array_equal(found.clusters < 0, ~window.alive)
+    assert not found.attention[:, ~window.alive].any()
+    living = np.flatnonzero(window.alive)
+    rest = Window(*(getattr(window, name)[:, living] for name in ("position", "velocity", "seen")), np.ones(9, bool))
+    np.testing.assert_allclose(answer(rest).scores, found.scores[living], atol=1e-5)
+
+
+def test_nobody_alive_gives_nobody():
+    window = simulated(2, 8)
+    dead = Window(np.zeros_like(window.position), np.zeros_like(window.velocity), np.zeros((61, 8)), np.zeros(8))
+    assert not answer(dead).candidates.any()
+
+
+def test_same_seed_same_answer_and_ties_are_drawn():
+    window = hovering(together=True)
+    first, again = answer(window, seed=5), answer(window, seed=5)
+    np.testing.assert_array_equal(first.candidates, again.candidates)
+    np.testing.assert_array_equal(first.scores, again.scores)
+    named = {
+        tuple(np.flatnonzero(answer(window, seed=seed, policy="threshold", threshold=1.0).candidates))
+        for seed in range(20)
+    }
+    assert len(named) > 3
+    assert all(len(one) == 1 for one in named)
+
+
+def test_the_choice_follows_the_probabilities():
+    window = simulated(3, 14)
+    probability = answer(window).extras["probability"]
+    for policy in ("threshold", "map"):
+        np.testing.assert_array_equal(answer(window, policy=policy).candidates, probability > 0.5)
+    nobody_passes = answer(window, policy="threshold", threshold=1.0)
+    np.testing.assert_array_equal(nobody_passes.candidates, probability == probability.max())
+    dear, cheap = answer(window, round_price=100.0), answer(window, round_price=0.01)
+    assert (dear.candidates >= cheap.candidates).all()
+
+
+def test_it_beats_chance_by_far_on_fresh_random_strategies():
+    hits = named = heads = 0
+    for seed in range(12):
+        follow = random_follow_strategy(np.random.default_rng([2022, seed]))
+        window, state = swarm(SwarmConfig(follow=follow, clusters=3, uavs=24, observation_steps=60), seed)
+        candidates = answer(window, policy="map").candidates
+        hits += int((candidates & state.head[0]).sum())
+        named, heads = named + int(candidates.sum()), heads + 3
+    assert hits >= 0.8 * heads  # who names 3 of 24 at random hits one in eight
+    assert hits >= 0.8 * named
+
+
+def test_nobody_is_named_where_nobody_follows():
+    window, _ = swarm(SwarmConfig(follow="none", uavs=30, clusters=3), 0)
+    assert not answer(window, policy="map").candidates.any()
+    assert answer(window).candidates.any()  # a game is only over when a head is hit
+
+
+def test_a_detector_in_use_can_be_pickled():
+    window = simulated(2, 9)
+    detector = Learned()
+    detector.reset(1)
+    copy = pickle.loads(pickle.dumps(detector))
+    np.testing.assert_array_equal(copy.detect(window).scores, detector.detect(window).scores)
+
+
+def test_it_says_what_it_does_not_take(tmp_path):
+    for arguments, text in (
+        ({"threshold": 1.5}, "threshold"),
+        ({"policy": "costs"}, "policy must be one of cost, map, threshold, got 'costs'"),
+        ({"round_price": 0.0}, "round_price"),
+        ({"weights": 3}, "weights must be a name"),
+        ({"weights": str(tmp_path / "none.safetensors")}, "path must be a weights file with its JSON beside it"),
+    ):
+        with pytest.raises(InvalidArgument, match=text):
+            Learned(**arguments).reset(0)
+        with pytest.raises(InvalidArgument, match=text):
+            Learned(**arguments).detect(simulated(1, 3))
+    many = MOST_UAVS + 1
+    ones = np.ones((2, many))
+    crowd = Window(np.zeros((2, many, 3)), np.zeros((1, many, 3)), ones, ones[0])
+    with pytest.raises(InvalidArgument, match=f"window must hold at most {MOST_UAVS} living UAVs"):
+        answer(crowd)
+
+
+def test_a_network_reads_its_inputs_whatever_the_size():
+    network = draw_network(NetworkSizes(width=8, heads=2, blocks=1), 0)
+    for uavs in (3, 30):
+        inputs = inputs_of(simulated(1, uavs), np.arange(uavs))
+        head, leader = network(*inputs)
+        assert head.shape == (uavs,)
+        assert leader.shape == (uavs, uavs)
+    with pytest.raises(InvalidArgument, match=r"heads must divide width \(8\), got 3"):
+        draw_network(NetworkSizes(width=8, heads=3), 0)
+    before = torch.random.get_rng_state()
+    draw_network(NetworkSizes(), 1)
+    assert torch.equal(before, torch.random.get_rng_state())
+
+
+def test_drawn_swarms_are_never_of_the_table():
+    """Every follow strategy that the network is shown comes from the random grammar, which holds none of f1 to f7."""
+    drawn = [draw_example(HeadTraining(), np.random.default_rng(seed)) for seed in range(20)]
+    for example in drawn:
+        living = len(example.head)
+        own = example.leader == torch.arange(living)
+        assert example.inputs.features.shape == (living, living, PAIR_FEATURES)
+        assert torch.isfinite(example.inputs.features).all()
+        assert not example.head[~own].any()  # a head follows nobody
+        assert set(example.leader[~own].tolist()) == set(torch.nonzero(example.head)[:, 0].tolist())
+    assert len({len(example.head) for example in drawn}) > 10
+
+
+def test_the_shipped_network_is_small():
+    assert sum(value.numel() for value in load_network().state_dict().values()) * 4 < 1_000_000

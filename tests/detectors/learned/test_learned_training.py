@@ -1,0 +1,141 @@
+"""Training of the learned detector: the same weights whether interrupted or not, a loss that falls, files that hold."""
+
+import csv
+import json
+from hashlib import sha256
+from importlib.resources import files
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load, save
+
+from detectors.checks.windows import simulated
+from detectors.learned import Learned
+from detectors.learned.detector import load_network
+from detectors.learned.network import network_of
+from detectors.learned.train import HeadTraining, draw_swarm, train_heads
+from detectors.weights import arrays_of, packaged_record, read_arrays, write_weights
+from usnet_env.config import InvalidArgument
+from usnet_env.swarm.random_follow import RandomFollowStrategy
+
+SMALL = {"steps": 6, "swarms": 2, "width": 8, "heads": 2, "blocks": 1, "most_uavs": 16, "most_clusters": 2, "warm": 2}
+
+
+class Interrupted(Exception):
+    """Stands for whatever ends a training early."""
+
+
+def stop_at(limit):
+    def progress(done, total):
+        if done >= limit:
+            raise Interrupted
+
+    return progress
+
+
+def test_interrupted_training_goes_on_to_the_identical_result(tmp_path):
+    training = HeadTraining(**SMALL)
+    before = torch.random.get_rng_state(), np.random.get_state()[1].tobytes()  # noqa: NPY002  # must stay as it is
+    whole = train_heads(tmp_path / "whole", training)
+    with pytest.raises(Interrupted):
+        train_heads(tmp_path / "parts", training, stop_at(5), checkpoint_every=4)
+    assert not (tmp_path / "parts" / "learned.safetensors").exists()
+    calls = []
+    parts = train_heads(tmp_path / "parts", training, lambda *call: calls.append(call), checkpoint_every=4)
+    assert calls == [(5, 6), (6, 6)]
+    for name in ("learned.safetensors", "learned.json", "losses.csv", "checkpoint.safetensors"):
+        assert (whole.parent / name).read_bytes() == (parts.parent / name).read_bytes()
+    assert torch.equal(before[0], torch.random.get_rng_state())
+    assert before[1] == np.random.get_state()[1].tobytes()  # noqa: NPY002
+    with pytest.raises(InvalidArgument, match="out must hold no checkpoint of another training"):
+        train_heads(tmp_path / "parts", HeadTraining(**{**SMALL, "seed": 1}))
+    anew = train_heads(tmp_path / "parts", HeadTraining(**{**SMALL, "seed": 1}), resume=False)
+    assert whole.read_bytes() != anew.read_bytes()
+
+
+def test_a_short_training_lowers_the_loss_and_writes_what_it_did(tmp_path):
+    training = HeadTraining(**{**SMALL, "steps": 60, "swarms": 4, "width": 16, "rate": 1e-2})
+    path = train_heads(tmp_path, training)
+    record = json.loads((tmp_path / "learned.json").read_text())
+    assert record["training"] == {
+        **training.model_dump(mode="json"),
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+    }
+    with (tmp_path / "losses.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["step"]) for row in rows] == list(range(1, 61))
+    losses = [float(row["loss"]) for row in rows]
+    metrics = record["metrics"]
+    assert metrics["last_loss"] == pytest.approx(np.mean(losses[-30:]), abs=1e-5)
+    assert np.mean(losses[-10:]) < 0.7 * np.mean(losses[:10])
+    assert metrics["held_out_loss"] < np.mean(losses[:10])
+    window = simulated(2, 9)
+    detector = Learned(weights=str(path))
+    detector.reset(0)
+    assert not np.array_equal(detector.detect(window).scores, Learned().detect(window).scores)
+
+
+def test_the_shipped_weights_are_those_of_their_record():
+    folder = files("detectors.learned") / "data"
+    record = packaged_record("detectors.learned", "learned")
+    data = (folder / "learned.safetensors").read_bytes()
+    assert record["sha256"] == sha256(data).hexdigest()
+    assert len(data) < 1_000_000
+    plain = {name: value for name, value in record["training"].items() if name not in ("torch", "numpy")}
+    assert HeadTraining(**plain) == HeadTraining()  # what the command trains by default
+    assert record["metrics"]["last_loss"] < 0.5 * record["metrics"]["first_loss"]
+    shipped = load_network()
+    for name, value in load(data).items():
+        assert torch.equal(shipped.state_dict()[name], value)
+
+
+def test_swarms_of_training_are_of_every_kind():
+    drawn = [draw_swarm(HeadTraining(), np.random.default_rng(seed)) for seed in range(300)]
+    assert all(config.follow == "none" or isinstance(config.follow, RandomFollowStrategy) for config in drawn)
+    assert {config.mobility for config in drawn} >= {"iid", "gauss_markov", "smooth_turn", "waypoint"}
+    assert {config.clusters for config in drawn} == set(range(1, 11))
+    assert min(config.uavs for config in drawn) == 10
+    assert 110 < max(config.uavs for config in drawn) <= 120
+    assert min(config.observation_steps for config in drawn) < 12
+    for name in ("decoys", "miss_rate", "position_noise", "head_jitter"):
+        assert 0 < sum(bool(getattr(config, name)) for config in drawn) < 300
+
+
+def test_changed_or_foreign_weights_are_refused(tmp_path):
+    network = load_network()
+    path = write_weights(tmp_path / "own.safetensors", network.state_dict(), {}, {})
+    assert torch.equal(read_arrays(path)["itself"], network.state_dict()["itself"])
+    path.write_bytes(path.read_bytes()[:-1] + b"\x01")
+    with pytest.raises(InvalidArgument, match="path must hold the weights that its JSON names"):
+        read_arrays(path)
+    path.with_suffix(".json").write_text("{}")
+    with pytest.raises(InvalidArgument, match="path must have a JSON with a sha256 beside it"):
+        read_arrays(path)
+    with pytest.raises(InvalidArgument, match="path must be a name that ends in"):
+        write_weights(tmp_path / "own.pt", {}, {}, {})
+    with pytest.raises(InvalidArgument, match="path must be a safetensors file"):
+        arrays_of("half", b"half of one")
+    with pytest.raises(InvalidArgument, match="path must hold the arrays of a head network"):
+        network_of("other", load(save({"w": torch.zeros(3)})))
+    broken = {name: torch.full_like(value, torch.nan) for name, value in network.state_dict().items()}
+    with pytest.raises(InvalidArgument, match="path must hold finite arrays"):
+        network_of("other", broken)
+    (tmp_path / "checkpoint.safetensors").write_bytes(b"half of one")
+    with pytest.raises(InvalidArgument, match="path must be a safetensors file"):
+        train_heads(tmp_path, HeadTraining(**SMALL))
+
+
+@pytest.mark.parametrize(
+    "bad", [{"steps": 0}, {"swarms": 0}, {"seed": -1}, {"rate": 0.0}, {"most_uavs": 9}, {"leader_weight": -1.0}]
+)
+def test_bad_settings_are_refused(bad):
+    with pytest.raises(InvalidArgument, match=next(iter(bad))):
+        HeadTraining(**bad)
+
+
+@pytest.mark.parametrize("bad", [0, 1.5, True])
+def test_a_bad_checkpoint_interval_is_refused(tmp_path, bad):
+    with pytest.raises(InvalidArgument, match="checkpoint_every"):
+        train_heads(tmp_path, HeadTraining(**SMALL), checkpoint_every=bad)
