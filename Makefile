@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all lint format types bench docs clean
+.PHONY: help demo test test-all test-extras lint format types bench docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*##  *\(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 10
@@ -19,6 +19,9 @@ test: $(INSTALLED)  ## run the quick tests
 
 test-all: $(INSTALLED)  ## run all tests and show the coverage
 	$(BIN)/pytest -n auto --cov=usnet_env --cov=detectors
+
+test-extras:  ## run each extra's tests in an environment of that extra alone; takes half an hour
+	PYTHON=$(PYTHON) tests/frameworks/extras.sh
 
 lint: $(INSTALLED)  ## check style, form and the arrows between the parts
 	$(BIN)/ruff check .

@@ -1,4 +1,4 @@
-"""Wrappers for frameworks that need another form of the same action."""
+"""Wrappers for frameworks that need another form of the same action or observation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,43 @@ from numpy.typing import NDArray
 
 from usnet_env.config import InvalidArgument, shown
 
-__all__ = ["MultiDiscreteCandidates"]
+__all__ = ["BoxMasks", "MultiDiscreteCandidates", "box_masks"]
+
+
+def box_masks(space: spaces.Space[Any]) -> spaces.Dict:
+    """An observation space whose masks are ``Box(0, 1, …, int8)`` instead of ``MultiBinary``; the values fit both.
+
+    Raises:
+        InvalidArgument: a space that is no ``Dict``.
+    """
+    if not isinstance(space, spaces.Dict):
+        raise InvalidArgument(f"env must have a Dict observation space, got {shown(space)}.")
+    parts = space.spaces.items()
+    return spaces.Dict(
+        {
+            name: spaces.Box(0, 1, part.shape, np.int8) if isinstance(part, spaces.MultiBinary) else part
+            for name, part in parts
+        }
+    )
+
+
+class BoxMasks(gym.ObservationWrapper[Any, Any, Any]):
+    """The masks in the observation as ``Box``: TorchRL can't read a ``MultiBinary`` of two dimensions.
+
+    The observation itself is unchanged; :class:`usnet_env.multiagent.wrappers.ParallelBoxMasks` does the same for the
+    games of several agents.
+
+    Raises:
+        InvalidArgument: an env whose observation is no ``Dict``.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        self.observation_space = box_masks(env.observation_space)
+
+    def observation(self, observation: Any) -> Any:
+        """The same arrays."""
+        return observation
 
 
 class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any]):

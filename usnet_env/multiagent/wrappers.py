@@ -1,4 +1,4 @@
-"""Per-agent ``Discrete`` actions, for frameworks that need them."""
+"""Wrappers for frameworks that need another form of the same actions and observations."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from usnet_env.config import InvalidArgument, shown
+from usnet_env.envs.wrappers import box_masks
 from usnet_env.multiagent.base import BaseParallelWrapper, Observation, Step, UsnetParallelEnv
 
-__all__ = ["DiscreteActions"]
+__all__ = ["DiscreteActions", "MultiDiscreteVotes", "ParallelBoxMasks"]
 
 _MOST_ACTIONS = 100_000
 
@@ -103,3 +104,56 @@ class DiscreteActions(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo 
         else:
             mask = np.append(legal, np.int8(1))
         return {**observation, "action_mask": mask.astype(np.int8)}
+
+
+class MultiDiscreteVotes(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo ships no types
+    """Votes as ``MultiDiscrete([2] * N)``, which SuperSuit and RLlib want for ``MultiBinary(N)``; the same bits.
+
+    Args:
+        env: one of the games' ``parallel_env``, or a wrapper round it. Heads' actions stay as they are.
+
+    Raises:
+        InvalidArgument: an env of another kind, or one whose votes are scores.
+    """
+
+    def __init__(self, env: UsnetParallelEnv | BaseParallelWrapper) -> None:
+        super().__init__(_game(env))
+        self._actions = {agent: _multi_discrete(agent, env.action_space(agent)) for agent in env.possible_agents}
+
+    def action_space(self, agent: str) -> spaces.MultiDiscrete:
+        """The actions of an agent; the same object every time."""
+        return self._actions[agent]
+
+
+class ParallelBoxMasks(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo ships no types
+    """The masks in the observations as ``Box``, the observations unchanged; see ``usnet_env.envs.wrappers.BoxMasks``.
+
+    Args:
+        env: one of the games' ``parallel_env``, or a wrapper round it such as :class:`DiscreteActions`.
+
+    Raises:
+        InvalidArgument: an env of another kind.
+    """
+
+    def __init__(self, env: UsnetParallelEnv | BaseParallelWrapper) -> None:
+        super().__init__(_game(env))
+        self._observations = {agent: box_masks(env.observation_space(agent)) for agent in env.possible_agents}
+
+    def observation_space(self, agent: str) -> spaces.Dict:
+        """The observations of an agent; the same object every time."""
+        return self._observations[agent]
+
+
+def _game(env: Any) -> Any:
+    """``env``, if it is a game in Parallel form."""
+    if not isinstance(env, UsnetParallelEnv | BaseParallelWrapper):
+        raise InvalidArgument(f"env must be a parallel_env or a wrapper round it, got {shown(env)}.")
+    return env
+
+
+def _multi_discrete(agent: str, space: Any) -> spaces.MultiDiscrete:
+    if isinstance(space, spaces.MultiBinary):
+        return spaces.MultiDiscrete(np.full(space.shape, 2))
+    if not isinstance(space, spaces.MultiDiscrete):
+        raise InvalidArgument(f"env must have votes that are candidates, got {shown(space)} for {agent}.")
+    return space

@@ -1,0 +1,133 @@
+"""Minari: record a detector's games to a data set, read it back, and train a network to do the same.
+
+pip install 'usnet[minari]'
+python examples/frameworks/minari_imitation.py
+"""
+
+import argparse
+import os
+import tempfile
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import minari
+import numpy as np
+import torch
+from comparison import compared
+from copied_network import CopiedNetwork
+from minari.data_collector import EpisodeBuffer
+from torch import Tensor, nn
+
+from detectors.policy_detector import PolicyDetector
+from usnet_env import Window, make_detector
+from usnet_env.plugins import DetectorLike
+
+ENV = "USNET/MultiCluster-v0"
+ARGUMENTS = {"clusters": 2, "uavs": 12, "observation_steps": 20, "max_rounds": 5}
+LARGER = {"clusters": 4, "uavs": 40}
+DATASET, TEACHER = "usnet/two-clusters/lagged-regression-v0", "lagged-regression(clusters=2)"
+
+
+def record(games: int, seed: int = 0) -> minari.MinariDataset:
+    """A data set of the teacher's games, below ``MINARI_DATASETS_PATH``; it sees windows, as every detector does."""
+    env, teacher = gym.make(ENV, **ARGUMENTS), make_detector(TEACHER)
+    return minari.create_dataset_from_buffers(
+        DATASET,
+        [played(env, teacher, number, seed + number) for number in range(games)],
+        env=env,
+        eval_env=env,
+        algorithm_name=TEACHER,
+        author="USNET",
+        author_email="none",
+        code_permalink="none",
+        description="Windows of small swarms, and who was named.",
+    )
+
+
+def played(env: gym.Env, teacher: DetectorLike, number: int, seed: int) -> EpisodeBuffer:
+    """One game; Minari's own DataCollector would need JAX for it."""
+    teacher.reset(number)
+    observation, info = env.reset(seed=seed)
+    observations, infos, actions, outcomes = [observation], [info], [], []
+    while not outcomes or not (outcomes[-1][1] or outcomes[-1][2]):
+        actions.append(teacher.detect(Window.from_observation(observation)).candidates.astype(np.int8))
+        observation, *outcome, info = env.step(actions[-1])
+        observations.append(observation)
+        infos.append(info)
+        outcomes.append(outcome)
+    rewards, terminations, truncations = map(list, zip(*outcomes, strict=True))
+    return EpisodeBuffer(
+        number, seed, None, stacked(observations), np.stack(actions), rewards, terminations, truncations, stacked(infos)
+    )
+
+
+def stacked(mappings: list[dict[str, Any]]) -> dict[str, np.ndarray]:
+    """Mappings of the same keys as one, with a leading axis."""
+    return {name: np.stack([one[name] for one in mappings]) for name in mappings[0]}
+
+
+def pairs(games: Iterable[minari.EpisodeData]) -> tuple[Tensor, Tensor, Tensor]:
+    """Velocities ``(R, T_ob, N, 3)``, who lives ``(R, N)`` and who was named ``(R, N)``, of all rounds R."""
+    velocity, alive, named = [], [], []
+    for game in games:
+        rounds = len(game.actions)  # there is one observation more: the window after the last round
+        velocity.append(game.observations["velocity"][:rounds])
+        alive.append(game.observations["alive"][:rounds])
+        named.append(game.actions)
+    return tuple(torch.from_numpy(np.concatenate(parts)) for parts in (velocity, alive, named))
+
+
+class Student(nn.Module):
+    """The network as :class:`PolicyDetector` asks a plain module: with the whole observation."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.network = CopiedNetwork()
+
+    def forward(self, observation: dict[str, Tensor]) -> Tensor:
+        """``(B, N)`` logits."""
+        return self.network(observation["velocity"], observation["alive"])
+
+
+def imitate(dataset: minari.MinariDataset, updates: int, seed: int = 0) -> tuple[Student, list[float]]:
+    """A student of the data set, and its loss in each update: cross-entropy a living UAV."""
+    torch.manual_seed(seed)
+    student = Student()
+    optimizer = torch.optim.Adam(student.parameters(), lr=5e-2)
+    velocity, alive, named = pairs(dataset)
+    losses = []
+    for _ in range(updates):
+        logits = student.network(velocity, alive)
+        loss = nn.functional.binary_cross_entropy_with_logits(logits, named.float(), weight=alive.float())
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    return student, losses
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Record, read back, train, and score beside the teacher, on larger swarms as well."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--games", type=int, default=100, help="games to record")
+    parser.add_argument("--updates", type=int, default=100)
+    parser.add_argument("--episodes", type=int, default=50, help="episodes to score")
+    parser.add_argument("--datasets", help="folder to keep the data set in; by default it is thrown away")
+    asked = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as passing:
+        os.environ["MINARI_DATASETS_PATH"] = asked.datasets or passing
+        record(asked.games)
+        dataset = minari.load_dataset(DATASET)
+        print(f"{dataset.total_episodes} games, {dataset.total_steps} rounds in {DATASET}")
+        student, losses = imitate(dataset, asked.updates)
+    print(f"loss: {losses[0]:.3f}, after {asked.updates} updates {losses[-1]:.3f}")
+    for swarm in (ARGUMENTS, {**ARGUMENTS, **LARGER}):
+        print(f"{swarm['uavs']} UAVs in {swarm['clusters']} clusters")
+        teacher = f"lagged-regression(clusters={swarm['clusters']})"
+        compared(ENV, swarm, {"student": PolicyDetector(student), "teacher": teacher}, asked.episodes)
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)  # small networks wait for each other on more
+    main()

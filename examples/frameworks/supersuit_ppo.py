@@ -1,0 +1,76 @@
+"""SuperSuit and Stable-Baselines3: the observers of usnet_observers_v0 share a policy, and PPO trains it.
+
+pip install 'usnet[supersuit]'
+python examples/frameworks/supersuit_ppo.py
+"""
+
+import argparse
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import supersuit
+import torch
+from how_copied import how_copied
+from observers_game import ARGUMENTS, PRICE, UAVS, compared
+from stable_baselines3 import PPO
+from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecEnv
+
+from detectors.policy_detector import PolicyDetector
+from usnet_env import Window, make_detector
+from usnet_env.multiagent import usnet_observers_v0
+from usnet_env.multiagent.wrappers import MultiDiscreteVotes
+
+
+def seen_by_one(observation: dict[str, Any], *_: Any) -> np.ndarray:
+    """How much of what one observer sees copies each UAV."""
+    return how_copied(Window.from_observation(observation))
+
+
+def make_envs(games: int, seed: int) -> VecEnv:
+    """Several games, each observer of each game one environment of Stable-Baselines3's."""
+    game = MultiDiscreteVotes(usnet_observers_v0.parallel_env(**ARGUMENTS, redundancy_price=PRICE))
+    game = supersuit.observation_lambda_v0(game, seen_by_one, lambda *_: gym.spaces.Box(0.0, 1.0, (UAVS,), np.float32))
+    envs = supersuit.concat_vec_envs_v1(
+        supersuit.pettingzoo_env_to_vec_env_v1(game), games, base_class="stable_baselines3"
+    )
+    envs.venv.reset(seed=seed)  # SuperSuit's environments know no seed(): seed them here, and not through PPO
+    return envs
+
+
+def train(steps: int, games: int = 4, seed: int = 0) -> PPO:
+    """One policy for all observers; a step of a game counts once for each."""
+    set_random_seed(seed)
+    model = PPO(
+        "MlpPolicy",
+        make_envs(games, seed),
+        learning_rate=1e-2,
+        n_steps=64,
+        batch_size=128,
+        gamma=1.0,
+        policy_kwargs={"net_arch": [32]},
+        device="cpu",
+    )
+    model.learn(steps)
+    model.predict(model.observation_space.sample())  # without gradients: a policy that just learned can't be copied
+    return model
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Train, then play games with the policy in each observer's place."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--steps", type=int, default=24_576, help="steps to train for, one for each observer")
+    parser.add_argument("--games", type=int, default=20, help="games to score")
+    parser.add_argument("--seed", type=int, default=0)
+    asked = parser.parse_args(arguments)
+    model = train(asked.steps, seed=asked.seed)
+    trained = PolicyDetector(model.policy, observe=how_copied)
+    others = {"lagged-regression": make_detector("lagged-regression"), "random": make_detector("random(count=2)")}
+    compared({"PPO": trained, **others}, asked.games)
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)  # small networks wait for each other on more
+    main()

@@ -1,0 +1,73 @@
+"""Stable-Baselines3's PPO trains, and its policy plays beside the detectors."""
+
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+import sb3_ppo
+from comparison import compared
+from how_copied import HowCopied, how_copied
+from stable_baselines3 import PPO
+
+from detectors.policy_detector import PolicyDetector
+from usnet_env import Window
+
+
+@pytest.fixture(scope="module")
+def untrained():
+    return sb3_ppo.train(0)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return sb3_ppo.train(2048)
+
+
+def test_it_trains(untrained, trained):
+    assert trained.num_timesteps == 2048
+    assert np.isfinite(trained.logger.name_to_value["train/loss"])
+    before, after = untrained.get_parameters()["policy"], trained.get_parameters()["policy"]
+    assert all(bool((before[name] != after[name]).any()) for name in before if name.endswith("weight"))
+
+
+def test_it_has_learned_something(untrained, trained):
+    detectors = {
+        name: PolicyDetector(model.policy, observe=how_copied)
+        for name, model in (("untrained", untrained), ("trained", trained))
+    }
+    scores = compared(sb3_ppo.ENV, sb3_ppo.ARGUMENTS, detectors, episodes=30)
+    assert scores["untrained"]["J"]["mean"] < -3.0
+    assert scores["trained"]["J"]["mean"] >= -1.1
+
+
+def test_what_it_sees_in_training_is_what_the_detector_sees(trained):
+    env = gym.make(sb3_ppo.ENV, **sb3_ppo.ARGUMENTS)
+    raw, _ = env.reset(seed=5)
+    seen, _ = HowCopied(env).reset(seed=5)
+    np.testing.assert_array_equal(seen, how_copied(Window.from_observation(raw)))
+    assert seen.sum() == pytest.approx(1.0)
+    detection = PolicyDetector(trained.policy, observe=how_copied).detect(Window.from_observation(raw))
+    np.testing.assert_array_equal(detection.candidates, trained.predict(seen, deterministic=True)[0].astype(bool))
+
+
+def test_a_detector_with_a_policy_survives_pickling(trained):
+    detector = PolicyDetector(trained.policy, observe=how_copied)
+    window = Window.from_observation(gym.make(sb3_ppo.ENV, **sb3_ppo.ARGUMENTS).reset(seed=1)[0])
+    again = pickle.loads(pickle.dumps(detector))
+    np.testing.assert_array_equal(again.detect(window).scores, detector.detect(window).scores)
+
+
+def test_raw_windows_need_no_wrapper():
+    env = gym.make(sb3_ppo.ENV, **sb3_ppo.ARGUMENTS)
+    model = PPO("MultiInputPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=0, device="cpu").learn(32)
+    scores = compared(sb3_ppo.ENV, sb3_ppo.ARGUMENTS, {"raw": PolicyDetector(model.policy)}, episodes=3)
+    assert np.isfinite(scores["raw"]["J"]["mean"])
+
+
+def test_the_script_prints_a_comparison(capsys):
+    sb3_ppo.main(["--steps", "512", "--episodes", "2"])
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["PPO", "lagged-regression", "random"]
