@@ -15,6 +15,7 @@ from detectors.follow_mixture.flock_evidence import explained_by_flocks
 from detectors.follow_mixture.flock_search import flock_search, seen_spectra
 from detectors.follow_mixture.history import own_history
 from detectors.follow_mixture.mixture_evidence import explained_by_mixture
+from detectors.follow_mixture.noise import FlightSpectra
 from detectors.follow_mixture.policy import Policy, choose
 from detectors.follow_mixture.samples import Samples, filled, samples_of
 from detectors.follow_mixture.scale import ALL_PAIRS, sampled_search
@@ -29,6 +30,7 @@ Floats = NDArray[np.float64]
 
 _LAGS = 4  # of a head's past for a flock, where the window can feed them
 _STEPS_A_LAG = 5
+_LONG_ROWS = 60  # from which on twice the lags are looked at where these explain few
 
 
 class _Arguments(Policy):
@@ -157,15 +159,33 @@ def explain(
         if found is not None:
             return found
     whole = filled(window)
-    rows = samples_of(whole, living, int(np.clip(window.observation_steps // _STEPS_A_LAG, 1, _LAGS)))
+    lags = int(np.clip(window.observation_steps // _STEPS_A_LAG, 1, _LAGS))
+    rows = flown(whole, samples, living, lags)
     if rows is None:
         return None
-    rows = replace(rows, unit=samples.unit)  # a gap that was filled is flown more slowly
     spectra = seen_spectra(rows)
     if spectra.noise == 0 and not samples.unit:
         found = at_once(samples, most)
         if found is not None:
             return found
+    found = by_flocks(rows, spectra, most)
+    if found is not None and 2 * (found.leader >= 0).sum() < samples.uavs:
+        # There are flocks, and most of them follow nobody: followers may be late.
+        longer = flown(whole, samples, living, 2 * lags) if rows.rows >= _LONG_ROWS else None
+        late = None if longer is None else by_flocks(longer, spectra, most)
+        if late is not None and late.value > found.value:
+            found = late
+    return found
+
+
+def flown(window: Window, samples: Samples, living: NDArray[np.int64], lags: int) -> Samples | None:
+    """The samples of a window without gaps. A gap that was filled is flown more slowly; one speed stays one speed."""
+    rows = samples_of(window, living, lags)
+    return None if rows is None else replace(rows, unit=samples.unit)
+
+
+def by_flocks(rows: Samples, spectra: FlightSpectra, most: int | None) -> Explanation | None:
+    """What flocks say."""
     return explained_by_flocks(*flock_search(rows, spectra, most), float(np.median(spectra.memory)))
 
 
