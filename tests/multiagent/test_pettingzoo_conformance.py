@@ -60,6 +60,8 @@ def test_state(game):
 
 @both_games
 def test_render(game):
+    pytest.importorskip("matplotlib")
+
     def make(render_mode):  # PettingZoo's test makes a "human" env and doesn't use it
         return small(game, "env", render_mode=None if render_mode == "human" else render_mode)
 

@@ -178,6 +178,8 @@ def test_who_has_no_policy_is_named():
 
 @pytest.mark.parametrize("game", ["observers", "evasion"])
 def test_a_game_is_kept_replayed_and_drawn(game, tmp_path):
+    pytest.importorskip("rerun")
+    pytest.importorskip("matplotlib")
     env = small(game, max_rounds=3)
     played = play_game(env, {"observer": RandomObserver(2), "head": CamouflagedHead()}, 1, label="random pair")
     record = EpisodeRecord(**played.record)
@@ -206,6 +208,7 @@ def test_handed_decoys_follow_nobody_in_the_record():
 
 @pytest.mark.parametrize("game", ["observers", "evasion"])
 def test_frames_show_the_round_that_was_decided(game):
+    pytest.importorskip("matplotlib")
     env = small(game, render_mode="rgb_array", max_rounds=3)
     env.reset(seed=0)
     first = env.render()
