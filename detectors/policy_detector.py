@@ -112,12 +112,15 @@ class PolicyDetector(Detector):
     def _probabilities(self, observation: Any, uavs: int) -> NDArray[np.float64] | None:
         """Stable-Baselines3's distribution over the action: a probability a UAV, if it is one."""
         policy = self.policy
-        if not callable(getattr(policy, "get_distribution", None)) or not hasattr(policy, "obs_to_tensor"):
+        ask = getattr(policy, "get_distribution", None)
+        if not callable(ask) or not hasattr(policy, "obs_to_tensor"):
+            return None
+        if "lstm_states" in inspect.signature(ask).parameters:  # a recurrent policy's is not that of one observation
             return None
         import torch
 
         with torch.no_grad():
-            distribution = policy.get_distribution(policy.obs_to_tensor(observation)[0])
+            distribution = ask(policy.obs_to_tensor(observation)[0])
         inner = getattr(distribution, "distribution", None) or getattr(distribution, "distributions", None)
         if isinstance(inner, list) and all(part.probs.shape == (1, 2) for part in inner):
             probabilities: Any = torch.cat(
@@ -131,7 +134,9 @@ class PolicyDetector(Detector):
 
     def _acted(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
         tensordict = import_module("tensordict")  # whoever has such a policy has it
-        given = self._called(tensordict.TensorDict(_tensors(observation, _device(self.policy)), batch_size=[1]))
+        asked = tensordict.TensorDict(_tensors(observation, _device(self.policy)), batch_size=[1])
+        with import_module("tensordict.nn").set_interaction_type("deterministic"):
+            given = self._called(asked)
         candidates = _candidates(_array(given.get("action")), window.uavs)
         for key in _SCORES:
             if (found := given.get(key, None)) is not None and found.numel() == window.uavs:

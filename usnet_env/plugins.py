@@ -17,6 +17,7 @@ from contextlib import suppress
 from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from types import FunctionType
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
@@ -155,8 +156,13 @@ def detector_label(detector: Any, arguments: Mapping[str, Any] | None = None) ->
 
 
 def _label(name: str, arguments: Mapping[str, Any]) -> str:
-    listed = ", ".join(f"{key}={shown(arguments[key])}" for key in sorted(arguments))
+    listed = ", ".join(f"{key}={_told(arguments[key])}" for key in sorted(arguments))
     return f"{name}({listed})" if listed else name
+
+
+def _told(value: Any) -> str:
+    """A value as a label tells it: a function by its name, as its address differs from run to run."""
+    return str(value.__qualname__) if isinstance(value, FunctionType) else shown(value)
 
 
 def _registered_name(kind: type) -> str | None:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import torch
 from comparison import compared
 from copied_network import Bits
@@ -58,6 +59,7 @@ def make_env() -> gym.Env:
 def train(epochs: int, seed: int = 0) -> tuple[Actor, Any]:
     """The actor, and Tianshou's account of the training. An epoch is a batch of steps."""
     torch.manual_seed(seed)
+    np.random.seed(seed)  # noqa: NPY002  Tianshou shuffles by NumPy's global generator
     envs = DummyVectorEnv([make_env for _ in range(8)])
     envs.seed(seed)
     actor = Actor(UAVS)

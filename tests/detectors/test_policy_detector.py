@@ -270,3 +270,10 @@ def test_an_actor_of_torchrl():
     np.testing.assert_allclose(answer.scores, window.velocity[..., 0].sum(axis=0), rtol=1e-4)
     np.testing.assert_array_equal(answer.candidates, answer.scores > 0)
     assert isinstance(actor(tensordict.TensorDict({"velocity": torch.ones(1, 3, 4, 3)}, [1])), tensordict.TensorDict)
+
+
+def test_a_function_among_the_arguments_is_labelled_by_its_name():
+    from usnet_env.plugins import detector_label
+
+    label = detector_label(PolicyDetector(torch.nn.Identity(), observe=observation_of))
+    assert "observe=observation_of" in label

@@ -35,6 +35,11 @@ def test_it_trains(trained):
     assert all(bool((after != before).any() and after.isfinite().all()) for after, before in pairs)
 
 
+def test_the_same_seed_trains_the_same_actor():
+    first, again = (example.train(1, seed=3)[0].state_dict() for _ in range(2))
+    assert all(torch.equal(first[name], again[name]) for name in first)
+
+
 def test_it_has_learned_something(trained):
     detectors = {"PPO": PolicyDetector(trained[0].layers, observe=how_copied), "random": "random(count=2)"}
     scores = compared(example.ENV, example.ARGUMENTS, detectors, episodes=30)
