@@ -326,6 +326,9 @@ def sobered(watch: Watch, found: FlockHeads, most: int | None) -> FlockHeads:
         for uav in np.union1d(np.argsort(-found.gain[flock], kind="stable")[:_SOBERED], found.heads):
             if found.gain[flock, uav] > 0:
                 gain[flock, uav] = min(pair_gain(watch, found, predicted, flock, int(uav)), found.gain[flock, uav])
+        best = int(gain[flock].argmax())  # a cap on moments must not make near misses of those far behind the best
+        behind = found.gain[flock] - found.gain[flock, best]
+        gain[flock] = np.minimum(gain[flock], gain[flock, best] + np.minimum(behind, 0.0))
     if found.weights is None:
         gain = lone_votes(watch, gain)
     head = locate(watch, gain, head_price(watch.uavs), most)
