@@ -26,13 +26,14 @@ from detectors.gassl.input_pooling import InputPooling, standardise
 from detectors.gassl.inputs import samples_of
 from detectors.gassl.votes import choices, probabilities, top
 from usnet_env.evaluation.statistics import rate_interval
+from usnet_env.reproduce.table2 import FOLLOW
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "detectors" / "gassl"))
 
 import literal  # noqa: E402  lives beside the tests that hold the fast GASSL against it
 
-CELLS = {5: (("f1", "f4", "f6"), 8), 50: (("f1", "f4"), 2)}  # m: follow strategies, episodes of each
+CELLS = {5: (FOLLOW, 10), 50: (("f1", "f4", "f6"), 2)}  # m: strategies, episodes of each
 SEED = 2022
 MEMORY = 4
 HEADER = ("detector", "follow", "followers", "episode", "hit")
