@@ -17,7 +17,7 @@ from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.files import written_whole
 from usnet_env.objectives import head_in_cluster, purity
-from usnet_env.reproduce.rows import Measurement, counter, measure
+from usnet_env.reproduce.rows import Measurement, counter, keep_report, measure
 from usnet_env.window import Window
 
 if TYPE_CHECKING:
@@ -127,18 +127,15 @@ def losses(
     if trainings < 2:
         raise InvalidArgument(f"trainings must be at least 2, for bands, got {shown(trainings)}.")
     tasks = [Task(number, start, strategies, episodes, steps) for number in range(trainings) for start in STARTS]
-    name = f"losses-F{strategies}-E{episodes}-seed{seed}"
+    path = folder / f"losses-F{strategies}-E{episodes}-seed{seed}.csv"
     rows = measure(
         Measurement(Row, partial(play, seed=seed), _keys, _key, _key),
         tasks,
-        folder / f"{name}.csv",
+        path,
         workers,
         counter(sum(len(_keys(task)) for task in tasks), progress),
     )
-    with written_whole(folder / f"{name}.md") as aside:
-        aside.write_text(markdown(rows), encoding="utf-8")
-    with written_whole(folder / f"{name}.png") as aside:
-        draw(rows).savefig(aside, format="png", dpi=110)
+    keep_report(path, markdown(rows), draw(rows))
     return rows
 
 

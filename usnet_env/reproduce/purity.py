@@ -17,10 +17,9 @@ from detectors.clustering import make_clusterer
 from usnet_env.config import InvalidArgument, unknown_name
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
-from usnet_env.files import written_whole
 from usnet_env.objectives import head_in_cluster, purity
 from usnet_env.reproduce.rounds import Cell
-from usnet_env.reproduce.rows import Measurement, counter, measure, read_rows
+from usnet_env.reproduce.rows import Measurement, counter, flight_suffix, keep_report, measure, read_rows
 from usnet_env.window import Window
 
 __all__ = ["CLUSTERERS", "COUNTS", "FEATURES", "FOLLOW", "Method", "Row", "Task", "methods_of", "play", "reproduce"]
@@ -244,7 +243,7 @@ def reproduce(
         for method in chosen
     ]
     size = "" if (clusters, uavs) == (5, 82) else f"-M{clusters}N{uavs}"
-    suffix = size + (f"-{mobility}" if mobility != "iid" else "") + ("-jitter" if head_jitter else "")
+    suffix = size + flight_suffix(mobility, head_jitter)
     path = folder / f"purity{suffix}-seed{seed}.csv"
     what = Measurement(Row, partial(play, seed=seed), _keys, lambda row: (row.method, row.cell, row.episode), _order)
     rows = measure(what, tasks, path, workers, counter(sum(task.count for task in tasks), progress))
@@ -252,8 +251,5 @@ def reproduce(
         f"Purity and head-in-cluster, M={clusters}, N={uavs}, {mobility} heads{' with jitter' if head_jitter else ''}"
     )
     kept = read_rows(path, Row)
-    with written_whole(path.with_suffix(".md")) as aside:
-        aside.write_text(purity_report.markdown(kept, title), encoding="utf-8")
-    with written_whole(path.with_suffix(".png")) as aside:
-        purity_report.draw(kept, title).savefig(aside, format="png", dpi=100)
+    keep_report(path, purity_report.markdown(kept, title), purity_report.draw(kept, title))
     return rows

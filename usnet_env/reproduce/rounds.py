@@ -16,10 +16,9 @@ from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import TRIVIAL
 from usnet_env.evaluation.episode import episode_seeds, play_episode, warm_up
 from usnet_env.evaluation.players import Answer, Player, as_player
-from usnet_env.files import written_whole
 from usnet_env.objectives import rounds_hits_and_redundant
 from usnet_env.plugins import make_detector
-from usnet_env.reproduce.rows import Measurement, counter, measure, read_rows
+from usnet_env.reproduce.rows import Measurement, counter, flight_suffix, keep_report, measure, read_rows
 
 __all__ = ["DETECTORS", "STUDIES", "Cell", "Row", "Task", "cells_of", "play", "reproduce", "tasks_for"]
 
@@ -226,14 +225,15 @@ def reproduce(
         make_detector(name)
     MultiClusterEnv(**asdict(cells[0]))
     tasks = tasks_for(names, cells, episodes)
-    suffix = (f"-{mobility}" if mobility != "iid" else "") + ("-jitter" if head_jitter else "")
+    suffix = flight_suffix(mobility, head_jitter)
     path = folder / f"rounds{suffix}-seed{seed}.csv"
     what = Measurement(Row, partial(play, seed=seed), _keys, lambda row: (row.detector, row.cell, row.episode), _order)
     rows = measure(what, tasks, path, workers, counter(sum(task.count for task in tasks), progress))
     title = f"P2, {mobility} heads{' with jitter' if head_jitter else ''}"
     kept = read_rows(path, Row)
-    with written_whole(path.with_suffix(".md")) as aside:
-        aside.write_text(rounds_report.markdown(kept, title, with_paper=not suffix), encoding="utf-8")
-    with written_whole(path.with_suffix(".png")) as aside:
-        rounds_report.draw(kept, title, with_paper=not suffix).savefig(aside, format="png", dpi=100)
+    keep_report(
+        path,
+        rounds_report.markdown(kept, title, with_paper=not suffix),
+        rounds_report.draw(kept, title, with_paper=not suffix),
+    )
     return rows

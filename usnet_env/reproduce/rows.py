@@ -13,12 +13,24 @@ from itertools import islice
 from math import isfinite
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from usnet_env.config import InvalidArgument
 from usnet_env.files import written_whole
 
-__all__ = ["Measurement", "counter", "episode_means", "measure", "read_rows", "write_rows"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "Measurement",
+    "counter",
+    "episode_means",
+    "flight_suffix",
+    "keep_report",
+    "measure",
+    "read_rows",
+    "write_rows",
+]
 
 _SAVE_EVERY = 10.0  # seconds between two writings of the rows
 
@@ -157,6 +169,19 @@ def write_rows(path: Path, rows: Iterable[RowT], kind: type[RowT], order: Callab
         writer.writerow([f"{value:.4f}" if isinstance(value, float) else value for value in values])
     with written_whole(path) as aside:
         aside.write_text(text.getvalue(), encoding="utf-8")
+
+
+def flight_suffix(mobility: str, head_jitter: bool) -> str:
+    """What the name of a file says of how heads fly; nothing for the paper's heads."""
+    return (f"-{mobility}" if mobility != "iid" else "") + ("-jitter" if head_jitter else "")
+
+
+def keep_report(path: Path, markdown: str, picture: Figure) -> None:
+    """Keep table and picture of a measurement beside its rows, as ``.md`` and ``.png``, each whole or as it was."""
+    with written_whole(path.with_suffix(".md")) as aside:
+        aside.write_text(markdown, encoding="utf-8")
+    with written_whole(path.with_suffix(".png")) as aside:
+        picture.savefig(aside, format="png", dpi=100)
 
 
 def episode_means(rows: Iterable[Any], field: str) -> list[float]:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from usnet_env.config import InvalidArgument, shown
 from usnet_env.evaluation.statistics import Interval, rate_interval
-from usnet_env.files import written_whole
 from usnet_env.reproduce.detection_rate import Cell, Row, measure, rate_of, read_rows, tasks_for
+from usnet_env.reproduce.rows import counter, flight_suffix, keep_report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -148,23 +148,12 @@ def reproduce(
 
     names = [_on(DETECTORS[preset], device) for preset in presets]
     tasks = tasks_for(names, grid, count)
-    total, done = sum(task.count for task in tasks), 0
-
-    def advance(more: int) -> None:
-        nonlocal done
-        done += more
-        progress(done, total)
-
-    suffix = (f"-decoys{decoys}" if decoys else "") + (f"-{mobility}" if mobility != "iid" else "")
-    suffix += "-jitter" if head_jitter else ""
+    suffix = (f"-decoys{decoys}" if decoys else "") + flight_suffix(mobility, head_jitter)
     path = folder / f"episodes{suffix}-seed{seed}.csv"
-    rows = measure(tasks, seed, path, workers, advance)
+    rows = measure(tasks, seed, path, workers, counter(sum(task.count for task in tasks), progress))
     table = entries(read_rows(path))  # earlier measurements with the same seed stay in the table
     title = f"Detection rate, one cluster, {mobility} heads, {decoys} decoy{'s' if decoys != 1 else ''}"
-    with written_whole(path.with_suffix(".md")) as aside:
-        aside.write_text(markdown(table, title, with_paper=not suffix), encoding="utf-8")
-    with written_whole(path.with_suffix(".png")) as aside:
-        draw(table, title, with_paper=not suffix).savefig(aside, format="png", dpi=110)
+    keep_report(path, markdown(table, title, with_paper=not suffix), draw(table, title, with_paper=not suffix))
     return rows
 
 
