@@ -159,6 +159,16 @@ def test_each_agent_has_a_copy_of_its_policy_and_a_seed_of_its_own():
     assert 0 not in {seed for _, seed in seen}
 
 
+def test_a_policy_of_one_agent_need_not_be_such_that_it_can_be_copied():
+    class Uncopied(RandomObserver):
+        def __deepcopy__(self, memory):
+            raise TypeError("cannot pickle '_thread.lock' object")
+
+    played = play_game(small("evasion", max_rounds=2), {"observer": Uncopied(), "head": TruthfulHead()}, 0)
+    again = play_game(small("evasion", max_rounds=2), {"observer": RandomObserver(), "head": TruthfulHead()}, 0)
+    assert played.returns == again.returns
+
+
 def test_who_has_no_policy_is_named():
     env = small("evasion")
     with pytest.raises(InvalidArgument, match=r"policies must name head_0 or its role head, got \['observer'\]"):

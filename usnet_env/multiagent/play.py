@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -64,7 +65,8 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, Acting], seed: int, 
 
     Args:
         env: one of the games' ``parallel_env``.
-        policies: by agent, or by role (``"observer"``, ``"head"``): each agent of the role then gets a copy.
+        policies: by agent, or by role (``"observer"``, ``"head"``). One that several agents share is copied for each
+            of them; one that a single agent has plays itself, so it need not be such that it can be copied.
         seed: seeds the game; the policies' own seeds come from a separate branch of it.
         label: name of who names candidates, in the record.
 
@@ -77,14 +79,17 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, Acting], seed: int, 
     if not isinstance(env, UsnetParallelEnv):
         raise InvalidArgument(f"env must be the parallel_env of a game of this project, got {shown(env)}.")
     observations, infos = env.reset(seed=seed)
-    players = {}
-    branches = np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(len(env.possible_agents), np.uint32)
-    for agent, own in zip(env.possible_agents, branches, strict=True):
+    chosen = {}
+    for agent in env.possible_agents:
         policy = policies.get(agent, policies.get(role_of(agent)))
         if policy is None:
             raise InvalidArgument(f"policies must name {agent} or its role {role_of(agent)}, got {sorted(policies)}.")
-        players[agent] = copy.deepcopy(policy)
-        players[agent].reset(int(own), env.action_space(agent))
+        chosen[agent] = policy
+    uses = Counter(map(id, chosen.values()))
+    players = {agent: copy.deepcopy(one) if uses[id(one)] > 1 else one for agent, one in chosen.items()}
+    branches = np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(len(env.possible_agents), np.uint32)
+    for (agent, player), own in zip(players.items(), branches, strict=True):
+        player.reset(int(own), env.action_space(agent))
     returns = dict.fromkeys(env.possible_agents, 0.0)
     prices = dict.fromkeys(env.possible_agents, 0.0)
     rounds: list[Decided] = []
