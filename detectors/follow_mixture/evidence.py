@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from detectors.follow_mixture.samples import Samples
 
-__all__ = ["KINDS", "FeatureKind", "affordable_kinds", "pairwise_gain", "whitened"]
+__all__ = ["KINDS", "FeatureKind", "affordable_kinds", "gain_and_chance", "pairwise_gain", "whitened"]
 
 Floats = NDArray[np.float64]
 
 _RIDGE = 1e-3
 _ROWS_PER_FEATURE = 2.5
 _CHUNK_ENTRIES = 1_000_000
+_CHANCE_VOTERS = 30
 
 
 @dataclass(frozen=True)
@@ -58,29 +59,25 @@ def affordable_kinds(rows: int, memory: int) -> list[FeatureKind]:
     return kinds or [FeatureKind(1, True, False)]
 
 
-def _features(samples: Samples, kind: FeatureKind, uavs: slice) -> Floats:
-    """``(n, R, p)`` of some UAVs, centred features, 0 where unseen."""
+def _features(samples: Samples, kind: FeatureKind, uavs: slice) -> NDArray[np.float32]:
+    """``(n, R, p)`` of some UAVs, centred features, 0 where unseen; single precision serves for screening."""
     part = slice(kind.first, kind.first + kind.lags)
-    past = samples.lagged[uavs, :, part]
-    seen = samples.lag_seen[uavs, :, part, None]
-    values = [past] if kind.linear else []
-    if kind.squares:
-        values.append(past * past)
-    stacked = np.concatenate(values, axis=3)
+    past = samples.lagged[uavs, :, part].reshape(-1, samples.rows, 3 * kind.lags).astype(np.float32)
+    stacked = np.concatenate([past] * kind.linear + [past * past] * kind.squares, axis=2)
     if samples.complete:
-        stacked = stacked - stacked.mean(axis=1, keepdims=True)
-    else:
-        weight = np.broadcast_to(seen, stacked.shape)
-        mean = (stacked * weight).sum(axis=1, keepdims=True) / np.maximum(weight.sum(axis=1, keepdims=True), 1)
-        stacked = (stacked - mean) * weight
-    return stacked.reshape(len(stacked), samples.rows, -1)
+        stacked -= stacked.mean(axis=1, keepdims=True)
+        return stacked
+    times = int(kind.linear) + int(kind.squares)
+    seen = np.tile(np.repeat(samples.lag_seen[uavs, :, part], 3, axis=2), (1, 1, times)).astype(np.float32)
+    mean = (stacked * seen).sum(axis=1, keepdims=True) / np.maximum(seen.sum(axis=1, keepdims=True), 1)
+    return np.asarray((stacked - mean) * seen, np.float32)
 
 
 def pairwise_gain(
     samples: Samples,
     surprise: Floats,
     kind: FeatureKind,
-    shifts: tuple[int, ...] = (0,),
+    shift: int = 0,
     voters: NDArray[np.int64] | None = None,
 ) -> Floats:
     """Log-likelihood that j's features add to i's own history, for all pairs, by matrix products.
@@ -93,34 +90,56 @@ def pairwise_gain(
         samples: n UAVs.
         surprise: ``(n, R, 3)`` what the null leaves of each target.
         kind: which features.
-        shifts: targets are moved circularly by so many rows; shifts other than 0 are surrogates.
+        shift: targets are moved circularly by so many rows; other than 0 they are surrogates.
         voters: ``(v,)`` the UAVs that are asked; all by default.
 
     Returns:
-        ``(len(shifts), v, n)``, entry (s, i, j); 0 where a UAV meets itself.
+        ``(v, n)``; 0 where a UAV meets itself.
     """
-    rows = samples.rows
     voters = np.arange(samples.uavs) if voters is None else voters
-    surprise = surprise[voters]
-    uavs = len(voters)
+    return _gains(samples, kind, [(voters, _targets(surprise[voters], shift))])[0]
+
+
+def gain_and_chance(
+    samples: Samples, surprise: Floats, kind: FeatureKind, voters: NDArray[np.int64] | None = None
+) -> tuple[Floats, float]:
+    """:func:`pairwise_gain`, and the most that some voters gain by anybody at a wrong time, in the median."""
+    voters = np.arange(samples.uavs) if voters is None else voters
+    some = voters[:: max(1, len(voters) // _CHANCE_VOTERS)]
+    asked = [(voters, _targets(surprise[voters], 0)), (some, _targets(surprise[some], samples.rows // 2))]
+    gain, surrogate = _gains(samples, kind, asked)
+    return gain, float(np.median(surrogate.max(axis=1)))
+
+
+def _targets(surprise: Floats, shift: int) -> NDArray[np.float32]:
+    """``(R, 3 v)`` surprises ``(v, R, 3)`` of length 1, moved by ``shift`` rows."""
     total = (surprise**2).sum(axis=(1, 2))
     scaled = surprise / np.sqrt(np.where(total > 1e-12, total, np.inf))[:, None, None]
-    axis_major = scaled.transpose(1, 2, 0).astype(np.float32)  # (R, 3, n)
-    targets = [np.ascontiguousarray(np.roll(axis_major, shift, axis=0).reshape(rows, -1)) for shift in shifts]
-    width = kind.width
-    share = np.zeros((len(shifts), uavs, samples.uavs))
-    step = max(1, _CHUNK_ENTRIES // (width * uavs * 3))
+    axis_major = scaled.transpose(1, 2, 0).astype(np.float32)
+    return np.ascontiguousarray(np.roll(axis_major, shift, axis=0).reshape(len(axis_major), -1))
+
+
+def _gains(
+    samples: Samples, kind: FeatureKind, asked: list[tuple[NDArray[np.int64], NDArray[np.float32]]]
+) -> list[Floats]:
+    """``(v, n)`` for each group of voters and their targets."""
+    rows, width = samples.rows, kind.width
+    shares = [np.zeros((len(voters), samples.uavs)) for voters, _ in asked]
+    step = max(1, _CHUNK_ENTRIES // (width * max(target.shape[1] for _, target in asked)))
     for first in range(0, samples.uavs, step):
         part = slice(first, first + step)
         white = whitened(_features(samples, kind, part))
-        stacked = white.transpose(0, 2, 1).reshape(-1, rows).astype(np.float32)
-        for index, target in enumerate(targets):
+        stacked = white.transpose(0, 2, 1).reshape(-1, rows)
+        for share, (voters, target) in zip(shares, asked, strict=True):
             product = stacked @ target
             np.square(product, out=product)
-            share[index, :, part] = product.reshape(len(white), width, 3, uavs).sum(axis=(1, 2)).T
-    gain = -rows * np.log1p(-np.clip(share, 0.0, 1.0 - 1e-6))  # two free dimensions a row, half a logarithm each
-    gain[:, np.arange(uavs), voters] = 0.0
-    return gain
+            share[:, part] = product.reshape(len(white), 3 * width, len(voters)).sum(axis=1).T
+    gains = []
+    for share, (voters, _) in zip(shares, asked, strict=True):
+        gain = -rows * np.log1p(-np.clip(share, 0.0, 1.0 - 1e-6))  # two free dimensions a row, half a logarithm each
+        gain[np.arange(len(voters)), voters] = 0.0
+        gains.append(gain)
+    return gains
 
 
 def whitened(features: Floats, ridge: float = _RIDGE) -> Floats:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, head_price
 from detectors.follow_mixture.samples import Samples
-from detectors.follow_mixture.strategy import Strategy, gain_matrix
+from detectors.follow_mixture.strategy import Pairs, Strategy, gain_matrix, pair_features
 
 __all__ = ["Gate", "gate_heads", "judged"]
 
@@ -60,10 +60,14 @@ def gate_heads(samples: Samples, history: OwnHistory, mixture: Mixture) -> Gate:
     count = np.array([(mixture.heads.leader == head).sum() for head in heads], np.int64)
     flights, null, leaders = samples.take(followers), history.take(followers), samples.take(heads)
     shifts = np.unique(np.linspace(0, samples.rows, _SHIFTS + 2).astype(int)[1:-1])
-    observed = _per_head(flights, null, leaders, mixture.strategy)
-    surrogate = np.array(
-        [_per_head(flights, null, leaders.moved(int(shift)), mixture.strategy) for shift in shifts if shift > 0]
-    ).reshape(-1, len(heads))
+    pairs = None
+    if mixture.strategy.library.paired:  # the same at all shifts
+        grid = np.broadcast_arrays(followers[:, None], heads[None, :])
+        pairs = pair_features(samples, mixture.strategy.library, *grid)
+    observed, *moved = [
+        _per_head(flights, null, leaders.moved(int(shift)), mixture.strategy, pairs) for shift in np.union1d(0, shifts)
+    ]
+    surrogate = np.array(moved).reshape(-1, len(heads))
     return judged(count, observed - price, surrogate)
 
 
@@ -75,12 +79,12 @@ def judged(followers: NDArray[np.int64], added: Floats, surrogates: Floats) -> G
     return Gate(followers, added, chance, added > _TIMES * chance)
 
 
-def _per_head(flights: Samples, null: OwnHistory, leaders: Samples, strategy: Strategy) -> Floats:
+def _per_head(flights: Samples, null: OwnHistory, leaders: Samples, strategy: Strategy, pairs: Pairs | None) -> Floats:
     """``(M,)`` what followers gain by their best head over their second best or nobody, by head."""
     count = flights.uavs
     both, law = flights.beside(leaders), null.padded(leaders.uavs)
     heads = np.arange(count, both.uavs)
-    gain = np.maximum(gain_matrix(both, law, strategy, heads, np.arange(count)), 0.0)
+    gain = np.maximum(gain_matrix(both, law, strategy, heads, np.arange(count), pairs), 0.0)
     ranked = np.sort(gain, axis=1)
     margin = ranked[:, -1] - (ranked[:, -2] if leaders.uavs > 1 else 0.0)
     return np.asarray(np.bincount(gain.argmax(axis=1), weights=margin, minlength=leaders.uavs), np.float64)

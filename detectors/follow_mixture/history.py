@@ -15,6 +15,7 @@ __all__ = ["OwnHistory", "own_history"]
 Floats = NDArray[np.float64]
 
 _RIDGE = 1e-3
+_ROWS = 2000  # that the law of all is fitted to, which has few numbers
 _WHITE = 0.05  # flights that explain less of themselves than this are white: followers of one head are not independent
 
 
@@ -103,11 +104,13 @@ def _shared_law(samples: Samples) -> Floats:
     )
     keep = samples.seen & samples.lag_seen.all(axis=2)
     target = samples.target[keep]
-    coefficients, noise = fit_directions(features[keep], target, np.ones(len(target)), samples.unit)
+    every = max(1, len(target) // _ROWS)
+    some = target[::every]
+    coefficients, noise = fit_directions(features[keep][::every], some, np.ones(len(some)), samples.unit)
     theta, constant = natural_parameters(features @ coefficients, noise)
-    value = (theta * samples.target).sum(axis=2) + constant
+    value = np.vecdot(theta, samples.target) + constant
     if not samples.unit:
-        value -= 0.5 * (samples.target**2).sum(axis=2) / noise.spread**2
+        value -= 0.5 * np.vecdot(samples.target, samples.target) / noise.spread**2
     return np.where(keep, value, 0.0)
 
 
@@ -124,10 +127,10 @@ def _log_likelihood(samples: Samples, prediction: Floats, error: Floats, own: bo
         if not own:
             power, freedom = power.sum(keepdims=True), freedom.sum(keepdims=True)
         variance = np.maximum(power / freedom, 1e-6)[:, None]
-        value = -0.5 * (error**2).sum(axis=2) / variance - 1.5 * np.log(variance)
+        value = -0.5 * np.vecdot(error, error) / variance - 1.5 * np.log(variance)
         return np.where(seen, value, 0.0) - price
-    length = np.sqrt((prediction**2).sum(axis=2))
-    along = (samples.target * prediction).sum(axis=2) / np.maximum(length, 1e-9)
+    length = np.sqrt(np.vecdot(prediction, prediction))
+    along = np.vecdot(samples.target, prediction) / np.maximum(length, 1e-9)
     along = np.where(seen, along, 0.0)
     share = along.sum(axis=1) / count if own else along.sum(keepdims=True)[0] / count.sum()
     kappa = concentration_of(np.maximum(share, 0.0))[:, None]

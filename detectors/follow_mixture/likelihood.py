@@ -57,7 +57,7 @@ def natural_parameters(direction: Floats, noise: Noise) -> tuple[Floats, Floats]
     Returns:
         theta ``(..., 3)`` and c ``(...)``.
     """
-    square = (direction * direction).sum(axis=-1)
+    square = np.vecdot(direction, direction)
     if not noise.unit:
         precision = 1.0 / noise.spread**2
         return direction * precision, -0.5 * precision * square - 3.0 * np.log(noise.spread)
@@ -117,8 +117,8 @@ def fit_directions(
     """
     coefficients = _solve_direction(features, total, weight, unit, isotropic)
     direction = features @ coefficients
-    square = np.maximum((direction * direction).sum(axis=1), 1e-12)
-    across = (direction * total).sum(axis=1)
+    square = np.maximum(np.vecdot(direction, direction), 1e-12)
+    across = np.vecdot(direction, total)
     along = across / (np.sqrt(square) * np.maximum(weight, 1e-12))
     energy = float((total**2).sum()) if energy is None else energy
     left = energy - 2.0 * float(across.sum()) + float((weight * square).sum())
@@ -167,7 +167,7 @@ def _solve_direction(features: Floats, total: Floats, weight: Floats, unit: bool
     amount = max(float(weight.sum()), 1e-12)
     for _ in range(_FIXED_POINTS):
         direction = features @ coefficients
-        length = np.sqrt((direction * direction).sum(axis=1))
+        length = np.sqrt(np.vecdot(direction, direction))
         size = np.sqrt(float((weight * length**2).sum()) / amount)
         if size < 1e-9:
             break
@@ -177,7 +177,7 @@ def _solve_direction(features: Floats, total: Floats, weight: Floats, unit: bool
         if done:
             break
     direction = features @ coefficients
-    size = np.sqrt(float((weight * (direction * direction).sum(axis=1)).sum()) / amount)
+    size = np.sqrt(float((weight * np.vecdot(direction, direction)).sum()) / amount)
     return np.asarray(coefficients / max(size, 1e-9))
 
 

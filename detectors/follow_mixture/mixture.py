@@ -51,6 +51,7 @@ def fit_mixture(
     library: Library,
     columns: Indices,
     most: int | None = None,
+    first: Strategy | None = None,
 ) -> Mixture | None:
     """Climb from one assignment.
 
@@ -61,13 +62,15 @@ def fit_mixture(
         library: the class of strategies.
         columns: candidates for heads.
         most: the largest number of heads.
+        first: the strategy that fits ``leader``, where it is known.
 
     Returns:
         The best state on the way, or ``None`` where no strategy can be fitted.
     """
     best: Mixture | None = None
     for _ in range(_ROUNDS):
-        strategy = fit_strategy(samples, leader, library)
+        strategy = first or fit_strategy(samples, leader, library)
+        first = None
         if strategy is None:
             break
         gain = gain_matrix(samples, history, strategy, columns)

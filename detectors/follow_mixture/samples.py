@@ -95,7 +95,7 @@ def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Sample
         return None
     velocity = np.ascontiguousarray(window.velocity[:, living].swapaxes(0, 1), np.float64)
     seen = np.ascontiguousarray(window.velocity_seen[:, living].T)
-    speeds = np.sqrt((velocity * velocity).sum(axis=2))
+    speeds = np.sqrt(np.vecdot(velocity, velocity))
     if not seen.any():
         return None
     flown = speeds if seen.all() else speeds[seen]

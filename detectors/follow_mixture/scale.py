@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.follow_mixture.evidence import affordable_kinds, pairwise_gain
+from detectors.follow_mixture.evidence import affordable_kinds, gain_and_chance
 from detectors.follow_mixture.facility import Heads, locate_heads
 from detectors.follow_mixture.flock_search import flock_search, seen_spectra
 from detectors.follow_mixture.history import OwnHistory
@@ -46,8 +46,8 @@ def sampled_search(samples: Samples, history: OwnHistory, most: int | None, rng:
     everybody = np.arange(samples.uavs)
     voters = np.sort(rng.choice(samples.uavs, min(_VOTERS, samples.uavs), replace=False))
     kind = affordable_kinds(samples.rows, samples.memory)[0]
-    observed, surrogate = pairwise_gain(samples, history.surprise, kind, (0, samples.rows // 2), voters)
-    worth = np.maximum(observed - float(np.median(surrogate.max(axis=1))), 0.0).sum(axis=0)
+    observed, chance = gain_and_chance(samples, history.surprise, kind, voters)
+    worth = np.maximum(observed - chance, 0.0).sum(axis=0)
     few = np.union1d(voters, np.argsort(-worth, kind="stable")[:_CANDIDATES])
     found = _explained(samples.take(few), history.take(few), most)
     if found is None:

@@ -7,12 +7,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.follow_mixture.evidence import FeatureKind, affordable_kinds, pairwise_gain
+from detectors.follow_mixture.evidence import FeatureKind, affordable_kinds, gain_and_chance
 from detectors.follow_mixture.facility import LEAST_VOTERS, locate_heads
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, fit_mixture
 from detectors.follow_mixture.samples import Samples
-from detectors.follow_mixture.strategy import Library, Strategy, directions, fit_strategy
+from detectors.follow_mixture.strategy import (
+    Library,
+    Strategy,
+    directions,
+    fit_strategy,
+    head_features,
+    pair_features,
+)
 
 __all__ = ["Misfit", "first_assignment", "led", "misfit", "quick"]
 
@@ -22,7 +29,8 @@ Indices = NDArray[np.int64]
 MISFIT = 1.35  # ratios above this ask for a richer class; a class that holds gives 1 within 0.1 or so
 NEARLY = 2.5  # a misfit with which nobody's leader is in doubt, where nobody is left over
 EXPLAINED = 0.9  # share of the UAVs that a finished explanation accounts for
-_REACHES, _NEAREST = 12, 24  # distances tried at once; followers nearest to their heads on which they are tried
+_BETWEEN = 8  # reaches tried between one that leaves some followers out, and these
+_REACHES, _NEAREST = 30, 24  # distances tried at once; followers nearest to their heads on which they are tried
 
 
 @dataclass(frozen=True)
@@ -51,10 +59,10 @@ def misfit(samples: Samples, strategy: Strategy, leader: Indices) -> Misfit:
     target = samples.target[followers]
     weight = (valid & samples.seen[followers]).astype(np.float64)
     if samples.unit:
-        length = np.sqrt(np.maximum((direction**2).sum(axis=2), 1e-12))
+        length = np.sqrt(np.maximum(np.vecdot(direction, direction), 1e-12))
         mean = direction / length[..., None]
         error = target - mean
-        error = error - (error * mean).sum(axis=2, keepdims=True) * mean
+        error = error - np.vecdot(error, mean)[..., None] * mean
         noise = strategy.noise
         error = error / np.sqrt(noise.floor**2 + (noise.spread / length) ** 2)[..., None]
     else:
@@ -73,8 +81,7 @@ def misfit(samples: Samples, strategy: Strategy, leader: Indices) -> Misfit:
 
 def first_assignment(samples: Samples, history: OwnHistory, kind: FeatureKind) -> tuple[Indices, Floats]:
     """Whom everybody seems to follow by pairwise evidence alone, and that evidence above chance, ``(n, n)``."""
-    observed, surrogate = pairwise_gain(samples, history.surprise, kind, (0, samples.rows // 2))
-    chance = float(np.median(surrogate.max(axis=1)))
+    observed, chance = gain_and_chance(samples, history.surprise, kind)
     evidence = observed - chance
     found = locate_heads(evidence, np.arange(samples.uavs), 0.5 * chance)
     return found.leader, evidence
@@ -103,42 +110,97 @@ def shortcut(
     strategy = fit_strategy(samples, leader, library)
     if strategy is None:
         return None
-    columns = np.arange(samples.uavs)
-    if misfit(samples, strategy, leader).follower > MISFIT:
-        library = Library(samples.memory, squares=True, towards=True)
-        worth = np.maximum(evidence, 0.0).sum(axis=0)
-        columns = np.union1d(np.argsort(-worth, kind="stable")[: 2 * len(heads)], heads)
-    found = fit_mixture(samples, history, leader, library, columns, most)
-    if found is None or not library.paired:
+    if misfit(samples, strategy, leader).follower <= MISFIT:
+        return fit_mixture(samples, history, leader, library, np.arange(samples.uavs), most, strategy)
+    library = replace(library, towards=True)
+    worth = np.maximum(evidence, 0.0).sum(axis=0)
+    worthy = np.argsort(-worth, kind="stable")[: 2 * len(heads)]
+    columns = np.union1d(worthy[worth[worthy] >= worth[heads].min()], heads)
+    strategy = within_reach(samples, leader, library)
+    if strategy is None:
+        return None
+    found = fit_mixture(samples, history, leader, strategy.library, columns, most, strategy)
+    if found is None or not unexplained(found):
         return found
-    if unexplained(found) < LEAST_VOTERS and misfit(samples, found.strategy, found.heads.leader).worst <= MISFIT:
-        return found
-    ranged = within_reach(samples, leader, library)
-    other = None if ranged is None else fit_mixture(samples, history, leader, ranged, columns, most)
+    ranged = past_those_left(samples, found.strategy, leader, np.flatnonzero(found.heads.leader != leader))
+    other = None if ranged is None else fit_mixture(samples, history, leader, ranged.library, columns, most, ranged)
     return other if other is not None and other.value > found.value else found
 
 
-def within_reach(samples: Samples, leader: Indices, library: Library) -> Library | None:
-    """The class with the reach that fits the followers best, of the distances at which they are seen to fly."""
+def within_reach(samples: Samples, leader: Indices, library: Library) -> Strategy | None:
+    """The strategy of a class that fits best, with a reach if it is the better for one.
+
+    A reach shows where somebody crosses it: it is sought among the distances of the followers nearest to their heads.
+    """
+    plain = fit_strategy(samples, leader, library)
+    if plain is None:
+        return None
     followers = np.flatnonzero(leader >= 0)
     gap = samples.position[leader[followers]] - samples.position[followers]
-    distance = np.sqrt((gap * gap).sum(axis=2))
-    near = np.argsort(distance.min(axis=1), kind="stable")[:_NEAREST]  # a reach shows where somebody crosses it
-    some = np.full_like(leader, -1)
-    some[followers[near]] = leader[followers[near]]
-    spreads: dict[float, float] = {}
+    distance = np.sqrt(np.vecdot(gap, gap))
+    near = np.argsort(distance.min(axis=1), kind="stable")[:_NEAREST]
     low, high = max(float(distance[near].min()), 1.0), max(float(np.median(distance[near])), 2.0)
+    best = plain
     for _ in range(2):  # coarse, then between the neighbours of the best
-        for reach in np.geomspace(low, high, _REACHES):
-            strategy = fit_strategy(samples, some, replace(library, reach=float(reach)))
-            if strategy is not None:
-                spreads[float(reach)] = strategy.noise.spread + strategy.noise.floor
-        if not spreads:
-            return None
-        tried = sorted(spreads)
-        place = tried.index(min(spreads, key=spreads.__getitem__))
-        low, high = tried[max(place - 1, 0)], tried[min(place + 1, len(tried) - 1)]
-    return replace(library, reach=min(spreads, key=spreads.__getitem__))
+        reaches = np.geomspace(low, high, _REACHES)
+        explained = explained_by_reach(samples, best, followers[near], leader[followers[near]], reaches)
+        place = int(explained.argmax())
+        ranged = fit_strategy(samples, leader, replace(library, reach=float(reaches[place])))
+        if ranged is not None and ranged.noise.spread + ranged.noise.floor < best.noise.spread + best.noise.floor:
+            best = ranged
+        low, high = float(reaches[max(place - 1, 0)]), float(reaches[min(place + 1, _REACHES - 1)])
+    return best
+
+
+def past_those_left(samples: Samples, strategy: Strategy, leader: Indices, left: Indices) -> Strategy | None:
+    """The strategy again, with a reach between it and the followers that it does not explain; ``None`` if worse.
+
+    A reach that is a little off is off for the same few followers for most of the time.
+    """
+    left = left[leader[left] >= 0]
+    if not strategy.library.reach or not len(left):
+        return None
+    gap = samples.position[leader[left]] - samples.position[left]
+    distance = np.sqrt(np.vecdot(gap, gap))
+    nearest, reach = float(distance.min()), strategy.library.reach
+    best = None
+    for tried_reach in np.linspace(nearest if nearest < reach else float(distance.max()), reach, _BETWEEN + 1)[:-1]:
+        tried = fit_strategy(samples, leader, replace(strategy.library, reach=float(tried_reach)))
+        if tried is not None and tried.noise.spread + tried.noise.floor < strategy.noise.spread + strategy.noise.floor:
+            best, strategy = tried, tried
+    return best
+
+
+def explained_by_reach(
+    samples: Samples, strategy: Strategy, followers: Indices, heads: Indices, reaches: Floats
+) -> Floats:
+    """``(K,)`` what the direction to the head beyond each reach explains of what the class leaves without one.
+
+    Linear regressions that share all but three columns, of flights as long as the strategy says they are before norm.
+    """
+    towards, _ = pair_features(samples, Library(0, towards=True), followers, heads)
+    towards = towards[..., :3]
+    plain = replace(strategy.library, reach=0.0)
+    unique, group = np.unique(heads, return_inverse=True)
+    shared, valid = head_features(samples, plain, unique)
+    extra, also = pair_features(samples, plain, followers, heads)
+    predicted, _ = directions(samples, strategy, followers, heads)
+    keep = valid[group] & also & samples.seen[followers]
+    known, _ = np.linalg.qr(np.concatenate([extra, shared[group]], axis=2)[keep])
+    length = np.sqrt(np.vecdot(predicted[keep], predicted[keep]))[:, None]
+    target = samples.target[followers][keep] * length
+    target -= known @ (known.T @ target)
+    gap = samples.position[heads] - samples.position[followers]
+    far = np.sqrt(np.vecdot(gap, gap))[keep][:, None] > reaches
+    beyond = (far[:, :, None] * towards[keep][:, None]).reshape(len(target), -1)
+    beyond -= known @ (known.T @ beyond)
+    explained = np.empty(len(reaches))
+    for place in range(len(reaches)):
+        column = beyond[:, 3 * place : 3 * place + 3]
+        gram = column.T @ column
+        moment = column.T @ target
+        explained[place] = (moment * np.linalg.solve(gram + 1e-9 * np.eye(3), moment)).sum()
+    return explained
 
 
 def led(samples: Samples, history: OwnHistory, leader: Indices, most: int | None = None) -> Mixture | None:

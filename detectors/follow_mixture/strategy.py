@@ -15,13 +15,15 @@ from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.likelihood import Noise, fit_directions, natural_parameters
 from detectors.follow_mixture.samples import Samples
 
-__all__ = ["Library", "Strategy", "directions", "fit_strategy", "gain_matrix", "head_features"]
+__all__ = ["Library", "Strategy", "directions", "fit_strategy", "gain_matrix", "head_features", "pair_features"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+Pairs = tuple[Floats, Mask]
 
 _CHUNK_ENTRIES = 2_000_000
+_PAIRED_ROWS = 3000  # some hundred times the numbers that are fitted
 _FAR = 300.0  # metres; keeps offsets near 1
 
 
@@ -109,13 +111,13 @@ def head_features(samples: Samples, library: Library, heads: Indices | slice = s
     return np.concatenate(parts, axis=2), valid
 
 
-def pair_features(samples: Samples, library: Library, followers: Indices, heads: Indices) -> tuple[Floats, Mask]:
+def pair_features(samples: Samples, library: Library, followers: Indices, heads: Indices) -> Pairs:
     """What depends on the follower as well: ``(..., R, p)`` for ``followers`` and ``heads`` of one shape ``(...)``."""
     parts = []
     valid = np.ones((*followers.shape, samples.rows), bool)
     if library.towards:
         gap = samples.position[heads] - samples.position[followers]
-        distance = np.sqrt((gap * gap).sum(axis=-1, keepdims=True))
+        distance = np.sqrt(np.vecdot(gap, gap))[..., None]
         towards = gap / np.maximum(distance, 1e-6)
         parts += [towards, gap / _FAR] + ([towards * (distance > library.reach)] if library.reach else [])
         valid &= samples.position_seen[heads] & samples.position_seen[followers]
@@ -164,20 +166,23 @@ def _shared_rows(
     total = (member @ target.reshape(len(followers), -1)).reshape(len(heads), samples.rows, 3)
     weight = member @ seen
     keep = valid & (weight > 0)
-    energy = float(((target**2).sum(axis=2) * keep[group]).sum())
+    energy = float((np.vecdot(target, target) * keep[group]).sum())
     return features[keep], total[keep], weight[keep], energy
 
 
 def _paired_rows(
     samples: Samples, leader: Indices, followers: Indices, library: Library
 ) -> tuple[Floats, Floats, Floats, float]:
-    """One row a follower and time."""
+    """One row a follower and time, of many a part: ``_PAIRED_ROWS`` at most."""
     heads = leader[followers]
-    shared, valid = head_features(samples, library, heads)
+    unique, group = np.unique(heads, return_inverse=True)
+    shared, valid = head_features(samples, library, unique)
     extra, also = pair_features(samples, library, followers, heads)
-    keep = valid & also & samples.seen[followers]
-    target = samples.target[followers][keep]
-    features = np.concatenate([extra, shared], axis=2)[keep]
+    who, when = np.nonzero(valid[group] & also & samples.seen[followers])
+    every = -(-len(who) // _PAIRED_ROWS) or 1
+    who, when = who[::every], when[::every]
+    target = samples.target[followers[who], when]
+    features = np.concatenate([extra[who, when], shared[group[who], when]], axis=1)
     return features, target, np.ones(len(target)), float((target**2).sum())
 
 
@@ -194,7 +199,12 @@ def directions(samples: Samples, strategy: Strategy, followers: Indices, heads: 
 
 
 def gain_matrix(
-    samples: Samples, history: OwnHistory, strategy: Strategy, columns: Indices, voters: Indices | None = None
+    samples: Samples,
+    history: OwnHistory,
+    strategy: Strategy,
+    columns: Indices,
+    voters: Indices | None = None,
+    pairs: Pairs | None = None,
 ) -> Floats:
     """Log-likelihood that each UAV gains over its own history by following each of ``columns``.
 
@@ -206,12 +216,16 @@ def gain_matrix(
         strategy: fitted.
         columns: ``(c,)`` indices of candidates.
         voters: ``(v,)`` indices of the UAVs that are asked; all by default.
+        pairs: :func:`pair_features` of voters and columns, where they are known already.
 
     Returns:
         ``(v, c)``; 0 where a UAV meets itself.
     """
     voters = np.arange(samples.uavs) if voters is None else voters
-    matrix = (_paired_gain if strategy.library.paired else _shared_gain)(samples, history, strategy, columns, voters)
+    if strategy.library.paired:
+        matrix = _paired_gain(samples, history, strategy, columns, voters, pairs)
+    else:
+        matrix = _shared_gain(samples, history, strategy, columns, voters)
     matrix[voters[:, None] == columns[None, :]] = 0.0
     return matrix
 
@@ -220,7 +234,7 @@ def _null(samples: Samples, history: OwnHistory, strategy: Strategy, voters: Ind
     """``(v, R)`` log-likelihood of the null, plus what the natural parameters leave out of y in space."""
     null = history.log_likelihood[voters]
     if not samples.unit:
-        null = null + 0.5 * (samples.target[voters] ** 2).sum(axis=2) / strategy.noise.spread**2
+        null = null + 0.5 * np.vecdot(samples.target[voters], samples.target[voters]) / strategy.noise.spread**2
     return null
 
 
@@ -243,7 +257,12 @@ def _shared_gain(
 
 
 def _paired_gain(
-    samples: Samples, history: OwnHistory, strategy: Strategy, columns: Indices, voters: Indices
+    samples: Samples,
+    history: OwnHistory,
+    strategy: Strategy,
+    columns: Indices,
+    voters: Indices,
+    pairs: Pairs | None,
 ) -> Floats:
     features, valid = head_features(samples, strategy.library, columns)
     extra = len(strategy.coefficients) - features.shape[2]
@@ -253,10 +272,12 @@ def _paired_gain(
     for first in range(0, len(voters), step):
         some = voters[first : first + step]
         grid = np.broadcast_arrays(some[:, None], columns[None, :])
-        own, also = pair_features(samples, strategy.library, *grid)
-        direction = shared[None] + own @ strategy.coefficients[:extra]
+        own, also = pair_features(samples, strategy.library, *grid) if pairs is None else pairs
+        if pairs is not None:
+            own, also = own[first : first + step], also[first : first + step]
+        direction = shared[None] + (own.reshape(-1, extra) @ strategy.coefficients[:extra]).reshape(*also.shape, 3)
         theta, constant = natural_parameters(direction, strategy.noise)
-        value = (theta * samples.target[some][:, None]).sum(axis=3) + constant
+        value = np.vecdot(theta, samples.target[some][:, None]) + constant
         value -= _null(samples, history, strategy, some)[:, None]
         counts = also & valid[None] & samples.seen[some][:, None]
         result[first : first + step] = np.where(counts, value, 0.0).sum(axis=2)

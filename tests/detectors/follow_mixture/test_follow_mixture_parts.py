@@ -119,8 +119,8 @@ def test_no_head_stands_without_followers(seed):
 def test_pairwise_gain_is_the_regression_of_surprises():
     samples, history, _, _ = problem(1, uavs=12, clusters=2, observation_steps=40)
     kind = FeatureKind(2, True, True)
-    fast = pairwise_gain(samples, history.surprise, kind, (0, 7))
-    for shift, table in zip((0, 7), fast, strict=True):
+    for shift in (0, 7):
+        table = pairwise_gain(samples, history.surprise, kind, shift)
         for i, j in ((0, 1), (4, 9), (11, 3)):
             past = samples.lagged[j, :, :2]
             features = np.concatenate([past.reshape(samples.rows, -1), (past**2).reshape(samples.rows, -1)], axis=1)
