@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from detectors.follow_mixture.samples import Samples
 __all__ = ["KINDS", "FeatureKind", "affordable_kinds", "gain_and_chance", "pairwise_gain", "whitened"]
 
 Floats = NDArray[np.float64]
+RealT = TypeVar("RealT", np.float32, np.float64)
 
 _RIDGE = 1e-3
 _ROWS_PER_FEATURE = 2.5
@@ -142,11 +144,11 @@ def _gains(
     return gains
 
 
-def whitened(features: Floats, ridge: float = _RIDGE) -> Floats:
+def whitened(features: NDArray[RealT], ridge: float = _RIDGE) -> NDArray[RealT]:
     """Orthonormal columns that span those of each ``(R, p)`` block, but for a little ridge."""
     gram = features.transpose(0, 2, 1) @ features
     width = gram.shape[1]
     power = np.trace(gram, axis1=1, axis2=2) / width
-    gram += (ridge * power + 1e-9)[:, None, None] * np.eye(width)
+    gram += (ridge * power + 1e-9)[:, None, None] * np.eye(width, dtype=gram.dtype)
     inverse = np.linalg.inv(np.linalg.cholesky(gram))
-    return features @ inverse.transpose(0, 2, 1)
+    return np.asarray(features @ inverse.transpose(0, 2, 1), features.dtype)
