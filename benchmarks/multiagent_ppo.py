@@ -1,7 +1,7 @@
 """A swarm trained by PPO against a detector in usnet_evasion_v0: does it raise J_m over the truthful swarm's?
 
 The swarm plays as one: every head makes the same choice. Trained on seeds below 1000, measured on seeds from 2022.
-Detectors whose rows are there are not met again.
+Matches whose rows are there are not played again.
 
 OMP_NUM_THREADS=1 python benchmarks/multiagent_ppo.py      # writes benchmarks/results/multiagent_ppo*.csv
 """
@@ -26,8 +26,13 @@ from usnet_env.files import written_whole
 from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.multiagent.usnet_evasion_v0 import OBSERVER, parallel_env
 
-DETECTORS = {"lagged-regression": 12_288, "lagged-regression(lags=8)": 12_288, "follow-mixture": 6_144}  # steps
-FOLLOW, MAX_ROUNDS = "f1", 10
+MATCHES = {  # detector and follow strategy: steps of training
+    ("lagged-regression", "f1"): 12_288,
+    ("lagged-regression(lags=8)", "f1"): 12_288,
+    ("follow-mixture", "f1"): 6_144,
+    ("follow-mixture", "f6"): 3_072,
+}
+MAX_ROUNDS = 10
 BATCH = 512
 GAMES = 40
 CHOICES = ("mobility", "jitter", "decoys", "delay")
@@ -36,8 +41,8 @@ CHOICES = ("mobility", "jitter", "decoys", "delay")
 class SwarmAsOne(gym.Env[Any, Any]):
     """The whole swarm as one agent, the observer a detector; an observation is what the swarm knows of the game."""
 
-    def __init__(self, detector: str, seeds: Iterable[int]) -> None:
-        self.game = parallel_env(follow=FOLLOW, max_rounds=MAX_ROUNDS)
+    def __init__(self, detector: str, follow: str, seeds: Iterable[int]) -> None:
+        self.game = parallel_env(follow=follow, max_rounds=MAX_ROUNDS)
         self.observer = DetectorObserver(make_detector(detector))
         self.seeds = iter(seeds)
         self.choices = self.game.manoeuvres.choices
@@ -74,9 +79,10 @@ class SwarmAsOne(gym.Env[Any, Any]):
 class Curve(BaseCallback):
     """A row for every batch of steps: the mean over the games that ended in it."""
 
-    def __init__(self, detector: str) -> None:
+    def __init__(self, detector: str, follow: str) -> None:
         super().__init__()
-        self.detector, self.rows, self.ended = detector, [], []
+        self.match = {"detector": detector, "follow": follow}
+        self.rows, self.ended = [], []
 
     def _on_step(self) -> bool:
         self.ended += [info for info, done in zip(self.locals["infos"], self.locals["dones"], strict=True) if done]
@@ -88,7 +94,7 @@ class Curve(BaseCallback):
         means = {"J": objective.mean(), "swarm_payoff": (objective - paid).mean()}
         self.rows.append(
             {
-                "detector": self.detector,
+                **self.match,
                 "steps": self.num_timesteps,
                 "games": len(self.ended),
                 **{name: round(float(value), 4) for name, value in means.items()},
@@ -104,9 +110,9 @@ def training_seeds() -> Iterable[int]:
         yield int(rng.integers(1000))
 
 
-def measured(detector: str, swarm: str, choose: Any) -> list[dict[str, Any]]:
+def measured(detector: str, follow: str, swarm: str, choose: Any) -> list[dict[str, Any]]:
     """A row for each of the games from 2022 on."""
-    env = SwarmAsOne(detector, range(SEED, SEED + GAMES))
+    env = SwarmAsOne(detector, follow, range(SEED, SEED + GAMES))
     rows = []
     for seed in range(SEED, SEED + GAMES):
         known, _ = env.reset()
@@ -118,7 +124,8 @@ def measured(detector: str, swarm: str, choose: Any) -> list[dict[str, Any]]:
             chosen.append(action)
         means = {name: round(float(value), 4) for name, value in zip(CHOICES, np.mean(chosen, axis=0), strict=True)}
         payoff = {"J": round(info["J"], 6), "swarm_payoff": round(info["J"] - info["paid"], 6)}
-        rows.append({"detector": detector, "swarm": swarm, "seed": seed, **payoff, "success": info["success"], **means})
+        cell = {"detector": detector, "follow": follow, "swarm": swarm, "seed": seed}
+        rows.append({**cell, **payoff, "success": info["success"], **means})
     return rows
 
 
@@ -141,12 +148,12 @@ def main() -> None:
     """Train, measure and print."""
     torch.set_num_threads(1)  # a program of its own, not the library: small networks wait for each other on more
     curves, rows = earlier(RESULTS / "multiagent_ppo_curve.csv"), earlier(RESULTS / "multiagent_ppo.csv")
-    for detector, steps in DETECTORS.items():
-        if any(row["detector"] == detector for row in rows):
+    for (detector, follow), steps in MATCHES.items():
+        if any((row["detector"], row["follow"]) == (detector, follow) for row in rows):
             continue
         agent = PPO(
             "MlpPolicy",
-            SwarmAsOne(detector, training_seeds()),
+            SwarmAsOne(detector, follow, training_seeds()),
             learning_rate=3e-3,
             n_steps=BATCH,
             batch_size=128,
@@ -156,15 +163,17 @@ def main() -> None:
             seed=0,
             device="cpu",
         )
-        curve = Curve(detector)
+        curve = Curve(detector, follow)
         agent.learn(steps, callback=curve)
         curves += curve.rows
-        rows += measured(detector, "truthful", lambda _: np.zeros(4, np.int64))
-        rows += measured(detector, "ppo", lambda known, agent=agent: agent.predict(known, deterministic=True)[0])
+        rows += measured(detector, follow, "truthful", lambda _: np.zeros(4, np.int64))
+        rows += measured(
+            detector, follow, "ppo", lambda known, agent=agent: agent.predict(known, deterministic=True)[0]
+        )
         write(RESULTS / "multiagent_ppo_curve.csv", curves)
         write(RESULTS / "multiagent_ppo.csv", rows)
     columns = {"J": "J_m", "swarm_payoff": "J_m less the price", "success": "all heads hit"}
-    text = table(rows, ["detector", "swarm"], {**columns, **{name: name for name in CHOICES}})
+    text = table(rows, ["detector", "follow", "swarm"], {**columns, **{name: name for name in CHOICES}})
     with written_whole(RESULTS / "multiagent_ppo.md") as aside:
         aside.write_text(text + "\n", encoding="utf-8")
     print(text)

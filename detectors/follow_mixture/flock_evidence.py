@@ -25,6 +25,8 @@ _TYPICAL = 0.1  # share of what flocks gain by their heads that a head gives at 
 _FAILED = 0.2  # what is left of a head's probability where chance explains as much
 _UNKNOWN = 0.45  # the most likely that somebody is a head by the way of flying alone
 _LEAST = 20.0  # nats that a head adds at least
+_LONE_SHARE = 0.2  # of a swarm that follows, where nobody who follows flies as somebody else does: of n² pairs of
+#                    flights a few match by luck
 
 
 def flock_gate(watch: Watch, found: FlockHeads) -> Gate:
@@ -37,7 +39,9 @@ def flock_gate(watch: Watch, found: FlockHeads) -> Gate:
     observed = _per_head(watch, found, followed, 0)
     surrogates = np.array([_per_head(watch, found, followed, int(shift)) for shift in shifts if shift > 0])
     gate = judged(count, observed - head_price(watch.uavs), surrogates)
-    return replace(gate, passed=gate.passed & (gate.added > _LEAST))
+    together = (np.bincount(watch.label, minlength=watch.flocks) > 1) & followed
+    enough = together.any() or followed.sum() >= _LONE_SHARE * watch.uavs
+    return replace(gate, passed=gate.passed & (gate.added > _LEAST) & enough)
 
 
 def _per_head(watch: Watch, found: FlockHeads, followed: NDArray[np.bool_], shift: int) -> Floats:
