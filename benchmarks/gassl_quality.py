@@ -33,7 +33,7 @@ sys.path.insert(0, str(ROOT / "tests" / "detectors" / "gassl"))
 
 import literal  # noqa: E402  lives beside the tests that hold the fast GASSL against it
 
-CELLS = {5: (FOLLOW, 10), 50: (("f1", "f4", "f6"), 2)}  # m: strategies, episodes of each
+CELLS = {2: (FOLLOW, 10), 5: (FOLLOW, 10), 50: (("f1", "f4", "f6"), 2)}  # m: strategies, episodes of each
 SEED = 2022
 MEMORY = 4
 HEADER = ("detector", "follow", "followers", "episode", "hit")
