@@ -10,8 +10,11 @@ from mixture_windows import swarm_window
 from scipy.stats import multivariate_normal
 from sklearn.metrics import adjusted_rand_score, homogeneity_score
 
-from detectors.follow_mixture.flock_evidence import flock_posterior
+from detectors.follow_mixture.flock_evidence import flock_gate, flock_posterior
 from detectors.follow_mixture.flock_heads import (
+    FlockHeads,
+    Shown,
+    Watch,
     each_by_itself,
     exact_gain,
     fit_flocks,
@@ -152,6 +155,26 @@ def test_a_flock_whose_head_is_gone_accuses_nobody():
     probability = flock_posterior(watch, found, memory=0.0)
     assert (probability > 0.5).sum() == truth.head.sum() - 1
     assert probability[truth.leader[rest] == gone].max() < 0.05
+
+
+def test_a_few_lone_flights_that_match_are_luck():
+    watch = Watch(np.arange(10), np.zeros((20, 30, 3)), np.zeros((20, 30, 1)))  # ten UAVs, each like nobody else
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(10, 30, 1, 3))
+    shown = Shown(Library(1, isotropic=True), values)
+    watch.flight[:10] = 0.1 * rng.normal(size=(10, 30, 3))
+
+    def gate(followers):
+        watch.flight[followers] = values[9, :, 0] + 0.01 * rng.normal(size=(len(followers), 30, 3))
+        head = np.full(10, -1)
+        head[followers] = 9
+        found = FlockHeads(head, np.zeros((10, 10)), shown, np.ones(1), 0.0, 0.0)
+        return flock_gate(watch, found)
+
+    two, one = gate([0, 1]), gate([0])
+    assert two.passed.all()  # two of ten are a fifth
+    assert (one.added > 2 * one.chance).all()
+    assert not one.passed.any()
 
 
 def test_at_most_so_many_heads():

@@ -1,6 +1,7 @@
 """The parts of follow-mixture against slow definitions and properties."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,15 +11,22 @@ from mixture_windows import swarm_window
 from scipy.integrate import quad
 from scipy.stats import vonmises_fisher
 
-from detectors.follow_mixture.evidence import FeatureKind, affordable_kinds, pairwise_gain
+from detectors.follow_mixture.evidence import FeatureKind, affordable_kinds, gain_and_chance, pairwise_gain
 from detectors.follow_mixture.facility import LEAST_VOTERS, locate_heads
 from detectors.follow_mixture.history import own_history
 from detectors.follow_mixture.likelihood import Noise, fit_directions, log_normaliser, natural_parameters
 from detectors.follow_mixture.noise import fit_spectra, smoothed_pasts
 from detectors.follow_mixture.policy import Policy, choose
 from detectors.follow_mixture.samples import samples_of
-from detectors.follow_mixture.search import misfit
-from detectors.follow_mixture.strategy import Library, fit_strategy, gain_matrix
+from detectors.follow_mixture.search import explained_by_reach, misfit, past_those_left, within_reach
+from detectors.follow_mixture.strategy import (
+    Library,
+    directions,
+    fit_strategy,
+    gain_matrix,
+    head_features,
+    pair_features,
+)
 
 
 def problem(seed=0, **config):
@@ -132,6 +140,16 @@ def test_pairwise_gain_is_the_regression_of_surprises():
             assert table[i, j] == pytest.approx(-samples.rows * np.log1p(-explained), rel=2e-3)
 
 
+def test_chance_is_what_some_voters_gain_at_a_wrong_time():
+    samples, history, _, _ = problem(3)
+    kind = FeatureKind(4, True, True)
+    gain, chance = gain_and_chance(samples, history.surprise, kind)
+    np.testing.assert_allclose(gain, pairwise_gain(samples, history.surprise, kind), rtol=1e-4, atol=1e-3)
+    wrong = pairwise_gain(samples, history.surprise, kind, samples.rows // 2)
+    assert chance == pytest.approx(np.median(wrong.max(axis=1)), rel=1e-4)  # 30 UAVs: all are asked
+    assert np.median(gain.max(axis=1)) > 2.0 * chance
+
+
 def test_gain_is_the_difference_of_two_log_likelihoods():
     samples, history, leader, _ = problem(2, follow="f2", miss_rate=0.1)
     strategy = fit_strategy(samples, leader, Library(4, squares=True))
@@ -164,6 +182,40 @@ def test_a_strategy_out_of_its_class_shows(follow):
     samples, _, leader, _ = problem(3, follow=follow)
     strategy = fit_strategy(samples, leader, Library(4, squares=True))
     assert misfit(samples, strategy, leader).worst > 2.0
+
+
+def test_the_reach_is_found_and_corrected():
+    samples, _, leader, _ = problem(27, follow="f6", clusters=5, uavs=82)
+    library = Library(4, squares=True, towards=True)
+    found = within_reach(samples, leader, library)
+    assert found.library.reach == pytest.approx(60.0, rel=0.01)
+    assert found.noise.spread < 0.6 * fit_strategy(samples, leader, library).noise.spread
+    gap = np.linalg.norm(samples.position[leader[leader >= 0]] - samples.position[leader >= 0], axis=2)
+    inside = np.flatnonzero(leader >= 0)[((gap > 60) & (gap < 75)).mean(axis=1) > 0.1]
+    off = fit_strategy(samples, leader, replace(library, reach=75.0))
+    mended = past_those_left(samples, off, leader, inside)
+    assert mended.library.reach == pytest.approx(60.0, rel=0.05)
+    assert past_those_left(samples, fit_strategy(samples, leader, library), leader, inside) is None
+
+
+def test_what_a_reach_explains_is_the_regression_with_its_column():
+    samples, _, leader, _ = problem(27, follow="f6", clusters=5, uavs=82)
+    library = Library(4, squares=True, towards=True)
+    followers = np.flatnonzero(leader >= 0)
+    strategy = fit_strategy(samples, leader, library)
+    reaches = np.array([40.0, 60.0, 90.0])
+    fast = explained_by_reach(samples, strategy, followers, leader[followers], reaches)
+    direction, _ = directions(samples, strategy, followers, leader[followers])
+    target = (samples.target[followers] * np.linalg.norm(direction, axis=2, keepdims=True)).reshape(-1, 3)
+
+    def left(reach):
+        kind = replace(library, reach=reach)
+        shared, _ = head_features(samples, kind, leader[followers])
+        own, _ = pair_features(samples, kind, followers, leader[followers])
+        columns = np.concatenate([own, shared], axis=2).reshape(len(target), -1)
+        return ((target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]) ** 2).sum()
+
+    np.testing.assert_allclose(fast, [left(0.0) - left(reach) for reach in reaches], rtol=1e-4)
 
 
 def test_the_true_strategy_is_recovered():
