@@ -3,7 +3,7 @@
 The swarm plays as one: every head makes the same choice. Trained on seeds below 1000, measured on seeds from 2022.
 Matches whose rows are there are not played again.
 
-OMP_NUM_THREADS=1 python benchmarks/multiagent_ppo.py      # writes benchmarks/results/multiagent_ppo*.csv
+OMP_NUM_THREADS=1 python benchmarks/multiagent_ppo.py      # writes benchmarks/results/multiagent_ppo*
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium import spaces
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from multiagent_table import RESULTS, SEED, table
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
@@ -144,6 +146,26 @@ def write(path: Path, rows: list[dict[str, Any]]) -> None:
         writer.writerows(rows)
 
 
+def draw(curves: list[dict[str, Any]]) -> Figure:
+    """A panel a match: J_m and the swarm's payoff, means over the games of a batch; 1 is truthful."""
+    matches = list(dict.fromkeys((row["detector"], row["follow"]) for row in curves))
+    figure = Figure(figsize=(3.2 * len(matches), 3.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, match in zip(figure.subplots(1, len(matches), squeeze=False)[0], matches, strict=True):
+        own = [row for row in curves if (row["detector"], row["follow"]) == match]
+        steps = [int(row["steps"]) for row in own]
+        axes.plot(steps, [float(row["J"]) for row in own], color="#0072b2", label="J_m")
+        axes.plot(steps, [float(row["swarm_payoff"]) for row in own], color="#d55e00", label="J_m less the price")
+        axes.axhline(1.0, color="black", lw=0.8, ls=":", label="truthful")
+        axes.set_title(f"{match[0]}, {match[1]}", fontsize=9)
+        axes.set_ylim(bottom=0)
+        axes.set_xlabel("steps")
+        axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    figure.suptitle("PPO swarms while they train")
+    return figure
+
+
 def main() -> None:
     """Train, measure and print."""
     torch.set_num_threads(1)  # a program of its own, not the library: small networks wait for each other on more
@@ -176,6 +198,8 @@ def main() -> None:
     text = table(rows, ["detector", "follow", "swarm"], {**columns, **{name: name for name in CHOICES}})
     with written_whole(RESULTS / "multiagent_ppo.md") as aside:
         aside.write_text(text + "\n", encoding="utf-8")
+    with written_whole(RESULTS / "multiagent_ppo.png") as aside:
+        draw(curves).savefig(aside, format="png", dpi=100)
     print(text)
 
 
