@@ -92,7 +92,7 @@ class Student(nn.Module):
 
 def imitate(dataset: minari.MinariDataset, updates: int, seed: int = 0) -> tuple[Student, list[float]]:
     """A student of the data set, and its loss in each update: cross-entropy a living UAV."""
-    torch.manual_seed(seed)
+    torch.manual_seed(seed)  # a program of its own, not the library: layers draw from PyTorch's one generator
     student = Student()
     optimizer = torch.optim.Adam(student.parameters(), lr=5e-2)
     velocity, alive, named = pairs(dataset)
