@@ -53,8 +53,14 @@ def process(*words, **options):
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONPATH": path},
+        preexec_fn=hears_ctrl_c,
         **options,
     )
+
+
+def hears_ctrl_c():
+    """A shell's background job ignores SIGINT, and so does whatever it starts: the tests below would stop nothing."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def living(group):
