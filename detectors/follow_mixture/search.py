@@ -17,6 +17,7 @@ from detectors.follow_mixture.strategy import (
     Strategy,
     directions,
     fit_strategy,
+    gain_matrix,
     head_features,
     pair_features,
 )
@@ -28,8 +29,9 @@ Indices = NDArray[np.int64]
 
 MISFIT = 1.35  # ratios above this ask for a richer class; a class that holds gives 1 within 0.1 or so
 NEARLY = 2.5  # a misfit with which nobody's leader is in doubt, where nobody is left over
-EXPLAINED = 0.9  # share of the UAVs that a finished explanation accounts for
-_BETWEEN = 8  # reaches tried between one that leaves some followers out, and these
+EXPLAINED = 0.4  # share of the UAVs that a first assignment accounts for where it is worth climbing from
+_SETTLING = 6
+_AGAIN = 3  # times that everybody is assigned anew, where many were left out
 _REACHES, _NEAREST = 30, 24  # distances tried at once; followers nearest to their heads on which they are tried
 
 
@@ -94,9 +96,7 @@ def quick(samples: Samples, history: OwnHistory, most: int | None = None) -> Mix
     if not (leader >= 0).any():
         return None
     found = shortcut(samples, history, leader, evidence, most)
-    if found is None or not len(found.heads.heads) or unexplained(found) >= LEAST_VOTERS:
-        return None
-    return found if misfit(samples, found.strategy, found.heads.leader).worst <= NEARLY else None
+    return found if found is not None and len(found.heads.heads) and done(samples, found) else None
 
 
 def shortcut(
@@ -120,11 +120,59 @@ def shortcut(
     if strategy is None:
         return None
     found = fit_mixture(samples, history, leader, strategy.library, columns, most, strategy)
-    if found is None or not unexplained(found):
-        return found
-    ranged = past_those_left(samples, found.strategy, leader, np.flatnonzero(found.heads.leader != leader))
-    other = None if ranged is None else fit_mixture(samples, history, leader, ranged.library, columns, most, ranged)
-    return other if other is not None and other.value > found.value else found
+    if found is not None and 2 * unexplained(found) > samples.uavs:
+        strategy = within_reach(samples, settled(samples, history, leader, strategy), library) or strategy
+        found = fit_mixture(samples, history, leader, strategy.library, columns, most, strategy)
+    for _ in range(_AGAIN):
+        if found is None or 2 * unexplained(found) > samples.uavs or done(samples, found):
+            break
+        better = again(samples, history, found, evidence, library, most)
+        if better is None:
+            break
+        found = better
+    return found
+
+
+def settled(samples: Samples, history: OwnHistory, leader: Indices, strategy: Strategy) -> Indices:
+    """Whom everybody follows of the heads of a poor first assignment, each the likeliest, however unlikely."""
+    heads = np.unique(leader[leader >= 0])
+    for _ in range(_SETTLING):
+        before = leader
+        leader = heads[gain_matrix(samples, history, strategy, heads).argmax(axis=1)]
+        leader[heads] = -1
+        strategy = fit_strategy(samples, leader, strategy.library) or strategy
+        if np.array_equal(leader, before):
+            break
+    return leader
+
+
+def again(
+    samples: Samples, history: OwnHistory, found: Mixture, evidence: Floats, library: Library, most: int | None
+) -> Mixture | None:
+    """A better mixture with those who were left behind a head, as they were left for a reach that is off, perhaps.
+
+    Behind whom they are likeliest, or behind the one of the heads found that pairwise evidence names.
+    """
+    heads, leader = found.heads.heads, found.heads.leader
+    likeliest = found.columns[found.gain.argmax(axis=1)]
+    named = heads[evidence[:, heads].argmax(axis=1)]
+    best: Mixture | None = None
+    for guess in (likeliest, named):
+        start = np.where(leader >= 0, leader, guess)
+        start[heads] = -1
+        strategy = within_reach(samples, start, library)
+        if strategy is not None:
+            everybody = np.arange(samples.uavs)
+            other = fit_mixture(samples, history, start, strategy.library, everybody, most, strategy)
+            if other is not None and other.value > (found if best is None else best).value:
+                best = other
+    return best
+
+
+def done(samples: Samples, found: Mixture) -> bool:
+    """Whether a mixture leaves hardly anybody unexplained, and nearly holds."""
+    few = unexplained(found) < LEAST_VOTERS
+    return few and misfit(samples, found.strategy, found.heads.leader).worst <= NEARLY
 
 
 def within_reach(samples: Samples, leader: Indices, library: Library) -> Strategy | None:
@@ -149,25 +197,6 @@ def within_reach(samples: Samples, leader: Indices, library: Library) -> Strateg
         if ranged is not None and ranged.noise.spread + ranged.noise.floor < best.noise.spread + best.noise.floor:
             best = ranged
         low, high = float(reaches[max(place - 1, 0)]), float(reaches[min(place + 1, _REACHES - 1)])
-    return best
-
-
-def past_those_left(samples: Samples, strategy: Strategy, leader: Indices, left: Indices) -> Strategy | None:
-    """The strategy again, with a reach between it and the followers that it does not explain; ``None`` if worse.
-
-    A reach that is a little off is off for the same few followers for most of the time.
-    """
-    left = left[leader[left] >= 0]
-    if not strategy.library.reach or not len(left):
-        return None
-    gap = samples.position[leader[left]] - samples.position[left]
-    distance = np.sqrt(np.vecdot(gap, gap))
-    nearest, reach = float(distance.min()), strategy.library.reach
-    best = None
-    for tried_reach in np.linspace(nearest if nearest < reach else float(distance.max()), reach, _BETWEEN + 1)[:-1]:
-        tried = fit_strategy(samples, leader, replace(strategy.library, reach=float(tried_reach)))
-        if tried is not None and tried.noise.spread + tried.noise.floor < strategy.noise.spread + strategy.noise.floor:
-            best, strategy = tried, tried
     return best
 
 

@@ -23,6 +23,8 @@ Mask = NDArray[np.bool_]
 Pairs = tuple[Floats, Mask]
 
 _CHUNK_ENTRIES = 2_000_000
+_ODD_STEP = float(np.log(0.01))  # log-likelihood of a step that has any direction: a reach that is a little off turns
+#                                  a few by a lot
 _PAIRED_ROWS = 3000  # some hundred times the numbers that are fitted
 _FAR = 300.0  # metres; keeps offsets near 1
 
@@ -278,6 +280,8 @@ def _paired_gain(
         direction = shared[None] + (own.reshape(-1, extra) @ strategy.coefficients[:extra]).reshape(*also.shape, 3)
         theta, constant = natural_parameters(direction, strategy.noise)
         value = np.vecdot(theta, samples.target[some][:, None]) + constant
+        if samples.unit:
+            value = np.maximum(value, _ODD_STEP)
         value -= _null(samples, history, strategy, some)[:, None]
         counts = also & valid[None] & samples.seen[some][:, None]
         result[first : first + step] = np.where(counts, value, 0.0).sum(axis=2)
