@@ -12,7 +12,9 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.follow_mixture.explanation import Explanation
 from detectors.follow_mixture.flock_evidence import explained_by_flocks
-from detectors.follow_mixture.flock_search import flock_search, seen_spectra
+from detectors.follow_mixture.flock_leads import PHASES_TELL, explained_by_leads, leads_of_flocks
+from detectors.follow_mixture.flock_search import flights, flock_search, seen_spectra
+from detectors.follow_mixture.flocks import flocks_of
 from detectors.follow_mixture.history import own_history
 from detectors.follow_mixture.mixture_evidence import explained_by_mixture
 from detectors.follow_mixture.noise import FlightSpectra
@@ -185,8 +187,14 @@ def flown(window: Window, samples: Samples, living: NDArray[np.int64], lags: int
 
 
 def by_flocks(rows: Samples, spectra: FlightSpectra, most: int | None) -> Explanation | None:
-    """What flocks say."""
-    return explained_by_flocks(*flock_search(rows, spectra, most), float(np.median(spectra.memory)))
+    """What flocks say: behind noise by the phases of their flights, where these tell anything."""
+    velocity = flights(rows)
+    flocks = flocks_of(velocity, spectra)
+    if spectra.noise > PHASES_TELL:
+        leads = leads_of_flocks(velocity, spectra, flocks)
+        if leads is not None:
+            return explained_by_leads(leads, flocks)
+    return explained_by_flocks(*flock_search(rows, spectra, flocks, most), float(np.median(spectra.memory)))
 
 
 def at_once(samples: Samples, most: int | None) -> Explanation | None:

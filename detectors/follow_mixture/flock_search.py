@@ -1,4 +1,4 @@
-"""From a window's flights to its flocks and their heads, with or without an observer's noise."""
+"""From a window's flights and flocks to their heads, with or without an observer's noise."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.follow_mixture.flock_heads import FlockHeads, Watch, heads_of_flocks, watch_flocks
-from detectors.follow_mixture.flocks import flocks_of
+from detectors.follow_mixture.flocks import Flocks
 from detectors.follow_mixture.noise import LEAST_NOISE, FlightSpectra, fit_spectra, smoothed_pasts
 from detectors.follow_mixture.samples import Samples
 
@@ -28,20 +28,22 @@ def seen_spectra(samples: Samples) -> FlightSpectra:
     return replace(spectra, noise=0.0) if samples.unit or spectra.noise < LEAST_NOISE else spectra
 
 
-def flock_search(samples: Samples, spectra: FlightSpectra, most: int | None = None) -> tuple[Watch, FlockHeads | None]:
+def flock_search(
+    samples: Samples, spectra: FlightSpectra, flocks: Flocks, most: int | None = None
+) -> tuple[Watch, FlockHeads | None]:
     """Flocks as voters, and their heads.
 
     Args:
         samples: n UAVs, nothing missing.
         spectra: of the same flights; ``noise`` 0 where there is none.
+        flocks: of the same UAVs.
         most: the largest number of heads.
 
     Returns:
         The flocks, and the heads that explain them best or ``None``.
     """
-    velocity = flights(samples)
-    watch = watch_flocks(samples, flocks_of(velocity, spectra))
+    watch = watch_flocks(samples, flocks)
     candidates = samples
     if spectra.noise > 0:
-        candidates = replace(samples, lagged=smoothed_pasts(samples, velocity, spectra))
+        candidates = replace(samples, lagged=smoothed_pasts(samples, flights(samples), spectra))
     return watch, heads_of_flocks(candidates, watch, most)

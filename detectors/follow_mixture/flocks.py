@@ -48,6 +48,11 @@ class Flocks:
         """How many flocks, those of one included."""
         return int(self.label.max()) + 1
 
+    @property
+    def several(self) -> Indices:
+        """Labels of the flocks of two and more."""
+        return np.flatnonzero(np.bincount(self.label) > 1)
+
 
 def fourier_coordinates(velocity: Floats) -> tuple[Floats, Floats]:
     """Orthonormal real coordinates without the mean.
@@ -79,14 +84,13 @@ def flocks_of(velocity: Floats, spectra: FlightSpectra) -> Flocks:
         The likeliest partition that greedy merging finds, over a few shares of jitter.
     """
     coordinates, omega = fourier_coordinates(velocity)
-    power, memory = float(np.median(spectra.power)), float(np.median(spectra.memory))
-    shape = (1.0 - memory**2) / (1.0 - 2.0 * memory * np.cos(omega) + memory**2)
+    power, flight = float(np.median(spectra.power)), spectra.typical(omega)
     wave = 2.0 * (1.0 - np.cos(omega))
     found = []
     for jitter in _JITTERS:
         noise = spectra.noise * wave + jitter * power
         scaled = coordinates / np.sqrt(noise)[:, None]
-        label, gained = _merged(scaled, (1.0 - jitter) * power * shape / noise)
+        label, gained = _merged(scaled, (1.0 - jitter) * flight / noise)
         alone = -0.5 * float((scaled * scaled).sum()) - 1.5 * len(velocity) * float(np.log(noise).sum())
         found.append(Flocks(label, jitter, alone + gained))
     return max(found, key=lambda flocks: flocks.value)

@@ -39,6 +39,12 @@ class FlightSpectra:
     memory: Floats
     noise: float
 
+    def typical(self, omega: Floats) -> Floats:
+        """Spectrum ``(K,)`` at angular frequencies of a flight of median power and memory."""
+        memory = float(np.median(self.memory))
+        shape = (1.0 - memory**2) / (1.0 - 2.0 * memory * np.cos(omega) + memory**2)
+        return np.asarray(float(np.median(self.power)) * shape)
+
     def flight(self, steps: int) -> Floats:
         """Covariances ``(n, steps, steps)`` of the true velocities."""
         apart = np.abs(np.arange(steps)[:, None] - np.arange(steps)[None, :])

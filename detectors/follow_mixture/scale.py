@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from detectors.follow_mixture.evidence import affordable_kinds, gain_and_chance
 from detectors.follow_mixture.facility import Heads, locate_heads
-from detectors.follow_mixture.flock_search import flock_search, seen_spectra
+from detectors.follow_mixture.flock_search import flights, flock_search, seen_spectra
+from detectors.follow_mixture.flocks import flocks_of
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, head_price
 from detectors.follow_mixture.samples import Samples
@@ -83,7 +84,8 @@ def _explained(samples: Samples, history: OwnHistory, most: int | None) -> Mixtu
     found = quick(samples, history, most)
     if found is not None or not samples.complete:
         return found
-    watch, flocks = flock_search(samples, seen_spectra(samples), most)
+    spectra = seen_spectra(samples)
+    watch, flocks = flock_search(samples, spectra, flocks_of(flights(samples), spectra), most)
     return None if flocks is None else led(samples, history, flocks.head[watch.label], most)
 
 

@@ -151,7 +151,8 @@ def test_a_flock_whose_head_is_gone_accuses_nobody():
     gone = int(np.flatnonzero(truth.head)[0])
     rest = np.setdiff1d(np.arange(40), gone)
     samples = samples_of(window, rest, 4)
-    watch, found = flock_search(samples, seen_spectra(samples))
+    spectra = seen_spectra(samples)
+    watch, found = flock_search(samples, spectra, flocks_of(flights(samples), spectra))
     probability = flock_posterior(watch, found, memory=0.0)
     assert (probability > 0.5).sum() == truth.head.sum() - 1
     assert probability[truth.leader[rest] == gone].max() < 0.05
