@@ -17,6 +17,7 @@ __all__ = ["Gate", "gate_heads", "judged"]
 Floats = NDArray[np.float64]
 
 _SHIFTS = 3
+_ASKED = 8  # followers of a head, where the strategy looks at each with each: they speak for the others
 _MARGIN = 3.0  # times the surrogates' spread
 _TIMES = 2.0  # a head that is timed right gains more than this times what one does that is timed wrong
 
@@ -55,20 +56,24 @@ def gate_heads(samples: Samples, history: OwnHistory, mixture: Mixture) -> Gate:
     chosen anew, is chance.
     """
     heads = mixture.heads.heads
-    followers = np.flatnonzero(mixture.heads.leader >= 0)
+    paired = mixture.strategy.library.paired
+    behind = [np.flatnonzero(mixture.heads.leader == head) for head in heads]
+    count = np.array([len(every) for every in behind], np.int64)
+    asked = [every[: _ASKED if paired else None] for every in behind]
+    followers = np.concatenate(asked)
     price = head_price(samples.uavs)
-    count = np.array([(mixture.heads.leader == head).sum() for head in heads], np.int64)
     flights, null, leaders = samples.take(followers), history.take(followers), samples.take(heads)
     shifts = np.unique(np.linspace(0, samples.rows, _SHIFTS + 2).astype(int)[1:-1])
     pairs = None
-    if mixture.strategy.library.paired:  # the same at all shifts
+    if paired:  # the same at all shifts
         grid = np.broadcast_arrays(followers[:, None], heads[None, :])
         pairs = pair_features(samples, mixture.strategy.library, *grid)
     observed, *moved = [
         _per_head(flights, null, leaders.moved(int(shift)), mixture.strategy, pairs) for shift in np.union1d(0, shifts)
     ]
     surrogate = np.array(moved).reshape(-1, len(heads))
-    return judged(count, observed - price, surrogate)
+    share = count / np.array([max(len(some), 1) for some in asked])
+    return judged(count, observed * share - price, surrogate * share)
 
 
 def judged(followers: NDArray[np.int64], added: Floats, surrogates: Floats) -> Gate:

@@ -172,7 +172,9 @@ def _solve_direction(features: Floats, total: Floats, weight: Floats, unit: bool
         if size < 1e-9:
             break
         updated = regression.solve(total * (length / size)[:, None])
-        done = np.abs(updated - coefficients / size).max() < 1e-3 * np.abs(updated).max()
+        # Up to a factor, which the norm takes out: chance agreement shortens D a little in every round.
+        factor = np.vdot(updated, coefficients) / max(float(np.vdot(coefficients, coefficients)), 1e-12)
+        done = np.abs(updated - factor * coefficients).max() < 1e-3 * np.abs(updated).max()
         coefficients = updated
         if done:
             break

@@ -13,7 +13,7 @@ from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture
 from detectors.follow_mixture.probability import head_probability
 from detectors.follow_mixture.samples import Samples
-from detectors.follow_mixture.search import MISFIT, misfit
+from detectors.follow_mixture.search import MISFIT, Misfit, misfit
 from detectors.follow_mixture.strategy import directions
 
 __all__ = ["explained_by_mixture"]
@@ -21,14 +21,16 @@ __all__ = ["explained_by_mixture"]
 Floats = NDArray[np.float64]
 
 
-def explained_by_mixture(samples: Samples, history: OwnHistory, mixture: Mixture | None) -> Explanation | None:
-    """The explanation that a mixture gives."""
+def explained_by_mixture(
+    samples: Samples, history: OwnHistory, mixture: Mixture | None, left: Misfit | None = None
+) -> Explanation | None:
+    """The explanation that a mixture gives; ``left``: what its strategy leaves over, where it is known."""
     if mixture is None or not len(mixture.heads.heads):
         return None
     gate = gate_heads(samples, history, mixture)
-    holds = misfit(samples, mixture.strategy, mixture.heads.leader).worst <= MISFIT
+    left = left or misfit(samples, mixture.strategy, mixture.heads.leader)
     leader = mixture.heads.leader
-    probability = head_probability(mixture, gate, holds)
+    probability = head_probability(mixture, gate, left.worst <= MISFIT)
     place = np.minimum(np.searchsorted(mixture.columns, np.maximum(leader, 0)), len(mixture.columns) - 1)
     return Explanation(
         heads=mixture.heads.heads,

@@ -82,8 +82,10 @@ def sampled_search(samples: Samples, history: OwnHistory, most: int | None, rng:
 def _explained(samples: Samples, history: OwnHistory, most: int | None) -> Mixture | None:
     """The explanation of a small swarm: the quick way, else by flocks."""
     found = quick(samples, history, most)
-    if found is not None or not samples.complete:
-        return found
+    if found is not None:
+        return found[0]
+    if not samples.complete:
+        return None
     spectra = seen_spectra(samples)
     watch, flocks = flock_search(samples, spectra, flocks_of(flights(samples), spectra), most)
     return None if flocks is None else led(samples, history, flocks.head[watch.label], most)

@@ -32,7 +32,9 @@ NEARLY = 2.5  # a misfit with which nobody's leader is in doubt, where nobody is
 EXPLAINED = 0.4  # share of the UAVs that a first assignment accounts for where it is worth climbing from
 _SETTLING = 6
 _AGAIN = 3  # times that everybody is assigned anew, where many were left out
-_REACHES, _NEAREST = 30, 24  # distances tried at once; followers nearest to their heads on which they are tried
+_REACHES, _NEAREST = 300, 16  # distances tried at once; followers nearest to their heads on which they are tried
+_RIDGE = 1e-9
+_FEW_ROWS = 800  # serve to choose a reach
 
 
 @dataclass(frozen=True)
@@ -89,14 +91,23 @@ def first_assignment(samples: Samples, history: OwnHistory, kind: FeatureKind) -
     return found.leader, evidence
 
 
-def quick(samples: Samples, history: OwnHistory, most: int | None = None) -> Mixture | None:
-    """The explanation that the richest evidence leads to at once, or ``None`` where it does not explain the swarm."""
+def quick(samples: Samples, history: OwnHistory, most: int | None = None) -> tuple[Mixture, Misfit] | None:
+    """The explanation that the richest evidence leads to at once, and what its strategy leaves over.
+
+    ``None`` where it does not explain the swarm.
+    """
     kind = affordable_kinds(samples.rows, samples.memory)[0]
     leader, evidence = first_assignment(samples, history, kind)
     if not (leader >= 0).any():
         return None
     found = shortcut(samples, history, leader, evidence, most)
-    return found if found is not None and len(found.heads.heads) and done(samples, found) else None
+    left = None if found is None else done(samples, found)
+    for _ in range(_AGAIN):
+        if found is None or left is not None or 2 * unexplained(found) > samples.uavs:
+            break
+        found = again(samples, history, found, evidence, most)
+        left = None if found is None else done(samples, found)
+    return (found, left) if found is not None and left is not None and len(found.heads.heads) else None
 
 
 def shortcut(
@@ -123,13 +134,6 @@ def shortcut(
     if found is not None and 2 * unexplained(found) > samples.uavs:
         strategy = within_reach(samples, settled(samples, history, leader, strategy), library) or strategy
         found = fit_mixture(samples, history, leader, strategy.library, columns, most, strategy)
-    for _ in range(_AGAIN):
-        if found is None or 2 * unexplained(found) > samples.uavs or done(samples, found):
-            break
-        better = again(samples, history, found, evidence, library, most)
-        if better is None:
-            break
-        found = better
     return found
 
 
@@ -146,13 +150,14 @@ def settled(samples: Samples, history: OwnHistory, leader: Indices, strategy: St
     return leader
 
 
-def again(
-    samples: Samples, history: OwnHistory, found: Mixture, evidence: Floats, library: Library, most: int | None
-) -> Mixture | None:
+def again(samples: Samples, history: OwnHistory, found: Mixture, evidence: Floats, most: int | None) -> Mixture | None:
     """A better mixture with those who were left behind a head, as they were left for a reach that is off, perhaps.
 
     Behind whom they are likeliest, or behind the one of the heads found that pairwise evidence names.
     """
+    if not found.strategy.library.towards:
+        return None
+    library = replace(found.strategy.library, reach=0.0)
     heads, leader = found.heads.heads, found.heads.leader
     likeliest = found.columns[found.gain.argmax(axis=1)]
     named = heads[evidence[:, heads].argmax(axis=1)]
@@ -169,10 +174,12 @@ def again(
     return best
 
 
-def done(samples: Samples, found: Mixture) -> bool:
-    """Whether a mixture leaves hardly anybody unexplained, and nearly holds."""
-    few = unexplained(found) < LEAST_VOTERS
-    return few and misfit(samples, found.strategy, found.heads.leader).worst <= NEARLY
+def done(samples: Samples, found: Mixture) -> Misfit | None:
+    """What a mixture leaves over, if it leaves hardly anybody unexplained and nearly holds."""
+    if unexplained(found) >= LEAST_VOTERS:
+        return None
+    left = misfit(samples, found.strategy, found.heads.leader)
+    return left if left.worst <= NEARLY else None
 
 
 def within_reach(samples: Samples, leader: Indices, library: Library) -> Strategy | None:
@@ -180,7 +187,7 @@ def within_reach(samples: Samples, leader: Indices, library: Library) -> Strateg
 
     A reach shows where somebody crosses it: it is sought among the distances of the followers nearest to their heads.
     """
-    plain = fit_strategy(samples, leader, library)
+    plain = fit_strategy(samples, leader, library, _FEW_ROWS)
     if plain is None:
         return None
     followers = np.flatnonzero(leader >= 0)
@@ -188,16 +195,12 @@ def within_reach(samples: Samples, leader: Indices, library: Library) -> Strateg
     distance = np.sqrt(np.vecdot(gap, gap))
     near = np.argsort(distance.min(axis=1), kind="stable")[:_NEAREST]
     low, high = max(float(distance[near].min()), 1.0), max(float(np.median(distance[near])), 2.0)
-    best = plain
-    for _ in range(2):  # coarse, then between the neighbours of the best
-        reaches = np.geomspace(low, high, _REACHES)
-        explained = explained_by_reach(samples, best, followers[near], leader[followers[near]], reaches)
-        place = int(explained.argmax())
-        ranged = fit_strategy(samples, leader, replace(library, reach=float(reaches[place])))
-        if ranged is not None and ranged.noise.spread + ranged.noise.floor < best.noise.spread + best.noise.floor:
-            best = ranged
-        low, high = float(reaches[max(place - 1, 0)]), float(reaches[min(place + 1, _REACHES - 1)])
-    return best
+    reaches = np.geomspace(low, high, _REACHES)
+    explained = explained_by_reach(samples, plain, followers[near], leader[followers[near]], reaches)
+    ranged = fit_strategy(samples, leader, replace(library, reach=float(reaches[explained.argmax()])))
+    if ranged is not None and ranged.noise.spread + ranged.noise.floor < plain.noise.spread + plain.noise.floor:
+        return ranged
+    return fit_strategy(samples, leader, library)
 
 
 def explained_by_reach(
@@ -206,30 +209,38 @@ def explained_by_reach(
     """``(K,)`` what the direction to the head beyond each reach explains of what the class leaves without one.
 
     Linear regressions that share all but three columns, of flights as long as the strategy says they are before norm.
+    What these three share with the rest and with the flights are sums over the moments beyond a reach: of all sums
+    between two reaches, added up from the farthest.
     """
-    towards, _ = pair_features(samples, Library(0, towards=True), followers, heads)
-    towards = towards[..., :3]
     plain = replace(strategy.library, reach=0.0)
     unique, group = np.unique(heads, return_inverse=True)
     shared, valid = head_features(samples, plain, unique)
     extra, also = pair_features(samples, plain, followers, heads)
     predicted, _ = directions(samples, strategy, followers, heads)
     keep = valid[group] & also & samples.seen[followers]
-    known, _ = np.linalg.qr(np.concatenate([extra, shared[group]], axis=2)[keep])
-    length = np.sqrt(np.vecdot(predicted[keep], predicted[keep]))[:, None]
-    target = samples.target[followers][keep] * length
-    target -= known @ (known.T @ target)
-    gap = samples.position[heads] - samples.position[followers]
-    far = np.sqrt(np.vecdot(gap, gap))[keep][:, None] > reaches
-    beyond = (far[:, :, None] * towards[keep][:, None]).reshape(len(target), -1)
-    beyond -= known @ (known.T @ beyond)
-    explained = np.empty(len(reaches))
-    for place in range(len(reaches)):
-        column = beyond[:, 3 * place : 3 * place + 3]
-        gram = column.T @ column
-        moment = column.T @ target
-        explained[place] = (moment * np.linalg.solve(gram + 1e-9 * np.eye(3), moment)).sum()
-    return explained
+    known = np.concatenate([extra, shared[group]], axis=2)[keep]
+    predicted = predicted[keep]
+    target = samples.target[followers][keep] * np.sqrt(np.vecdot(predicted, predicted))[:, None]
+    gap = (samples.position[heads] - samples.position[followers])[keep]
+    distance = np.sqrt(np.vecdot(gap, gap))
+    towards = gap / np.maximum(distance, 1e-6)[:, None]
+    gram = known.T @ known
+    gram[np.diag_indices(len(gram))] += _RIDGE * np.trace(gram) / len(gram)
+    everything = np.concatenate([known, target, towards], axis=1)
+    among = np.searchsorted(reaches, distance)  # how many reaches are nearer
+    beyond = np.zeros((len(reaches) + 1, everything.shape[1], 3))
+    for count in np.unique(among):
+        part = among == count
+        beyond[count] = everything[part].T @ towards[part]
+    beyond = beyond[:0:-1].cumsum(axis=0)[::-1]
+    width = known.shape[1]
+    mixed = beyond[:, :width]
+    solved = np.linalg.solve(gram, mixed.transpose(1, 0, 2).reshape(width, -1)).reshape(width, -1, 3)
+    solved = solved.transpose(1, 2, 0)
+    left = beyond[:, width + 3 :] - solved @ mixed
+    moment = beyond[:, width : width + 3].transpose(0, 2, 1) - solved @ (known.T @ target)
+    left[:, np.arange(3), np.arange(3)] += 1e-9 * max(len(target), 1)
+    return np.asarray((moment * np.linalg.solve(left, moment)).sum(axis=(1, 2)))
 
 
 def led(samples: Samples, history: OwnHistory, leader: Indices, most: int | None = None) -> Mixture | None:

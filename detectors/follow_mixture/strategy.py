@@ -15,7 +15,17 @@ from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.likelihood import Noise, fit_directions, natural_parameters
 from detectors.follow_mixture.samples import Samples
 
-__all__ = ["Library", "Strategy", "directions", "fit_strategy", "gain_matrix", "head_features", "pair_features"]
+__all__ = [
+    "PAIRED_ROWS",
+    "Library",
+    "Strategy",
+    "directions",
+    "fit_strategy",
+    "gain_matrix",
+    "head_features",
+    "pair_features",
+    "pairs_seen",
+]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -25,7 +35,7 @@ Pairs = tuple[Floats, Mask]
 _CHUNK_ENTRIES = 2_000_000
 _ODD_STEP = float(np.log(0.01))  # log-likelihood of a step that has any direction: a reach that is a little off turns
 #                                  a few by a lot
-_PAIRED_ROWS = 3000  # some hundred times the numbers that are fitted
+PAIRED_ROWS = 1500  # some ten times the numbers that are fitted
 _FAR = 300.0  # metres; keeps offsets near 1
 
 
@@ -113,29 +123,52 @@ def head_features(samples: Samples, library: Library, heads: Indices | slice = s
     return np.concatenate(parts, axis=2), valid
 
 
-def pair_features(samples: Samples, library: Library, followers: Indices, heads: Indices) -> Pairs:
-    """What depends on the follower as well: ``(..., R, p)`` for ``followers`` and ``heads`` of one shape ``(...)``."""
+def pair_features(
+    samples: Samples, library: Library, followers: Indices, heads: Indices, rows: Indices | None = None
+) -> Pairs:
+    """What depends on the follower as well, in single precision, where most of the time goes.
+
+    Args:
+        samples: n UAVs.
+        library: the class.
+        followers: ``(...)`` indices.
+        heads: ``(...)`` indices.
+        rows: ``(...)`` the row of each; all R rows by default, as a further axis.
+
+    Returns:
+        ``(..., p)`` or ``(..., R, p)``, and where it can be known.
+    """
+    behind, ahead = ((followers,), (heads,)) if rows is None else ((followers, rows), (heads, rows))
     parts = []
-    valid = np.ones((*followers.shape, samples.rows), bool)
     if library.towards:
-        gap = samples.position[heads] - samples.position[followers]
+        gap = (samples.position[ahead] - samples.position[behind]).astype(np.float32)
         distance = np.sqrt(np.vecdot(gap, gap))[..., None]
         towards = gap / np.maximum(distance, 1e-6)
         parts += [towards, gap / _FAR] + ([towards * (distance > library.reach)] if library.reach else [])
-        valid &= samples.position_seen[heads] & samples.position_seen[followers]
     if library.own:
-        parts.append(samples.lagged[followers][..., : library.lags, :].reshape(*valid.shape, -1))
-        valid &= samples.lag_seen[followers][..., : library.lags].all(axis=-1)
-    return np.concatenate(parts, axis=-1), valid
+        past = samples.lagged[behind][..., : library.lags, :].astype(np.float32)
+        parts.append(past.reshape(*past.shape[:-2], -1))
+    return np.concatenate(parts, axis=-1), pairs_seen(samples, library, behind, ahead)
 
 
-def fit_strategy(samples: Samples, leader: Indices, library: Library) -> Strategy | None:
+def pairs_seen(samples: Samples, library: Library, behind: tuple[Indices, ...], ahead: tuple[Indices, ...]) -> Mask:
+    """Where :func:`pair_features` can be known, by indices of followers and heads, with or without rows."""
+    valid = np.ones(samples.position_seen[behind].shape, bool)
+    if library.towards:
+        valid &= samples.position_seen[ahead] & samples.position_seen[behind]
+    if library.own:
+        valid &= samples.lag_seen[behind][..., : library.lags].all(axis=-1)
+    return valid
+
+
+def fit_strategy(samples: Samples, leader: Indices, library: Library, rows: int = PAIRED_ROWS) -> Strategy | None:
     """The strategy of a class that fits the followers best.
 
     Args:
         samples: n UAVs.
         leader: ``(n,)`` the head that each follows, -1 for none.
         library: the class.
+        rows: the most that are fitted to where every follower has its own.
 
     Returns:
         ``None`` where there are fewer rows than numbers to fit.
@@ -143,9 +176,10 @@ def fit_strategy(samples: Samples, leader: Indices, library: Library) -> Strateg
     followers = np.flatnonzero(leader >= 0)
     if not len(followers):
         return None
-    features, total, weight, energy = (_paired_rows if library.paired else _shared_rows)(
-        samples, leader, followers, library
-    )
+    if library.paired:
+        features, total, weight, energy = _paired_rows(samples, leader, followers, library, rows)
+    else:
+        features, total, weight, energy = _shared_rows(samples, leader, followers, library)
     width = features.shape[1]
     observations = int(weight.sum()) * (2 if samples.unit else 3)
     numbers = (width - 1) // 3 + 1 if library.isotropic else 3 * width
@@ -173,18 +207,19 @@ def _shared_rows(
 
 
 def _paired_rows(
-    samples: Samples, leader: Indices, followers: Indices, library: Library
+    samples: Samples, leader: Indices, followers: Indices, library: Library, rows: int
 ) -> tuple[Floats, Floats, Floats, float]:
-    """One row a follower and time, of many a part: ``_PAIRED_ROWS`` at most."""
+    """One row a follower and time, of many a part: ``rows`` at most."""
     heads = leader[followers]
     unique, group = np.unique(heads, return_inverse=True)
     shared, valid = head_features(samples, library, unique)
-    extra, also = pair_features(samples, library, followers, heads)
-    who, when = np.nonzero(valid[group] & also & samples.seen[followers])
-    every = -(-len(who) // _PAIRED_ROWS) or 1
+    seen = valid[group] & samples.seen[followers] & pairs_seen(samples, library, (followers,), (heads,))
+    who, when = np.nonzero(seen)
+    every = -(-len(who) // rows) or 1
     who, when = who[::every], when[::every]
+    extra, _ = pair_features(samples, library, followers[who], heads[who], when)
     target = samples.target[followers[who], when]
-    features = np.concatenate([extra[who, when], shared[group[who], when]], axis=1)
+    features = np.concatenate([extra, shared[group[who], when]], axis=1)
     return features, target, np.ones(len(target)), float((target**2).sum())
 
 
@@ -268,7 +303,10 @@ def _paired_gain(
 ) -> Floats:
     features, valid = head_features(samples, strategy.library, columns)
     extra = len(strategy.coefficients) - features.shape[2]
-    shared = features @ strategy.coefficients[extra:]
+    shared = (features @ strategy.coefficients[extra:]).astype(np.float32)
+    toward = strategy.coefficients[:extra].astype(np.float32)
+    target = samples.target[voters].astype(np.float32)
+    null = _null(samples, history, strategy, voters)
     result = np.empty((len(voters), len(columns)))
     step = max(1, _CHUNK_ENTRIES // (len(columns) * samples.rows * (extra + 6)))
     for first in range(0, len(voters), step):
@@ -277,12 +315,16 @@ def _paired_gain(
         own, also = pair_features(samples, strategy.library, *grid) if pairs is None else pairs
         if pairs is not None:
             own, also = own[first : first + step], also[first : first + step]
-        direction = shared[None] + (own.reshape(-1, extra) @ strategy.coefficients[:extra]).reshape(*also.shape, 3)
+        direction = (own.reshape(-1, extra) @ toward).reshape(*also.shape, 3)
+        direction += shared
         theta, constant = natural_parameters(direction, strategy.noise)
-        value = np.vecdot(theta, samples.target[some][:, None]) + constant
+        value = np.vecdot(theta, target[first : first + step, None]) + constant
         if samples.unit:
-            value = np.maximum(value, _ODD_STEP)
-        value -= _null(samples, history, strategy, some)[:, None]
+            np.maximum(value, _ODD_STEP, out=value)
+        value -= null[first : first + step, None]
+        if samples.complete and also.all():
+            result[first : first + step] = value.sum(axis=2, dtype=np.float64)
+            continue
         counts = also & valid[None] & samples.seen[some][:, None]
-        result[first : first + step] = np.where(counts, value, 0.0).sum(axis=2)
+        result[first : first + step] = np.where(counts, value, 0.0).sum(axis=2, dtype=np.float64)
     return result
