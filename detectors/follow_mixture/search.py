@@ -29,6 +29,8 @@ Indices = NDArray[np.int64]
 
 MISFIT = 1.35  # ratios above this ask for a richer class; a class that holds gives 1 within 0.1 or so
 NEARLY = 2.5  # a misfit with which nobody's leader is in doubt, where nobody is left over
+SHARED = 1.9  # the same of what followers of one head share: where delays are their own, the earlier seem to lead the
+#               later, and one strategy for all is wrong for each group in its own way
 EXPLAINED = 0.4  # share of the UAVs that a first assignment accounts for where it is worth climbing from
 _SETTLING = 6
 _AGAIN = 3  # times that everybody is assigned anew, where many were left out
@@ -179,7 +181,7 @@ def done(samples: Samples, found: Mixture) -> Misfit | None:
     if unexplained(found) >= LEAST_VOTERS:
         return None
     left = misfit(samples, found.strategy, found.heads.leader)
-    return left if left.worst <= NEARLY else None
+    return left if left.follower <= NEARLY and left.head <= SHARED else None
 
 
 def within_reach(samples: Samples, leader: Indices, library: Library) -> Strategy | None:
