@@ -11,9 +11,11 @@ from pydantic import Field
 
 from detectors.base import Detector
 from detectors.follow_mixture.explanation import Explanation
+from detectors.follow_mixture.facility import LEAST_VOTERS
 from detectors.follow_mixture.flock_evidence import explained_by_flocks
+from detectors.follow_mixture.flock_heads import watch_flocks
 from detectors.follow_mixture.flock_leads import PHASES_TELL, explained_by_leads, leads_of_flocks
-from detectors.follow_mixture.flock_search import flights, flock_search, seen_spectra
+from detectors.follow_mixture.flock_search import first_guesses, flights, flock_search, seen_spectra
 from detectors.follow_mixture.flocks import flocks_of
 from detectors.follow_mixture.history import own_history
 from detectors.follow_mixture.mixture_evidence import explained_by_mixture
@@ -21,7 +23,7 @@ from detectors.follow_mixture.noise import FlightSpectra
 from detectors.follow_mixture.policy import Policy, choose
 from detectors.follow_mixture.samples import Samples, filled, samples_of
 from detectors.follow_mixture.scale import ALL_PAIRS, sampled_search
-from detectors.follow_mixture.search import quick
+from detectors.follow_mixture.search import LEFT_OUT, climb_together, quick, unexplained
 from usnet_env.config import InvalidArgument
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -160,9 +162,9 @@ def explain(
         found = at_once(samples, most)
         if found is not None:
             return found
-    whole = filled(window)
+    complete = filled(window)
     lags = int(np.clip(window.observation_steps // _STEPS_A_LAG, 1, _LAGS))
-    rows = flown(whole, samples, living, lags)
+    rows = flown(complete, samples, living, lags)
     if rows is None:
         return None
     spectra = seen_spectra(rows)
@@ -173,10 +175,12 @@ def explain(
     found = by_flocks(rows, spectra, most)
     if found is not None and 2 * (found.leader >= 0).sum() < samples.uavs:
         # There are flocks, and most of them follow nobody: followers may be late.
-        longer = flown(whole, samples, living, 2 * lags) if rows.rows >= _LONG_ROWS else None
+        longer = flown(complete, samples, living, 2 * lags) if rows.rows >= _LONG_ROWS else None
         late = None if longer is None else by_flocks(longer, spectra, most)
         if late is not None and late.value > found.value:
             found = late
+    if found is not None and len(found.heads) and samples.complete and in_doubt(found):
+        return by_everybody(samples, rows, spectra, found, most) or found
     return found
 
 
@@ -202,3 +206,37 @@ def at_once(samples: Samples, most: int | None) -> Explanation | None:
     history = own_history(samples)
     found = quick(samples, history, most)
     return None if found is None else explained_by_mixture(samples, history, *found)
+
+
+def in_doubt(found: Explanation) -> bool:
+    """Whether flocks found no strategy that all share, or left many out."""
+    left = int((found.leader < 0).sum()) - len(found.heads)
+    return not found.strategy["shared"] or left > LEFT_OUT * len(found.leader)
+
+
+def by_everybody(
+    samples: Samples, rows: Samples, spectra: FlightSpectra, found: Explanation, most: int | None
+) -> Explanation | None:
+    """What everybody says together, where flocks ``found`` heads in doubt; ``None`` if that is no better.
+
+    Where delays differ from follower to follower the earlier explain the later as well as their head does. But they fly
+    at once with others who have the same delay, and these follow somebody else. And heads that flocks found are not
+    dropped for those who are left out without.
+    """
+    flocks = flocks_of(flights(rows), spectra)
+    start = found.leader.copy()
+    start[found.heads] = -1
+    starts = [start, *first_guesses(rows, watch_flocks(rows, flocks), most)]
+    history = own_history(samples)
+    mixture = climb_together(samples, history, starts, most)
+    if mixture is None:
+        return None
+    heads, leader = mixture.heads.heads, mixture.heads.leader
+    for head in heads:
+        mates = np.setdiff1d(np.flatnonzero(flocks.label == flocks.label[head]), heads)
+        if len(mates) and 2 * (leader[mates] != head).sum() > len(mates):
+            return None
+    fewer = not len(np.setdiff1d(heads, found.heads)) and len(heads) < len(found.heads)
+    if fewer and unexplained(mixture) >= LEAST_VOTERS:
+        return None
+    return explained_by_mixture(samples, history, mixture)

@@ -20,7 +20,7 @@ from detectors.follow_mixture.mixture import head_price
 from detectors.follow_mixture.samples import Samples
 from detectors.follow_mixture.strategy import Library, head_features
 
-__all__ = ["FlockHeads", "Watch", "heads_of_flocks", "watch_flocks"]
+__all__ = ["FlockHeads", "Watch", "affordable", "each_by_itself", "heads_of_flocks", "shown", "watch_flocks"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -194,7 +194,7 @@ def heads_of_flocks(samples: Samples, watch: Watch, most: int | None = None) -> 
         ``None`` where no flock seems to follow anybody.
     """
     classes = [shown(samples, library) for library in flock_libraries(samples.memory)]
-    starts = [each_by_itself(watch, some, most) for some in classes if some.numbers <= 2.0 * watch.freedom]
+    starts = [each_by_itself(watch, some, most) for some in classes if affordable(watch, some)]
     if not starts:
         return None
     starts.sort(key=lambda start: -start.value)
@@ -213,6 +213,11 @@ def heads_of_flocks(samples: Samples, watch: Watch, most: int | None = None) -> 
         waiting.append(best.head)
     best = sobered(watch, best, most)
     return best if len(best.heads) else None
+
+
+def affordable(watch: Watch, some: Shown) -> bool:
+    """Whether there are moments enough for every pair to have a strategy of its own."""
+    return some.numbers <= 2.0 * watch.freedom
 
 
 def each_by_itself(watch: Watch, some: Shown, most: int | None) -> FlockHeads:

@@ -7,14 +7,24 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.follow_mixture.flock_heads import FlockHeads, Watch, heads_of_flocks, watch_flocks
+from detectors.follow_mixture.flock_heads import (
+    FlockHeads,
+    Watch,
+    affordable,
+    each_by_itself,
+    heads_of_flocks,
+    shown,
+    watch_flocks,
+)
 from detectors.follow_mixture.flocks import Flocks
 from detectors.follow_mixture.noise import LEAST_NOISE, FlightSpectra, fit_spectra, smoothed_pasts
 from detectors.follow_mixture.samples import Samples
+from detectors.follow_mixture.strategy import Library
 
-__all__ = ["flights", "flock_search", "seen_spectra"]
+__all__ = ["first_guesses", "flights", "flock_search", "seen_spectra"]
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
 def flights(samples: Samples) -> Floats:
@@ -47,3 +57,16 @@ def flock_search(
     if spectra.noise > 0:
         candidates = replace(samples, lagged=smoothed_pasts(samples, flights(samples), spectra))
     return watch, heads_of_flocks(candidates, watch, most)
+
+
+def first_guesses(samples: Samples, watch: Watch, most: int | None = None) -> list[Indices]:
+    """Whom everybody seems to follow, ``(n,)`` each, where every flock may have a strategy of its own."""
+    guesses = []
+    for some in (shown(samples, Library(lags)) for lags in {samples.memory, 1}):
+        if not affordable(watch, some):
+            continue
+        head = each_by_itself(watch, some, most).head
+        leader = head[watch.label]
+        leader[head[head >= 0]] = -1
+        guesses.append(leader)
+    return guesses

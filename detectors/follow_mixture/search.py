@@ -22,7 +22,7 @@ from detectors.follow_mixture.strategy import (
     pair_features,
 )
 
-__all__ = ["Misfit", "first_assignment", "led", "misfit", "quick"]
+__all__ = ["LEFT_OUT", "Misfit", "climb_together", "first_assignment", "led", "misfit", "quick", "unexplained"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -33,6 +33,7 @@ SHARED = 1.9  # the same of what followers of one head share: where delays are t
 #               later, and one strategy for all is wrong for each group in its own way
 EXPLAINED = 0.4  # share of the UAVs that a first assignment accounts for where it is worth climbing from
 _SETTLING = 6
+LEFT_OUT = 0.05  # share of a swarm that one who explains everybody may leave out
 _AGAIN = 3  # times that everybody is assigned anew, where many were left out
 _REACHES, _NEAREST = 300, 16  # distances tried at once; followers nearest to their heads on which they are tried
 _RIDGE = 1e-9
@@ -265,6 +266,28 @@ def led(samples: Samples, history: OwnHistory, leader: Indices, most: int | None
     ]
     worthy = [mixture for mixture in found if mixture is not None and mixture.value > 0]
     return max(worthy, key=lambda mixture: mixture.value, default=None)
+
+
+def climb_together(
+    samples: Samples, history: OwnHistory, starts: list[Indices], most: int | None = None
+) -> Mixture | None:
+    """The mixture that leaves hardly anybody unexplained, if one of some assignments leads to one.
+
+    Its strategy looks at the head's place and the follower's own past too. The more of an assignment is right the
+    better it fits, so that a third of it may do.
+
+    Args:
+        samples: n UAVs.
+        history: the null.
+        starts: assignments ``(n,)``, -1 for nobody.
+        most: the largest number of heads.
+    """
+    library = Library(samples.memory, towards=True, own=True)
+    climbed = [fit_mixture(samples, history, start, library, np.arange(samples.uavs), most) for start in starts]
+    best = max((found for found in climbed if found is not None), key=lambda found: found.value, default=None)
+    if best is None or not len(best.heads.heads) or unexplained(best) > LEFT_OUT * samples.uavs:
+        return None
+    return best
 
 
 def unexplained(mixture: Mixture) -> int:
