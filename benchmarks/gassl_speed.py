@@ -12,89 +12,36 @@ its threads from waiting for each other.
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
-import sys
-import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import torch
+from speed_helpers import LITERAL_STEPS, literal_loop, peak_memory, play, seconds, window_of, write_json
 
-import usnet_env  # registers the environments
 from detectors.gassl import Gassl
-from detectors.gassl.agat import Agat, AgatSizes
-from detectors.gassl.ifsn import Ifsn
-from detectors.gassl.input_pooling import InputPooling, standardise
-from detectors.gassl.inputs import samples_of
+from detectors.gassl.input_pooling import InputPooling
 from usnet_env.provenance import machine, versions
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "detectors" / "gassl"))
-
-import literal  # noqa: E402  lives beside the tests that hold the fast GASSL against it
-
-MEMORY = 4
-LITERAL_STEPS = 10
 LITERAL_UAVS = {5: 6, 50: 4}
 BARS = {5: {"default": 1 / 5, "paper": 1 / 5}, 50: {"default": 1 / 15, "paper": 1 / 10}}
 FEWER_STEPS = 20  # of the paper preset where it would take minutes
 
 
-def seconds(function: Callable[[], object]) -> float:
-    begun = time.perf_counter()
-    function()
-    return time.perf_counter() - begun
-
-
-def window_of(followers: int, seed: int = 0) -> usnet_env.Window:
-    env = gym.make("USNET/SingleCluster-v0", follow="f1", followers=followers)
-    observation, _ = env.reset(seed=seed)
-    return usnet_env.Window.from_observation(observation)
-
-
-def episode(window: usnet_env.Window, **arguments: object) -> Callable[[], object]:
-    """An episode of a detector: reset, and one window."""
-    detector = Gassl(**arguments)
-
-    def play() -> object:
-        detector.reset(0)
-        return detector.detect(window)
-
-    return play
-
-
-def literal_episode(window: usnet_env.Window, settings: InputPooling) -> Callable[[], float]:
-    """Seconds that the literal loop would take for all UAVs and ``settings.steps`` steps, scaled up."""
-    samples = samples_of([window], [np.arange(window.uavs)], MEMORY, torch.device("cpu"))
-    inputs = standardise(samples)
-    generator = torch.Generator().manual_seed(0)
-    sizes = AgatSizes(MEMORY, settings.query_hidden, settings.query, settings.key, settings.similarity_hidden)
-    agat = Agat(1, window.uavs, sizes, generator)
-    ifsn = Ifsn(1, 6 * MEMORY + 6, settings.ifsn_hidden, generator)
-    uavs = list(range(LITERAL_UAVS[window.uavs - 1]))
-
-    def play(steps: int) -> float:
-        return seconds(lambda: literal.train(agat, ifsn, inputs, settings, steps, uavs))
-
-    def scaled() -> float:
-        around = play(0)
-        each_step = (play(LITERAL_STEPS) - around) / LITERAL_STEPS
-        return (around + each_step * settings.steps) * window.uavs / len(uavs)
-
-    return scaled
+def episode(followers: int, **arguments: object) -> Callable[[], object]:
+    """An episode of GASSL beside one head and its followers."""
+    return partial(play, Gassl(**arguments), window_of("SingleCluster", follow="f1", followers=followers))
 
 
 def against_the_loop(followers: int, turns: int) -> dict[str, object]:
     """Both presets against the literal loop."""
-    window = window_of(followers)
-    loop = literal_episode(window, InputPooling())
-    players = {preset: episode(window, preset=preset) for preset in ("default", "paper")}
-    for play in (loop, *players.values()):
-        play()
-    taken = [(loop(), *(seconds(play) for play in players.values())) for _ in range(turns)]
+    window = window_of("SingleCluster", follow="f1", followers=followers)
+    loop = literal_loop(window, InputPooling(), LITERAL_UAVS[followers])
+    players = {preset: episode(followers, preset=preset) for preset in ("default", "paper")}
+    for player in (loop, *players.values()):
+        player()
+    taken = [(loop(), *(seconds(player) for player in players.values())) for _ in range(turns)]
     table = np.array(taken)
     answer: dict[str, object] = {
         "what": f"seconds an episode of {followers + 1} UAVs over those of the literal loop with as many steps",
@@ -118,9 +65,9 @@ def against_the_loop(followers: int, turns: int) -> dict[str, object]:
 
 def growth(turns: int, **arguments: object) -> dict[str, object]:
     """The power of N with which an episode's time grows from 50 to 200 followers."""
-    small, large = (episode(window_of(followers), **arguments) for followers in (50, 200))
-    for play in (small, large):
-        play()
+    small, large = (episode(followers, **arguments) for followers in (50, 200))
+    for player in (small, large):
+        player()
     taken = np.array([[seconds(small), seconds(large)] for _ in range(turns)])
     exponents = np.log(taken[:, 1] / taken[:, 0]) / np.log(201 / 51)
     return {
@@ -135,29 +82,14 @@ def growth(turns: int, **arguments: object) -> dict[str, object]:
 
 def memory(**arguments: object) -> dict[str, object]:
     """Peak resident memory of a process that answers one window of 201 UAVs, and what its imports take of it."""
-    program = (
-        "import json, gymnasium as gym, usnet_env\n"
-        "from detectors.gassl import Gassl\n"
-        "env = gym.make('USNET/SingleCluster-v0', followers=200)\n"
-        "window = usnet_env.Window.from_observation(env.reset(seed=0)[0])\n"
-        # Not getrusage: a child begins with the peak of the process that started it.
-        "def peak():\n"
-        "    lines = open('/proc/self/status').read().splitlines()\n"
-        "    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith('VmHWM'))\n"
-        "before = peak()\n"
-        f"detector = Gassl(**{arguments!r})\n"
-        "detector.reset(0)\n"
-        "detector.detect(window)\n"
-        "print(json.dumps([before, peak()]))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
-    before, peak = json.loads(done.stdout)
     return {
         "what": "peak resident bytes of a process that answers one window of 201 UAVs",
         "arguments": arguments,
-        "bytes": peak,
-        "bytes_after_imports": before,
-        "bytes_above_imports": peak - before,
+        **peak_memory(
+            ["from detectors.gassl import Gassl"],
+            "gym.make('USNET/SingleCluster-v0', followers=200)",
+            f"Gassl(**{arguments!r})",
+        ),
         "bar": 1.5 * 2**30,
     }
 
@@ -182,10 +114,7 @@ def main() -> None:
         "growth": grown,
         "memory": peaks,
     }
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    aside = arguments.out.with_suffix(".part")
-    aside.write_text(json.dumps(result, indent=1) + "\n")
-    aside.replace(arguments.out)
+    write_json(arguments.out, result)
     for followers, row in loops.items():
         print(
             f"m={followers}: literal loop {row['literal_seconds']:.1f} s (scaled up linearly from {LITERAL_STEPS} steps"

@@ -14,37 +14,27 @@ what takes long has fewer turns, and says so. Run it with ``OMP_NUM_THREADS=1``.
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import torch
+from speed_helpers import LITERAL_STEPS, MEMORY, literal_loop, peak_memory, play, write_json
+from speed_helpers import seconds as seconds_by
+from speed_helpers import window_of as first_window
 
-import usnet_env  # registers the environments
+import usnet_env
 from detectors.clustering import clusterers, eigengap, gap, make_clusterer
 from detectors.clustering.affinity import affinity_of
 from detectors.clustering.features import features_of
-from detectors.gassl.agat import Agat, AgatSizes
-from detectors.gassl.ifsn import Ifsn
-from detectors.gassl.input_pooling import InputPooling, standardise
-from detectors.gassl.inputs import samples_of
+from detectors.gassl.input_pooling import InputPooling
 from detectors.mc_gassl.features import MODES, gru_features
 from detectors.mc_gassl.gru import GruSizes, draw_parameters
 from usnet_env.plugins import make_detector
 from usnet_env.provenance import machine, versions
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "detectors" / "gassl"))
-
-import literal  # noqa: E402  lives beside the tests that hold the fast GASSL against it
-
-MEMORY = 4
 SIZES = {82: 5, 185: 8, 500: 20, 2000: 60}  # M for each N
 DETECTORS = {
     "mc-gassl": "detectors.mc_gassl.detector:McGassl",
@@ -52,22 +42,18 @@ DETECTORS = {
     "lagged-regression": "lagged-regression",
 }
 PAPER_UP_TO = 185  # UAVs: above, the paper's networks take many minutes
-LITERAL_STEPS, LITERAL_UAVS = 10, 4
+LITERAL_UAVS = 4
 BAR, MEMORY_BAR = 1 / 10, 4 * 2**30
 PATIENCE = 20.0  # seconds after which a part is timed no further
 
 
 def seconds(function: Callable[[], object]) -> float:
     """Of the processor."""
-    begun = time.process_time()
-    function()
-    return time.process_time() - begun
+    return seconds_by(function, time.process_time)
 
 
-def window_of(uavs: int, seed: int = 0) -> usnet_env.Window:
-    env = gym.make("USNET/MultiCluster-v0", follow="f1", clusters=SIZES[uavs], uavs=uavs)
-    observation, _ = env.reset(seed=seed)
-    return usnet_env.Window.from_observation(observation)
+def window_of(uavs: int) -> usnet_env.Window:
+    return first_window("MultiCluster", follow="f1", clusters=SIZES[uavs], uavs=uavs)
 
 
 def parts_of(uavs: int) -> dict[str, Callable[[], object]]:
@@ -92,12 +78,6 @@ def parts_of(uavs: int) -> dict[str, Callable[[], object]]:
     return parts
 
 
-def play(detector: object, window: usnet_env.Window) -> object:
-    """An episode of one round."""
-    detector.reset(0)
-    return detector.detect(window)
-
-
 def timed(parts: dict[str, Callable[[], object]], turns: int) -> dict[str, dict[str, object]]:
     """Seconds of each part: the first time untimed, then in turns."""
     taken: dict[str, list[float]] = {}
@@ -112,32 +92,15 @@ def timed(parts: dict[str, Callable[[], object]], turns: int) -> dict[str, dict[
     return {name: {"seconds": float(np.median(own)), "turns": len(own)} for name, own in taken.items()}
 
 
-def literal_round(window: usnet_env.Window, settings: InputPooling) -> float:
-    """Seconds that the literal loop would take for all UAVs and steps, scaled up from a few."""
-    samples = samples_of([window], [np.arange(window.uavs)], MEMORY, torch.device("cpu"))
-    inputs = standardise(samples)
-    generator = torch.Generator().manual_seed(0)
-    sizes = AgatSizes(MEMORY, settings.query_hidden, settings.query, settings.key, settings.similarity_hidden)
-    agat = Agat(1, window.uavs, sizes, generator)
-    ifsn = Ifsn(1, 6 * MEMORY + 6, settings.ifsn_hidden, generator)
-    uavs = list(range(LITERAL_UAVS))
-
-    def some(steps: int) -> float:
-        return seconds(lambda: literal.train(agat, ifsn, inputs, settings, steps, uavs))
-
-    around = some(0)
-    each_step = (some(LITERAL_STEPS) - around) / LITERAL_STEPS
-    return (around + each_step * settings.steps) * window.uavs / LITERAL_UAVS
-
-
 def against_the_loop(turns: int) -> dict[str, object]:
     """Rounds at N=82 against the literal loop over the whole swarm."""
     window, settings = window_of(82), InputPooling()
-    literal_round(window, settings)
+    literal_round = literal_loop(window, settings, LITERAL_UAVS, time.process_time)
+    literal_round()
     rounds = {name: partial(play, make_detector(DETECTORS[name]), window) for name in ("mc-gassl", "mc-gassl, paper")}
     taken: dict[str, list[tuple[float, float]]] = {name: [] for name in rounds}
     for turn in range(turns):
-        loop = literal_round(window, settings)
+        loop = literal_round()
         for name, play_round in rounds.items():
             if turn == 0 or name == "mc-gassl":
                 taken[name].append((seconds(play_round), loop))
@@ -156,30 +119,14 @@ def against_the_loop(turns: int) -> dict[str, object]:
 
 def memory(detector: str, uavs: int) -> dict[str, object]:
     """Peak resident memory of a process that answers one window, and what its imports take of it."""
-    program = (
-        "import json, gymnasium as gym, usnet_env\n"
-        "import detectors.clustering, torch\n"
-        "from usnet_env.plugins import make_detector\n"
-        f"env = gym.make('USNET/MultiCluster-v0', follow='f1', clusters={SIZES[uavs]}, uavs={uavs})\n"
-        "window = usnet_env.Window.from_observation(env.reset(seed=0)[0])\n"
-        # Not getrusage: a child begins with the peak of the process that started it.
-        "def peak():\n"
-        "    lines = open('/proc/self/status').read().splitlines()\n"
-        "    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith('VmHWM'))\n"
-        "before = peak()\n"
-        f"detector = make_detector({detector!r})\n"
-        "detector.reset(0)\n"
-        "detector.detect(window)\n"
-        "print(json.dumps([before, peak()]))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, cwd=ROOT)
-    before, peak = json.loads(done.stdout)
     return {
         "what": f"peak resident bytes of a process that answers one window of {uavs} UAVs",
         "detector": detector,
-        "bytes": peak,
-        "bytes_after_imports": before,
-        "bytes_above_imports": peak - before,
+        **peak_memory(
+            ["import detectors.clustering, torch", "from usnet_env.plugins import make_detector"],
+            f"gym.make('USNET/MultiCluster-v0', follow='f1', clusters={SIZES[uavs]}, uavs={uavs})",
+            f"make_detector({detector!r})",
+        ),
         "bar": MEMORY_BAR,
     }
 
@@ -213,10 +160,7 @@ def main() -> None:
         "against_the_loop": loop,
         "memory": peak,
     }
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    aside = arguments.out.with_suffix(".part")
-    aside.write_text(json.dumps(result, indent=1) + "\n")
-    aside.replace(arguments.out)
+    write_json(arguments.out, result)
 
 
 if __name__ == "__main__":
