@@ -12,7 +12,7 @@ from detectors.follow_mixture.flocks import flocks_of
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, head_price
 from detectors.follow_mixture.samples import Samples
-from detectors.follow_mixture.search import NEARLY, first_assignment, led, misfit, quick, shortcut
+from detectors.follow_mixture.search import MISFIT, NEARLY, first_assignment, led, misfit, quick, shortcut
 from detectors.follow_mixture.strategy import Strategy, fit_strategy, gain_matrix
 
 __all__ = ["ALL_PAIRS", "pruned", "sampled_search"]
@@ -26,7 +26,8 @@ _VOTERS = 300
 _CANDIDATES = 150
 _ROUNDS = 30
 _CHUNK = 1000
-_ACCOUNTED = 0.9  # share of a swarm that a strategy known from a few agreeing voters must account for
+_ACCOUNTED = 0.9  # share of a swarm that the strategy of a few agreeing voters must account for,
+_HALF = 0.5  # or where it leaves nothing but noise: the others may be decoys
 
 
 def sampled_search(samples: Samples, history: OwnHistory, most: int | None, rng: np.random.Generator) -> Mixture | None:
@@ -58,7 +59,8 @@ def sampled_search(samples: Samples, history: OwnHistory, most: int | None, rng:
         found = _at_once(samples.take(agreeing), history.take(agreeing), most)
         if found is not None:
             best = _spread(samples, history, found.strategy, agreeing[found.heads.heads], voters, most, rng)
-            if _accounted(best) >= _ACCOUNTED:
+            left_over = misfit(samples.take(agreeing), found.strategy, found.heads.leader).worst
+            if _accounted(best) >= (_HALF if left_over <= MISFIT else _ACCOUNTED):
                 return best
     worth = np.maximum(evidence, 0.0).sum(axis=0)
     few = np.union1d(voters, np.argsort(-worth, kind="stable")[:_CANDIDATES])
@@ -134,13 +136,21 @@ def _spread(
             break
         heads = np.concatenate([heads, new])
         gain = np.concatenate([gain, _gain(samples, history, strategy, new, everybody)], axis=1)
-    kept = pruned(gain, heads, everybody, price, most)
-    leader = _heads(gain[:, kept], heads[kept], price).leader
-    heads = np.sort(heads[kept])
+    found = _kept(strategy, gain, heads, price, most)
+    leader = found.heads.leader
     shown = np.union1d(voters, leader[voters][leader[voters] >= 0])
-    strategy = fit_strategy(samples.take(shown), _within(leader, shown), strategy.library) or strategy
-    gain = _gain(samples, history, strategy, heads, everybody)
-    kept = pruned(gain, heads, everybody, price, most)
+    refined = fit_strategy(samples.take(shown), _within(leader, shown), strategy.library)
+    if refined is None:
+        return found
+    gain = _gain(samples, history, refined, found.columns, everybody)
+    better = _kept(refined, gain, found.columns, price, most)
+    return better if better.value > found.value else found
+
+
+def _kept(strategy: Strategy, gain: Floats, heads: Indices, price: float, most: int | None) -> Mixture:
+    """The mixture of all UAVs with those of ``heads`` that are worth their price."""
+    kept = np.flatnonzero(pruned(gain, heads, np.arange(len(gain)), price, most))
+    kept = kept[np.argsort(heads[kept])]
     final = _heads(gain[:, kept], heads[kept], price)
     return Mixture(strategy, final, gain[:, kept], final.heads, final.value - strategy.price)
 
