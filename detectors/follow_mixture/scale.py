@@ -53,7 +53,7 @@ def sampled_search(samples: Samples, history: OwnHistory, most: int | None, rng:
     kind = affordable_kinds(samples.rows, samples.memory)[0]
     observed, chance = gain_and_chance(samples, history.surprise, kind, voters)
     evidence = observed - chance
-    agreeing = _agreeing(evidence, voters)
+    agreeing = _agreeing(evidence - 0.5 * chance, voters)  # one that agrees by chance asks for a richer class
     best: Mixture | None = None
     if len(agreeing):
         found = _at_once(samples.take(agreeing), history.take(agreeing), most)
@@ -75,7 +75,7 @@ def _agreeing(evidence: Floats, voters: Indices) -> Indices:
     """Voters who name a UAV that others name too, and whom they name: indices, ascending.
 
     Args:
-        evidence: ``(v, n)`` above chance.
+        evidence: ``(v, n)`` above what a voter must be sure by.
         voters: ``(v,)``.
     """
     named = evidence.argmax(axis=1)

@@ -74,3 +74,12 @@ def test_nobody_is_named_in_a_large_swarm_where_nobody_follows():
     detector = FollowMixture(policy="map")
     detector.reset(0)
     assert not detector.detect(window).candidates.any()
+
+
+def test_decoys_in_a_large_swarm_are_left_alone():
+    window, truth = swarm_window(800, uavs=700, clusters=14, decoys=70)
+    detector = FollowMixture(policy="map")
+    detector.reset(0)
+    detection = detector.detect(window)
+    assert np.array_equal(detection.candidates, truth.head)
+    assert (detection.leader[truth.decoy] == -1).all()
