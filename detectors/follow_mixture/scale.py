@@ -23,6 +23,7 @@ Mask = NDArray[np.bool_]
 
 ALL_PAIRS = 500  # UAVs up to which every pair is looked at
 _VOTERS = 300
+_ASKED = 600  # of those who are left, at once: a round costs all pasts, however few are asked
 _CANDIDATES = 150
 _ROUNDS = 30
 _CHUNK = 1000
@@ -126,7 +127,7 @@ def _spread(
         left = np.setdiff1d(everybody[(gain <= 0.0).all(axis=1)], heads)
         if not len(left) or (most is not None and len(heads) >= most):
             break
-        asked = np.sort(rng.choice(left, min(_VOTERS, len(left)), replace=False))
+        asked = np.sort(rng.choice(left, min(_ASKED, len(left)), replace=False))
         whom = gain_matrix(samples, history, strategy, everybody, asked)
         named = whom.argmax(axis=1)
         new = np.setdiff1d(named[whom[np.arange(len(asked)), named] > 0.0], heads)
