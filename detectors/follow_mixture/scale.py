@@ -12,7 +12,7 @@ from detectors.follow_mixture.flocks import flocks_of
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, head_price
 from detectors.follow_mixture.samples import Samples
-from detectors.follow_mixture.search import MISFIT, NEARLY, first_assignment, led, misfit, quick, shortcut
+from detectors.follow_mixture.search import MISFIT, first_assignment, led, misfit, quick, shortcut
 from detectors.follow_mixture.strategy import Strategy, fit_strategy, gain_matrix
 
 __all__ = ["ALL_PAIRS", "pruned", "sampled_search"]
@@ -95,7 +95,7 @@ def _at_once(samples: Samples, history: OwnHistory, most: int | None) -> Mixture
     found = shortcut(samples, history, leader, evidence, most)
     if found is None or not len(found.heads.heads):
         return None
-    return found if misfit(samples, found.strategy, found.heads.leader).worst <= NEARLY else None
+    return found if misfit(samples, found.strategy, found.heads.leader).nearly_holds else None
 
 
 def _explained(samples: Samples, history: OwnHistory, most: int | None) -> Mixture | None:

@@ -28,8 +28,8 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 MISFIT = 1.35  # ratios above this ask for a richer class; a class that holds gives 1 within 0.1 or so
-NEARLY = 2.5  # a misfit with which nobody's leader is in doubt, where nobody is left over
-SHARED = 1.9  # the same of what followers of one head share: where delays are their own, the earlier seem to lead the
+_NEARLY = 2.5  # a misfit with which nobody's leader is in doubt, where nobody is left over
+_SHARED = 1.9  # the same of what followers of one head share: where delays are their own, the earlier seem to lead the
 #               later, and one strategy for all is wrong for each group in its own way
 EXPLAINED = 0.4  # share of the UAVs that a first assignment accounts for where it is worth climbing from
 _SETTLING = 6
@@ -56,6 +56,11 @@ class Misfit:
     def worst(self) -> float:
         """The larger of the two."""
         return max(self.follower, self.head)
+
+    @property
+    def nearly_holds(self) -> bool:
+        """Whether nobody's leader is in doubt, where nobody is left over."""
+        return self.follower <= _NEARLY and self.head <= _SHARED
 
 
 def misfit(samples: Samples, strategy: Strategy, leader: Indices) -> Misfit:
@@ -182,7 +187,7 @@ def done(samples: Samples, found: Mixture) -> Misfit | None:
     if unexplained(found) >= LEAST_VOTERS:
         return None
     left = misfit(samples, found.strategy, found.heads.leader)
-    return left if left.follower <= NEARLY and left.head <= SHARED else None
+    return left if left.nearly_holds else None
 
 
 def within_reach(samples: Samples, leader: Indices, library: Library) -> Strategy | None:
