@@ -38,21 +38,25 @@ class Policy(Config):
     round_price: Annotated[float, Field(gt=0)] | None = None
 
 
-def choose(probability: Floats, alive: NDArray[np.bool_], policy: Policy, tie: Floats) -> NDArray[np.bool_]:
+def choose(
+    probability: Floats, alive: NDArray[np.bool_], policy: Policy, tie: Floats, doubt: float = 0.0
+) -> NDArray[np.bool_]:
     """The candidates.
 
     P2: every further round costs ``round_price`` and every redundant candidate ``redundancy_price`` / N. A head that
     is not named costs a round, unless another one that is missed costs it anyway: with the most probable named first,
     naming k costs (1 - prod of (1 - p) over the rest) rounds and the sum of (1 - p) over the named. The k with the
-    least expected cost is exact where heads are independent.
+    least expected cost is exact where heads are independent. Mistakes are not: an explanation that is wrong misses
+    many heads at once. So with probability ``doubt`` it counts as wrong, and every UAV as likely a head as any other.
 
     P1: one head; naming k > 1 costs ``redundancy_price`` (k - 1) for certain, and finds it with their summed p.
 
     Args:
-        probability: ``(N,)`` of being a head.
+        probability: ``(N,)`` of being a head, if the explanation is right.
         alive: ``(N,)`` bool.
         policy: what is played.
         tie: ``(N,)`` random numbers that order equal probabilities.
+        doubt: probability that the explanation is wrong, from 0 to 1.
 
     Returns:
         ``(N,)`` bool, living UAVs only.
@@ -62,7 +66,9 @@ def choose(probability: Floats, alive: NDArray[np.bool_], policy: Policy, tie: F
     if not len(living):
         return named
     order = living[np.lexsort((tie[living], -probability[living]))]
-    p = np.clip(probability[order], 0.0, 1.0)
+    sure = np.clip(probability[order], 0.0, 1.0)
+    anybody = np.full(len(order), sure.mean())
+    p = (1.0 - doubt) * sure + doubt * anybody
     budget = len(order) if policy.shot_budget is None else min(policy.shot_budget, len(order))
     if policy.policy == "map":
         count = int((p > 0.5).sum())
@@ -75,10 +81,15 @@ def choose(probability: Floats, alive: NDArray[np.bool_], policy: Policy, tie: F
         total = max(float(p.sum()), 1e-12)
         cost = policy.redundancy_price * (sizes - 1) - np.cumsum(p / total)[:budget]
     else:
-        nobody_left = np.append(np.cumprod((1.0 - p)[::-1])[::-1][1:], 1.0)[:budget]
+        nobody_left = ((1.0 - doubt) * _no_head_after(sure) + doubt * _no_head_after(anybody))[:budget]
         redundant = np.cumsum(1.0 - p)[:budget]
         guessing = bool(p[0] < _GUESS)
         price = policy.round_price if policy.round_price is not None else (len(alive) / 4.0 if guessing else 1.0)
         cost = price * (1.0 - nobody_left) + policy.redundancy_price * redundant / len(alive)
     named[order[: int(cost.argmin()) + 1]] = True
     return named
+
+
+def _no_head_after(p: Floats) -> Floats:
+    """``(n,)`` the chance that none of those behind each place is a head."""
+    return np.append(np.cumprod((1.0 - p)[::-1])[::-1][1:], 1.0)
