@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
+from detectors.follow_mixture.calibration import calibrated
 from detectors.follow_mixture.explanation import Explanation
 from detectors.follow_mixture.facility import LEAST_VOTERS
 from detectors.follow_mixture.flock_evidence import explained_by_flocks
@@ -122,11 +123,11 @@ class FollowMixture(Detector):
         gain, share = np.zeros(window.uavs), np.zeros(window.uavs)
         extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "gate": [], "nats": 0.0}
         probability[living] = 1.0 / (len(living) + 1.0)  # as long as nobody seems to follow anybody
-        given = probability.copy()
+        given, doubt = probability.copy(), 0.0
         if samples is not None:
             found = explain(window, samples, living, most, rng)
             if found is not None:
-                probability[living], given[living] = found.probability, found.given
+                probability[living], given[living], doubt = calibrated(found)
                 leader[living] = np.where(found.leader >= 0, living[found.leader], -1)
                 heads = living[found.heads]
                 leader[heads] = heads
@@ -146,8 +147,9 @@ class FollowMixture(Detector):
         extras["probability"] = probability
         extras["gain"] = gain
         extras["explained"] = share
-        odds_in_play = given if arguments.policy == "cost" else probability
-        candidates = choose(odds_in_play, window.alive, arguments, rng.random(window.uavs))
+        if arguments.policy == "map":
+            given, doubt = probability, 0.0
+        candidates = choose(given, window.alive, arguments, rng.random(window.uavs), doubt)
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader, extras=extras)
 
 

@@ -134,4 +134,5 @@ def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -
             "flocks": watch.label,
         },
         value=found.value,
+        passed=gate.passed,
     )

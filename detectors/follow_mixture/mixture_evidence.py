@@ -1,4 +1,4 @@
-"""What to believe of a mixture: a gate of surrogates for each head, probabilities, and the strategy in words."""
+"""What to believe of a mixture: a gate of surrogates for each head, what every UAV is, and the strategy in words."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.follow_mixture.explanation import Explanation
-from detectors.follow_mixture.gate import gate_heads
+from detectors.follow_mixture.explanation import KINDS, Explanation
+from detectors.follow_mixture.gate import Gate, gate_heads
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture
-from detectors.follow_mixture.probability import head_probability
 from detectors.follow_mixture.samples import Samples
 from detectors.follow_mixture.search import MISFIT, Misfit, misfit
 from detectors.follow_mixture.strategy import directions
@@ -19,6 +18,9 @@ from detectors.follow_mixture.strategy import directions
 __all__ = ["explained_by_mixture"]
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_SMALLEST_CLUSTER = 3
 
 
 def explained_by_mixture(
@@ -30,19 +32,30 @@ def explained_by_mixture(
     gate = gate_heads(samples, history, mixture)
     left = left or misfit(samples, mixture.strategy, mixture.heads.leader)
     leader = mixture.heads.leader
-    probability = head_probability(mixture, gate, left.worst <= MISFIT)
     place = np.minimum(np.searchsorted(mixture.columns, np.maximum(leader, 0)), len(mixture.columns) - 1)
     return Explanation(
         heads=mixture.heads.heads,
         leader=leader,
-        probability=probability,
-        given=probability,
+        probability=np.zeros(samples.uavs),
+        given=np.zeros(samples.uavs),
         gain=np.where(leader >= 0, mixture.gain[np.arange(samples.uavs), place], 0.0),
         explained=_explained(samples, history, mixture),
         reasons=gate.reasons(),
         strategy=_described(mixture, samples),
         value=mixture.value,
+        kind=_kinds(mixture, gate, left.worst <= MISFIT),
+        passed=gate.passed,
     )
+
+
+def _kinds(mixture: Mixture, gate: Gate, holds: bool) -> Indices:
+    """``(n,)`` places in :data:`KINDS`; ``holds``: the strategy found leaves nothing but noise."""
+    left = mixture.heads.leader < 0
+    left[mixture.heads.heads] = False
+    missing = not holds and left.sum() >= _SMALLEST_CLUSTER
+    kind = np.where(left, KINDS.index("missing" if missing else "alone"), KINDS.index("follower"))
+    kind[mixture.heads.heads] = np.where(gate.passed, KINDS.index("passed"), KINDS.index("failed"))
+    return kind
 
 
 def _explained(samples: Samples, history: OwnHistory, mixture: Mixture) -> Floats:

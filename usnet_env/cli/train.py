@@ -45,3 +45,19 @@ def learned(out: str, steps: int, swarms: int, seed: int, resume: bool) -> None:
     training = HeadTraining.model_validate({"steps": steps, "swarms": swarms, "seed": seed})
     with progress_bar("steps") as progress:
         click.echo(str(train_heads(out, training, progress, resume)))
+
+
+@train.command("follow-mixture")
+@click.option(
+    "--out", default="runs/follow-mixture", show_default=True, metavar="DIR", help="Calibration and rows go here."
+)
+@click.option("--swarms", type=WholeNumber(1, 10**6), default=1500, show_default=True, help="To explain.")
+@click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Of all draws.")
+@click.option("--resume/--no-resume", default=True, show_default=True, help="Go on from the rows in --out.")
+def follow_mixture(out: str, swarms: int, seed: int, resume: bool) -> None:
+    """Probabilities of follow-mixture: its calibration, on random follow strategies (none of f1 to f7)."""
+    from detectors.follow_mixture.train import CalibrationTraining, train_calibration
+
+    training = CalibrationTraining.model_validate({"swarms": swarms, "seed": seed})
+    with progress_bar("swarms") as progress:
+        click.echo(str(train_calibration(out, training, progress, resume)))

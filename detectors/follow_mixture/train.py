@@ -1,0 +1,409 @@
+"""Calibration from nothing: draws swarms with random follow strategies, explains them, and counts who heads them.
+
+Every swarm has a seed of its own, from the calibration's seed and its number. So an interrupted calibration goes on
+from its rows to the very result it would have had, and one of more swarms begins with the same.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import json
+import math
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from hashlib import sha256
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from detectors.follow_mixture.calibration import (
+    MOST_ODDS,
+    VERDICTS,
+    Belief,
+    Calibration,
+    Curve,
+    Curves,
+    Rates,
+    log_odds,
+    verdict,
+)
+from detectors.follow_mixture.detector import explain
+from detectors.follow_mixture.explanation import KINDS
+from detectors.follow_mixture.samples import samples_of
+from usnet_env.config import Config, InvalidArgument, shown
+from usnet_env.files import written_whole
+from usnet_env.provenance import versions
+from usnet_env.swarm import SwarmConfig, advance, destroy, start
+from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_strategy
+from usnet_env.window import Window
+
+__all__ = [
+    "COLUMNS",
+    "CalibrationTraining",
+    "draw_swarm",
+    "draw_window",
+    "fit_calibration",
+    "read_rows",
+    "row_of",
+    "train_calibration",
+]
+
+Floats = NDArray[np.float64]
+Rows = Sequence[Mapping[str, str]]
+
+COLUMNS = (
+    "swarm", "follows", "terms", "mobility", "head_jitter", "clusters", "uavs", "observation_steps", "position_noise",
+    "miss_rate", "decoys", "later", "living", "heads", "way", "kinds", "probability", "given",
+)  # fmt: skip
+_MOBILITIES = ("iid", "gauss_markov", "smooth_turn", "local_waypoint", "waypoint", "straight")
+_MEMORY = 4  # the detector's own default
+_BIN = 0.25  # of log-odds
+_BINS = int(2 * MOST_ODDS / _BIN) + 1
+_ODDS = np.linspace(-MOST_ODDS, MOST_ODDS, _BINS)
+_EDGES = (0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97, 0.99, 1)
+_ROWS, _FITTED, _RELIABILITY, _IDENTITY = "rows.csv", "calibration.json", "reliability.csv", "rows.json"
+_KEEP_EVERY = 20  # swarms between two times that rows are written
+#: What is known of a curve before any swarm is seen: mean and spread of log slope, offset and log-odds of trust.
+_PRIOR = np.array([[0.0, 1.0], [0.0, 3.0], [2.0, 2.0]])
+
+
+class CalibrationTraining(Config):
+    """Everything that decides the calibration, beside the detector itself.
+
+    Args:
+        swarms: to explain.
+        seed: of all draws.
+        most_uavs: N is drawn between 20 and this.
+        most_clusters: M is drawn between 1 and this.
+    """
+
+    swarms: Annotated[int, Field(ge=1, le=1_000_000)] = 1500
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    most_uavs: Annotated[int, Field(ge=20, le=500)] = 150
+    most_clusters: Annotated[int, Field(ge=1, le=100)] = 12
+
+
+def _log_uniform(rng: np.random.Generator, least: int, most: int) -> int:
+    return round(math.exp(rng.uniform(math.log(least), math.log(most))))
+
+
+def _linear_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
+    """A random strategy whose terms are all linear: what the quick way may explain, and is rarely drawn."""
+    while True:
+        drawn = random_follow_strategy(rng)
+        if all(term.kind == "linear" for term in drawn.terms):
+            return drawn
+
+
+def draw_swarm(training: CalibrationTraining, rng: np.random.Generator) -> SwarmConfig:
+    """A swarm and an observer of any kind; the follow strategy is none of f1 to f7."""
+    uavs = _log_uniform(rng, 20, training.most_uavs)
+    decoys = int(rng.integers(1, 6)) if rng.random() < 0.3 else 0
+    clusters = int(rng.integers(1, min(training.most_clusters, (uavs - decoys) // 3) + 1))
+    kind = rng.random()  # nobody follows in a tenth; terms are linear in another four tenths
+    follow = "none" if kind < 0.1 else _linear_strategy(rng) if kind < 0.5 else random_follow_strategy(rng)
+    return SwarmConfig(
+        follow=follow,
+        mobility="iid" if rng.random() < 0.3 else str(rng.choice(_MOBILITIES)),
+        formation=str(rng.choice(["uniform", "around"], p=[0.8, 0.2])),
+        clusters=clusters,
+        uavs=uavs,
+        observation_steps=100 if rng.random() < 0.5 else _log_uniform(rng, 12, 150),
+        miss_rate=float(rng.uniform(0.0, 0.3)) if rng.random() < 0.15 else 0.0,
+        position_noise=float(rng.uniform(0.1, 1.0)) if rng.random() < 0.2 else 0.0,
+        decoys=decoys,
+        head_jitter=bool(rng.random() < 0.5),
+    )
+
+
+def draw_window(config: SwarmConfig, rng: np.random.Generator) -> tuple[Window, NDArray[np.bool_], bool]:
+    """A window of a swarm, in a fifth of the cases after some of it was destroyed.
+
+    Returns:
+        The window; ``(N,)`` bool, who leads; whether some were destroyed before.
+    """
+    (own,) = rng.spawn(1)
+    state = start(config, [own])
+    later = bool(rng.random() < 0.2)
+    if later:
+        chance = np.where(state.head, rng.uniform(0.0, 1.0), rng.uniform(0.0, 0.1))  # an earlier round hit heads first
+        gone = rng.random((1, config.uavs)) < chance
+        gone[0, rng.choice(np.flatnonzero(state.head[0]))] = False
+        gone[0, rng.choice(np.flatnonzero(~state.head[0]), 2, replace=False)] = False
+        state, _ = advance(config, state, [own])
+        state = destroy(state, gone)
+    state, sighting = advance(config, state, [own])
+    window = Window(sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0])
+    return window, state.head[0] & state.alive[0] & (config.follow != "none"), later
+
+
+def _told(place: NDArray[np.int64], head: NDArray[np.bool_], names: Sequence[Any]) -> str:
+    """``name:uavs:heads`` of every place that somebody has, joined by spaces."""
+    uavs = np.bincount(place, minlength=len(names))
+    heads = np.bincount(place[head], minlength=len(names))
+    return " ".join(f"{names[k]}:{uavs[k]}:{heads[k]}" for k in np.flatnonzero(uavs).tolist())
+
+
+def _placed(probability: Floats) -> NDArray[np.int64]:
+    """Bins of log-odds."""
+    return np.asarray(np.rint((log_odds(probability) + MOST_ODDS) / _BIN), np.int64)
+
+
+def row_of(training: CalibrationTraining, swarm: int) -> dict[str, str]:
+    """Draw a swarm, explain it, and note what was said of heads and of others, before calibration.
+
+    Args:
+        training: what is drawn.
+        swarm: its number.
+
+    Returns:
+        By :data:`COLUMNS`: ``way`` is ``mixture``, a verdict on flocks, or empty where nothing was said; ``kinds``,
+        ``probability`` and ``given`` are ``kind or bin of log-odds:UAVs:heads among them``.
+    """
+    rng = np.random.default_rng([training.seed, swarm])
+    config = draw_swarm(training, rng)
+    window, leads, later = draw_window(config, rng)
+    living = np.flatnonzero(window.alive)
+    head = leads[living]
+    samples = samples_of(window, living, _MEMORY)
+    found = None if samples is None else explain(window, samples, living, None, rng)
+    way = kinds = probability = given = ""
+    if found is not None and found.kind is not None:
+        way, kinds = "mixture", _told(found.kind, head, KINDS)
+    elif found is not None:
+        way = verdict(found)
+        probability, given = (_told(_placed(raw), head, range(_BINS)) for raw in (found.probability, found.given))
+    terms = [term.kind for term in config.follow.terms] if isinstance(config.follow, RandomFollowStrategy) else []
+    values = (
+        swarm, int(config.follow != "none"), "+".join(terms), config.mobility, int(config.head_jitter),
+        config.clusters, config.uavs, config.observation_steps, round(config.position_noise, 3),
+        round(config.miss_rate, 3), config.decoys, int(later), len(living), int(head.sum()),
+        way, kinds, probability, given,
+    )  # fmt: skip
+    return dict(zip(COLUMNS, map(str, values), strict=True))
+
+
+def _entries(text: str) -> Iterable[tuple[str, int, int]]:
+    for entry in text.split():
+        name, uavs, heads = entry.split(":")
+        yield name, int(uavs), int(heads)
+
+
+def _fitted_rates(rows: Rows) -> Rates:
+    """Shares of heads, each as if one UAV more of its kind had been seen, as likely a head as any UAV here."""
+    living, leading = (max(sum(int(row[name]) for row in rows), 1) for name in ("living", "heads"))
+    counts = {kind: np.array([1.0, min(leading / living, 0.5)]) for kind in KINDS}
+    for row in rows:
+        for kind, uavs, heads in _entries(row["kinds"]):
+            counts[kind] += uavs, heads
+    return Rates(**{kind: round(float(heads / uavs), 6) for kind, (uavs, heads) in counts.items()})
+
+
+def _counted(rows: Rows, column: str) -> tuple[Floats, Floats]:
+    """UAVs and heads ``(S, bins)`` of every row."""
+    uavs, heads = np.zeros((2, len(rows), _BINS))
+    for number, row in enumerate(rows):
+        for place, count, leading in _entries(row[column]):
+            uavs[number, int(place)], heads[number, int(place)] = count, leading
+    return uavs, heads
+
+
+def _fitted_curve(rows: Rows, column: str, whole: bool) -> Curve:
+    """The likeliest curve.
+
+    Args:
+        rows: of one verdict.
+        column: ``"probability"`` or ``"given"``.
+        whole: heads of a swarm are missed together: an explanation is right, or wrong as a whole. Otherwise every UAV
+            counts for itself.
+    """
+    uavs, heads = _counted(rows, column)
+    others = uavs - heads
+    size, leading = uavs.sum(axis=1), heads.sum(axis=1)
+
+    def surprise(values: Floats) -> float:
+        share = np.clip(expit(math.exp(values[0]) * _ODDS + values[1]), 1e-9, 1.0 - 1e-9)
+        right = heads @ np.log(share) + others @ np.log1p(-share)
+        prior = 0.5 * float((((values - _PRIOR[:, 0]) / _PRIOR[:, 1]) ** 2).sum())
+        if not whole:
+            return prior - float(right.sum())
+        mean = uavs @ share / np.maximum(size, 1.0)
+        wrong = leading * np.log(mean) + (size - leading) * np.log1p(-mean) if len(rows) else right
+        trust = float(np.clip(expit(values[2]), 1e-9, 1.0 - 1e-9))
+        return prior - float(np.logaddexp(math.log(trust) + right, math.log1p(-trust) + wrong).sum())
+
+    best = minimize(surprise, _PRIOR[:, 0], method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-6}).x
+    trust = min(max(float(expit(best[2])), 1e-4), 1.0) if whole else 1.0
+    return Curve(slope=round(math.exp(best[0]), 5), offset=round(float(best[1]), 5), trust=round(trust, 5))
+
+
+def _belief(rows: Rows, column: str, whole: bool) -> Belief:
+    curves = {said: _fitted_curve([row for row in rows if row["way"] == said], column, whole) for said in VERDICTS}
+    return Belief(rates=_fitted_rates(rows), curves=Curves(**curves))
+
+
+def fit_calibration(rows: Rows) -> Calibration:
+    """Fit a calibration to rows of :func:`row_of`; ``given`` to those swarms alone in which somebody leads."""
+    led = [row for row in rows if row["follows"] == "1"]
+    return Calibration(probability=_belief(rows, "probability", False), given=_belief(led, "given", True))
+
+
+def _probabilities(row: Mapping[str, str], belief: Belief | None) -> Iterable[tuple[float, int, int]]:
+    """Probability, UAVs and heads of every kind or bin; ``None``: of flocks, before calibration."""
+    if belief is not None:
+        for kind, uavs, heads in _entries(row["kinds"]):
+            yield getattr(belief.rates, kind), uavs, heads
+    for place, uavs, heads in _entries(row["probability"]):
+        before = expit(_ODDS[int(place)])
+        yield float(before if belief is None else getattr(belief.curves, row["way"])(before)), uavs, heads
+
+
+def _reliability(rows: Rows) -> tuple[Floats, dict[str, float]]:
+    """Probabilities against what was so, each half of the swarms with the numbers that the other half gave.
+
+    Returns:
+        ``(bins, 3)`` UAVs, heads and summed probability between the edges; Brier score and log loss, and those of
+        flocks before and after.
+    """
+    table: Floats = np.zeros((len(_EDGES) - 1, 3))
+    totals: dict[str, Floats] = {name: np.zeros(3) for name in ("all", "flocks", "flocks before")}
+    for half in (0, 1):
+        belief = fit_calibration([row for row in rows if int(row["swarm"]) % 2 != half]).probability
+        for row in (row for row in rows if int(row["swarm"]) % 2 == half):
+            for p, uavs, heads in _probabilities(row, belief):
+                table[np.digitize(p, _EDGES[1:-1])] += uavs, heads, uavs * p
+                totals["all"] += _scores(p, uavs, heads)
+                if not row["kinds"]:
+                    totals["flocks"] += _scores(p, uavs, heads)
+            for p, uavs, heads in _probabilities(row, None):
+                totals["flocks before"] += _scores(p, uavs, heads)
+    scores = {}
+    for name, total in totals.items():
+        brier, loss = (total[:2] / max(total[2], 1.0)).tolist()
+        scores[f"brier, {name}"] = round(brier, 6)
+        scores[f"log loss, {name}"] = round(loss, 6)
+    return table, scores
+
+
+def _scores(p: float, uavs: int, heads: int) -> Floats:
+    p = min(max(p, 1e-9), 1.0 - 1e-9)
+    brier = heads * (1.0 - p) ** 2 + (uavs - heads) * p**2
+    return np.array([brier, -heads * math.log(p) - (uavs - heads) * math.log1p(-p), uavs])
+
+
+def train_calibration(
+    out: str | os.PathLike[str],
+    training: CalibrationTraining | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    resume: bool = True,
+) -> Path:
+    """Explain swarms, count, fit, and write the calibration.
+
+    Files in ``out``, each appearing whole: ``calibration.json``, ``rows.csv`` (a row a swarm, see :func:`row_of`, with
+    ``rows.json``, which says what they are rows of) and ``reliability.csv``.
+
+    Args:
+        out: a folder; made if it is missing.
+        training: what to draw; the defaults make the calibration that the package ships.
+        progress: called with the swarms explained and all there are.
+        resume: go on from the rows in ``out``, if there are some; otherwise start again.
+
+    Returns:
+        The calibration's file.
+
+    Raises:
+        InvalidArgument: an argument is refused, ``out`` can't be written to, or its rows are of other draws or of
+            another version of the detector.
+    """
+    training = CalibrationTraining() if training is None else training
+    folder = Path(out)
+    path, identity = folder / _ROWS, _identity(training)
+    rows: list[dict[str, str]] = []
+    if resume and path.exists():
+        if not (folder / _IDENTITY).exists() or (folder / _IDENTITY).read_text(encoding="utf-8") != identity:
+            raise InvalidArgument(
+                f"out must hold no rows of other draws or of another version of the detector (start again with "
+                f"resume=False, or elsewhere), got {shown(str(folder))}."
+            )
+        rows = read_rows(path)[: training.swarms]
+    _write(folder / _IDENTITY, identity)
+    while len(rows) < training.swarms:
+        rows.append(row_of(training, len(rows)))
+        progress(len(rows), training.swarms)
+        if len(rows) % _KEEP_EVERY == 0 or len(rows) == training.swarms:
+            _write(path, _as_csv(COLUMNS, (tuple(row.values()) for row in rows)))
+    table, scores = _reliability(rows)
+    bins = zip(_EDGES[:-1], _EDGES[1:], table, strict=True)
+    lines = [(low, high, int(n), int(k), round(total / n, 6)) for low, high, (n, k, total) in bins if n]
+    _write(folder / _RELIABILITY, _as_csv(("from", "to", "uavs", "heads", "mean_probability"), lines))
+    record = {
+        "calibration": fit_calibration(rows).model_dump(mode="json"),
+        "training": {
+            **training.model_dump(mode="json"),
+            "command": f"usnet train follow-mixture --swarms {training.swarms} --seed {training.seed}",
+            "detector": json.loads(identity)["detector"],
+            "versions": versions(),
+        },
+        "metrics": {
+            "uavs": sum(int(row["living"]) for row in rows),
+            "heads": sum(int(row["heads"]) for row in rows),
+            "swarms": {
+                way or "nothing said": sum(row["way"] == way for row in rows) for way in ("mixture", *VERDICTS, "")
+            },
+            **scores,
+        },
+    }
+    _write(folder / _FITTED, json.dumps(record, indent=2) + "\n")
+    return folder / _FITTED
+
+
+def _identity(training: CalibrationTraining) -> str:
+    """What must be equal for rows to be gone on from: the draws, and the sources of the detector."""
+    sources = sha256()
+    package = files("detectors.follow_mixture")
+    for source in sorted(
+        (entry for entry in package.iterdir() if entry.name.endswith(".py")), key=lambda one: one.name
+    ):
+        if source.name not in ("calibration.py", "policy.py"):  # come after what rows hold
+            sources.update(source.read_bytes())
+    draws = training.model_dump(mode="json", exclude={"swarms"})
+    return json.dumps({**draws, "detector": sources.hexdigest()}, indent=2) + "\n"
+
+
+def _as_csv(names: Sequence[str], lines: Iterable[Sequence[Any]]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(lines)
+    return text.getvalue()
+
+
+def _write(path: Path, text: str) -> None:
+    with written_whole(path) as aside:
+        aside.write_text(text, encoding="utf-8")
+
+
+def read_rows(path: str | os.PathLike[str]) -> list[dict[str, str]]:
+    """Rows that :func:`train_calibration` wrote; ``.gz`` is read as well.
+
+    Raises:
+        InvalidArgument: the file is missing or holds something else.
+    """
+    try:
+        data = Path(path).read_bytes()
+        text = (gzip.decompress(data) if str(path).endswith(".gz") else data).decode("utf-8")
+        rows = list(csv.DictReader(io.StringIO(text)))
+    except (OSError, EOFError, UnicodeDecodeError, csv.Error) as error:
+        raise InvalidArgument(f"path must be a file of rows, got {shown(str(path))}: {error}.") from None
+    numbered = all(row.get("swarm") == str(number) for number, row in enumerate(rows))
+    if not numbered or any(set(row) != set(COLUMNS) for row in rows):
+        raise InvalidArgument(f"path must hold rows of this calibration, got {shown(str(path))}.")
+    return rows
