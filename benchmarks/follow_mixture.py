@@ -3,6 +3,8 @@
 OMP_NUM_THREADS=1 python benchmarks/follow_mixture.py --tier paper --episodes 20 --detectors follow-mixture
 python benchmarks/follow_mixture.py --list            # the cells
 python benchmarks/follow_mixture.py --table           # only the table of the rows that are there
+python benchmarks/follow_mixture.py --reliability     # head probabilities against what was so: reliability.{md,png}
+python benchmarks/follow_mixture.py --policies        # J of policy='cost' and 'map' where both played an episode
 
 Rows go to benchmarks/results/follow_mixture/<tier>.csv, one an episode, as they come; episodes that are there are not
 played again. Swarm seeds come from --seed (2022 by default; below 1000 for tuning) and the episode's number.
@@ -13,20 +15,26 @@ from __future__ import annotations
 import argparse
 import csv
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from follow_mixture_strategies import OUT_OF_LIST
+from numpy.typing import NDArray
 
 from usnet_env import Window
+from usnet_env.drawing import new_figure
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.evaluation.statistics import mean_interval, rate_interval
+from usnet_env.files import written_whole
 from usnet_env.objectives import average_precision, multi_cluster_objective, single_cluster_objective
-from usnet_env.plugins import make_detector
+from usnet_env.plugins import detector_label, make_detector
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RESULTS = Path(__file__).parent / "results" / "follow_mixture"
 OURS = "follow-mixture"
@@ -34,6 +42,8 @@ PEERS = ("lagged-regression", "granger", "factions", "destroy-all", "random", "n
 PAPER = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 SMOOTH = ("gauss_markov", "smooth_turn", "local_waypoint")
 LONG = {"clusters": 3, "uavs": 30, "observation_steps": 900}  # 30 samples a UAV: five autocorrelation times
+#: Edges of the bins of probability: fine where a swarm has most of its UAVs.
+EDGES = (0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97, 0.99, 1)
 EVERY_MOBILITY = ("iid", "gauss_markov", "smooth_turn", "waypoint", "local_waypoint", "straight")
 
 
@@ -56,7 +66,7 @@ class Cell:
     env: dict[str, Any] = field(default_factory=dict)
     kind: str = "P2"
     episodes: int = 50
-    detector: str = ""
+    detector: dict[str, Any] = field(default_factory=dict)
 
 
 def cells() -> list[Cell]:
@@ -85,7 +95,7 @@ def cells() -> list[Cell]:
     for rate in (0.1, 0.3):
         found += [Cell("missed", f"{f}-{rate}", {"follow": f, "miss_rate": rate}, episodes=100) for f in PAPER]
     found += [Cell("sampled", f"{f}-2", {"follow": f, "sample_every": 2}, episodes=20) for f in PAPER]
-    silent = "policy='map'"
+    silent = {"policy": "map"}
     for mobility in EVERY_MOBILITY:
         for jitter in (True, False):
             env = {"mobility": mobility, "head_jitter": jitter}
@@ -99,7 +109,7 @@ def cells() -> list[Cell]:
             env = {"mobility": mobility, "head_jitter": mobility != "iid", "decoys": decoys, "uavs": 82 + decoys}
             found += [Cell("decoys", f"{f}-{mobility}-{decoys}", {"follow": f, **env}, "P2", 50, silent) for f in PAPER]
     found += [
-        Cell("P1", f"{f}-m{m}-d{d}", {"follow": f, "followers": m, "decoys": d}, "P1", 100, "objective='P1'")
+        Cell("P1", f"{f}-m{m}-d{d}", {"follow": f, "followers": m, "decoys": d}, "P1", 100, {"objective": "P1"})
         for f in PAPER
         for m, d in ((2, 1), (2, 0), (15, 1))
     ]
@@ -113,7 +123,7 @@ def cells() -> list[Cell]:
 
 COLUMNS = (
     "tier", "cell", "detector", "seed", "episode", "uavs", "heads", "J", "rounds", "exact", "named", "false_first",
-    "missed_first", "decoys_named", "ap", "brier", "seconds",
+    "missed_first", "decoys_named", "ap", "brier", "reliability", "seconds",
 )  # fmt: skip
 
 
@@ -131,6 +141,13 @@ def shifted_tracks(window: Window, seed: int) -> Window:
     return Window(position, velocity, window.seen, window.alive, window.round)
 
 
+def binned(probability: NDArray[np.float64], head: NDArray[np.bool_]) -> str:
+    """``bin:uavs:heads`` of every bin between :data:`EDGES` that is not empty, joined by spaces."""
+    bins = np.digitize(probability, EDGES[1:-1])
+    uavs, heads = (np.bincount(some, minlength=len(EDGES) - 1) for some in (bins, bins[head]))
+    return " ".join(f"{place}:{uavs[place]}:{heads[place]}" for place in np.flatnonzero(uavs))
+
+
 def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict[str, Any]:
     """One episode; its row."""
     env = (SingleClusterEnv if cell.kind == "P1" else MultiClusterEnv)(**cell.env)
@@ -139,6 +156,7 @@ def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict
     truth = env.swarm
     head = truth.head & (cell.kind not in ("silence", "shifted"))
     detector.reset(detector_seed)
+    alive = truth.alive
     fired, over, first = [], False, None
     begun = time.perf_counter()
     while not over:
@@ -178,6 +196,7 @@ def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict
         "decoys_named": int((rounds[0] & truth.decoy).sum()),
         "ap": round(average_precision(head, first.scores), 4),
         "brier": "" if probability is None else round(float(((probability - head) ** 2).mean()), 6),
+        "reliability": "" if probability is None else binned(probability[alive], head[alive]),
         "seconds": round(seconds, 5),
     }
 
@@ -189,6 +208,13 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return [row for row in csv.DictReader(file) if row["seconds"]]  # a row cut off in writing lacks its end
 
 
+def ours(name: str, cell: Cell) -> tuple[Any, str]:
+    """A detector for a cell, and its label. Ours gets the cell's arguments where it was not given others."""
+    plain, bracket, given = detector_label(name).partition("(")
+    more = {key: value for key, value in cell.detector.items() if f"{key}=" not in given} if plain == OURS else {}
+    return make_detector(name, **more), plain.rpartition(":")[2] + bracket + given
+
+
 def measure(wanted: list[Cell], detectors: list[str], episodes: int | None, seed: int, results: Path) -> None:
     """Play what is missing and append its rows."""
     results.mkdir(parents=True, exist_ok=True)
@@ -196,13 +222,18 @@ def measure(wanted: list[Cell], detectors: list[str], episodes: int | None, seed
         path = results / f"{cell.tier}.csv"
         there = {(r["cell"], r["detector"], int(r["seed"]), int(r["episode"])) for r in rows_of(path)}
         new = not path.exists()
+        if not new:
+            with path.open(newline="", encoding="utf-8") as file:
+                if next(csv.reader(file), None) != list(COLUMNS):
+                    raise SystemExit(
+                        f"{path.name} has other columns than are written now: measure into another folder."
+                    )
         with path.open("a", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
             if new:
                 writer.writeheader()
             for name in detectors:
-                spec = f"{name}({cell.detector})" if name == OURS and cell.detector else name
-                detector, label = make_detector(spec), name.rpartition(":")[2]
+                detector, label = ours(name, cell)
                 for episode in range(cell.episodes if episodes is None else episodes):
                     if (cell.name, label, seed, episode) not in there:
                         writer.writerow(play(cell, detector, label, seed, episode))
@@ -234,6 +265,116 @@ def table(wanted: list[Cell], results: Path, seed: int) -> Iterator[str]:
                 )
 
 
+def policy_of(cell: Cell, label: str) -> str | None:
+    """``"cost"`` or ``"map"``: what ours, with no other argument, played in a cell; ``None`` for anything else."""
+    if label == OURS:
+        return str(cell.detector.get("policy", "cost"))
+    return {f"{OURS}(policy='{policy}')": policy for policy in ("cost", "map")}.get(label)
+
+
+def policies(wanted: list[Cell], results: Path, seed: int) -> Iterator[str]:
+    """Mean J of both policies in every cell of P2, over the episodes that both played, and the paired difference."""
+    yield "| tier | cell | n | J, cost | J, map | map - cost (95 %) |"
+    yield "| --- |" + " --- |" * 5
+    for tier in dict.fromkeys(cell.tier for cell in wanted):
+        rows = [row for row in rows_of(results / f"{tier}.csv") if int(row["seed"]) == seed]
+        for cell in (cell for cell in wanted if cell.tier == tier and cell.kind == "P2"):
+            played: dict[str, dict[int, float]] = {"cost": {}, "map": {}}
+            for row in rows:
+                policy = policy_of(cell, row["detector"]) if row["cell"] == cell.name else None
+                if policy is not None:
+                    played[policy][int(row["episode"])] = float(row["J"])
+            both = sorted(played["cost"].keys() & played["map"].keys())
+            if both:
+                cost, best = (np.array([played[policy][episode] for episode in both]) for policy in ("cost", "map"))
+                gap = mean_interval(best - cost)
+                yield (
+                    f"| {tier} | {cell.name} | {len(both)} | {cost.mean():.3f} | {best.mean():.3f} "
+                    f"| {gap.mean:+.3f} ({gap.low:+.3f} to {gap.high:+.3f}) |"
+                )
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """First windows of a tier.
+
+    Args:
+        brier: of every window.
+        uavs: ``(bins,)``.
+        heads: ``(bins,)``, of these.
+    """
+
+    brier: list[float]
+    uavs: NDArray[np.int64]
+    heads: NDArray[np.int64]
+
+
+def reliability(tiers: Sequence[str], results: Path, seed: int) -> dict[str, Reliability]:
+    """Of every tier that has rows of ours, whatever policy was played: it does not change a first window."""
+    found = {}
+    for tier in tiers:
+        counts = np.zeros((2, len(EDGES) - 1), np.int64)
+        brier, known = [], set()
+        for row in rows_of(results / f"{tier}.csv"):
+            window = row["cell"], row["episode"]
+            if row["detector"].partition("(")[0] == OURS and int(row["seed"]) == seed and window not in known:
+                known.add(window)
+                brier.append(float(row["brier"]))
+                for entry in row["reliability"].split():
+                    place, uavs, heads = map(int, entry.split(":"))
+                    counts[:, place] += uavs, heads
+        if brier:
+            found[tier] = Reliability(brier, *counts)
+    return found
+
+
+def reliability_tables(found: Mapping[str, Reliability]) -> str:
+    """Brier scores by tier, and heads among the UAVs of every bin."""
+    lines = ["| tier | windows | UAVs | Brier (95 %) |", "| --- | --- | --- | --- |"]
+    for tier, own in found.items():
+        score = mean_interval(own.brier)
+        interval = f"{score.mean:.4f} ({score.low:.4f}-{score.high:.4f})"
+        lines.append(f"| {tier} | {len(own.brier)} | {own.uavs.sum()} | {interval} |")
+    lines += ["", f"| probability | {' | '.join(found)} |", "| --- |" + " --- |" * len(found)]
+    for place in range(len(EDGES) - 1):
+        shares = [
+            f"{own.heads[place] / own.uavs[place]:.4f} of {own.uavs[place]}" if own.uavs[place] else ""
+            for own in found.values()
+        ]
+        lines.append(f"| {EDGES[place]}-{EDGES[place + 1]} | {' | '.join(shares)} |")
+    return "\n".join([*lines, ""])
+
+
+def reliability_figure(found: Mapping[str, Reliability]) -> Figure:
+    """A panel a tier: in every bin the share of heads, on bars from edge to edge, which should cross it."""
+    across = min(4, len(found))
+    down = -(-len(found) // across)
+    figure = new_figure(3.4 * across, 3.0 * down)
+    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
+    for axes in panels[len(found) :]:
+        axes.set_visible(False)
+    bins = np.arange(len(EDGES) - 1)
+    low, high = np.array(EDGES[:-1], float), np.array(EDGES[1:], float)
+    for axes, (tier, own) in zip(panels, found.items(), strict=False):
+        some = own.uavs > 0
+        share = own.heads[some] / own.uavs[some]
+        axes.bar(bins, high - low, bottom=low, width=0.9, color="#cccccc", label="probability")
+        axes.scatter(
+            bins[some], share, s=6 * np.log10(1 + own.uavs[some]) ** 2, color="#0072b2", label="share of heads"
+        )
+        axes.set_yscale("symlog", linthresh=1e-3)
+        axes.set_ylim(0, 1.3)
+        axes.set_xticks(bins[::3], [f"{edge}" for edge in EDGES[:-1:3]], fontsize=7)
+        axes.set_title(f"{tier}, {len(own.brier)} windows", fontsize=9)
+        axes.tick_params(labelbottom=True)  # of panels above none as well
+        axes.grid(alpha=0.3)
+    panels[0].legend(fontsize=7)
+    figure.supxlabel("probability of being a head, from", fontsize=9)
+    figure.supylabel("share of heads", fontsize=9)
+    figure.tight_layout()
+    return figure
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tier", nargs="*", help="only these tiers")
@@ -243,6 +384,8 @@ def main() -> None:
     parser.add_argument("--detectors", nargs="*", default=[OURS, *PEERS])
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--table", action="store_true", help="play nothing")
+    parser.add_argument("--reliability", action="store_true", help="play nothing; write reliability.md and .png")
+    parser.add_argument("--policies", action="store_true", help="play nothing; compare both policies")
     parser.add_argument("--list", action="store_true", help="list the cells")
     asked = parser.parse_args()
     wanted = [
@@ -254,6 +397,19 @@ def main() -> None:
     if asked.list:
         for cell in wanted:
             print(cell.tier, cell.name, cell.kind, cell.episodes, cell.env)
+        return
+    if asked.reliability:
+        found = reliability(list(dict.fromkeys(cell.tier for cell in wanted)), asked.results, asked.seed)
+        if not found:
+            raise SystemExit("There are no rows yet: play some cells first.")
+        with written_whole(asked.results / "reliability.md") as aside:
+            aside.write_text(reliability_tables(found), encoding="utf-8")
+        with written_whole(asked.results / "reliability.png") as aside:
+            reliability_figure(found).savefig(aside, format="png", dpi=100)
+        print(reliability_tables(found))
+        return
+    if asked.policies:
+        print("\n".join(policies(wanted, asked.results, asked.seed)))
         return
     if not asked.table:
         measure(wanted, asked.detectors, asked.episodes, asked.seed, asked.results)
