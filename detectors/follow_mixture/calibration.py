@@ -40,8 +40,8 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-#: How many of an explanation's heads passed: all, some, none; or nobody was named a head.
-VERDICTS = ("firm", "partly", "weak", "nobody")
+#: Phases of flights told the heads. Or how many of an explanation's heads passed: all, some, none; or nobody was named.
+VERDICTS = ("phases", "firm", "partly", "weak", "nobody")
 
 MOST_ODDS = 14.0  # a posterior's log-odds say nothing more beyond this
 
@@ -72,21 +72,25 @@ class Curve(Config):
     Args:
         slope: positive.
         offset: of the log-odds.
+        left: added to the log-odds of those whom the explanation leaves over.
         trust: that the explanation is right as a whole. Else every UAV is as likely a head as any other.
     """
 
     slope: Annotated[float, Field(gt=0)]
     offset: float
+    left: float = 0.0
     trust: Annotated[float, Field(gt=0, le=1)] = 1.0
 
-    def __call__(self, probability: Floats) -> Floats:
-        """The map, elementwise, of probabilities from 0 to 1; ``trust`` left out."""
-        return np.asarray(expit(self.slope * log_odds(probability) + self.offset), np.float64)
+    def __call__(self, probability: Floats, left: NDArray[np.bool_] | bool = False) -> Floats:
+        """The map, elementwise, of probabilities from 0 to 1; ``trust`` is not in it."""
+        shift = self.offset + self.left * np.asarray(left, np.float64)
+        return np.asarray(expit(self.slope * log_odds(probability) + shift), np.float64)
 
 
 class Curves(Config):
     """A curve for every verdict, see :data:`VERDICTS`."""
 
+    phases: Curve
     firm: Curve
     partly: Curve
     weak: Curve
@@ -124,6 +128,8 @@ def log_odds(probability: Floats) -> Floats:
 
 def verdict(found: Explanation) -> str:
     """One of :data:`VERDICTS`."""
+    if found.by_phases:
+        return "phases"
     if not len(found.passed):
         return "nobody"
     return "firm" if found.passed.all() else "partly" if found.passed.any() else "weak"
@@ -150,7 +156,8 @@ def calibrated(found: Explanation, calibration: Calibration | None = None) -> tu
     said = verdict(found)
     curve: Curve = getattr(calibration.given.curves, said)
     plain: Curve = getattr(calibration.probability.curves, said)
-    return plain(found.probability), curve(found.given), 1.0 - curve.trust
+    left = False if found.left is None else found.left
+    return plain(found.probability, left), curve(found.given, left), 1.0 - curve.trust
 
 
 @cache

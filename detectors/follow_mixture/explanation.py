@@ -35,6 +35,8 @@ class Explanation:
         value: what the whole explanation gains over nobody following anybody, after prices, in nats.
         kind: ``(n,)`` places in :data:`KINDS` of a mixture; ``None``: flocks said it.
         passed: ``(M,)`` which heads passed their gate.
+        left: ``(n,)`` who flies like nobody else, follows nobody and is not named; of what flocks say.
+        by_phases: flocks said it by the phases of their flights.
     """
 
     heads: Indices
@@ -48,6 +50,8 @@ class Explanation:
     value: float = 0.0
     kind: Indices | None = None
     passed: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
+    left: NDArray[np.bool_] | None = None
+    by_phases: bool = False
 
     def __post_init__(self) -> None:
         if len(self.passed) != len(self.heads):  # how far a posterior is believed rests on it

@@ -135,4 +135,5 @@ def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -
         },
         value=found.value,
         passed=gate.passed,
+        left=(sizes[watch.label] == 1) & ~follows & ~np.isin(np.arange(watch.uavs), heads),
     )

@@ -293,6 +293,7 @@ def explained_by_leads(leads: Leads, flocks: Flocks) -> Explanation:
         },
         value=float(gate.added.sum()),
         passed=gate.passed,
+        by_phases=True,
     )
 
 

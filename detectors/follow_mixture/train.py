@@ -67,12 +67,14 @@ _MOBILITIES = ("iid", "gauss_markov", "smooth_turn", "local_waypoint", "waypoint
 _MEMORY = 4  # the detector's own default
 _BIN = 0.25  # of log-odds
 _BINS = int(2 * MOST_ODDS / _BIN) + 1
-_ODDS = np.linspace(-MOST_ODDS, MOST_ODDS, _BINS)
+_ODDS = np.tile(np.linspace(-MOST_ODDS, MOST_ODDS, _BINS), 2)
+_LEFT = np.arange(2 * _BINS) >= _BINS
 _EDGES = (0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97, 0.99, 1)
 _ROWS, _FITTED, _RELIABILITY, _IDENTITY = "rows.csv", "calibration.json", "reliability.csv", "rows.json"
 _KEEP_EVERY = 20  # swarms between two times that rows are written
-#: What is known of a curve before any swarm is seen: mean and spread of log slope, offset and log-odds of trust.
-_PRIOR = np.array([[0.0, 1.0], [0.0, 3.0], [2.0, 2.0]])
+#: What is known of a curve before any swarm is seen: mean and spread of log slope, offset, what is added for those who
+#: are left over, and log-odds of trust.
+_PRIOR = np.array([[0.0, 1.0], [0.0, 3.0], [0.0, 3.0], [2.0, 2.0]])
 
 
 class CalibrationTraining(Config):
@@ -152,9 +154,10 @@ def _told(place: NDArray[np.int64], head: NDArray[np.bool_], names: Sequence[Any
     return " ".join(f"{names[k]}:{uavs[k]}:{heads[k]}" for k in np.flatnonzero(uavs).tolist())
 
 
-def _placed(probability: Floats) -> NDArray[np.int64]:
-    """Bins of log-odds."""
-    return np.asarray(np.rint((log_odds(probability) + MOST_ODDS) / _BIN), np.int64)
+def _placed(probability: Floats, left: NDArray[np.bool_] | None) -> NDArray[np.int64]:
+    """Bins of log-odds; those who are left over have bins of their own behind the others."""
+    place = np.rint((log_odds(probability) + MOST_ODDS) / _BIN)
+    return np.asarray(place if left is None else place + _BINS * left, np.int64)
 
 
 def row_of(training: CalibrationTraining, swarm: int) -> dict[str, str]:
@@ -180,7 +183,9 @@ def row_of(training: CalibrationTraining, swarm: int) -> dict[str, str]:
         way, kinds = "mixture", _told(found.kind, head, KINDS)
     elif found is not None:
         way = verdict(found)
-        probability, given = (_told(_placed(raw), head, range(_BINS)) for raw in (found.probability, found.given))
+        probability, given = (
+            _told(_placed(raw, found.left), head, range(2 * _BINS)) for raw in (found.probability, found.given)
+        )
     terms = [term.kind for term in config.follow.terms] if isinstance(config.follow, RandomFollowStrategy) else []
     values = (
         swarm, int(config.follow != "none"), "+".join(terms), config.mobility, int(config.head_jitter),
@@ -208,8 +213,8 @@ def _fitted_rates(rows: Rows) -> Rates:
 
 
 def _counted(rows: Rows, column: str) -> tuple[Floats, Floats]:
-    """UAVs and heads ``(S, bins)`` of every row."""
-    uavs, heads = np.zeros((2, len(rows), _BINS))
+    """UAVs and heads ``(S, 2 bins)`` of every row."""
+    uavs, heads = np.zeros((2, len(rows), 2 * _BINS))
     for number, row in enumerate(rows):
         for place, count, leading in _entries(row[column]):
             uavs[number, int(place)], heads[number, int(place)] = count, leading
@@ -230,19 +235,25 @@ def _fitted_curve(rows: Rows, column: str, whole: bool) -> Curve:
     size, leading = uavs.sum(axis=1), heads.sum(axis=1)
 
     def surprise(values: Floats) -> float:
-        share = np.clip(expit(math.exp(values[0]) * _ODDS + values[1]), 1e-9, 1.0 - 1e-9)
+        share = np.clip(expit(math.exp(values[0]) * _ODDS + values[1] + values[2] * _LEFT), 1e-9, 1.0 - 1e-9)
         right = heads @ np.log(share) + others @ np.log1p(-share)
         prior = 0.5 * float((((values - _PRIOR[:, 0]) / _PRIOR[:, 1]) ** 2).sum())
         if not whole:
             return prior - float(right.sum())
         mean = uavs @ share / np.maximum(size, 1.0)
         wrong = leading * np.log(mean) + (size - leading) * np.log1p(-mean) if len(rows) else right
-        trust = float(np.clip(expit(values[2]), 1e-9, 1.0 - 1e-9))
+        trust = float(np.clip(expit(values[3]), 1e-9, 1.0 - 1e-9))
         return prior - float(np.logaddexp(math.log(trust) + right, math.log1p(-trust) + wrong).sum())
 
-    best = minimize(surprise, _PRIOR[:, 0], method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-6}).x
-    trust = min(max(float(expit(best[2])), 1e-4), 1.0) if whole else 1.0
-    return Curve(slope=round(math.exp(best[0]), 5), offset=round(float(best[1]), 5), trust=round(trust, 5))
+    best = minimize(
+        surprise,
+        _PRIOR[:, 0],
+        method="Nelder-Mead",
+        options={"xatol": 1e-6, "fatol": 1e-6, "maxiter": 4000, "maxfev": 4000},
+    ).x
+    trust = min(max(float(expit(best[3])), 1e-4), 1.0) if whole else 1.0
+    slope, offset, left = math.exp(best[0]), float(best[1]), float(best[2])
+    return Curve(slope=round(slope, 5), offset=round(offset, 5), left=round(left, 5), trust=round(trust, 5))
 
 
 def _belief(rows: Rows, column: str, whole: bool) -> Belief:
@@ -262,8 +273,9 @@ def _probabilities(row: Mapping[str, str], belief: Belief | None) -> Iterable[tu
         for kind, uavs, heads in _entries(row["kinds"]):
             yield getattr(belief.rates, kind), uavs, heads
     for place, uavs, heads in _entries(row["probability"]):
-        before = expit(_ODDS[int(place)])
-        yield float(before if belief is None else getattr(belief.curves, row["way"])(before)), uavs, heads
+        before, left = expit(_ODDS[int(place)]), bool(_LEFT[int(place)])
+        curve = None if belief is None else getattr(belief.curves, row["way"])
+        yield float(before if curve is None else curve(before, left)), uavs, heads
 
 
 def _reliability(rows: Rows) -> tuple[Floats, dict[str, float]]:
