@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 MISFIT = 1.35  # ratios above this ask for a richer class; a class that holds gives 1 within 0.1 or so
-_NEARLY = 2.5  # a misfit with which nobody's leader is in doubt, where nobody is left over
+_NEARLY = 5.0  # a misfit with which nobody's leader is in doubt, where nobody is left over
 _SHARED = 1.9  # the same of what followers of one head share: where delays are their own, the earlier seem to lead the
 #               later, and one strategy for all is wrong for each group in its own way
 EXPLAINED = 0.4  # share of the UAVs that a first assignment accounts for where it is worth climbing from
@@ -205,10 +205,9 @@ def within_reach(samples: Samples, leader: Indices, library: Library) -> Strateg
     low, high = max(float(distance[near].min()), 1.0), max(float(np.median(distance[near])), 2.0)
     reaches = np.geomspace(low, high, _REACHES)
     explained = explained_by_reach(samples, plain, followers[near], leader[followers[near]], reaches)
-    ranged = fit_strategy(samples, leader, replace(library, reach=float(reaches[explained.argmax()])))
-    if ranged is not None and ranged.noise.spread + ranged.noise.floor < plain.noise.spread + plain.noise.floor:
-        return ranged
-    return fit_strategy(samples, leader, library)
+    price = 9.0 * float(np.log(samples.rows * len(near))) * plain.noise.spread**2  # of nine numbers more
+    reach = float(reaches[explained.argmax()]) if explained.max() > price else 0.0
+    return fit_strategy(samples, leader, replace(library, reach=reach))
 
 
 def explained_by_reach(
