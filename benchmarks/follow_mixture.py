@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import csv
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -75,8 +75,7 @@ def cells() -> list[Cell]:
     found += [Cell("sizes", f"{f}-M{m}-N{n}", {"follow": f, "clusters": m, "uavs": n}) for f in PAPER for m, n in sizes]
     for mobility in SMOOTH:
         found += [
-            Cell("smooth", f"{f}-{mobility}", {"follow": f, "mobility": mobility, "head_jitter": True}, episodes=100)
-            for f in PAPER
+            Cell("smooth", f"{f}-{mobility}", {"follow": f, "mobility": mobility, "head_jitter": True}) for f in PAPER
         ]
     for jitter in (True, False):
         name = "jitter" if jitter else "bare"
@@ -84,16 +83,14 @@ def cells() -> list[Cell]:
             Cell("straight", f"{f}-{name}", {"follow": f, "mobility": "straight", "head_jitter": jitter}) for f in PAPER
         ]
     for steps in (8, 12, 20, 50):
-        found += [
-            Cell("short", f"{f}-T{steps}", {"follow": f, "observation_steps": steps}, episodes=100) for f in PAPER
-        ]
+        found += [Cell("short", f"{f}-T{steps}", {"follow": f, "observation_steps": steps}) for f in PAPER]
     for sigma in (0.1, 0.3, 0.5, 1.0):
         found += [Cell("noise", f"{f}-{sigma}", {"follow": f, "position_noise": sigma}) for f in PAPER]
     for sigma in (0.1, 0.3, 0.5):
         smooth = {"mobility": "gauss_markov", "head_jitter": True, "position_noise": sigma}
         found += [Cell("noise", f"{f}-gauss_markov-{sigma}", {"follow": f, **smooth}) for f in PAPER]
     for rate in (0.1, 0.3):
-        found += [Cell("missed", f"{f}-{rate}", {"follow": f, "miss_rate": rate}, episodes=100) for f in PAPER]
+        found += [Cell("missed", f"{f}-{rate}", {"follow": f, "miss_rate": rate}) for f in PAPER]
     found += [Cell("sampled", f"{f}-2", {"follow": f, "sample_every": 2}, episodes=20) for f in PAPER]
     silent = {"policy": "map"}
     for mobility in EVERY_MOBILITY:
@@ -294,6 +291,48 @@ def policies(wanted: list[Cell], results: Path, seed: int) -> Iterator[str]:
                 )
 
 
+def scores(rows: Iterable[Mapping[str, str]], column: str) -> list[float]:
+    return [float(row[column]) for row in rows]
+
+
+def rate_of(rows: Sequence[Mapping[str, str]], kind: str) -> str:
+    """Exact rounds (silent ones where nobody follows), with a 95 % interval."""
+    column = "exact" if kind in ("P2", "P1") else "named"
+    hits = [value > 0 for value in scores(rows, column)]
+    rate = rate_interval(hits if column == "exact" else [not hit for hit in hits])
+    return f"{100 * rate.mean:.1f} % ({100 * rate.low:.1f}-{100 * rate.high:.1f})"
+
+
+def cost_of(rows: Sequence[Mapping[str, str]]) -> str:
+    cost = mean_interval(scores(rows, "J"))
+    return f"{cost.mean:.3f} ({cost.low:.3f}-{cost.high:.3f})"
+
+
+def beside(wanted: list[Cell], results: Path, seed: int) -> Iterator[str]:
+    """A line a cell: ours with 95 % intervals, and the mean J of the others, with n."""
+    for tier in dict.fromkeys(cell.tier for cell in wanted):
+        rows = [row for row in rows_of(results / f"{tier}.csv") if int(row["seed"]) == seed]
+        others = [name for name in dict.fromkeys(row["detector"] for row in rows) if not name.startswith(OURS)]
+        if not rows:
+            continue
+        kinds = {cell.kind for cell in wanted if cell.tier == tier}
+        measure = "heads named" if kinds <= {"silence", "shifted"} else "J"
+        yield f"\n## {tier}\n\nOthers: mean {measure} (n).\n"
+        lines = [f"| {' | '.join(['cell', 'n', 'right (95 %)', f'mean {measure} (95 %)', *others])} |"]
+        lines.append("| --- |" + " --- |" * (3 + len(others)))
+        for cell in (cell for cell in wanted if cell.tier == tier):
+            own = [row for row in rows if row["cell"] == cell.name]
+            mine = [row for row in own if row["detector"] == OURS]
+            if not mine:
+                continue
+            line = [cell.name, str(len(mine)), rate_of(mine, cell.kind), cost_of(mine)]
+            for name in others:
+                theirs = scores((row for row in own if row["detector"] == name), "J")
+                line.append(f"{np.mean(theirs):.2f} ({len(theirs)})" if theirs else "")
+            lines.append(f"| {' | '.join(line)} |")
+        yield "\n".join(lines)
+
+
 @dataclass(frozen=True)
 class Reliability:
     """First windows of a tier.
@@ -307,6 +346,31 @@ class Reliability:
     brier: list[float]
     uavs: NDArray[np.int64]
     heads: NDArray[np.int64]
+
+
+def by_variant(wanted: list[Cell], results: Path, seed: int) -> Iterator[str]:
+    """A line for the cells of a tier that differ in the strategy alone: f1 to f6, f7 and those out of list apart."""
+    yield "| tier | variant | strategies | episodes | right (95 %) | mean J (95 %) | worst cell |"
+    yield "| --- |" + " --- |" * 6
+    groups: dict[tuple[str, str, str], list[Cell]] = {}
+    for cell in wanted:
+        follow, _, variant = cell.name.partition("-")
+        strategies = "f1-f6" if follow in PAPER[:6] else follow if follow in PAPER else "out of list"
+        groups.setdefault((cell.tier, variant, "none" if follow == "none" else strategies), []).append(cell)
+    tiers = {tier: [r for r in rows_of(results / f"{tier}.csv") if int(r["seed"]) == seed] for tier, _, _ in groups}
+    for (tier, variant, strategies), cells_there in groups.items():
+        played = {
+            cell.name: [row for row in tiers[tier] if row["cell"] == cell.name and row["detector"] == OURS]
+            for cell in cells_there
+        }
+        played = {name: rows for name, rows in played.items() if rows}
+        if played:
+            every = [row for rows in played.values() for row in rows]
+            worst, rows = max(played.items(), key=lambda one: np.mean(scores(one[1], "J")))
+            yield (
+                f"| {tier} | {variant} | {strategies} | {len(every)} | {rate_of(every, cells_there[0].kind)} "
+                f"| {cost_of(every)} | {worst}: {np.mean(scores(rows, 'J')):.3f} |"
+            )
 
 
 def reliability(tiers: Sequence[str], results: Path, seed: int) -> dict[str, Reliability]:
@@ -384,6 +448,7 @@ def main() -> None:
     parser.add_argument("--detectors", nargs="*", default=[OURS, *PEERS])
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--table", action="store_true", help="play nothing")
+    parser.add_argument("--summary", action="store_true", help="play nothing; write cells.md and tiers.md")
     parser.add_argument("--reliability", action="store_true", help="play nothing; write reliability.md and .png")
     parser.add_argument("--policies", action="store_true", help="play nothing; compare both policies")
     parser.add_argument("--list", action="store_true", help="list the cells")
@@ -407,6 +472,11 @@ def main() -> None:
         with written_whole(asked.results / "reliability.png") as aside:
             reliability_figure(found).savefig(aside, format="png", dpi=100)
         print(reliability_tables(found))
+        return
+    if asked.summary:
+        for name, lines in (("cells.md", beside), ("tiers.md", by_variant)):
+            with written_whole(asked.results / name) as aside:
+                aside.write_text("\n".join([*lines(wanted, asked.results, asked.seed), ""]).lstrip(), encoding="utf-8")
         return
     if asked.policies:
         print("\n".join(policies(wanted, asked.results, asked.seed)))

@@ -49,6 +49,7 @@ _LEAST = 1e-12
 _CLEAR = 20.0  # nats that a head that stands out may count
 _STANDS_OUT = 12.0  # of them on average where the response is true
 _RISE = 8.0  # nats a flock by which it is likelier than the best with time reversed
+_ABSURD = -30.0  # nats of the median flock's best, below which a response is none: both hypotheses are wrong
 _TEMPER = 0.2  # powers are estimated, and flocks no exact sums
 _FAILED = 0.2  # what is left of a head's probability where reversed time explains as much
 
@@ -201,9 +202,11 @@ class Leads:
 
     @property
     def believed(self) -> bool:
-        """Whether heads stand out, and the response is likelier than where time runs backwards."""
-        rise = self.gain.max(axis=1).mean() - self.chance.max(axis=1).mean()
-        return bool(np.minimum(lead(self.gain), _CLEAR).mean() > _STANDS_OUT and rise > _RISE)
+        """Whether heads stand out, and the response is likely, and likelier than where time runs backwards."""
+        best = self.gain.max(axis=1)
+        rise = best.mean() - self.chance.max(axis=1).mean()
+        clear = np.minimum(lead(self.gain), _CLEAR).mean()
+        return bool(clear > _STANDS_OUT and rise > _RISE and np.median(best) > _ABSURD)
 
 
 def lead(gain: Floats) -> Floats:
