@@ -20,8 +20,6 @@ __all__ = ["explained_by_mixture"]
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_SMALLEST_CLUSTER = 3
-
 
 def explained_by_mixture(
     samples: Samples, history: OwnHistory, mixture: Mixture | None, left: Misfit | None = None
@@ -52,8 +50,7 @@ def _kinds(mixture: Mixture, gate: Gate, holds: bool) -> Indices:
     """``(n,)`` places in :data:`KINDS`; ``holds``: the strategy found leaves nothing but noise."""
     left = mixture.heads.leader < 0
     left[mixture.heads.heads] = False
-    missing = not holds and left.sum() >= _SMALLEST_CLUSTER
-    kind = np.where(left, KINDS.index("missing" if missing else "alone"), KINDS.index("follower"))
+    kind = np.where(left, KINDS.index("alone" if holds else "missing"), KINDS.index("follower"))
     kind[mixture.heads.heads] = np.where(gate.passed, KINDS.index("passed"), KINDS.index("failed"))
     return kind
 
