@@ -20,6 +20,8 @@ __all__ = ["explained_by_mixture"]
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+_MOMENTS_A_NUMBER = 2  # of the heads together, for each of the strategy's on an axis
+
 
 def explained_by_mixture(
     samples: Samples, history: OwnHistory, mixture: Mixture | None, left: Misfit | None = None
@@ -41,9 +43,14 @@ def explained_by_mixture(
         reasons=gate.reasons(),
         strategy=_described(mixture, samples),
         value=mixture.value,
-        kind=_kinds(mixture, gate, left.worst <= MISFIT),
+        kind=_kinds(mixture, gate, left.worst <= MISFIT and _tested(samples, mixture)),
         passed=gate.passed,
     )
+
+
+def _tested(samples: Samples, mixture: Mixture) -> bool:
+    """Whether heads were seen long enough for a strategy not to fit whatever they did."""
+    return len(mixture.heads.heads) * samples.rows >= _MOMENTS_A_NUMBER * len(mixture.strategy.coefficients)
 
 
 def _kinds(mixture: Mixture, gate: Gate, holds: bool) -> Indices:
