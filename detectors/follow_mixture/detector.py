@@ -20,7 +20,7 @@ from detectors.follow_mixture.flock_search import first_guesses, flights, flock_
 from detectors.follow_mixture.flocks import flocks_of
 from detectors.follow_mixture.history import own_history
 from detectors.follow_mixture.mixture_evidence import explained_by_mixture
-from detectors.follow_mixture.noise import FlightSpectra
+from detectors.follow_mixture.noise import SMOOTH, FlightSpectra
 from detectors.follow_mixture.policy import Policy, choose
 from detectors.follow_mixture.samples import Samples, filled, samples_of
 from detectors.follow_mixture.scale import ALL_PAIRS, sampled_search
@@ -193,10 +193,10 @@ def flown(window: Window, samples: Samples, living: NDArray[np.int64], lags: int
 
 
 def by_flocks(rows: Samples, spectra: FlightSpectra, most: int | None) -> Explanation | None:
-    """What flocks say: behind noise by the phases of their flights, where these tell anything."""
+    """What flocks say: behind noise by the phases of smooth flights, where these tell anything."""
     velocity = flights(rows)
     flocks = flocks_of(velocity, spectra)
-    if spectra.noise > PHASES_TELL:
+    if spectra.noise > PHASES_TELL and np.median(spectra.memory) >= SMOOTH:
         leads = leads_of_flocks(velocity, spectra, flocks)
         if leads is not None:
             return explained_by_leads(leads, flocks)

@@ -11,6 +11,7 @@ from detectors.follow_mixture.explanation import Explanation
 from detectors.follow_mixture.flock_heads import LONELY, FlockHeads, Watch, pair_gain
 from detectors.follow_mixture.gate import Gate, judged
 from detectors.follow_mixture.mixture import head_price
+from detectors.follow_mixture.noise import SMOOTH
 
 __all__ = ["explained_by_flocks", "flock_gate", "flock_posterior"]
 
@@ -18,8 +19,7 @@ Floats = NDArray[np.float64]
 
 _SHIFTS = 3
 _TEMPER = 0.7  # rows are not quite independent
-_MEMBER = 3.0  # log-odds by which who flies with others at once is less likely a head, where flight forgets
-_FORGETS = 0.55  # lag-1 autocorrelation below which it does
+_MEMBER = 3.0  # log-odds by which who flies with others at once is less likely a head, where flight is not smooth
 _GONE = 3.0  # log-odds that the head of a flock is in the window
 _TYPICAL = 0.1  # share of what flocks gain by their heads that a head gives at least
 _FAILED = 0.2  # what is left of a head's probability where chance explains as much
@@ -66,7 +66,7 @@ def flock_posterior(watch: Watch, found: FlockHeads | None, memory: float) -> Fl
     """
     sizes = np.bincount(watch.label, minlength=watch.flocks)
     alone = sizes[watch.label] == 1
-    prior = np.where(alone, 0.0, -_MEMBER if memory < _FORGETS else 0.0)
+    prior = np.where(alone, 0.0, -_MEMBER if memory < SMOOTH else 0.0)
     gain = np.zeros((watch.flocks, watch.uavs)) if found is None else found.gain
     logits = _TEMPER * gain + prior
     logits[watch.label[alone], np.flatnonzero(alone)] = -np.inf  # nobody follows itself
@@ -117,7 +117,7 @@ def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -
     trust = float(gate.added[gate.passed].sum()) / max(float(np.maximum(gate.added, 0.0).sum()), 1e-9)
     if trust < 0.5:  # evidence that chance matches says nothing of others either
         probability = np.maximum(probability * trust, unknown)
-        if memory < _FORGETS:  # who flies alone is told by more than chance
+        if memory < SMOOTH:  # who flies alone is told by more than chance
             given = np.maximum(given, unknown)
     return Explanation(
         heads=heads,
@@ -134,6 +134,6 @@ def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -
             "flocks": watch.label,
         },
         value=found.value,
-        passed=gate.passed,
+        timed=gate.timed,
         left=(sizes[watch.label] == 1) & ~follows & ~np.isin(np.arange(watch.uavs), heads),
     )

@@ -295,7 +295,7 @@ def explained_by_leads(leads: Leads, flocks: Flocks) -> Explanation:
             "flocks": flocks.label,
         },
         value=float(gate.added.sum()),
-        passed=gate.passed,
+        timed=gate.timed,
         by_phases=True,
     )
 

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from detectors.follow_mixture.samples import Samples
 
-__all__ = ["LEAST_NOISE", "FlightSpectra", "fit_spectra", "smoothed_pasts"]
+__all__ = ["LEAST_NOISE", "SMOOTH", "FlightSpectra", "fit_spectra", "smoothed_pasts"]
 
 Floats = NDArray[np.float64]
 
 LEAST_NOISE = 0.004  # variance of position noise per axis, relative to the squared speed, below which it is none
+SMOOTH = 0.55  # lag-1 autocorrelation from which on a head flies at once with its followers, nearly
 _MEMORIES = np.concatenate([np.linspace(0.0, 0.9, 7), [0.95, 0.98]])
 _POWERS = np.exp(np.linspace(np.log(0.005), np.log(2.0), 16))  # of the mean periodogram
 _NOISES = np.concatenate([[1e-4], np.exp(np.linspace(np.log(0.005), 0.0, 24))])

@@ -1,6 +1,7 @@
 """Calibration of follow-mixture: maps that rise, a file that is checked, a training that goes on where it was."""
 
 import json
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -56,7 +57,7 @@ def explanation(probability=(0.9, 0.1, 0.0), passed=(), kind=None):
     kinds = None if kind is None else np.array(kind)
     nothing = np.zeros(n)
     return Explanation(
-        heads, np.full(n, -1), raw, raw, nothing, nothing, kind=kinds, passed=np.array(passed, dtype=bool)
+        heads, np.full(n, -1), raw, raw, nothing, nothing, kind=kinds, timed=np.array(passed, dtype=bool)
     )
 
 
@@ -70,8 +71,8 @@ def test_curves_rise(slope, offset, probability):
 @pytest.mark.parametrize("said", VERDICTS)
 @given(shares)
 def test_calibrated_posteriors_rise_and_are_probabilities(said, probability):
-    passed = {"firm": [True], "partly": [True, False], "weak": [False], "nobody": []}[said]
-    found = explanation(np.sort(probability), passed)
+    passed = {"phases": [True], "firm": [True], "partly": [True, False], "weak": [False], "nobody": []}[said]
+    found = replace(explanation(np.sort(probability), passed), by_phases=said == "phases")
     assert verdict(found) == said
     plain, sure, doubt = calibrated(found)
     for mapped in (plain, sure):
