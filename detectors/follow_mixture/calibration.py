@@ -2,8 +2,8 @@
 
 The numbers lie in ``data/calibration.json``; :mod:`detectors.follow_mixture.train` makes them. A mixture puts every UAV
 into one of a few kinds, whose shares of heads were counted. Flocks give a posterior, whose log-odds are scaled and
-shifted (Platt), by how many of the explanation's heads gain more than one that is timed wrong: nothing else tells as
-well how far it can be believed.
+shifted (Platt), by how many of the explanation's heads passed their gates: nothing else tells as well how far it can be
+believed.
 """
 
 from __future__ import annotations
@@ -40,8 +40,7 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-#: Phases of flights told the heads. Or how many of these gain more than one that is timed wrong: all, some, none; or
-#: nobody was named.
+#: Phases of flights told the heads. Or how many of an explanation's heads passed: all, some, none; or nobody was named.
 VERDICTS = ("phases", "firm", "partly", "weak", "nobody")
 
 MOST_ODDS = 14.0  # a posterior's log-odds say nothing more beyond this
@@ -131,9 +130,9 @@ def verdict(found: Explanation) -> str:
     """One of :data:`VERDICTS`."""
     if found.by_phases:
         return "phases"
-    if not len(found.timed):
+    if not len(found.passed):
         return "nobody"
-    return "firm" if found.timed.all() else "partly" if found.timed.any() else "weak"
+    return "firm" if found.passed.all() else "partly" if found.passed.any() else "weak"
 
 
 def calibrated(found: Explanation, calibration: Calibration | None = None) -> tuple[Floats, Floats, float]:

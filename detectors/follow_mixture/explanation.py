@@ -34,7 +34,7 @@ class Explanation:
         strategy: the strategy found, for people.
         value: what the whole explanation gains over nobody following anybody, after prices, in nats.
         kind: ``(n,)`` places in :data:`KINDS` of a mixture; ``None``: flocks said it.
-        timed: ``(M,)`` which heads gain more than one would that is timed wrong.
+        passed: ``(M,)`` which heads passed their gate.
         left: ``(n,)`` who flies like nobody else, follows nobody and is not named; of what flocks say.
         by_phases: flocks said it by the phases of their flights.
     """
@@ -49,10 +49,10 @@ class Explanation:
     strategy: dict[str, Any] = field(default_factory=dict)
     value: float = 0.0
     kind: Indices | None = None
-    timed: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
+    passed: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
     left: NDArray[np.bool_] | None = None
     by_phases: bool = False
 
     def __post_init__(self) -> None:
-        if len(self.timed) != len(self.heads):  # how far a posterior is believed rests on it
-            raise ValueError("timed must say of every head whether it is timed right.")
+        if len(self.passed) != len(self.heads):  # how far a posterior is believed rests on it
+            raise ValueError("passed must say of every head whether it passed.")

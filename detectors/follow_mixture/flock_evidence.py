@@ -134,6 +134,6 @@ def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -
             "flocks": watch.label,
         },
         value=found.value,
-        timed=gate.timed,
+        passed=gate.passed,
         left=(sizes[watch.label] == 1) & ~follows & ~np.isin(np.arange(watch.uavs), heads),
     )

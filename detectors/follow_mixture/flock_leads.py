@@ -295,7 +295,7 @@ def explained_by_leads(leads: Leads, flocks: Flocks) -> Explanation:
             "flocks": flocks.label,
         },
         value=float(gate.added.sum()),
-        timed=gate.timed,
+        passed=gate.passed,
         by_phases=True,
     )
 

@@ -30,18 +30,13 @@ class Gate:
         followers: how many follow each head.
         added: log-likelihood that the head adds to the explanation without it, less its price.
         chance: the highest that a surrogate gives, and a margin: the same followers at other times.
-        passed: ``added`` exceeds ``_TIMES`` what chance gives, and is enough where flocks say it.
+        passed: ``added`` exceeds ``_TIMES`` what chance gives.
     """
 
     followers: NDArray[np.int64]
     added: Floats
     chance: Floats
     passed: NDArray[np.bool_]
-
-    @property
-    def timed(self) -> NDArray[np.bool_]:
-        """Whether each head gains more than one that is timed wrong, however little that is."""
-        return self.added > _TIMES * self.chance
 
     def reasons(self) -> list[str]:
         """One sentence a head."""

@@ -44,7 +44,7 @@ def explained_by_mixture(
         strategy=_described(mixture, samples),
         value=mixture.value,
         kind=_kinds(mixture, gate, left.worst <= MISFIT and _tested(samples, mixture)),
-        timed=gate.timed,
+        passed=gate.passed,
     )
 
 

@@ -64,6 +64,7 @@ COLUMNS = (
     "miss_rate", "decoys", "later", "living", "heads", "way", "kinds", "probability", "given",
 )  # fmt: skip
 _MOBILITIES = ("iid", "gauss_markov", "smooth_turn", "local_waypoint", "waypoint", "straight")
+_SMOOTH = ("gauss_markov", "smooth_turn", "local_waypoint")
 _MEMORY = 4  # the detector's own default
 _BIN = 0.25  # of log-odds
 _BINS = int(2 * MOST_ODDS / _BIN) + 1
@@ -112,7 +113,7 @@ def draw_swarm(training: CalibrationTraining, rng: np.random.Generator) -> Swarm
     clusters = int(rng.integers(1, min(training.most_clusters, (uavs - decoys) // 3) + 1))
     kind = rng.random()  # nobody follows in a tenth; terms are linear in another four tenths
     follow = "none" if kind < 0.1 else _linear_strategy(rng) if kind < 0.5 else random_follow_strategy(rng)
-    return SwarmConfig(
+    drawn = SwarmConfig(
         follow=follow,
         mobility="iid" if rng.random() < 0.3 else str(rng.choice(_MOBILITIES)),
         formation=str(rng.choice(["uniform", "around"], p=[0.8, 0.2])),
@@ -124,6 +125,11 @@ def draw_swarm(training: CalibrationTraining, rng: np.random.Generator) -> Swarm
         decoys=decoys,
         head_jitter=bool(rng.random() < 0.5),
     )
+    if drawn.position_noise > 0 and kind >= 0.1 and rng.random() < 0.5:
+        # Of what phases tell, which few swarms would show otherwise.
+        smooth = {"follow": _linear_strategy(rng), "mobility": str(rng.choice(_SMOOTH)), "head_jitter": True}
+        drawn = drawn.model_copy(update=smooth)
+    return drawn
 
 
 def draw_window(config: SwarmConfig, rng: np.random.Generator) -> tuple[Window, NDArray[np.bool_], bool]:

@@ -57,7 +57,7 @@ def explanation(probability=(0.9, 0.1, 0.0), passed=(), kind=None):
     kinds = None if kind is None else np.array(kind)
     nothing = np.zeros(n)
     return Explanation(
-        heads, np.full(n, -1), raw, raw, nothing, nothing, kind=kinds, timed=np.array(passed, dtype=bool)
+        heads, np.full(n, -1), raw, raw, nothing, nothing, kind=kinds, passed=np.array(passed, dtype=bool)
     )
 
 
