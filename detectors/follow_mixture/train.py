@@ -13,6 +13,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
@@ -126,9 +127,12 @@ def draw_swarm(training: CalibrationTraining, rng: np.random.Generator) -> Swarm
         head_jitter=bool(rng.random() < 0.5),
     )
     if drawn.position_noise > 0 and kind >= 0.1 and rng.random() < 0.5:
-        # Of what phases tell, which few swarms would show otherwise.
-        smooth = {"follow": _linear_strategy(rng), "mobility": str(rng.choice(_SMOOTH)), "head_jitter": True}
-        drawn = drawn.model_copy(update=smooth)
+        # What phases tell: strategies alike on all axes behind smooth heads, of which few would be drawn otherwise.
+        alike = _linear_strategy(rng)
+        while len(alike.terms) == 1 and alike.terms[0].lag == 0:  # that is f1
+            alike = _linear_strategy(rng)
+        smooth = {"follow": replace(alike, rotation=np.eye(3, dtype=np.float32)), "mobility": str(rng.choice(_SMOOTH))}
+        drawn = drawn.model_copy(update={**smooth, "head_jitter": True})
     return drawn
 
 
