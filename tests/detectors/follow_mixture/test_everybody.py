@@ -93,6 +93,7 @@ def test_a_shared_strategy_that_leaves_nobody_out_is_not_in_doubt():
         gain=np.zeros(4),
         explained=np.zeros(4),
         strategy={"shared": True},
+        passed=np.array([True]),
     )
     assert not in_doubt(sure)
     sure.strategy["shared"] = False
