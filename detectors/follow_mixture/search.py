@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -234,11 +235,13 @@ def explained_by_reach(
     gram = known.T @ known
     gram[np.diag_indices(len(gram))] += _RIDGE * np.trace(gram) / len(gram)
     everything = np.concatenate([known, target, towards], axis=1)
-    among = np.searchsorted(reaches, distance)  # how many reaches are nearer
+    among = np.asarray(np.searchsorted(reaches, distance), np.int64)  # how many reaches are nearer
     beyond = np.zeros((len(reaches) + 1, everything.shape[1], 3))
-    for count in np.unique(among):
-        part = among == count
-        beyond[count] = everything[part].T @ towards[part]
+    order = np.argsort(among, kind="stable")
+    among, everything, towards = among[order], everything[order], towards[order]
+    edges = np.flatnonzero(np.diff(among, prepend=-1, append=-1)).tolist()
+    for first, last in pairwise(edges):
+        beyond[among[first]] = everything[first:last].T @ towards[first:last]
     beyond = beyond[:0:-1].cumsum(axis=0)[::-1]
     width = known.shape[1]
     mixed = beyond[:, :width]
