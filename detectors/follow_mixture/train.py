@@ -36,7 +36,7 @@ from detectors.follow_mixture.calibration import (
     log_odds,
     verdict,
 )
-from detectors.follow_mixture.detector import explain
+from detectors.follow_mixture.explain import explain
 from detectors.follow_mixture.explanation import KINDS
 from detectors.follow_mixture.samples import samples_of
 from usnet_env.config import Config, InvalidArgument, shown

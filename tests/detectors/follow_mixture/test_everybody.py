@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from mixture_windows import swarm_window
 
-from detectors.follow_mixture.detector import FollowMixture, by_everybody, by_flocks, in_doubt
+from detectors.follow_mixture.detector import FollowMixture
+from detectors.follow_mixture.explain import by_everybody, by_flocks, in_doubt
 from detectors.follow_mixture.explanation import Explanation
 from detectors.follow_mixture.flock_heads import watch_flocks
 from detectors.follow_mixture.flock_search import first_guesses, flights, seen_spectra

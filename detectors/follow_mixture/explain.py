@@ -1,0 +1,131 @@
+"""Who leads whom in one window: the ways to find it, and when each is asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.follow_mixture.explanation import Explanation
+from detectors.follow_mixture.facility import LEAST_VOTERS
+from detectors.follow_mixture.flock_evidence import explained_by_flocks
+from detectors.follow_mixture.flock_heads import watch_flocks
+from detectors.follow_mixture.flock_leads import PHASES_TELL, explained_by_leads, leads_of_flocks
+from detectors.follow_mixture.flock_search import first_guesses, flights, flock_search, seen_spectra
+from detectors.follow_mixture.flocks import flocks_of
+from detectors.follow_mixture.history import own_history
+from detectors.follow_mixture.mixture_evidence import explained_by_mixture
+from detectors.follow_mixture.noise import SMOOTH, FlightSpectra
+from detectors.follow_mixture.samples import Samples, filled, samples_of
+from detectors.follow_mixture.scale import ALL_PAIRS, sampled_search
+from detectors.follow_mixture.search import LEFT_OUT, climb_together, quick, unexplained
+from usnet_env.window import Window
+
+__all__ = ["by_everybody", "by_flocks", "explain", "in_doubt"]
+
+_LAGS = 4  # of a head's past for a flock, where the window can feed them
+_STEPS_A_LAG = 5
+_LONG_ROWS = 60  # from which on twice the lags are looked at where these explain few
+
+
+def explain(
+    window: Window, samples: Samples, living: NDArray[np.int64], most: int | None, rng: np.random.Generator
+) -> Explanation | None:
+    """Who leads whom: at once where pairwise evidence shows it, else by flocks, else by everybody together.
+
+    Args:
+        window: what was seen.
+        samples: of its living UAVs.
+        living: ``(n,)`` their indices in the window.
+        most: the largest number of heads, or ``None``.
+        rng: draws the voters of a large swarm.
+
+    Returns:
+        ``None`` where nobody seems to follow anybody.
+    """
+    if samples.uavs > ALL_PAIRS:
+        history = own_history(samples)
+        return explained_by_mixture(samples, history, sampled_search(samples, history, most, rng))
+    if samples.unit:  # seen without noise
+        found = at_once(samples, most)
+        if found is not None:
+            return found
+    complete = filled(window)
+    lags = int(np.clip(window.observation_steps // _STEPS_A_LAG, 1, _LAGS))
+    rows = flown(complete, samples, living, lags)
+    if rows is None:
+        return None
+    spectra = seen_spectra(rows)
+    if spectra.noise == 0 and not samples.unit:
+        found = at_once(samples, most)
+        if found is not None:
+            return found
+    found = by_flocks(rows, spectra, most)
+    if found is not None and 2 * (found.leader >= 0).sum() < samples.uavs:
+        # There are flocks, and most of them follow nobody: followers may be late.
+        longer = flown(complete, samples, living, 2 * lags) if rows.rows >= _LONG_ROWS else None
+        late = None if longer is None else by_flocks(longer, spectra, most)
+        if late is not None and late.value > found.value:
+            found = late
+    if found is not None and len(found.heads) and samples.complete and in_doubt(found):
+        return by_everybody(samples, rows, spectra, found, most) or found
+    return found
+
+
+def flown(window: Window, samples: Samples, living: NDArray[np.int64], lags: int) -> Samples | None:
+    """The samples of a window without gaps. A gap that was filled is flown more slowly; one speed stays one speed."""
+    rows = samples_of(window, living, lags)
+    return None if rows is None else replace(rows, unit=samples.unit)
+
+
+def by_flocks(rows: Samples, spectra: FlightSpectra, most: int | None) -> Explanation | None:
+    """What flocks say: behind noise by the phases of smooth flights, where these tell anything."""
+    velocity = flights(rows)
+    flocks = flocks_of(velocity, spectra)
+    if spectra.noise > PHASES_TELL and np.median(spectra.memory) >= SMOOTH:
+        leads = leads_of_flocks(velocity, spectra, flocks)
+        if leads is not None:
+            return explained_by_leads(leads, flocks)
+    return explained_by_flocks(*flock_search(rows, spectra, flocks, most), float(np.median(spectra.memory)))
+
+
+def at_once(samples: Samples, most: int | None) -> Explanation | None:
+    """What the quick way says, if it explains the swarm."""
+    history = own_history(samples)
+    found = quick(samples, history, most)
+    return None if found is None else explained_by_mixture(samples, history, *found)
+
+
+def in_doubt(found: Explanation) -> bool:
+    """Whether flocks found no strategy that all share, or left many out."""
+    left = int((found.leader < 0).sum()) - len(found.heads)
+    return not found.strategy["shared"] or left > LEFT_OUT * len(found.leader)
+
+
+def by_everybody(
+    samples: Samples, rows: Samples, spectra: FlightSpectra, found: Explanation, most: int | None
+) -> Explanation | None:
+    """What everybody says together, where flocks ``found`` heads in doubt; ``None`` if that is no better.
+
+    Where delays differ from follower to follower the earlier explain the later as well as their head does. But they fly
+    at once with others who have the same delay, and these follow somebody else. And heads that flocks found are not
+    dropped for those who are left out without.
+    """
+    flocks = flocks_of(flights(rows), spectra)
+    start = found.leader.copy()
+    start[found.heads] = -1
+    starts = [start, *first_guesses(rows, watch_flocks(rows, flocks), most)]
+    history = own_history(samples)
+    mixture = climb_together(samples, history, starts, most)
+    if mixture is None:
+        return None
+    heads, leader = mixture.heads.heads, mixture.heads.leader
+    for head in heads:
+        mates = np.setdiff1d(np.flatnonzero(flocks.label == flocks.label[head]), heads)
+        if len(mates) and 2 * (leader[mates] != head).sum() > len(mates):
+            return None
+    fewer = not len(np.setdiff1d(heads, found.heads)) and len(heads) < len(found.heads)
+    if fewer and unexplained(mixture) >= LEAST_VOTERS:
+        return None
+    return explained_by_mixture(samples, history, mixture)
