@@ -317,7 +317,7 @@ def beside(wanted: list[Cell], results: Path, seed: int) -> Iterator[str]:
             continue
         kinds = {cell.kind for cell in wanted if cell.tier == tier}
         measure = "heads named" if kinds <= {"silence", "shifted"} else "J"
-        yield f"\n## {tier}\n\nOthers: mean {measure} (n).\n"
+        yield f"\n**{tier}**; of others the mean {measure} (n)\n"
         lines = [f"| {' | '.join(['cell', 'n', 'right (95 %)', f'mean {measure} (95 %)', *others])} |"]
         lines.append("| --- |" + " --- |" * (3 + len(others)))
         for cell in (cell for cell in wanted if cell.tier == tier):
@@ -448,7 +448,11 @@ def main() -> None:
     parser.add_argument("--detectors", nargs="*", default=[OURS, *PEERS])
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--table", action="store_true", help="play nothing")
-    parser.add_argument("--summary", action="store_true", help="play nothing; write cells.md and tiers.md")
+    parser.add_argument(
+        "--summary",
+        action="store_true",
+        help="play nothing; write the tables",
+    )
     parser.add_argument("--reliability", action="store_true", help="play nothing; write reliability.md and .png")
     parser.add_argument("--policies", action="store_true", help="play nothing; compare both policies")
     parser.add_argument("--list", action="store_true", help="list the cells")
@@ -474,9 +478,16 @@ def main() -> None:
         print(reliability_tables(found))
         return
     if asked.summary:
-        for name, lines in (("cells.md", beside), ("tiers.md", by_variant)):
+        out_of_list = [cell for cell in wanted if cell.tier == "unlisted"]
+        pages = (
+            ("cells.md", beside, wanted),
+            ("tiers.md", by_variant, wanted),
+            ("unlisted.md", beside, out_of_list),
+            ("policies.md", policies, wanted),
+        )
+        for name, lines, some in pages:
             with written_whole(asked.results / name) as aside:
-                aside.write_text("\n".join([*lines(wanted, asked.results, asked.seed), ""]).lstrip(), encoding="utf-8")
+                aside.write_text("\n".join([*lines(some, asked.results, asked.seed), ""]).lstrip(), encoding="utf-8")
         return
     if asked.policies:
         print("\n".join(policies(wanted, asked.results, asked.seed)))

@@ -9,6 +9,9 @@ import json
 import sys
 from pathlib import Path
 
+from follow_mixture import rate_of as exact_rate
+from follow_mixture import rows_of as tier_rows
+
 from usnet_env.evaluation.statistics import mean_interval
 from usnet_env.reproduce.detection_rate import Cell, Row, rate_of, read_rows
 from usnet_env.reproduce.rounds import Row as Game
@@ -16,6 +19,7 @@ from usnet_env.reproduce.rows import read_rows as read_any
 from usnet_env.reproduce.table2 import paper_rates
 
 RESULTS = Path(__file__).parent / "results"
+SEED = 2022
 README = Path(__file__).parent.parent / "README.md"
 FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 DETECTORS = (
@@ -122,9 +126,57 @@ def multi_cluster_gassl() -> str:
     return "\n".join(lines)
 
 
+#: Tier, variants (all of it where there are none), strategies and words of every line of :func:`mixture`.
+_TIERS = (
+    ("paper", (), "f1-f7", "iid heads, M=5, N=82"),
+    ("sizes", (), "f1-f7", "M = 2 to 20, N = 20 to 237"),
+    ("smooth", (), "f1-f7", "smooth heads with jitter"),
+    ("straight", ("jitter",), "f1-f7", "straight heads with jitter"),
+    ("straight", ("bare",), "f1-f7", "straight heads without"),
+    ("short", ("T20",), "f1-f6", "20 steps"),
+    ("missed", ("0.3",), "f1-f7", "30 % of the samples missed"),
+    ("noise", ("0.3",), "f1-f7", "positions with 0.3 m of noise"),
+    ("noise", ("gauss_markov-0.3",), "f1-f3", "the same, smooth heads"),
+    ("noise", ("gauss_markov-0.3",), "f4-f7", "the same, smooth heads"),
+    ("decoys", (), "f1-f7", "1, 3 or 10 decoys"),
+    ("unlisted", (), "eight others", "strategies of no list, iid and smooth heads"),
+    ("silence", (), "nobody follows", "six mobilities, with jitter and without"),
+)
+_BESIDE = ("lagged-regression", "destroy-all")
+
+
+def mixture() -> str:
+    """follow-mixture over its tiers: how often round 1 is exact (or rightly silent), and J_m beside others."""
+    lines = [f"| `follow-mixture` | strategies | episodes | exact | J_m | {' | '.join(f'`{n}`' for n in _BESIDE)} |"]
+    lines.append("| --- |" + " --- |" * (4 + len(_BESIDE)))
+    for tier, variants, strategies, words in _TIERS:
+        kind = "silence" if tier == "silence" else "P2"
+        rows = []
+        for row in tier_rows(RESULTS / "follow_mixture" / f"{tier}.csv"):
+            follow, _, variant = row["cell"].partition("-")
+            wanted = not strategies.startswith("f") or strategies[:2] <= follow <= strategies[-2:]
+            if int(row["seed"]) == SEED and wanted and (not variants or variant in variants):
+                rows.append(row)
+        ours = [row for row in rows if row["detector"] == "follow-mixture"]
+        beside = []
+        for name in _BESIDE:
+            costs = [float(row["J"]) for row in rows if row["detector"] == name]
+            beside.append(f"{sum(costs) / len(costs):.2f}" if costs and kind == "P2" else "")
+        cost = f"{sum(float(row['J']) for row in ours) / len(ours):.3f}" if kind == "P2" else "silent"
+        lines.append(
+            f"| {words} | {strategies} | {len(ours):,} | {exact_rate(ours, kind)} | {cost} | {' | '.join(beside)} |"
+        )
+    return "\n".join(lines)
+
+
 def filled(text: str) -> str:
     """The README with its tables between the markers replaced."""
-    tables = (("table", multi_cluster()), ("rates", detection_rates()), ("rounds", multi_cluster_gassl()))
+    tables = (
+        ("mixture", mixture()),
+        ("table", multi_cluster()),
+        ("rates", detection_rates()),
+        ("rounds", multi_cluster_gassl()),
+    )
     for name, table in tables:
         begin, end = f"<!-- {name}:begin -->\n", f"<!-- {name}:end -->"
         before, rest = text.split(begin)
