@@ -55,13 +55,15 @@ class Rates(Config):
         passed: heads of a mixture whose gate passed.
         failed: whose gate failed.
         follower: who follows one.
-        missing: left over beside a strategy that misfits.
+        stray: one of few that are left over beside a strategy that misfits, and nobody could follow it.
+        missing: left over beside one, otherwise.
         alone: left over beside one that holds.
     """
 
     passed: Share
     failed: Share
     follower: Share
+    stray: Share
     missing: Share
     alone: Share
 

@@ -13,9 +13,10 @@ __all__ = ["KINDS", "Explanation"]
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: What a UAV is in an explanation by a mixture: a head whose gate passed or failed, a follower, or left over: beside a
-#: strategy that leaves more than noise, where perhaps a cluster was not found, or beside one that holds, like a decoy.
-KINDS = ("passed", "failed", "follower", "missing", "alone")
+#: What a UAV is in an explanation by a mixture: a head whose gate passed or failed, a follower, or left over. Then it
+#: is alone, like a decoy, beside a strategy that leaves nothing but noise; else one of few whom nobody could follow
+#: (stray), or perhaps a head (missing).
+KINDS = ("passed", "failed", "follower", "stray", "missing", "alone")
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.follow_mixture.explanation import KINDS, Explanation
+from detectors.follow_mixture.facility import LEAST_VOTERS
 from detectors.follow_mixture.gate import Gate, gate_heads
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture
@@ -20,6 +21,7 @@ __all__ = ["explained_by_mixture"]
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+_LOST = 0.5  # of what a head gives its follower, that it may lose behind another and still be thought to follow it
 _MOMENTS_A_NUMBER = 2  # of the heads together, for each of the strategy's on an axis
 
 
@@ -43,7 +45,7 @@ def explained_by_mixture(
         reasons=gate.reasons(),
         strategy=_described(mixture, samples),
         value=mixture.value,
-        kind=_kinds(mixture, gate, left.worst <= MISFIT and _tested(samples, mixture)),
+        kind=_kinds(mixture, gate, left.worst <= MISFIT, _tested(samples, mixture)),
         passed=gate.passed,
     )
 
@@ -53,13 +55,32 @@ def _tested(samples: Samples, mixture: Mixture) -> bool:
     return len(mixture.heads.heads) * samples.rows >= _MOMENTS_A_NUMBER * len(mixture.strategy.coefficients)
 
 
-def _kinds(mixture: Mixture, gate: Gate, holds: bool) -> Indices:
-    """``(n,)`` places in :data:`KINDS`; ``holds``: the strategy found leaves nothing but noise."""
+def _kinds(mixture: Mixture, gate: Gate, holds: bool, tested: bool) -> Indices:
+    """``(n,)`` places in :data:`KINDS`, by whether the strategy leaves nothing but noise, and could have left more."""
     left = mixture.heads.leader < 0
     left[mixture.heads.heads] = False
-    kind = np.where(left, KINDS.index("alone" if holds else "missing"), KINDS.index("follower"))
+    kind = np.where(left, KINDS.index("alone" if holds and tested else "missing"), KINDS.index("follower"))
+    if (
+        tested and not holds and left.sum() <= LEAST_VOTERS
+    ):  # who leads is left over with its followers, if it is not found
+        kind[left & ~could_lead(mixture)] = KINDS.index("stray")
     kind[mixture.heads.heads] = np.where(gate.passed, KINDS.index("passed"), KINDS.index("failed"))
     return kind
+
+
+def could_lead(mixture: Mixture) -> NDArray[np.bool_]:
+    """``(n,)`` who might lead two followers of others: these would not lose much more by it than their heads give them.
+
+    True for whoever was no candidate, as that is not known.
+    """
+    could = np.ones(len(mixture.heads.leader), bool)
+    followers = np.flatnonzero(mixture.heads.leader >= 0)
+    if len(followers) < LEAST_VOTERS:
+        return could
+    own = mixture.gain[followers, np.searchsorted(mixture.columns, mixture.heads.leader[followers])]
+    share = mixture.gain[followers] / np.maximum(own, 1e-9)[:, None]
+    could[mixture.columns] = np.partition(share, -LEAST_VOTERS, axis=0)[-LEAST_VOTERS] > -_LOST
+    return could
 
 
 def _explained(samples: Samples, history: OwnHistory, mixture: Mixture) -> Floats:

@@ -82,10 +82,10 @@ def test_calibrated_posteriors_rise_and_are_probabilities(said, probability):
 
 
 def test_a_mixture_gives_the_rates_of_its_kinds():
-    plain, sure, doubt = calibrated(explanation(kind=[0, 1, 2, 3, 4, 2], passed=[True, False]))
+    plain, sure, doubt = calibrated(explanation(kind=[0, 1, 2, 3, 4, 5], passed=[True, False]))
     shipped = shipped_calibration()
-    assert plain.tolist() == [getattr(shipped.probability.rates, KINDS[k]) for k in (0, 1, 2, 3, 4, 2)]
-    assert sure.tolist() == [getattr(shipped.given.rates, KINDS[k]) for k in (0, 1, 2, 3, 4, 2)]
+    assert plain.tolist() == [getattr(shipped.probability.rates, KINDS[k]) for k in range(6)]
+    assert sure.tolist() == [getattr(shipped.given.rates, KINDS[k]) for k in range(6)]
     assert doubt == 0
     assert plain[0] > 0.95
     assert plain[2] < 0.01
