@@ -36,7 +36,7 @@ class Explanation:
         value: what the whole explanation gains over nobody following anybody, after prices, in nats.
         kind: ``(n,)`` places in :data:`KINDS` of a mixture; ``None``: flocks said it.
         passed: ``(M,)`` which heads passed their gate.
-        left: ``(n,)`` who flies like nobody else, follows nobody and is not named; of what flocks say.
+        left: ``(n,)`` who flies like nobody else, is no head and unlike a follower of any; of what flocks say.
         by_phases: flocks said it by the phases of their flights.
     """
 

@@ -24,6 +24,7 @@ _GONE = 3.0  # log-odds that the head of a flock is in the window
 _TYPICAL = 0.1  # share of what flocks gain by their heads that a head gives at least
 _FAILED = 0.2  # what is left of a head's probability where chance explains as much
 _UNKNOWN = 0.45  # the most likely that somebody is a head by the way of flying alone
+_A_BIT = 1.0  # nats: a follower that is badly predicted gains little by its head, a head loses by another
 _LEAST = 20.0  # nats that a head adds at least
 _LONE_SHARE = 0.2  # of a swarm that follows, where nobody who follows flies as somebody else does: of n² pairs of
 #                    flights a few match by luck
@@ -85,6 +86,16 @@ def flock_posterior(watch: Watch, found: FlockHeads | None, memory: float) -> Fl
     return np.asarray(1.0 - np.prod(1.0 - share, axis=0))
 
 
+def _left_over(watch: Watch, found: FlockHeads) -> NDArray[np.bool_]:
+    """``(n,)`` who flies like nobody else, is no head, and whose flight no other head explains."""
+    gain = found.gain[watch.label][:, found.heads].copy()
+    gain[found.heads, np.arange(len(found.heads))] = -np.inf
+    alone = np.bincount(watch.label, minlength=watch.flocks)[watch.label] == 1
+    unlike = alone & (found.head[watch.label] < 0) & (gain.max(axis=1) < -_A_BIT)
+    unlike[found.heads] = False
+    return unlike
+
+
 def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -> Explanation | None:
     """The explanation that flocks and their heads give.
 
@@ -135,5 +146,5 @@ def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -
         },
         value=found.value,
         passed=gate.passed,
-        left=(sizes[watch.label] == 1) & ~follows & ~np.isin(np.arange(watch.uavs), heads),
+        left=_left_over(watch, found),
     )
