@@ -1,6 +1,6 @@
 """Speed and memory of follow-mixture, as ratios within one run, and whether it finds the heads meanwhile.
 
-    OMP_NUM_THREADS=1 python benchmarks/follow_mixture_speed.py  # writes results/follow_mixture_speed.json
+    OMP_NUM_THREADS=1 python benchmarks/follow_mixture_speed.py  # writes results/follow_mixture_speed.{json,md}
 
 Four measurements:
 
@@ -29,6 +29,7 @@ from speed_helpers import seconds as seconds_by
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.statistics import rate_interval
+from usnet_env.files import written_whole
 from usnet_env.objectives import exact, multi_cluster_objective
 from usnet_env.plugins import make_detector
 from usnet_env.provenance import machine, versions
@@ -237,6 +238,8 @@ def main() -> None:
         "gassl": beside_gassl(arguments.episodes),
     }
     write_json(arguments.out, result)
+    with written_whole(arguments.out.with_suffix(".md")) as aside:
+        aside.write_text(tables(result) + "\n", encoding="utf-8")
     print(f"\n{tables(result)}")
 
 
