@@ -202,7 +202,11 @@ def trained():
     env = gym.make("USNET/MultiCluster-v0", **SMALL)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    yield sb3.PPO("MultiInputPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=0).learn(32)
+    model = sb3.PPO("MultiInputPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=0).learn(32)
+    model.predict(
+        env.reset(seed=0)[0]
+    )  # until it acts a policy holds the graph of its last loss, which PyTorch can't copy
+    yield model
     torch.set_num_threads(threads)
 
 
