@@ -60,9 +60,8 @@ def _kinds(mixture: Mixture, gate: Gate, holds: bool, tested: bool) -> Indices:
     left = mixture.heads.leader < 0
     left[mixture.heads.heads] = False
     kind = np.where(left, KINDS.index("alone" if holds and tested else "missing"), KINDS.index("follower"))
-    if (
-        tested and not holds and left.sum() <= LEAST_VOTERS
-    ):  # who leads is left over with its followers, if it is not found
+    if tested and not holds and left.sum() <= LEAST_VOTERS:
+        # A head that is missed leaves its followers over too.
         kind[left & ~could_lead(mixture)] = KINDS.index("stray")
     kind[mixture.heads.heads] = np.where(gate.passed, KINDS.index("passed"), KINDS.index("failed"))
     return kind
