@@ -6,11 +6,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from usnet_env import InvalidArgument
-from usnet_env.swarm import SwarmConfig
+from usnet_env.swarm import SwarmConfig, follow_strategies, mobilities
 
 WHOLE = ["clusters", "uavs", "observation_steps", "memory", "sample_every"]
 REAL = ["position_noise", "miss_rate"]
 NAMES = ["follow", "mobility", "formation"]
+
+
+def is_taken(name):
+    """Hypothesis draws texts from the package's own sources too, so that any registered name may come."""
+    return name in ("around", "none", "uniform") or name in follow_strategies() or name in mobilities()
+
 
 not_whole = st.one_of(
     st.floats(), st.text(), st.none(), st.booleans(), st.lists(st.integers()), st.integers(max_value=0), st.binary()
@@ -19,7 +25,7 @@ not_real = st.one_of(
     st.sampled_from([np.nan, np.inf, -np.inf, -1.0, -1, 1e9]), st.text(), st.none(), st.lists(st.floats()), st.binary()
 )
 not_names = st.one_of(
-    st.text().filter(lambda text: text not in ("f1", "none", "iid", "uniform", "around")),
+    st.text().filter(lambda text: not is_taken(text)),
     st.integers(),
     st.none(),
     st.floats(),
