@@ -93,8 +93,7 @@ def by_flocks(rows: Samples, spectra: FlightSpectra, most: int | None) -> Explan
 def at_once(samples: Samples, most: int | None) -> Explanation | None:
     """What the quick way says, if it explains the swarm."""
     history = own_history(samples)
-    found = quick(samples, history, most)
-    return None if found is None else explained_by_mixture(samples, history, *found)
+    return explained_by_mixture(samples, history, quick(samples, history, most))
 
 
 def in_doubt(found: Explanation) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.follow_mixture.likelihood import concentration_of, fit_directions, log_normaliser, natural_parameters
-from detectors.follow_mixture.samples import Samples
+from detectors.follow_mixture.samples import Samples, stride
 
 __all__ = ["OwnHistory", "own_history"]
 
@@ -104,7 +104,7 @@ def _shared_law(samples: Samples) -> Floats:
     )
     keep = samples.seen & samples.lag_seen.all(axis=2)
     target = samples.target[keep]
-    every = max(1, len(target) // _ROWS)
+    every = stride(len(target), _ROWS, samples.rows)
     some = target[::every]
     coefficients, noise = fit_directions(features[keep][::every], some, np.ones(len(some)), samples.unit)
     theta, constant = natural_parameters(features @ coefficients, noise)

@@ -13,7 +13,7 @@ from detectors.follow_mixture.gate import Gate, gate_heads
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture
 from detectors.follow_mixture.samples import Samples
-from detectors.follow_mixture.search import MISFIT, Misfit, misfit
+from detectors.follow_mixture.search import MISFIT, misfit
 from detectors.follow_mixture.strategy import directions
 
 __all__ = ["explained_by_mixture"]
@@ -25,14 +25,12 @@ _LOST = 0.5  # of what a head gives its follower, that it may lose behind anothe
 _MOMENTS_A_NUMBER = 2  # of the heads together, for each of the strategy's on an axis
 
 
-def explained_by_mixture(
-    samples: Samples, history: OwnHistory, mixture: Mixture | None, left: Misfit | None = None
-) -> Explanation | None:
-    """The explanation that a mixture gives; ``left``: what its strategy leaves over, where it is known."""
+def explained_by_mixture(samples: Samples, history: OwnHistory, mixture: Mixture | None) -> Explanation | None:
+    """The explanation that a mixture gives."""
     if mixture is None or not len(mixture.heads.heads):
         return None
     gate = gate_heads(samples, history, mixture)
-    left = left or misfit(samples, mixture.strategy, mixture.heads.leader)
+    holds = misfit(samples, mixture.strategy, mixture.heads.leader).worst <= MISFIT
     leader = mixture.heads.leader
     place = np.minimum(np.searchsorted(mixture.columns, np.maximum(leader, 0)), len(mixture.columns) - 1)
     return Explanation(
@@ -45,7 +43,7 @@ def explained_by_mixture(
         reasons=gate.reasons(),
         strategy=_described(mixture, samples),
         value=mixture.value,
-        kind=_kinds(mixture, gate, left.worst <= MISFIT, _tested(samples, mixture)),
+        kind=_kinds(mixture, gate, holds, _tested(samples, mixture)),
         passed=gate.passed,
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import gcd
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from usnet_env.window import Window
 
-__all__ = ["Samples", "filled", "samples_of"]
+__all__ = ["Samples", "filled", "samples_of", "stride"]
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -116,6 +117,17 @@ def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Sample
         speed=speed,
         unit=bool(flown.std() < _UNIT_SPREAD * speed),
     )
+
+
+def stride(observations: int, most: int, rows: int) -> int:
+    """The step with which at most ``most`` of the observations are met, and those at all rows of a window alike.
+
+    Observations follow each other UAV by UAV: a step that shares a factor with the rows would meet some rows only.
+    """
+    every = max(1, -(-observations // most))
+    while gcd(every, rows) > 1:
+        every += 1
+    return every
 
 
 def filled(window: Window) -> Window:

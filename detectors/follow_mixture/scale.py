@@ -12,7 +12,7 @@ from detectors.follow_mixture.flocks import flocks_of
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, head_price
 from detectors.follow_mixture.samples import Samples
-from detectors.follow_mixture.search import MISFIT, first_assignment, led, misfit, quick, shortcut
+from detectors.follow_mixture.search import MISFIT, first_assignment, fly_alone, led, misfit, quick, shortcut
 from detectors.follow_mixture.strategy import Strategy, fit_strategy, gain_matrix
 
 __all__ = ["ALL_PAIRS", "pruned", "sampled_search"]
@@ -95,14 +95,14 @@ def _at_once(samples: Samples, history: OwnHistory, most: int | None) -> Mixture
     found = shortcut(samples, history, leader, evidence, most)
     if found is None or not len(found.heads.heads):
         return None
-    return found if misfit(samples, found.strategy, found.heads.leader).nearly_holds else None
+    return found if fly_alone(samples, history, found.heads) else None
 
 
 def _explained(samples: Samples, history: OwnHistory, most: int | None) -> Mixture | None:
     """The explanation of a small swarm: the quick way, else by flocks."""
     found = quick(samples, history, most)
     if found is not None:
-        return found[0]
+        return found
     if not samples.complete:
         return None
     spectra = seen_spectra(samples)

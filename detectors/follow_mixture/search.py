@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.follow_mixture.evidence import FeatureKind, affordable_kinds, gain_and_chance
-from detectors.follow_mixture.facility import LEAST_VOTERS, locate_heads
+from detectors.follow_mixture.facility import LEAST_VOTERS, Heads, locate_heads
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, fit_mixture
 from detectors.follow_mixture.samples import Samples
@@ -23,15 +23,26 @@ from detectors.follow_mixture.strategy import (
     pair_features,
 )
 
-__all__ = ["LEFT_OUT", "Misfit", "climb_together", "first_assignment", "led", "misfit", "quick", "unexplained"]
+__all__ = [
+    "LEFT_OUT",
+    "Misfit",
+    "climb_together",
+    "first_assignment",
+    "fly_alone",
+    "led",
+    "misfit",
+    "quick",
+    "unexplained",
+]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 MISFIT = 1.35  # ratios above this ask for a richer class; a class that holds gives 1 within 0.1 or so
-_NEARLY = 5.0  # a misfit with which nobody's leader is in doubt, where nobody is left over
-_SHARED = 1.9  # the same of what followers of one head share: where delays are their own, the earlier seem to lead the
-#               later, and one strategy for all is wrong for each group in its own way
+_NEARLY = 5.0  # a misfit with which somebody whom nobody explains is alone, perhaps, and not led by what was not fitted
+_SHARED = 1.9  # the same of what followers of one head share
+_FELLOWS = 0.6  # correlation of two who fly at once because they follow the same head with the same delay
+_CHANCE = 5.0  # times the standard deviation of the correlation of strangers
 EXPLAINED = 0.4  # share of the UAVs that a first assignment accounts for where it is worth climbing from
 _SETTLING = 6
 LEFT_OUT = 0.05  # share of a swarm that one who explains everybody may leave out
@@ -60,7 +71,7 @@ class Misfit:
 
     @property
     def nearly_holds(self) -> bool:
-        """Whether nobody's leader is in doubt, where nobody is left over."""
+        """Whether somebody whom the strategy does not explain may be thought to follow nobody."""
         return self.follower <= _NEARLY and self.head <= _SHARED
 
 
@@ -100,23 +111,42 @@ def first_assignment(samples: Samples, history: OwnHistory, kind: FeatureKind) -
     return found.leader, evidence
 
 
-def quick(samples: Samples, history: OwnHistory, most: int | None = None) -> tuple[Mixture, Misfit] | None:
-    """The explanation that the richest evidence leads to at once, and what its strategy leaves over.
-
-    ``None`` where it does not explain the swarm.
-    """
+def quick(samples: Samples, history: OwnHistory, most: int | None = None) -> Mixture | None:
+    """The explanation that the richest evidence leads to at once; ``None`` where it does not explain the swarm."""
     kind = affordable_kinds(samples.rows, samples.memory)[0]
     leader, evidence = first_assignment(samples, history, kind)
     if not (leader >= 0).any():
         return None
     found = shortcut(samples, history, leader, evidence, most)
-    left = None if found is None else done(samples, found)
     for _ in range(_AGAIN):
-        if found is None or left is not None or 2 * unexplained(found) > samples.uavs:
+        if found is None or accounts_for_all(samples, found) or 2 * unexplained(found) > samples.uavs:
             break
         found = again(samples, history, found, evidence, most)
-        left = None if found is None else done(samples, found)
-    return (found, left) if found is not None and left is not None and len(found.heads.heads) else None
+    if found is None or not len(found.heads.heads) or not accounts_for_all(samples, found):
+        return None
+    return found if fly_alone(samples, history, found.heads) else None
+
+
+def accounts_for_all(samples: Samples, found: Mixture) -> bool:
+    """Whether a mixture leaves nobody unexplained, or hardly anybody by a strategy that nearly holds."""
+    left = unexplained(found)
+    if left == 0 or left >= LEAST_VOTERS:
+        return left == 0
+    return misfit(samples, found.strategy, found.heads.leader).nearly_holds
+
+
+def fly_alone(samples: Samples, history: OwnHistory, found: Heads) -> bool:
+    """Whether nobody flies at once with a head but its own followers, beyond what the own past of both foretells.
+
+    Where delays differ from follower to follower the earlier explain the later as well as their head does. But such a
+    one has fellows: those with the same delay, who follow somebody else.
+    """
+    surprise = history.surprise.reshape(samples.uavs, -1)
+    surprise = surprise / np.maximum(np.sqrt(np.vecdot(surprise, surprise)), 1e-12)[:, None]
+    together = surprise[found.heads] @ surprise.T > max(_FELLOWS, _CHANCE / np.sqrt(3.0 * samples.rows))
+    together[np.arange(len(found.heads)), found.heads] = False
+    elsewhere = together & (found.leader[None] != found.heads[:, None])
+    return not (2 * elsewhere.sum(axis=1) > together.sum(axis=1)).any()
 
 
 def shortcut(
@@ -181,14 +211,6 @@ def again(samples: Samples, history: OwnHistory, found: Mixture, evidence: Float
             if other is not None and other.value > (found if best is None else best).value:
                 best = other
     return best
-
-
-def done(samples: Samples, found: Mixture) -> Misfit | None:
-    """What a mixture leaves over, if it leaves hardly anybody unexplained and nearly holds."""
-    if unexplained(found) >= LEAST_VOTERS:
-        return None
-    left = misfit(samples, found.strategy, found.heads.leader)
-    return left if left.nearly_holds else None
 
 
 def within_reach(samples: Samples, leader: Indices, library: Library) -> Strategy | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.likelihood import Noise, fit_directions, natural_parameters
-from detectors.follow_mixture.samples import Samples
+from detectors.follow_mixture.samples import Samples, stride
 
 __all__ = [
     "PAIRED_ROWS",
@@ -215,7 +215,7 @@ def _paired_rows(
     shared, valid = head_features(samples, library, unique)
     seen = valid[group] & samples.seen[followers] & pairs_seen(samples, library, (followers,), (heads,))
     who, when = np.nonzero(seen)
-    every = -(-len(who) // rows) or 1
+    every = stride(len(who), rows, samples.rows)
     who, when = who[::every], when[::every]
     extra, _ = pair_features(samples, library, followers[who], heads[who], when)
     target = samples.target[followers[who], when]
