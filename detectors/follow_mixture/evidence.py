@@ -107,7 +107,7 @@ def gain_and_chance(
 ) -> tuple[Floats, float]:
     """:func:`pairwise_gain`, and the most that some voters gain by anybody at a wrong time, in the median."""
     voters = np.arange(samples.uavs) if voters is None else voters
-    some = voters[:: max(1, len(voters) // _CHANCE_VOTERS)]
+    some = voters[:: max(1, -(-len(voters) // _CHANCE_VOTERS))]
     asked = [(voters, _targets(surprise[voters], 0)), (some, _targets(surprise[some], samples.rows // 2))]
     gain, surrogate = _gains(samples, kind, asked)
     return gain, float(np.median(surrogate.max(axis=1)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, head_price
 from detectors.follow_mixture.samples import Samples
-from detectors.follow_mixture.strategy import Pairs, Strategy, gain_matrix, pair_features
+from detectors.follow_mixture.strategy import Strategy, gain_matrix
 
 __all__ = ["Gate", "gate_heads", "judged"]
 
@@ -64,14 +64,9 @@ def gate_heads(samples: Samples, history: OwnHistory, mixture: Mixture) -> Gate:
     price = head_price(samples.uavs)
     flights, null, leaders = samples.take(followers), history.take(followers), samples.take(heads)
     shifts = np.unique(np.linspace(0, samples.rows, _SHIFTS + 2).astype(int)[1:-1])
-    pairs = None
-    if paired:  # the same at all shifts
-        grid = np.broadcast_arrays(followers[:, None], heads[None, :])
-        pairs = pair_features(samples, mixture.strategy.library, *grid)
-    observed, *moved = [
-        _per_head(flights, null, leaders.moved(int(shift)), mixture.strategy, pairs) for shift in np.union1d(0, shifts)
-    ]
-    surrogate = np.array(moved).reshape(-1, len(heads))
+    observed = _per_head(mixture.gain[followers][:, np.searchsorted(mixture.columns, heads)])
+    moved = [_gain(flights, null, leaders.moved(int(shift)), mixture.strategy) for shift in shifts]
+    surrogate = np.array([_per_head(gain) for gain in moved]).reshape(-1, len(heads))
     share = count / np.array([max(len(some), 1) for some in asked])
     return judged(count, observed * share - price, surrogate * share)
 
@@ -84,12 +79,16 @@ def judged(followers: NDArray[np.int64], added: Floats, surrogates: Floats) -> G
     return Gate(followers, added, chance, added > _TIMES * chance)
 
 
-def _per_head(flights: Samples, null: OwnHistory, leaders: Samples, strategy: Strategy, pairs: Pairs | None) -> Floats:
-    """``(M,)`` what followers gain by their best head over their second best or nobody, by head."""
-    count = flights.uavs
+def _gain(flights: Samples, null: OwnHistory, leaders: Samples, strategy: Strategy) -> Floats:
+    """``(v, M)`` what each of v flights gains by each leader."""
     both, law = flights.beside(leaders), null.padded(leaders.uavs)
-    heads = np.arange(count, both.uavs)
-    gain = np.maximum(gain_matrix(both, law, strategy, heads, np.arange(count), pairs), 0.0)
+    heads = np.arange(flights.uavs, both.uavs)
+    return gain_matrix(both, law, strategy, heads, np.arange(flights.uavs))
+
+
+def _per_head(gain: Floats) -> Floats:
+    """``(M,)`` what followers gain by their best head over their second best or nobody, by head."""
+    gain = np.maximum(gain, 0.0)
     ranked = np.sort(gain, axis=1)
-    margin = ranked[:, -1] - (ranked[:, -2] if leaders.uavs > 1 else 0.0)
-    return np.asarray(np.bincount(gain.argmax(axis=1), weights=margin, minlength=leaders.uavs), np.float64)
+    margin = ranked[:, -1] - (ranked[:, -2] if gain.shape[1] > 1 else 0.0)
+    return np.asarray(np.bincount(gain.argmax(axis=1), weights=margin, minlength=gain.shape[1]), np.float64)

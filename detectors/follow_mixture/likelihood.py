@@ -10,18 +10,29 @@ cancel says little, and its kappa is small. ``floor`` is what the class of strat
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Noise", "concentration_of", "fit_directions", "fit_noise", "log_normaliser", "natural_parameters"]
+__all__ = [
+    "Noise",
+    "concentration_of",
+    "fit_directions",
+    "fit_noise",
+    "flight_likelihood",
+    "log_normaliser",
+    "natural_parameters",
+]
 
 Floats = NDArray[np.float64]
+RealT = TypeVar("RealT", np.float32, np.float64)
 
 _FLOORS = (0.0, 0.25, 1.0)  # floor as a multiple of the spread
 _LEAST_SPREAD = 5e-3
 _RIDGE = 1e-7
 _FIXED_POINTS = 12
+_MORE_POINTS = 5  # from where these led already
 
 
 @dataclass(frozen=True)
@@ -66,6 +77,19 @@ def natural_parameters(direction: Floats, noise: Noise) -> tuple[Floats, Floats]
     return direction * (kappa / np.sqrt(square))[..., None], log_normaliser(kappa) - kappa
 
 
+def flight_likelihood(direction: NDArray[RealT], flight: NDArray[RealT], noise: Noise) -> NDArray[RealT]:
+    """theta·y + c of :func:`natural_parameters`, for directions D ``(3, ...)`` and flights y that fit their shape."""
+    square = direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * direction[2]
+    along = direction[0] * flight[0] + direction[1] * flight[1] + direction[2] * flight[2]
+    if not noise.unit:
+        value = (along - 0.5 * square) / noise.spread**2 - 3.0 * np.log(noise.spread)
+        return np.asarray(value, direction.dtype)
+    square = np.maximum(square, 1e-12)
+    kappa = 1.0 / (noise.floor**2 + noise.spread**2 / square)
+    value = kappa * (along / np.sqrt(square) - 1.0) + log_normaliser(kappa)
+    return np.asarray(value, direction.dtype)
+
+
 def fit_noise(square: Floats, along: Floats, weight: Floats, error: float, unit: bool) -> Noise:
     """The noise that makes the flights likeliest.
 
@@ -102,6 +126,7 @@ def fit_directions(
     unit: bool,
     energy: float | None = None,
     isotropic: bool = False,
+    start: Floats | None = None,
 ) -> tuple[Floats, Noise]:
     """Coefficients ``(p, 3)`` of a linear law of flight and what it leaves open.
 
@@ -114,8 +139,9 @@ def fit_directions(
         unit: the flights are directions.
         energy: summed squares of all flights; ``None`` where every row has one flight.
         isotropic: the same law on every axis; all features but the last, the intercept, are triples.
+        start: ``(p, 3)`` coefficients to begin from, by default those of a law without norm(.).
     """
-    coefficients = _solve_direction(features, total, weight, unit, isotropic)
+    coefficients = _solve_direction(features, total, weight, unit, isotropic, start)
     direction = features @ coefficients
     square = np.maximum(np.vecdot(direction, direction), 1e-12)
     across = np.vecdot(direction, total)
@@ -158,14 +184,16 @@ class _Regression:
         return coefficients
 
 
-def _solve_direction(features: Floats, total: Floats, weight: Floats, unit: bool, isotropic: bool) -> Floats:
+def _solve_direction(
+    features: Floats, total: Floats, weight: Floats, unit: bool, isotropic: bool, start: Floats | None
+) -> Floats:
     """Coefficients ``(p, 3)``: rows of ``features`` predict y, whose sum over the row's followers is ``total``."""
     regression = _Regression(features, weight, isotropic)
-    coefficients = regression.solve(total)
+    coefficients = regression.solve(total) if start is None or not unit else start
     if not unit:
         return coefficients
     amount = max(float(weight.sum()), 1e-12)
-    for _ in range(_FIXED_POINTS):
+    for _ in range(_FIXED_POINTS if start is None else _MORE_POINTS):
         direction = features @ coefficients
         length = np.sqrt(np.vecdot(direction, direction))
         size = np.sqrt(float((weight * length**2).sum()) / amount)

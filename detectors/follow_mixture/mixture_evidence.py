@@ -20,6 +20,7 @@ __all__ = ["explained_by_mixture"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 _LOST = 0.5  # of what a head gives its follower, that it may lose behind another and still be thought to follow it
 _MOMENTS_A_NUMBER = 2  # of the heads together, for each of the strategy's on an axis
@@ -30,8 +31,10 @@ def explained_by_mixture(samples: Samples, history: OwnHistory, mixture: Mixture
     if mixture is None or not len(mixture.heads.heads):
         return None
     gate = gate_heads(samples, history, mixture)
-    holds = misfit(samples, mixture.strategy, mixture.heads.leader).worst <= MISFIT
     leader = mixture.heads.leader
+    followers = np.flatnonzero(leader >= 0)
+    predicted = directions(samples, mixture.strategy, followers, leader[followers])
+    holds = misfit(samples, mixture.strategy, leader, predicted).worst <= MISFIT
     place = np.minimum(np.searchsorted(mixture.columns, np.maximum(leader, 0)), len(mixture.columns) - 1)
     return Explanation(
         heads=mixture.heads.heads,
@@ -39,7 +42,7 @@ def explained_by_mixture(samples: Samples, history: OwnHistory, mixture: Mixture
         probability=np.zeros(samples.uavs),
         given=np.zeros(samples.uavs),
         gain=np.where(leader >= 0, mixture.gain[np.arange(samples.uavs), place], 0.0),
-        explained=_explained(samples, history, mixture),
+        explained=_explained(samples, history, followers, *predicted),
         reasons=gate.reasons(),
         strategy=_described(mixture, samples),
         value=mixture.value,
@@ -80,11 +83,9 @@ def could_lead(mixture: Mixture) -> NDArray[np.bool_]:
     return could
 
 
-def _explained(samples: Samples, history: OwnHistory, mixture: Mixture) -> Floats:
+def _explained(samples: Samples, history: OwnHistory, followers: Indices, predicted: Floats, valid: Mask) -> Floats:
     """``(n,)`` share of each follower's surprise that its head explains; 0 for all others."""
     share = np.zeros(samples.uavs)
-    followers = np.flatnonzero(mixture.heads.leader >= 0)
-    predicted, valid = directions(samples, mixture.strategy, followers, mixture.heads.leader[followers])
     if samples.unit:
         predicted = predicted / np.maximum(np.sqrt((predicted**2).sum(axis=2, keepdims=True)), 1e-12)
     keep = (valid & samples.seen[followers])[..., None]

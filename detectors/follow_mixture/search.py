@@ -37,6 +37,7 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 MISFIT = 1.35  # ratios above this ask for a richer class; a class that holds gives 1 within 0.1 or so
 _NEARLY = 5.0  # a misfit with which somebody whom nobody explains is alone, perhaps, and not led by what was not fitted
@@ -75,11 +76,20 @@ class Misfit:
         return self.follower <= _NEARLY and self.head <= _SHARED
 
 
-def misfit(samples: Samples, strategy: Strategy, leader: Indices) -> Misfit:
-    """Test a strategy for lack of fit, without a richer one beside it: an analysis of variance."""
+def misfit(
+    samples: Samples, strategy: Strategy, leader: Indices, predicted: tuple[Floats, Mask] | None = None
+) -> Misfit:
+    """Test a strategy for lack of fit, without a richer one beside it: an analysis of variance.
+
+    Args:
+        samples: n UAVs.
+        strategy: fitted.
+        leader: ``(n,)``, -1 for nobody.
+        predicted: :func:`directions` of all followers, where they are known already.
+    """
     followers = np.flatnonzero(leader >= 0)
     heads, group = np.unique(leader[followers], return_inverse=True)
-    direction, valid = directions(samples, strategy, followers, leader[followers])
+    direction, valid = predicted or directions(samples, strategy, followers, leader[followers])
     target = samples.target[followers]
     weight = (valid & samples.seen[followers]).astype(np.float64)
     if samples.unit:
@@ -166,7 +176,7 @@ def shortcut(
     worth = np.maximum(evidence, 0.0).sum(axis=0)
     worthy = np.argsort(-worth, kind="stable")[: 2 * len(heads)]
     columns = np.union1d(worthy[worth[worthy] >= worth[heads].min()], heads)
-    strategy = within_reach(samples, leader, library)
+    strategy = within_reach(samples, leader, library, strategy)
     if strategy is None:
         return None
     found = fit_mixture(samples, history, leader, strategy.library, columns, most, strategy)
@@ -213,12 +223,12 @@ def again(samples: Samples, history: OwnHistory, found: Mixture, evidence: Float
     return best
 
 
-def within_reach(samples: Samples, leader: Indices, library: Library) -> Strategy | None:
-    """The strategy of a class that fits best, with a reach if it is the better for one.
+def within_reach(samples: Samples, leader: Indices, library: Library, start: Strategy | None = None) -> Strategy | None:
+    """The strategy of a class that fits best, with a reach if it is the better for one; ``start``: to begin from.
 
     A reach shows where somebody crosses it: it is sought among the distances of the followers nearest to their heads.
     """
-    plain = fit_strategy(samples, leader, library, _FEW_ROWS)
+    plain = fit_strategy(samples, leader, library, _FEW_ROWS, start)
     if plain is None:
         return None
     followers = np.flatnonzero(leader >= 0)
@@ -230,7 +240,7 @@ def within_reach(samples: Samples, leader: Indices, library: Library) -> Strateg
     explained = explained_by_reach(samples, plain, followers[near], leader[followers[near]], reaches)
     price = 9.0 * float(np.log(samples.rows * len(near))) * plain.noise.spread**2  # of nine numbers more
     reach = float(reaches[explained.argmax()]) if explained.max() > price else 0.0
-    return fit_strategy(samples, leader, replace(library, reach=reach))
+    return fit_strategy(samples, leader, replace(library, reach=reach), start=plain)
 
 
 def explained_by_reach(

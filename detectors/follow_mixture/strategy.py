@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.follow_mixture.history import OwnHistory
-from detectors.follow_mixture.likelihood import Noise, fit_directions, natural_parameters
+from detectors.follow_mixture.likelihood import Noise, fit_directions, flight_likelihood, natural_parameters
 from detectors.follow_mixture.samples import Samples, stride
 
 __all__ = [
@@ -79,6 +79,11 @@ class Library:
         """Whether predictions depend on the follower too."""
         return self.towards or self.own
 
+    @property
+    def extra(self) -> int:
+        """How many features depend on the follower too."""
+        return 6 * self.towards + 3 * (self.towards and self.reach > 0) + 3 * self.lags * self.own
+
 
 @dataclass(frozen=True, eq=False)
 class Strategy:
@@ -126,7 +131,7 @@ def head_features(samples: Samples, library: Library, heads: Indices | slice = s
 def pair_features(
     samples: Samples, library: Library, followers: Indices, heads: Indices, rows: Indices | None = None
 ) -> Pairs:
-    """What depends on the follower as well, in single precision, where most of the time goes.
+    """What depends on the follower as well, in single precision.
 
     Args:
         samples: n UAVs.
@@ -139,16 +144,20 @@ def pair_features(
         ``(..., p)`` or ``(..., R, p)``, and where it can be known.
     """
     behind, ahead = ((followers,), (heads,)) if rows is None else ((followers, rows), (heads, rows))
-    parts = []
+    seen = pairs_seen(samples, library, behind, ahead)
+    features = np.empty((*seen.shape, library.extra), np.float32)
     if library.towards:
-        gap = (samples.position[ahead] - samples.position[behind]).astype(np.float32)
+        position = samples.position.astype(np.float32)
+        gap = position[ahead] - position[behind]
         distance = np.sqrt(np.vecdot(gap, gap))[..., None]
-        towards = gap / np.maximum(distance, 1e-6)
-        parts += [towards, gap / _FAR] + ([towards * (distance > library.reach)] if library.reach else [])
+        towards = np.multiply(gap, 1.0 / np.maximum(distance, 1e-6), out=features[..., :3])
+        np.multiply(gap, 1.0 / _FAR, out=features[..., 3:6])
+        if library.reach:
+            np.multiply(towards, distance > library.reach, out=features[..., 6:9])
     if library.own:
-        past = samples.lagged[behind][..., : library.lags, :].astype(np.float32)
-        parts.append(past.reshape(*past.shape[:-2], -1))
-    return np.concatenate(parts, axis=-1), pairs_seen(samples, library, behind, ahead)
+        past = samples.lagged[behind][..., : library.lags, :]
+        features[..., library.extra - 3 * library.lags :] = past.reshape(*past.shape[:-2], -1)
+    return features, seen
 
 
 def pairs_seen(samples: Samples, library: Library, behind: tuple[Indices, ...], ahead: tuple[Indices, ...]) -> Mask:
@@ -161,7 +170,9 @@ def pairs_seen(samples: Samples, library: Library, behind: tuple[Indices, ...], 
     return valid
 
 
-def fit_strategy(samples: Samples, leader: Indices, library: Library, rows: int = PAIRED_ROWS) -> Strategy | None:
+def fit_strategy(
+    samples: Samples, leader: Indices, library: Library, rows: int = PAIRED_ROWS, start: Strategy | None = None
+) -> Strategy | None:
     """The strategy of a class that fits the followers best.
 
     Args:
@@ -169,6 +180,7 @@ def fit_strategy(samples: Samples, leader: Indices, library: Library, rows: int 
         leader: ``(n,)`` the head that each follows, -1 for none.
         library: the class.
         rows: the most that are fitted to where every follower has its own.
+        start: of a class that is part of this one, without ``own``: to begin from, which saves time.
 
     Returns:
         ``None`` where there are fewer rows than numbers to fit.
@@ -185,8 +197,18 @@ def fit_strategy(samples: Samples, leader: Indices, library: Library, rows: int 
     numbers = (width - 1) // 3 + 1 if library.isotropic else 3 * width
     if len(features) <= numbers // 3 or observations <= numbers:
         return None
-    coefficients, noise = fit_directions(features, total, weight, samples.unit, energy, library.isotropic)
+    begun = None if start is None else _extended(start, width)
+    coefficients, noise = fit_directions(features, total, weight, samples.unit, energy, library.isotropic, begun)
     return Strategy(library, coefficients, noise, numbers + 2, observations)
+
+
+def _extended(strategy: Strategy, width: int) -> Floats:
+    """``(width, 3)`` coefficients of a larger class: what depends on the follower stands first, in the same order."""
+    extra = strategy.library.extra
+    coefficients = np.zeros((width, 3))
+    coefficients[:extra] = strategy.coefficients[:extra]
+    coefficients[width - len(strategy.coefficients) + extra :] = strategy.coefficients[extra:]
+    return coefficients
 
 
 def _shared_rows(
@@ -227,7 +249,7 @@ def directions(samples: Samples, strategy: Strategy, followers: Indices, heads: 
     """Predicted directions ``(f, R, 3)`` of followers behind one head each, and the rows where they can be known."""
     unique, group = np.unique(heads, return_inverse=True)
     features, valid = head_features(samples, strategy.library, unique)
-    extra = len(strategy.coefficients) - features.shape[2]
+    extra = strategy.library.extra
     shared = (features @ strategy.coefficients[extra:])[group]
     if not strategy.library.paired:
         return shared, valid[group]
@@ -241,7 +263,6 @@ def gain_matrix(
     strategy: Strategy,
     columns: Indices,
     voters: Indices | None = None,
-    pairs: Pairs | None = None,
 ) -> Floats:
     """Log-likelihood that each UAV gains over its own history by following each of ``columns``.
 
@@ -253,14 +274,13 @@ def gain_matrix(
         strategy: fitted.
         columns: ``(c,)`` indices of candidates.
         voters: ``(v,)`` indices of the UAVs that are asked; all by default.
-        pairs: :func:`pair_features` of voters and columns, where they are known already.
 
     Returns:
         ``(v, c)``; 0 where a UAV meets itself.
     """
     voters = np.arange(samples.uavs) if voters is None else voters
     if strategy.library.paired:
-        matrix = _paired_gain(samples, history, strategy, columns, voters, pairs)
+        matrix = _paired_gain(samples, history, strategy, columns, voters)
     else:
         matrix = _shared_gain(samples, history, strategy, columns, voters)
     matrix[voters[:, None] == columns[None, :]] = 0.0
@@ -294,37 +314,52 @@ def _shared_gain(
 
 
 def _paired_gain(
-    samples: Samples,
-    history: OwnHistory,
-    strategy: Strategy,
-    columns: Indices,
-    voters: Indices,
-    pairs: Pairs | None,
+    samples: Samples, history: OwnHistory, strategy: Strategy, columns: Indices, voters: Indices
 ) -> Floats:
-    features, valid = head_features(samples, strategy.library, columns)
-    extra = len(strategy.coefficients) - features.shape[2]
-    shared = (features @ strategy.coefficients[extra:]).astype(np.float32)
+    """Axes of space come first, in single precision: most of a window's time goes here."""
+    library, extra = strategy.library, strategy.library.extra
+    features, valid = head_features(samples, library, columns)
+    shared = _axes_first(features @ strategy.coefficients[extra:])
+    alone = np.zeros((3, len(voters), 1, 1), np.float32)
+    if library.own:
+        past = samples.lagged[voters][:, :, : library.lags].reshape(len(voters), samples.rows, -1)
+        alone = _axes_first(past @ strategy.coefficients[extra - 3 * library.lags : extra])[:, :, None]
     toward = strategy.coefficients[:extra].astype(np.float32)
-    target = samples.target[voters].astype(np.float32)
+    position = _axes_first(samples.position)
+    target = _axes_first(samples.target[voters])
     null = _null(samples, history, strategy, voters)
+    seen = samples.seen[voters] & pairs_seen(samples, library, (voters,), (voters,))
+    ahead = valid & samples.position_seen[columns] if library.towards else valid
+    everything = bool(seen.all() and ahead.all())
     result = np.empty((len(voters), len(columns)))
-    step = max(1, _CHUNK_ENTRIES // (len(columns) * samples.rows * (extra + 6)))
+    step = max(1, _CHUNK_ENTRIES // (len(columns) * samples.rows * 8))
     for first in range(0, len(voters), step):
-        some = voters[first : first + step]
-        grid = np.broadcast_arrays(some[:, None], columns[None, :])
-        own, also = pair_features(samples, strategy.library, *grid) if pairs is None else pairs
-        if pairs is not None:
-            own, also = own[first : first + step], also[first : first + step]
-        direction = (own.reshape(-1, extra) @ toward).reshape(*also.shape, 3)
-        direction += shared
-        theta, constant = natural_parameters(direction, strategy.noise)
-        value = np.vecdot(theta, target[first : first + step, None]) + constant
+        some = slice(first, first + step)
+        direction = shared[:, None] + alone[:, some]
+        if library.towards:
+            gap = position[:, columns][:, None] - position[:, voters[some]][:, :, None]
+            direction = direction + _pull(library, toward, gap)
+        value = flight_likelihood(direction, target[:, some, None], strategy.noise)
         if samples.unit:
             np.maximum(value, _ODD_STEP, out=value)
-        value -= null[first : first + step, None]
-        if samples.complete and also.all():
-            result[first : first + step] = value.sum(axis=2, dtype=np.float64)
-            continue
-        counts = also & valid[None] & samples.seen[some][:, None]
-        result[first : first + step] = np.where(counts, value, 0.0).sum(axis=2, dtype=np.float64)
+        value -= null[some, None]
+        if not everything:
+            value[~(seen[some, None] & ahead[None])] = 0.0
+        result[some] = value.sum(axis=2, dtype=np.float64)
     return result
+
+
+def _axes_first(flights: Floats) -> NDArray[np.float32]:
+    """``(n, R, 3)`` as ``(3, n, R)``, in single precision."""
+    return np.ascontiguousarray(flights.transpose(2, 0, 1), np.float32)
+
+
+def _pull(library: Library, toward: NDArray[np.float32], gap: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What the place of a head adds to a direction ``(3, v, c, R)``, for offsets to it of the same shape."""
+    shape = gap.shape
+    distance = np.sqrt(gap[0] * gap[0] + gap[1] * gap[1] + gap[2] * gap[2])
+    unit = gap / np.maximum(distance, 1e-6)
+    pull = toward[:3].T @ unit.reshape(3, -1) + (toward[3:6].T / np.float32(_FAR)) @ gap.reshape(3, -1)
+    if library.reach:
+        pull += toward[6:9].T @ (unit * (distance > library.reach)).reshape(3, -1)
+    return pull.reshape(shape)
