@@ -129,9 +129,12 @@ def quick(samples: Samples, history: OwnHistory, most: int | None = None) -> Mix
         return None
     found = shortcut(samples, history, leader, evidence, most)
     for _ in range(_AGAIN):
-        if found is None or accounts_for_all(samples, found) or 2 * unexplained(found) > samples.uavs:
+        if found is None or not 0 < unexplained(found) <= samples.uavs / 2:
             break
-        found = again(samples, history, found, evidence, most)
+        better = again(samples, history, found, evidence, most)
+        if better is None:
+            break
+        found = better
     if found is None or not len(found.heads.heads) or not accounts_for_all(samples, found):
         return None
     return found if fly_alone(samples, history, found.heads) else None
