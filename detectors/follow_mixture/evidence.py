@@ -42,6 +42,12 @@ class FeatureKind:
         """How many features."""
         return 3 * self.lags * (int(self.linear) + int(self.squares))
 
+    @property
+    def name(self) -> str:
+        """How the features are called in reports."""
+        parts = [name for name in ("linear", "squares") if getattr(self, name)]
+        return f"{'+'.join(parts)}({self.first + self.lags})"
+
 
 #: From rich to poor: rich features name the followers of any strategy in reach, poor ones serve short windows.
 KINDS = (
@@ -81,6 +87,7 @@ def pairwise_gain(
     kind: FeatureKind,
     shift: int = 0,
     voters: NDArray[np.int64] | None = None,
+    columns: NDArray[np.int64] | None = None,
 ) -> Floats:
     """Log-likelihood that j's features add to i's own history, for all pairs, by matrix products.
 
@@ -94,12 +101,13 @@ def pairwise_gain(
         kind: which features.
         shift: targets are moved circularly by so many rows; other than 0 they are surrogates.
         voters: ``(v,)`` the UAVs that are asked; all by default.
+        columns: ``(c,)`` about whom they are asked; all by default.
 
     Returns:
-        ``(v, n)``; 0 where a UAV meets itself.
+        ``(v, c)``; 0 where a UAV meets itself.
     """
     voters = np.arange(samples.uavs) if voters is None else voters
-    return _gains(samples, kind, [(voters, _targets(surprise[voters], shift))])[0]
+    return _gains(samples, kind, [(voters, _targets(surprise[voters], shift))], columns)[0]
 
 
 def gain_and_chance(
@@ -122,9 +130,14 @@ def _targets(surprise: Floats, shift: int) -> NDArray[np.float32]:
 
 
 def _gains(
-    samples: Samples, kind: FeatureKind, asked: list[tuple[NDArray[np.int64], NDArray[np.float32]]]
+    samples: Samples,
+    kind: FeatureKind,
+    asked: list[tuple[NDArray[np.int64], NDArray[np.float32]]],
+    columns: NDArray[np.int64] | None = None,
 ) -> list[Floats]:
-    """``(v, n)`` for each group of voters and their targets."""
+    """``(v, c)`` for each group of voters and their targets."""
+    everybody = np.arange(samples.uavs) if columns is None else columns
+    samples = samples if columns is None else samples.take(columns)
     rows, width = samples.rows, kind.width
     shares = [np.zeros((len(voters), samples.uavs)) for voters, _ in asked]
     step = max(1, _CHUNK_ENTRIES // (width * max(target.shape[1] for _, target in asked)))
@@ -139,7 +152,7 @@ def _gains(
     gains = []
     for share, (voters, _) in zip(shares, asked, strict=True):
         gain = -rows * np.log1p(-np.clip(share, 0.0, 1.0 - 1e-6))  # two free dimensions a row, half a logarithm each
-        gain[np.arange(len(voters)), voters] = 0.0
+        gain[voters[:, None] == everybody[None]] = 0.0
         gains.append(gain)
     return gains
 

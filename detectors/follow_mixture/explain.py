@@ -17,6 +17,7 @@ from detectors.follow_mixture.flocks import flocks_of
 from detectors.follow_mixture.history import own_history
 from detectors.follow_mixture.mixture_evidence import explained_by_mixture
 from detectors.follow_mixture.noise import SMOOTH, FlightSpectra
+from detectors.follow_mixture.pair_evidence import explained_by_pairs, pair_evidence
 from detectors.follow_mixture.samples import Samples, filled, samples_of
 from detectors.follow_mixture.scale import ALL_PAIRS, sampled_search
 from detectors.follow_mixture.search import LEFT_OUT, climb_together, quick, unexplained
@@ -47,20 +48,19 @@ def explain(
     if samples.uavs > ALL_PAIRS:
         history = own_history(samples)
         return explained_by_mixture(samples, history, sampled_search(samples, history, most, rng))
-    if samples.unit:  # seen without noise
-        found = at_once(samples, most)
-        if found is not None:
-            return found
+    pairs = at_once(samples, most) if samples.unit else None  # one speed: seen without noise
+    if pairs is not None and nearly_all(pairs):
+        return pairs
     complete = filled(window)
     lags = int(np.clip(window.observation_steps // _STEPS_A_LAG, 1, _LAGS))
     rows = flown(complete, samples, living, lags)
     if rows is None:
-        return None
+        return pairs
     spectra = seen_spectra(rows)
     if spectra.noise == 0 and not samples.unit:
-        found = at_once(samples, most)
-        if found is not None:
-            return found
+        pairs = at_once(samples, most)
+        if pairs is not None and nearly_all(pairs):
+            return pairs
     found = by_flocks(rows, spectra, most)
     if found is not None and 2 * (found.leader >= 0).sum() < samples.uavs:
         # There are flocks, and most of them follow nobody: followers may be late.
@@ -69,7 +69,7 @@ def explain(
         if late is not None and late.value > found.value:
             found = late
     if found is not None and len(found.heads) and samples.complete and in_doubt(found):
-        return by_everybody(samples, rows, spectra, found, most) or found
+        found = by_everybody(samples, rows, spectra, found, most) or found
     return found
 
 
@@ -91,15 +91,26 @@ def by_flocks(rows: Samples, spectra: FlightSpectra, most: int | None) -> Explan
 
 
 def at_once(samples: Samples, most: int | None) -> Explanation | None:
-    """What the quick way says, if it explains the swarm."""
+    """What pairwise evidence leads to: a shared strategy that explains everybody, or else a law for each pair."""
     history = own_history(samples)
-    return explained_by_mixture(samples, history, quick(samples, history, most))
+    pairs = pair_evidence(samples, history, most)
+    shared = explained_by_mixture(samples, history, quick(samples, history, pairs, most))
+    return shared or explained_by_pairs(samples, history, pairs)
+
+
+def nearly_all(found: Explanation) -> bool:
+    """Whether hardly anybody is left over."""
+    return unled(found) <= max(LEAST_VOTERS - 1, LEFT_OUT * len(found.leader))
 
 
 def in_doubt(found: Explanation) -> bool:
     """Whether flocks found no strategy that all share, or left many out."""
-    left = int((found.leader < 0).sum()) - len(found.heads)
-    return not found.strategy["shared"] or left > LEFT_OUT * len(found.leader)
+    return not found.strategy["shared"] or unled(found) > LEFT_OUT * len(found.leader)
+
+
+def unled(found: Explanation) -> int:
+    """How many are neither heads nor follow one."""
+    return int((found.leader < 0).sum()) - len(found.heads)
 
 
 def by_everybody(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from detectors.follow_mixture.explanation import Explanation
 from detectors.follow_mixture.flock_heads import LONELY, FlockHeads, Watch, pair_gain
-from detectors.follow_mixture.gate import Gate, judged
+from detectors.follow_mixture.gate import Gate, judged, wrong_times
 from detectors.follow_mixture.mixture import head_price
 from detectors.follow_mixture.noise import SMOOTH
 
@@ -17,7 +17,6 @@ __all__ = ["explained_by_flocks", "flock_gate", "flock_posterior"]
 
 Floats = NDArray[np.float64]
 
-_SHIFTS = 3
 _TEMPER = 0.7  # rows are not quite independent
 _MEMBER = 3.0  # log-odds by which who flies with others at once is less likely a head, where flight is not smooth
 _GONE = 3.0  # log-odds that the head of a flock is in the window
@@ -36,9 +35,8 @@ def flock_gate(watch: Watch, found: FlockHeads) -> Gate:
     rows = watch.flight.shape[1]
     count = np.array([np.isin(watch.label, np.flatnonzero(found.head == head)).sum() for head in heads], np.int64)
     followed = found.head >= 0
-    shifts = np.unique(np.linspace(0, rows, _SHIFTS + 2).astype(int)[1:-1])
     observed = _per_head(watch, found, followed, 0)
-    surrogates = np.array([_per_head(watch, found, followed, int(shift)) for shift in shifts if shift > 0])
+    surrogates = np.array([_per_head(watch, found, followed, shift) for shift in wrong_times(rows)])
     gate = judged(count, observed - head_price(watch.uavs), surrogates)
     together = (np.bincount(watch.label, minlength=watch.flocks) > 1) & followed
     enough = together.any() or followed.sum() >= _LONE_SHARE * watch.uavs

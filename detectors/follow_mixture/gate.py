@@ -12,7 +12,7 @@ from detectors.follow_mixture.mixture import Mixture, head_price
 from detectors.follow_mixture.samples import Samples
 from detectors.follow_mixture.strategy import Strategy, gain_matrix
 
-__all__ = ["Gate", "gate_heads", "judged"]
+__all__ = ["Gate", "gate_heads", "judged", "wrong_times"]
 
 Floats = NDArray[np.float64]
 
@@ -63,9 +63,8 @@ def gate_heads(samples: Samples, history: OwnHistory, mixture: Mixture) -> Gate:
     followers = np.concatenate(asked)
     price = head_price(samples.uavs)
     flights, null, leaders = samples.take(followers), history.take(followers), samples.take(heads)
-    shifts = np.unique(np.linspace(0, samples.rows, _SHIFTS + 2).astype(int)[1:-1])
     observed = _per_head(mixture.gain[followers][:, np.searchsorted(mixture.columns, heads)])
-    moved = [_gain(flights, null, leaders.moved(int(shift)), mixture.strategy) for shift in shifts]
+    moved = [_gain(flights, null, leaders.moved(shift), mixture.strategy) for shift in wrong_times(samples.rows)]
     surrogate = np.array([_per_head(gain) for gain in moved]).reshape(-1, len(heads))
     share = count / np.array([max(len(some), 1) for some in asked])
     return judged(count, observed * share - price, surrogate * share)
@@ -77,6 +76,12 @@ def judged(followers: NDArray[np.int64], added: Floats, surrogates: Floats) -> G
     if len(surrogates):
         chance = np.maximum(surrogates.max(axis=0), 0.0) + _MARGIN * surrogates.std(axis=0)
     return Gate(followers, added, chance, added > _TIMES * chance)
+
+
+def wrong_times(rows: int) -> list[int]:
+    """By how many rows surrogates are moved: far from each other and from 0."""
+    shifts = np.unique(np.linspace(0, rows, _SHIFTS + 2).astype(int)[1:-1])
+    return [int(shift) for shift in shifts if shift > 0]
 
 
 def _gain(flights: Samples, null: OwnHistory, leaders: Samples, strategy: Strategy) -> Floats:

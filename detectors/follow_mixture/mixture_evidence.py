@@ -111,6 +111,7 @@ def _described(mixture: Mixture, samples: Samples) -> dict[str, Any]:
     return {
         "lag_profile": _lag_profile(mixture),
         "class": library.name,
+        "shared": True,
         "coefficients": strategy.coefficients,
         "spread": strategy.noise.spread,
         "floor": strategy.noise.floor,

@@ -11,8 +11,9 @@ from detectors.follow_mixture.flock_search import flights, flock_search, seen_sp
 from detectors.follow_mixture.flocks import flocks_of
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, head_price
+from detectors.follow_mixture.pair_evidence import fly_alone, pair_evidence
 from detectors.follow_mixture.samples import Samples
-from detectors.follow_mixture.search import MISFIT, first_assignment, fly_alone, led, misfit, quick, shortcut
+from detectors.follow_mixture.search import MISFIT, led, misfit, quick, shortcut
 from detectors.follow_mixture.strategy import Strategy, fit_strategy, gain_matrix
 
 __all__ = ["ALL_PAIRS", "pruned", "sampled_search"]
@@ -88,19 +89,16 @@ def _agreeing(evidence: Floats, voters: Indices) -> Indices:
 
 def _at_once(samples: Samples, history: OwnHistory, most: int | None) -> Mixture | None:
     """The quick explanation of voters who agree; whether it leaves few unexplained shows later, in the whole swarm."""
-    kind = affordable_kinds(samples.rows, samples.memory)[0]
-    leader, evidence = first_assignment(samples, history, kind)
-    if not (leader >= 0).any():
-        return None
-    found = shortcut(samples, history, leader, evidence, most)
+    pairs = pair_evidence(samples, history, most)
+    found = shortcut(samples, history, pairs, most) if len(pairs.heads) else None
     if found is None or not len(found.heads.heads):
         return None
-    return found if fly_alone(samples, history, found.heads) else None
+    return found if fly_alone(samples, history, found.heads.heads, found.heads.leader) else None
 
 
 def _explained(samples: Samples, history: OwnHistory, most: int | None) -> Mixture | None:
     """The explanation of a small swarm: the quick way, else by flocks."""
-    found = quick(samples, history, most)
+    found = quick(samples, history, pair_evidence(samples, history, most), most)
     if found is not None:
         return found
     if not samples.complete:

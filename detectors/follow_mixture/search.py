@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.follow_mixture.evidence import FeatureKind, affordable_kinds, gain_and_chance
-from detectors.follow_mixture.facility import LEAST_VOTERS, Heads, locate_heads
+from detectors.follow_mixture.facility import LEAST_VOTERS
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, fit_mixture
+from detectors.follow_mixture.pair_evidence import PairEvidence, fly_alone, led_by
 from detectors.follow_mixture.samples import Samples
 from detectors.follow_mixture.strategy import (
     Library,
@@ -27,8 +27,6 @@ __all__ = [
     "LEFT_OUT",
     "Misfit",
     "climb_together",
-    "first_assignment",
-    "fly_alone",
     "led",
     "misfit",
     "quick",
@@ -40,10 +38,6 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 MISFIT = 1.35  # ratios above this ask for a richer class; a class that holds gives 1 within 0.1 or so
-_NEARLY = 5.0  # a misfit with which somebody whom nobody explains is alone, perhaps, and not led by what was not fitted
-_SHARED = 1.9  # the same of what followers of one head share
-_FELLOWS = 0.6  # correlation of two who fly at once because they follow the same head with the same delay
-_CHANCE = 5.0  # times the standard deviation of the correlation of strangers
 EXPLAINED = 0.4  # share of the UAVs that a first assignment accounts for where it is worth climbing from
 _SETTLING = 6
 LEFT_OUT = 0.05  # share of a swarm that one who explains everybody may leave out
@@ -69,11 +63,6 @@ class Misfit:
     def worst(self) -> float:
         """The larger of the two."""
         return max(self.follower, self.head)
-
-    @property
-    def nearly_holds(self) -> bool:
-        """Whether somebody whom the strategy does not explain may be thought to follow nobody."""
-        return self.follower <= _NEARLY and self.head <= _SHARED
 
 
 def misfit(
@@ -113,60 +102,34 @@ def misfit(
     return Misfit(float(lasting.mean()) / max(power, 1e-12), together / max(power, 1e-12))
 
 
-def first_assignment(samples: Samples, history: OwnHistory, kind: FeatureKind) -> tuple[Indices, Floats]:
-    """Whom everybody seems to follow by pairwise evidence alone, and that evidence above chance, ``(n, n)``."""
-    observed, chance = gain_and_chance(samples, history.surprise, kind)
-    evidence = observed - chance
-    found = locate_heads(evidence, np.arange(samples.uavs), 0.5 * chance)
-    return found.leader, evidence
-
-
-def quick(samples: Samples, history: OwnHistory, most: int | None = None) -> Mixture | None:
+def quick(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: int | None = None) -> Mixture | None:
     """The explanation that the richest evidence leads to at once; ``None`` where it does not explain the swarm."""
-    kind = affordable_kinds(samples.rows, samples.memory)[0]
-    leader, evidence = first_assignment(samples, history, kind)
-    if not (leader >= 0).any():
-        return None
-    found = shortcut(samples, history, leader, evidence, most)
+    found = shortcut(samples, history, pairs, most) if len(pairs.heads) else None
     for _ in range(_AGAIN):
         if found is None or not 0 < unexplained(found) <= samples.uavs / 2:
             break
-        better = again(samples, history, found, evidence, most)
+        better = again(samples, history, pairs, found, most)
         if better is None:
             break
         found = better
-    if found is None or not len(found.heads.heads) or not accounts_for_all(samples, found):
+    if found is None or not len(found.heads.heads) or unexplained(found) >= LEAST_VOTERS:
         return None
-    return found if fly_alone(samples, history, found.heads) else None
+    if unexplained(found):
+        found = with_led(samples, history, pairs, found)
+    return found if fly_alone(samples, history, found.heads.heads, found.heads.leader) else None
 
 
-def accounts_for_all(samples: Samples, found: Mixture) -> bool:
-    """Whether a mixture leaves nobody unexplained, or hardly anybody by a strategy that nearly holds."""
-    left = unexplained(found)
-    if left == 0 or left >= LEAST_VOTERS:
-        return left == 0
-    return misfit(samples, found.strategy, found.heads.leader).nearly_holds
+def with_led(samples: Samples, history: OwnHistory, pairs: PairEvidence, found: Mixture) -> Mixture:
+    """With those whom the strategy does not explain behind the head that pairwise evidence names, if it names one."""
+    named, _ = led_by(samples, history, pairs, found.heads.heads)
+    return replace(
+        found, heads=replace(found.heads, leader=np.where(found.heads.leader >= 0, found.heads.leader, named))
+    )
 
 
-def fly_alone(samples: Samples, history: OwnHistory, found: Heads) -> bool:
-    """Whether nobody flies at once with a head but its own followers, beyond what the own past of both foretells.
-
-    Where delays differ from follower to follower the earlier explain the later as well as their head does. But such a
-    one has fellows: those with the same delay, who follow somebody else.
-    """
-    surprise = history.surprise.reshape(samples.uavs, -1)
-    surprise = surprise / np.maximum(np.sqrt(np.vecdot(surprise, surprise)), 1e-12)[:, None]
-    together = surprise[found.heads] @ surprise.T > max(_FELLOWS, _CHANCE / np.sqrt(3.0 * samples.rows))
-    together[np.arange(len(found.heads)), found.heads] = False
-    elsewhere = together & (found.leader[None] != found.heads[:, None])
-    return not (2 * elsewhere.sum(axis=1) > together.sum(axis=1)).any()
-
-
-def shortcut(
-    samples: Samples, history: OwnHistory, leader: Indices, evidence: Floats, most: int | None
-) -> Mixture | None:
+def shortcut(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: int | None) -> Mixture | None:
     """Where pairwise evidence assigns nearly everybody, the class that the misfit asks for, from there."""
-    heads = np.unique(leader[leader >= 0])
+    heads, leader = pairs.heads, pairs.leader
     if (leader >= 0).sum() < EXPLAINED * (samples.uavs - len(heads)):
         return None
     library = Library(samples.memory, squares=True)
@@ -176,7 +139,7 @@ def shortcut(
     if misfit(samples, strategy, leader).follower <= MISFIT:
         return fit_mixture(samples, history, leader, library, np.arange(samples.uavs), most, strategy)
     library = replace(library, towards=True)
-    worth = np.maximum(evidence, 0.0).sum(axis=0)
+    worth = np.maximum(pairs.above_chance, 0.0).sum(axis=0)
     worthy = np.argsort(-worth, kind="stable")[: 2 * len(heads)]
     columns = np.union1d(worthy[worth[worthy] >= worth[heads].min()], heads)
     strategy = within_reach(samples, leader, library, strategy)
@@ -202,7 +165,9 @@ def settled(samples: Samples, history: OwnHistory, leader: Indices, strategy: St
     return leader
 
 
-def again(samples: Samples, history: OwnHistory, found: Mixture, evidence: Floats, most: int | None) -> Mixture | None:
+def again(
+    samples: Samples, history: OwnHistory, pairs: PairEvidence, found: Mixture, most: int | None
+) -> Mixture | None:
     """A better mixture with those who were left behind a head, as they were left for a reach that is off, perhaps.
 
     Behind whom they are likeliest, or behind the one of the heads found that pairwise evidence names.
@@ -212,7 +177,7 @@ def again(samples: Samples, history: OwnHistory, found: Mixture, evidence: Float
     library = replace(found.strategy.library, reach=0.0)
     heads, leader = found.heads.heads, found.heads.leader
     likeliest = found.columns[found.gain.argmax(axis=1)]
-    named = heads[evidence[:, heads].argmax(axis=1)]
+    named = heads[pairs.gain[:, heads].argmax(axis=1)]
     best: Mixture | None = None
     for guess in (likeliest, named):
         start = np.where(leader >= 0, leader, guess)
