@@ -48,19 +48,20 @@ def explain(
     if samples.uavs > ALL_PAIRS:
         history = own_history(samples)
         return explained_by_mixture(samples, history, sampled_search(samples, history, most, rng))
-    pairs = at_once(samples, most) if samples.unit else None  # one speed: seen without noise
-    if pairs is not None and nearly_all(pairs):
-        return pairs
+    if samples.unit:  # seen without noise
+        found = at_once(samples, most)
+        if found is not None:
+            return found
     complete = filled(window)
     lags = int(np.clip(window.observation_steps // _STEPS_A_LAG, 1, _LAGS))
     rows = flown(complete, samples, living, lags)
     if rows is None:
-        return pairs
+        return None
     spectra = seen_spectra(rows)
     if spectra.noise == 0 and not samples.unit:
-        pairs = at_once(samples, most)
-        if pairs is not None and nearly_all(pairs):
-            return pairs
+        found = at_once(samples, most)
+        if found is not None:
+            return found
     found = by_flocks(rows, spectra, most)
     if found is not None and 2 * (found.leader >= 0).sum() < samples.uavs:
         # There are flocks, and most of them follow nobody: followers may be late.
@@ -69,7 +70,7 @@ def explain(
         if late is not None and late.value > found.value:
             found = late
     if found is not None and len(found.heads) and samples.complete and in_doubt(found):
-        found = by_everybody(samples, rows, spectra, found, most) or found
+        return by_everybody(samples, rows, spectra, found, most) or found
     return found
 
 
@@ -91,11 +92,17 @@ def by_flocks(rows: Samples, spectra: FlightSpectra, most: int | None) -> Explan
 
 
 def at_once(samples: Samples, most: int | None) -> Explanation | None:
-    """What pairwise evidence leads to: a shared strategy that explains everybody, or else a law for each pair."""
+    """What pairwise evidence leads to, if it explains the swarm: a strategy that all share, or else a law for each pair.
+
+    Of smooth flights few moments are independent: there pairs alone say too little.
+    """
     history = own_history(samples)
-    pairs = pair_evidence(samples, history, most)
-    shared = explained_by_mixture(samples, history, quick(samples, history, pairs, most))
-    return shared or explained_by_pairs(samples, history, pairs)
+    evidence = pair_evidence(samples, history, most)
+    shared = explained_by_mixture(samples, history, quick(samples, history, evidence, most))
+    if shared is not None or history.memory >= SMOOTH:
+        return shared
+    pairs = explained_by_pairs(samples, history, evidence)
+    return pairs if pairs is not None and nearly_all(pairs) else None
 
 
 def nearly_all(found: Explanation) -> bool:
