@@ -48,20 +48,19 @@ def explain(
     if samples.uavs > ALL_PAIRS:
         history = own_history(samples)
         return explained_by_mixture(samples, history, sampled_search(samples, history, most, rng))
-    if samples.unit:  # seen without noise
-        found = at_once(samples, most)
-        if found is not None:
-            return found
+    first = at_once(samples, most) if samples.unit else None  # one speed: seen without noise
+    if first is not None and settles(first):
+        return first
     complete = filled(window)
     lags = int(np.clip(window.observation_steps // _STEPS_A_LAG, 1, _LAGS))
     rows = flown(complete, samples, living, lags)
     if rows is None:
-        return None
+        return first
     spectra = seen_spectra(rows)
     if spectra.noise == 0 and not samples.unit:
-        found = at_once(samples, most)
-        if found is not None:
-            return found
+        first = at_once(samples, most)
+        if first is not None and settles(first):
+            return first
     found = by_flocks(rows, spectra, most)
     if found is not None and 2 * (found.leader >= 0).sum() < samples.uavs:
         # There are flocks, and most of them follow nobody: followers may be late.
@@ -70,7 +69,9 @@ def explain(
         if late is not None and late.value > found.value:
             found = late
     if found is not None and len(found.heads) and samples.complete and in_doubt(found):
-        return by_everybody(samples, rows, spectra, found, most) or found
+        found = by_everybody(samples, rows, spectra, found, most) or found
+    if first is not None and (found is None or unled(first) < unled(found)):
+        return first
     return found
 
 
@@ -92,7 +93,7 @@ def by_flocks(rows: Samples, spectra: FlightSpectra, most: int | None) -> Explan
 
 
 def at_once(samples: Samples, most: int | None) -> Explanation | None:
-    """What pairwise evidence leads to, if it explains the swarm: a strategy that all share, or else a law for each pair.
+    """What pairwise evidence leads to, if it explains the swarm: a shared strategy, or else a law for each pair.
 
     Of smooth flights few moments are independent: there pairs alone say too little.
     """
@@ -103,6 +104,11 @@ def at_once(samples: Samples, most: int | None) -> Explanation | None:
         return shared
     pairs = explained_by_pairs(samples, history, evidence)
     return pairs if pairs is not None and nearly_all(pairs) else None
+
+
+def settles(found: Explanation) -> bool:
+    """Whether nobody else need be asked: all share a strategy, or nobody is left over."""
+    return bool(found.strategy["shared"]) or unled(found) == 0
 
 
 def nearly_all(found: Explanation) -> bool:

@@ -38,6 +38,8 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 MISFIT = 1.35  # ratios above this ask for a richer class; a class that holds gives 1 within 0.1 or so
+_NEARLY = 5.0  # a misfit with which somebody whom nobody explains is alone, perhaps, and not led by what was not fitted
+_SHARED = 1.9  # the same of what followers of one head share
 EXPLAINED = 0.4  # share of the UAVs that a first assignment accounts for where it is worth climbing from
 _SETTLING = 6
 LEFT_OUT = 0.05  # share of a swarm that one who explains everybody may leave out
@@ -63,6 +65,11 @@ class Misfit:
     def worst(self) -> float:
         """The larger of the two."""
         return max(self.follower, self.head)
+
+    @property
+    def nearly_holds(self) -> bool:
+        """Whether somebody whom the strategy does not explain may be thought to follow nobody."""
+        return self.follower <= _NEARLY and self.head <= _SHARED
 
 
 def misfit(
@@ -112,10 +119,13 @@ def quick(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: int 
         if better is None:
             break
         found = better
-    if found is None or not len(found.heads.heads) or unexplained(found) >= LEAST_VOTERS:
+    if found is None or not len(found.heads.heads):
         return None
-    if unexplained(found):
+    if 0 < unexplained(found) <= max(LEAST_VOTERS, LEFT_OUT * samples.uavs):
         found = with_led(samples, history, pairs, found)
+    left = unexplained(found)
+    if left >= LEAST_VOTERS or (left and not misfit(samples, found.strategy, found.heads.leader).nearly_holds):
+        return None
     return found if fly_alone(samples, history, found.heads.heads, found.heads.leader) else None
 
 
@@ -168,27 +178,26 @@ def settled(samples: Samples, history: OwnHistory, leader: Indices, strategy: St
 def again(
     samples: Samples, history: OwnHistory, pairs: PairEvidence, found: Mixture, most: int | None
 ) -> Mixture | None:
-    """A better mixture with those who were left behind a head, as they were left for a reach that is off, perhaps.
+    """A better mixture of those who were left: behind somebody who was no candidate, or a head by another reach.
 
-    Behind whom they are likeliest, or behind the one of the heads found that pairwise evidence names.
+    As they were left for a reach that is off, perhaps, they are put behind whom they are likeliest to follow, or behind
+    the one of the heads found that pairwise evidence names.
     """
     if not found.strategy.library.towards:
         return None
-    library = replace(found.strategy.library, reach=0.0)
+    library, everybody = replace(found.strategy.library, reach=0.0), np.arange(samples.uavs)
     heads, leader = found.heads.heads, found.heads.leader
     likeliest = found.columns[found.gain.argmax(axis=1)]
     named = heads[pairs.gain[:, heads].argmax(axis=1)]
-    best: Mixture | None = None
-    for guess in (likeliest, named):
+    best = found
+    for guess in (-1, likeliest, named):
         start = np.where(leader >= 0, leader, guess)
         start[heads] = -1
-        strategy = within_reach(samples, start, library)
+        strategy = found.strategy if np.array_equal(start, leader) else within_reach(samples, start, library)
         if strategy is not None:
-            everybody = np.arange(samples.uavs)
             other = fit_mixture(samples, history, start, strategy.library, everybody, most, strategy)
-            if other is not None and other.value > (found if best is None else best).value:
-                best = other
-    return best
+            best = other if other is not None and other.value > best.value else best
+    return None if best is found else best
 
 
 def within_reach(samples: Samples, leader: Indices, library: Library, start: Strategy | None = None) -> Strategy | None:
