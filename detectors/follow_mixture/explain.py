@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.follow_mixture.explanation import Explanation
+from detectors.follow_mixture.explanation import KINDS, Explanation
 from detectors.follow_mixture.facility import LEAST_VOTERS
 from detectors.follow_mixture.flock_evidence import explained_by_flocks
 from detectors.follow_mixture.flock_heads import watch_flocks
@@ -20,7 +20,7 @@ from detectors.follow_mixture.noise import SMOOTH, FlightSpectra
 from detectors.follow_mixture.pair_evidence import explained_by_pairs, pair_evidence
 from detectors.follow_mixture.samples import Samples, filled, samples_of
 from detectors.follow_mixture.scale import ALL_PAIRS, sampled_search
-from detectors.follow_mixture.search import LEFT_OUT, climb_together, quick, unexplained
+from detectors.follow_mixture.search import LEFT_OUT, climb_together, climbed, explains, misfit, unexplained
 from usnet_env.window import Window
 
 __all__ = ["by_everybody", "by_flocks", "explain", "in_doubt"]
@@ -48,7 +48,7 @@ def explain(
     if samples.uavs > ALL_PAIRS:
         history = own_history(samples)
         return explained_by_mixture(samples, history, sampled_search(samples, history, most, rng))
-    first = at_once(samples, most) if samples.unit else None  # one speed: seen without noise
+    first, held = at_once(samples, most) if samples.unit else (None, None)  # one speed: seen without noise
     if first is not None and settles(first):
         return first
     complete = filled(window)
@@ -58,7 +58,7 @@ def explain(
         return first
     spectra = seen_spectra(rows)
     if spectra.noise == 0 and not samples.unit:
-        first = at_once(samples, most)
+        first, held = at_once(samples, most)
         if first is not None and settles(first):
             return first
     found = by_flocks(rows, spectra, most)
@@ -72,7 +72,7 @@ def explain(
         found = by_everybody(samples, rows, spectra, found, most) or found
     if first is not None and (found is None or unled(first) < unled(found)):
         return first
-    return found
+    return found if found is None or held is None else (missed_by_flocks(held, found) or found)
 
 
 def flown(window: Window, samples: Samples, living: NDArray[np.int64], lags: int) -> Samples | None:
@@ -92,18 +92,39 @@ def by_flocks(rows: Samples, spectra: FlightSpectra, most: int | None) -> Explan
     return explained_by_flocks(*flock_search(rows, spectra, flocks, most), float(np.median(spectra.memory)))
 
 
-def at_once(samples: Samples, most: int | None) -> Explanation | None:
-    """What pairwise evidence leads to, if it explains the swarm: a shared strategy, or else a law for each pair.
+def at_once(samples: Samples, most: int | None) -> tuple[Explanation | None, Explanation | None]:
+    """What pairwise evidence leads to: a shared strategy, or else a law for each pair, that leaves hardly anybody over.
 
     Of smooth flights few moments are independent: there pairs alone say too little.
+
+    Returns:
+        The explanation, and one of a shared strategy that nearly holds and leaves some over.
     """
     history = own_history(samples)
     evidence = pair_evidence(samples, history, most)
-    shared = explained_by_mixture(samples, history, quick(samples, history, evidence, most))
-    if shared is not None or history.memory >= SMOOTH:
-        return shared
-    pairs = explained_by_pairs(samples, history, evidence)
-    return pairs if pairs is not None and nearly_all(pairs) else None
+    mixture = climbed(samples, history, evidence, most)
+    held = None
+    if mixture is not None:
+        if explains(samples, history, mixture):
+            return explained_by_mixture(samples, history, mixture), None
+        if samples.complete and misfit(samples, mixture.strategy, mixture.heads.leader).nearly_holds:
+            held = explained_by_mixture(samples, history, mixture)
+    pairs = explained_by_pairs(samples, history, evidence) if history.memory < SMOOTH else None
+    return pairs if pairs is not None and nearly_all(pairs) else None, held
+
+
+def missed_by_flocks(held: Explanation, found: Explanation) -> Explanation | None:
+    """A strategy's explanation where flocks lead astray those whom it leaves over: their head may be among them.
+
+    Flights that are straight in one direction are one flock, whoever leads them.
+    """
+    left = held.leader < 0
+    left[held.heads] = False
+    left_over, astray = int(left.sum()), left & (found.leader >= 0)
+    if left[found.heads[found.passed]].any() or astray.sum() <= max(LEAST_VOTERS, left_over / 2):
+        return None
+    assert held.kind is not None
+    return replace(held, kind=np.where(left, KINDS.index("missing"), held.kind))
 
 
 def settles(found: Explanation) -> bool:

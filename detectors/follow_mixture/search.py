@@ -27,6 +27,8 @@ __all__ = [
     "LEFT_OUT",
     "Misfit",
     "climb_together",
+    "climbed",
+    "explains",
     "led",
     "misfit",
     "quick",
@@ -111,6 +113,12 @@ def misfit(
 
 def quick(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: int | None = None) -> Mixture | None:
     """The explanation that the richest evidence leads to at once; ``None`` where it does not explain the swarm."""
+    found = climbed(samples, history, pairs, most)
+    return found if found is not None and explains(samples, history, found) else None
+
+
+def climbed(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: int | None = None) -> Mixture | None:
+    """The mixture that the richest evidence leads to, whomever it leaves over; ``None`` where it leads to no head."""
     found = shortcut(samples, history, pairs, most) if len(pairs.heads) else None
     for _ in range(_AGAIN):
         if found is None or not 0 < unexplained(found) <= samples.uavs / 2:
@@ -121,12 +129,21 @@ def quick(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: int 
         found = better
     if found is None or not len(found.heads.heads):
         return None
-    if 0 < unexplained(found) <= max(LEAST_VOTERS, LEFT_OUT * samples.uavs):
-        found = with_led(samples, history, pairs, found)
+    few = 0 < unexplained(found) <= max(LEAST_VOTERS, LEFT_OUT * samples.uavs)
+    return with_led(samples, history, pairs, found) if few else found
+
+
+def explains(samples: Samples, history: OwnHistory, found: Mixture) -> bool:
+    """Whether a mixture leaves nobody over, or one beside a strategy that nearly holds, and its heads fly alone.
+
+    Where moments are missing somebody left over was seen too little, perhaps.
+    """
     left = unexplained(found)
-    if left >= LEAST_VOTERS or (left and not misfit(samples, found.strategy, found.heads.leader).nearly_holds):
-        return None
-    return found if fly_alone(samples, history, found.heads.heads, found.heads.leader) else None
+    if left and (left >= LEAST_VOTERS or not samples.complete):
+        return False
+    if left and not misfit(samples, found.strategy, found.heads.leader).nearly_holds:
+        return False
+    return fly_alone(samples, history, found.heads.heads, found.heads.leader)
 
 
 def with_led(samples: Samples, history: OwnHistory, pairs: PairEvidence, found: Mixture) -> Mixture:
