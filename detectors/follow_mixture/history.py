@@ -77,7 +77,7 @@ def own_history(samples: Samples) -> OwnHistory:
         (_log_likelihood(samples, mean[:, None] + forecast, surprise), surprise),
     ]
     if unlike_white(energy, surprise, len(gram)):
-        laws.append((_shared_law(samples), surprise))
+        laws.append((_shared_law(samples, np.vstack([weights, everybody])), surprise))
     best = np.argmax([law[0].sum(axis=1) for law in laws], axis=0)
     every = np.arange(uavs)
     return OwnHistory(
@@ -94,19 +94,28 @@ def unlike_white(energy: float, surprise: Floats, width: int) -> bool:
     return bool(energy > 0 and 1.0 - left / energy > max(_WHITE, 4.0 * chance))
 
 
-def _shared_law(samples: Samples) -> Floats:
+def _shared_law(samples: Samples, start: Floats) -> Floats:
     """``(n, R)`` log-likelihood under one law of one's own past for all: what a shared strategy without heads gives.
 
     So a follow strategy that uses the follower's own past contains its null, and gains by its head alone.
+
+    Args:
+        samples: n UAVs.
+        start: ``(p, 3)`` coefficients to begin from.
     """
     features = np.concatenate(
         [samples.lagged.reshape(samples.uavs, samples.rows, -1), np.ones((samples.uavs, samples.rows, 1))], axis=2
     )
     keep = samples.seen & samples.lag_seen.all(axis=2)
-    target = samples.target[keep]
-    every = stride(len(target), _ROWS, samples.rows)
-    some = target[::every]
-    coefficients, noise = fit_directions(features[keep][::every], some, np.ones(len(some)), samples.unit)
+    kept = np.flatnonzero(keep)
+    some = kept[:: stride(len(kept), _ROWS, samples.rows)]
+    coefficients, noise = fit_directions(
+        features.reshape(-1, features.shape[2])[some],
+        samples.target.reshape(-1, 3)[some],
+        np.ones(len(some)),
+        samples.unit,
+        start=start,
+    )
     theta, constant = natural_parameters(features @ coefficients, noise)
     value = np.vecdot(theta, samples.target) + constant
     if not samples.unit:

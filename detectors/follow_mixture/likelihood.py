@@ -31,6 +31,7 @@ RealT = TypeVar("RealT", np.float32, np.float64)
 _FLOORS = (0.0, 0.25, 1.0)  # floor as a multiple of the spread
 _LEAST_SPREAD = 5e-3
 _RIDGE = 1e-7
+_NOISE_ROWS = 400  # and more are not needed for two numbers
 _FIXED_POINTS = 12
 _MORE_POINTS = 5  # from where these led already
 
@@ -102,6 +103,8 @@ def fit_noise(square: Floats, along: Floats, weight: Floats, error: float, unit:
     """
     if not unit:
         return Noise(max(float(np.sqrt(error)), _LEAST_SPREAD), 0.0, False)
+    every = max(1, len(square) // _NOISE_ROWS)
+    square, along, weight = square[::every], along[::every], weight[::every]
     total = max(float(weight.sum()), 1.0)
     # The tangential spread at large kappa is a good centre for the search; the grid covers the rest.
     ratio = 1.0 / np.maximum(square, 1e-12)

@@ -46,9 +46,8 @@ EXPLAINED = 0.4  # share of the UAVs that a first assignment accounts for where 
 _SETTLING = 6
 LEFT_OUT = 0.05  # share of a swarm that one who explains everybody may leave out
 _AGAIN = 3  # times that everybody is assigned anew, where many were left out
-_REACHES, _NEAREST = 300, 16  # distances tried at once; followers nearest to their heads on which they are tried
+_REACHES, _NEAREST = 200, 16  # distances tried at once; followers nearest to their heads on which they are tried
 _RIDGE = 1e-9
-_FEW_ROWS = 800  # serve to choose a reach
 
 
 @dataclass(frozen=True)
@@ -222,7 +221,7 @@ def within_reach(samples: Samples, leader: Indices, library: Library, start: Str
 
     A reach shows where somebody crosses it: it is sought among the distances of the followers nearest to their heads.
     """
-    plain = fit_strategy(samples, leader, library, _FEW_ROWS, start)
+    plain = fit_strategy(samples, leader, library, start=start)
     if plain is None:
         return None
     followers = np.flatnonzero(leader >= 0)
@@ -233,7 +232,9 @@ def within_reach(samples: Samples, leader: Indices, library: Library, start: Str
     reaches = np.geomspace(low, high, _REACHES)
     explained = explained_by_reach(samples, plain, followers[near], leader[followers[near]], reaches)
     price = 9.0 * float(np.log(samples.rows * len(near))) * plain.noise.spread**2  # of nine numbers more
-    reach = float(reaches[explained.argmax()]) if explained.max() > price else 0.0
+    if explained.max() <= price:
+        return plain
+    reach = float(reaches[explained.argmax()])
     return fit_strategy(samples, leader, replace(library, reach=reach), start=plain)
 
 
