@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from usnet_env.swarm import FollowInputs, FollowStrategy, register_follow_strategy
 
-__all__ = ["OUT_OF_LIST"]
+__all__ = ["OUT_OF_LIST", "UNSEEN"]
 
 Array = NDArray[np.float32]
 
@@ -75,6 +75,20 @@ def pursuit(inputs: FollowInputs) -> Array:
     return gap / np.maximum(distance, 1.0) + 0.5 * np.sign(inputs.head_velocity[:, 0])
 
 
+def swerve(inputs: FollowInputs) -> Array:
+    """The head's velocity, turned about the vertical by an angle that grows with the distance."""
+    gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
+    angle = np.sqrt((gap * gap).sum(axis=1)) / 300.0
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y, z = inputs.head_velocity[:, 0].T
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
+
+
+def majority(inputs: FollowInputs) -> Array:
+    """On every axis the sign of the head's last three velocities together."""
+    return np.sign(inputs.head_velocity[:, :3].sum(axis=1))
+
+
 def _register() -> tuple[str, ...]:
     register_follow_strategy("own_delays", OwnDelays())
     register_follow_strategy("turned", Turned())
@@ -85,9 +99,12 @@ def _register() -> tuple[str, ...]:
         ("formation_offset", formation, 1),
         ("median", median, 3),  # this one and the next were written by another hand than the detector
         ("pursuit", pursuit, 2),
+        ("swerve", swerve, 1),  # added when the detector was done
+        ("majority", majority, 3),
     ):
         register_follow_strategy(name, function, lags=lags)
     return "own_delays", "turned", "saturated", "products", "absolute", "formation_offset", "median", "pursuit"
 
 
 OUT_OF_LIST = _register()
+UNSEEN = ("swerve", "majority")  # that nothing was built for, nor looked at before the rows that are published

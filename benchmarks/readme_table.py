@@ -9,6 +9,7 @@ import json
 import sys
 from pathlib import Path
 
+from follow_mixture import SEED
 from follow_mixture import rate_of as exact_rate
 from follow_mixture import rows_of as tier_rows
 
@@ -19,7 +20,6 @@ from usnet_env.reproduce.rows import read_rows as read_any
 from usnet_env.reproduce.table2 import paper_rates
 
 RESULTS = Path(__file__).parent / "results"
-SEED = 2022
 README = Path(__file__).parent.parent / "README.md"
 FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 DETECTORS = (
@@ -139,7 +139,7 @@ _TIERS = (
     ("noise", ("gauss_markov-0.3",), "f1-f3", "the same, smooth heads"),
     ("noise", ("gauss_markov-0.3",), "f4-f7", "the same, smooth heads"),
     ("decoys", (), "f1-f7", "1, 3 or 10 decoys"),
-    ("unlisted", (), "eight others", "strategies of no list, iid and smooth heads"),
+    ("unlisted", (), "ten others", "strategies of no list, iid and smooth heads"),
     ("silence", (), "nobody follows", "six mobilities, with jitter and without"),
 )
 _BESIDE = ("lagged-regression", "destroy-all")
