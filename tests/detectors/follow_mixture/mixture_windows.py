@@ -4,8 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
+from detectors.follow_mixture.history import own_history
+from detectors.follow_mixture.samples import samples_of
 from usnet_env import Window
-from usnet_env.swarm import SwarmConfig, advance, start
+from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, register_follow_strategy, start
+
+OWN_DELAYS = "tests_own_delays"
+
+
+class OwnDelays(FollowStrategy):
+    """Every follower copies its head with a delay of its own, of one to three steps."""
+
+    lags = 3
+
+    def direction(self, inputs):
+        delay = np.arange(len(inputs.own_position)) % 3
+        return inputs.head_velocity[np.arange(len(delay)), delay]
+
+
+register_follow_strategy(OWN_DELAYS, OwnDelays())
 
 
 def swarm_window(seed, **config):
@@ -14,3 +31,11 @@ def swarm_window(seed, **config):
     generators = [np.random.default_rng(seed)]
     state, seen = advance(settings, start(settings, generators), generators)
     return Window(seen.position[0], seen.velocity[0], seen.seen[0], seen.alive[0]), state.episode(0)
+
+
+def problem(seed=0, **config):
+    """The samples of one window, their null, ``(n,)`` whom everybody follows (-1: nobody), and the truth."""
+    window, truth = swarm_window(seed, **config)
+    samples = samples_of(window, np.arange(window.uavs), 4)
+    leader = np.where(truth.head | truth.decoy, -1, truth.leader)
+    return samples, own_history(samples), leader, truth

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mixture_windows import swarm_window
+from mixture_windows import OWN_DELAYS, swarm_window
 
 from detectors.follow_mixture.detector import FollowMixture
 from detectors.follow_mixture.explain import by_everybody, by_flocks, in_doubt
@@ -13,22 +13,8 @@ from detectors.follow_mixture.flocks import flocks_of
 from detectors.follow_mixture.history import own_history
 from detectors.follow_mixture.samples import samples_of
 from detectors.follow_mixture.search import climb_together, unexplained
-from usnet_env.swarm import FollowStrategy, register_follow_strategy
 
 TURNS = {"follow": "f7", "mobility": "smooth_turn", "head_jitter": True, "clusters": 5, "uavs": 82}
-
-
-class Later(FollowStrategy):
-    """Every follower copies its head with a delay of its own."""
-
-    lags = 3
-
-    def direction(self, inputs):
-        delay = np.arange(len(inputs.own_position)) % 3
-        return inputs.head_velocity[np.arange(len(delay)), delay]
-
-
-register_follow_strategy("tests_later", Later())
 
 
 def told(seed, **config):
@@ -78,7 +64,7 @@ def test_nonsense_explains_nobody():
 
 @pytest.mark.parametrize("seed", [43, 44])
 def test_followers_with_delays_of_their_own_do_not_lead_the_later(seed):
-    window, truth, samples, spectra, found = told(seed, follow="tests_later", clusters=5, uavs=82)
+    window, truth, samples, spectra, found = told(seed, follow=OWN_DELAYS, clusters=5, uavs=82)
     assert not wrong_about_heads(truth, found)
     better = by_everybody(samples, samples, spectra, found, None)
     assert better is None or not wrong_about_heads(truth, better)

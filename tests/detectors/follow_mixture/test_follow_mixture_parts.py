@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mixture_windows import swarm_window
+from mixture_windows import problem, swarm_window
 from scipy.integrate import quad
 from scipy.stats import vonmises_fisher
 
 from detectors.follow_mixture.evidence import FeatureKind, affordable_kinds, gain_and_chance, pairwise_gain
 from detectors.follow_mixture.facility import LEAST_VOTERS, locate_heads
-from detectors.follow_mixture.history import own_history
 from detectors.follow_mixture.likelihood import Noise, fit_directions, log_normaliser, natural_parameters
 from detectors.follow_mixture.noise import fit_spectra, smoothed_pasts
 from detectors.follow_mixture.policy import Policy, choose
@@ -27,13 +26,6 @@ from detectors.follow_mixture.strategy import (
     head_features,
     pair_features,
 )
-
-
-def problem(seed=0, **config):
-    window, truth = swarm_window(seed, **config)
-    samples = samples_of(window, np.arange(window.uavs), 4)
-    leader = np.where(truth.head | truth.decoy, -1, truth.leader)
-    return samples, own_history(samples), leader, truth
 
 
 def test_rows_are_the_velocities_and_what_came_before():

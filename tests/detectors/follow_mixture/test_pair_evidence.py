@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mixture_windows import swarm_window
+from mixture_windows import OWN_DELAYS, problem, swarm_window
 
 from detectors.follow_mixture.detector import FollowMixture
 from detectors.follow_mixture.evidence import pairwise_gain
@@ -18,30 +18,14 @@ from detectors.follow_mixture.pair_evidence import explained_by_pairs, fly_alone
 from detectors.follow_mixture.samples import samples_of, stride
 from detectors.follow_mixture.strategy import Library, fit_strategy, gain_matrix
 from usnet_env.envs import SingleClusterEnv
-from usnet_env.swarm import FollowStrategy, register_follow_strategy
 from usnet_env.window import Window
 
 STRAIGHT = {"follow": "f7", "mobility": "straight", "head_jitter": True, "clusters": 5, "uavs": 82}
 
 
-class OwnDelay(FollowStrategy):
-    """Every follower copies its head with a delay of its own."""
-
-    lags = 3
-
-    def direction(self, inputs):
-        delay = np.arange(len(inputs.own_position)) % 3
-        return inputs.head_velocity[np.arange(len(delay)), delay]
-
-
-register_follow_strategy("tests_own_delay", OwnDelay())
-
-
 def seen(seed, **config):
-    window, truth = swarm_window(seed, **config)
-    samples = samples_of(window, np.arange(window.uavs), 4)
-    leader = np.where(truth.head | truth.decoy, -1, truth.leader)
-    return samples, own_history(samples), leader, np.flatnonzero(truth.head)
+    samples, history, leader, truth = problem(seed, **config)
+    return samples, history, leader, np.flatnonzero(truth.head)
 
 
 @given(st.integers(0, 20_000), st.integers(1, 3000), st.integers(1, 300))
@@ -122,7 +106,7 @@ def test_a_fit_goes_on_from_a_smaller_class():
 
 
 def test_fellows_with_one_delay_tell_a_follower_from_a_head():
-    samples, history, leader, heads = seen(3, follow="tests_own_delay", clusters=3, uavs=45)
+    samples, history, leader, heads = seen(3, follow=OWN_DELAYS, clusters=3, uavs=45)
     assert fly_alone(samples, history, heads, leader)
     first = int(np.flatnonzero((leader == heads[0]) & (np.arange(45) % 3 == 0))[0])
     wrong = np.where((leader == heads[0]) & (np.arange(45) % 3 > 0), first, leader)  # the later behind the earlier
@@ -181,7 +165,7 @@ def test_delays_of_ones_own_are_told_at_once():
     named = 0
     for seed in range(4):
         window, truth = swarm_window(
-            seed, follow="tests_own_delay", clusters=5, uavs=82, mobility="gauss_markov", head_jitter=True
+            seed, follow=OWN_DELAYS, clusters=5, uavs=82, mobility="gauss_markov", head_jitter=True
         )
         answer = FollowMixture().detect(window)
         named += np.array_equal(answer.candidates, truth.head)
