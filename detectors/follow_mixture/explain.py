@@ -13,14 +13,22 @@ from detectors.follow_mixture.flock_evidence import explained_by_flocks
 from detectors.follow_mixture.flock_heads import watch_flocks
 from detectors.follow_mixture.flock_leads import PHASES_TELL, explained_by_leads, leads_of_flocks
 from detectors.follow_mixture.flock_search import first_guesses, flights, flock_search, seen_spectra
-from detectors.follow_mixture.flocks import flocks_of
-from detectors.follow_mixture.history import own_history
+from detectors.follow_mixture.flocks import Flocks, flocks_of
+from detectors.follow_mixture.history import OwnHistory, own_history
+from detectors.follow_mixture.mixture import Mixture
 from detectors.follow_mixture.mixture_evidence import explained_by_mixture
 from detectors.follow_mixture.noise import SMOOTH, FlightSpectra
-from detectors.follow_mixture.pair_evidence import explained_by_pairs, pair_evidence
+from detectors.follow_mixture.pair_evidence import (
+    PairEvidence,
+    explained_by_pairs,
+    flies_with,
+    fly_alone,
+    pair_evidence,
+    plain_evidence,
+)
 from detectors.follow_mixture.samples import Samples, filled, samples_of
 from detectors.follow_mixture.scale import ALL_PAIRS, sampled_search
-from detectors.follow_mixture.search import LEFT_OUT, climb_together, climbed, explains, misfit, unexplained
+from detectors.follow_mixture.search import LEFT_OUT, climb_together, climbed, explains, misfit, unexplained, with_led
 from usnet_env.window import Window
 
 __all__ = ["by_everybody", "by_flocks", "explain", "in_doubt"]
@@ -48,7 +56,8 @@ def explain(
     if samples.uavs > ALL_PAIRS:
         history = own_history(samples)
         return explained_by_mixture(samples, history, sampled_search(samples, history, most, rng))
-    first, held = at_once(samples, most) if samples.unit else (None, None)  # one speed: seen without noise
+    seen = evidence_of(samples, most)
+    first, held = at_once(samples, *seen, most) if samples.unit else (None, None)  # one speed: seen without noise
     if first is not None and settles(first):
         return first
     complete = filled(window)
@@ -58,21 +67,31 @@ def explain(
         return first
     spectra = seen_spectra(rows)
     if spectra.noise == 0 and not samples.unit:
-        first, held = at_once(samples, most)
+        first, held = at_once(samples, *seen, most)
         if first is not None and settles(first):
             return first
-    found = by_flocks(rows, spectra, most)
+    flocks = flocks_of(flights(rows), spectra)
+    found = by_flocks(rows, spectra, flocks, most)
     if found is not None and 2 * (found.leader >= 0).sum() < samples.uavs:
         # There are flocks, and most of them follow nobody: followers may be late.
         longer = flown(complete, samples, living, 2 * lags) if rows.rows >= _LONG_ROWS else None
-        late = None if longer is None else by_flocks(longer, spectra, most)
+        late = None if longer is None else by_flocks(longer, spectra, flocks, most)
         if late is not None and late.value > found.value:
             found = late
+    everybody = None
     if found is not None and len(found.heads) and samples.complete and in_doubt(found):
-        found = by_everybody(samples, rows, spectra, found, most) or found
-    if first is not None and (found is None or unled(first) < unled(found)):
-        return first
-    return found if found is None or held is None else (missed_by_flocks(held, found) or found)
+        starts = first_guesses(rows, watch_flocks(rows, flocks), most)
+        everybody = by_everybody(samples, *seen, flocks, starts, found, most)
+    if everybody is None and found is not None and held is not None:
+        found = missed_by_flocks(held, found)
+    found = everybody or found
+    return first if first is not None and (found is None or unled(first) < unled(found)) else found
+
+
+def evidence_of(samples: Samples, most: int | None) -> tuple[OwnHistory, PairEvidence]:
+    """What the own past of everybody foretells, and what everybody else's adds."""
+    history = own_history(samples)
+    return history, pair_evidence(samples, history, most)
 
 
 def flown(window: Window, samples: Samples, living: NDArray[np.int64], lags: int) -> Samples | None:
@@ -81,18 +100,18 @@ def flown(window: Window, samples: Samples, living: NDArray[np.int64], lags: int
     return None if rows is None else replace(rows, unit=samples.unit)
 
 
-def by_flocks(rows: Samples, spectra: FlightSpectra, most: int | None) -> Explanation | None:
+def by_flocks(rows: Samples, spectra: FlightSpectra, flocks: Flocks, most: int | None) -> Explanation | None:
     """What flocks say: behind noise by the phases of smooth flights, where these tell anything."""
-    velocity = flights(rows)
-    flocks = flocks_of(velocity, spectra)
     if spectra.noise > PHASES_TELL and np.median(spectra.memory) >= SMOOTH:
-        leads = leads_of_flocks(velocity, spectra, flocks)
+        leads = leads_of_flocks(flights(rows), spectra, flocks)
         if leads is not None:
             return explained_by_leads(leads, flocks)
     return explained_by_flocks(*flock_search(rows, spectra, flocks, most), float(np.median(spectra.memory)))
 
 
-def at_once(samples: Samples, most: int | None) -> tuple[Explanation | None, Explanation | None]:
+def at_once(
+    samples: Samples, history: OwnHistory, evidence: PairEvidence, most: int | None
+) -> tuple[Explanation | None, Explanation | None]:
     """What pairwise evidence leads to: a shared strategy, or else a law for each pair, that leaves hardly anybody over.
 
     Of smooth flights few moments are independent: there pairs alone say too little.
@@ -100,20 +119,21 @@ def at_once(samples: Samples, most: int | None) -> tuple[Explanation | None, Exp
     Returns:
         The explanation, and one of a shared strategy that nearly holds and leaves some over.
     """
-    history = own_history(samples)
-    evidence = pair_evidence(samples, history, most)
     mixture = climbed(samples, history, evidence, most)
     held = None
     if mixture is not None:
         if explains(samples, history, mixture):
             return explained_by_mixture(samples, history, mixture), None
-        if samples.complete and misfit(samples, mixture.strategy, mixture.heads.leader).nearly_holds:
+        holds = samples.complete and misfit(samples, mixture.strategy, mixture.heads.leader).nearly_holds
+        if holds and fly_alone(samples, history, mixture.heads.heads, mixture.heads.leader):
             held = explained_by_mixture(samples, history, mixture)
-    pairs = explained_by_pairs(samples, history, evidence) if history.memory < SMOOTH else None
+    if history.memory >= SMOOTH:
+        return None, held
+    pairs = explained_by_pairs(samples, history, plain_evidence(samples, history, evidence, most))
     return pairs if pairs is not None and nearly_all(pairs) else None, held
 
 
-def missed_by_flocks(held: Explanation, found: Explanation) -> Explanation | None:
+def missed_by_flocks(held: Explanation, found: Explanation) -> Explanation:
     """A strategy's explanation where flocks lead astray those whom it leaves over: their head may be among them.
 
     Flights that are straight in one direction are one flock, whoever leads them.
@@ -122,7 +142,7 @@ def missed_by_flocks(held: Explanation, found: Explanation) -> Explanation | Non
     left[held.heads] = False
     left_over, astray = int(left.sum()), left & (found.leader >= 0)
     if left[found.heads[found.passed]].any() or astray.sum() <= max(LEAST_VOTERS, left_over / 2):
-        return None
+        return found
     assert held.kind is not None
     return replace(held, kind=np.where(left, KINDS.index("missing"), held.kind))
 
@@ -139,7 +159,14 @@ def nearly_all(found: Explanation) -> bool:
 
 def in_doubt(found: Explanation) -> bool:
     """Whether flocks found no strategy that all share, or left many out."""
-    return not found.strategy["shared"] or unled(found) > LEFT_OUT * len(found.leader)
+    return not found.strategy.get("shared") or unled(found) > LEFT_OUT * len(found.leader)
+
+
+def followed(found: Explanation) -> NDArray[np.int64]:
+    """``(n,)`` whom each follows, -1 for heads too."""
+    leader = found.leader.copy()
+    leader[found.heads] = -1
+    return leader
 
 
 def unled(found: Explanation) -> int:
@@ -148,28 +175,47 @@ def unled(found: Explanation) -> int:
 
 
 def by_everybody(
-    samples: Samples, rows: Samples, spectra: FlightSpectra, found: Explanation, most: int | None
+    samples: Samples,
+    history: OwnHistory,
+    pairs: PairEvidence,
+    flocks: Flocks,
+    starts: list[NDArray[np.int64]],
+    found: Explanation | None,
+    most: int | None,
 ) -> Explanation | None:
-    """What everybody says together, where flocks ``found`` heads in doubt; ``None`` if that is no better.
+    """What everybody says together, where flocks ``found`` heads in doubt or none; ``None`` if that is no better.
 
     Where delays differ from follower to follower the earlier explain the later as well as their head does. But they fly
     at once with others who have the same delay, and these follow somebody else. And heads that flocks found are not
     dropped for those who are left out without.
     """
-    flocks = flocks_of(flights(rows), spectra)
-    start = found.leader.copy()
-    start[found.heads] = -1
-    starts = [start, *first_guesses(rows, watch_flocks(rows, flocks), most)]
-    history = own_history(samples)
-    mixture = climb_together(samples, history, starts, most)
-    if mixture is None:
-        return None
+    if found is not None:
+        starts = [followed(found), *starts]
+    for mixture in climb_together(samples, history, pairs, starts, most):
+        if leads_its_flock(mixture, flocks) or (found is not None and drops(samples, history, mixture, found)):
+            continue
+        better = with_led(samples, history, pairs, mixture) if unexplained(mixture) else mixture
+        answer = explained_by_mixture(samples, history, better)
+        if answer is not None and 2 * answer.passed.sum() > len(answer.heads):
+            return answer
+    return None
+
+
+def leads_its_flock(mixture: Mixture, flocks: Flocks) -> bool:
+    """Whether a head flies at once with others, most of whom follow somebody else."""
     heads, leader = mixture.heads.heads, mixture.heads.leader
     for head in heads:
         mates = np.setdiff1d(np.flatnonzero(flocks.label == flocks.label[head]), heads)
         if len(mates) and 2 * (leader[mates] != head).sum() > len(mates):
-            return None
-    fewer = not len(np.setdiff1d(heads, found.heads)) and len(heads) < len(found.heads)
-    if fewer and unexplained(mixture) >= LEAST_VOTERS:
-        return None
-    return explained_by_mixture(samples, history, mixture)
+            return True
+    return False
+
+
+def drops(samples: Samples, history: OwnHistory, mixture: Mixture, found: Explanation) -> bool:
+    """Whether a head of flocks is none any more, though it does not fly as those do whom it is put among."""
+    leader = mixture.heads.leader
+    for head in np.setdiff1d(found.heads[found.passed], mixture.heads.heads):
+        fellows = np.flatnonzero((leader == leader[head]) & (leader >= 0))
+        if not flies_with(samples, history, int(head), fellows[fellows != head]):
+            return True
+    return False

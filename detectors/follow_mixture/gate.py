@@ -12,7 +12,7 @@ from detectors.follow_mixture.mixture import Mixture, head_price
 from detectors.follow_mixture.samples import Samples
 from detectors.follow_mixture.strategy import Strategy, gain_matrix
 
-__all__ = ["Gate", "gate_heads", "judged", "wrong_times"]
+__all__ = ["Gate", "gain_behind", "gate_heads", "judged", "wrong_times"]
 
 Floats = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def gate_heads(samples: Samples, history: OwnHistory, mixture: Mixture) -> Gate:
     price = head_price(samples.uavs)
     flights, null, leaders = samples.take(followers), history.take(followers), samples.take(heads)
     observed = _per_head(mixture.gain[followers][:, np.searchsorted(mixture.columns, heads)])
-    moved = [_gain(flights, null, leaders.moved(shift), mixture.strategy) for shift in wrong_times(samples.rows)]
+    moved = [gain_behind(flights, null, leaders.moved(shift), mixture.strategy) for shift in wrong_times(samples.rows)]
     surrogate = np.array([_per_head(gain) for gain in moved]).reshape(-1, len(heads))
     share = count / np.array([max(len(some), 1) for some in asked])
     return judged(count, observed * share - price, surrogate * share)
@@ -84,7 +84,7 @@ def wrong_times(rows: int) -> list[int]:
     return [int(shift) for shift in shifts if shift > 0]
 
 
-def _gain(flights: Samples, null: OwnHistory, leaders: Samples, strategy: Strategy) -> Floats:
+def gain_behind(flights: Samples, null: OwnHistory, leaders: Samples, strategy: Strategy) -> Floats:
     """``(v, M)`` what each of v flights gains by each leader."""
     both, law = flights.beside(leaders), null.padded(leaders.uavs)
     heads = np.arange(flights.uavs, both.uavs)

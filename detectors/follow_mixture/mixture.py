@@ -52,6 +52,7 @@ def fit_mixture(
     columns: Indices,
     most: int | None = None,
     first: Strategy | None = None,
+    by_head: bool = False,
 ) -> Mixture | None:
     """Climb from one assignment.
 
@@ -63,13 +64,14 @@ def fit_mixture(
         columns: candidates for heads.
         most: the largest number of heads.
         first: the strategy that fits ``leader``, where it is known.
+        by_head: strategies are fitted with the same say for every head.
 
     Returns:
         The best state on the way, or ``None`` where no strategy can be fitted.
     """
     best: Mixture | None = None
     for _ in range(_ROUNDS):
-        strategy = first or fit_strategy(samples, leader, library)
+        strategy = first or fit_strategy(samples, leader, library, by_head=by_head)
         first = None
         if strategy is None:
             break

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.follow_mixture.facility import LEAST_VOTERS
+from detectors.follow_mixture.facility import LEAST_VOTERS, locate_heads
 from detectors.follow_mixture.history import OwnHistory
 from detectors.follow_mixture.mixture import Mixture, fit_mixture
 from detectors.follow_mixture.pair_evidence import PairEvidence, fly_alone, led_by
@@ -303,25 +303,50 @@ def led(samples: Samples, history: OwnHistory, leader: Indices, most: int | None
 
 
 def climb_together(
-    samples: Samples, history: OwnHistory, starts: list[Indices], most: int | None = None
-) -> Mixture | None:
-    """The mixture that leaves hardly anybody unexplained, if one of some assignments leads to one.
+    samples: Samples, history: OwnHistory, pairs: PairEvidence, starts: list[Indices], most: int | None = None
+) -> list[Mixture]:
+    """Mixtures that leave hardly anybody unexplained, the fewest first, and whose heads fly alone.
 
-    Its strategy looks at the head's place and the follower's own past too. The more of an assignment is right the
-    better it fits, so that a third of it may do.
+    Their strategy looks at the head's place and the follower's own past too. The more of an assignment is right the
+    better it fits, so that a third of it may do. Where the strategy leaves something that all followers of one head
+    share, it is fitted anew with the same say for every head: the heads of many would have it explain what they did by
+    chance, and refuse those of few.
 
     Args:
         samples: n UAVs.
         history: the null.
+        pairs: whom everybody seems to follow by itself: to start from as well.
         starts: assignments ``(n,)``, -1 for nobody.
         most: the largest number of heads.
     """
-    library = Library(samples.memory, towards=True, own=True)
-    climbed = [fit_mixture(samples, history, start, library, np.arange(samples.uavs), most) for start in starts]
-    best = max((found for found in climbed if found is not None), key=lambda found: found.value, default=None)
-    if best is None or not len(best.heads.heads) or unexplained(best) > LEFT_OUT * samples.uavs:
-        return None
-    return best
+    library, everybody = Library(samples.memory, towards=True, own=True), np.arange(samples.uavs)
+
+    def climb(starts: list[Indices], by_head: bool) -> list[Mixture]:
+        unlike = {start.tobytes(): start for start in starts}.values()
+        found = [fit_mixture(samples, history, start, library, everybody, most, by_head=by_head) for start in unlike]
+        return sorted((some for some in found if some is not None and len(some.heads.heads)), key=least_left)
+
+    best = pairs.gain.argmax(axis=1)
+    starts = [*starts, pairs.leader, likely(pairs, most)]
+    found = climb([*starts, best], by_head=False)
+    if found and misfit(samples, found[0].strategy, found[0].heads.leader).head > _SHARED:
+        leader = found[0].heads.leader
+        left = leader < 0
+        left[found[0].heads.heads] = False
+        found += climb([*starts, leader, np.where(left, best, leader)], by_head=True)
+    few = [some for some in found if unexplained(some) <= LEFT_OUT * samples.uavs]
+    alone = [some for some in few if fly_alone(samples, history, some.heads.heads, some.heads.leader)]
+    return sorted(alone, key=least_left)
+
+
+def least_left(mixture: Mixture) -> tuple[int, float]:
+    """What mixtures are ordered by: those first that leave the fewest unexplained, of these the likeliest."""
+    return unexplained(mixture), -mixture.value
+
+
+def likely(pairs: PairEvidence, most: int | None) -> Indices:
+    """``(n,)`` whom everybody seems to follow where half of chance is enough."""
+    return locate_heads(pairs.gain - 0.5 * pairs.chance, np.arange(len(pairs.gain)), 0.5 * pairs.chance, most).leader
 
 
 def unexplained(mixture: Mixture) -> int:

@@ -171,7 +171,7 @@ def pairs_seen(samples: Samples, library: Library, behind: tuple[Indices, ...], 
 
 
 def fit_strategy(
-    samples: Samples, leader: Indices, library: Library, rows: int = PAIRED_ROWS, start: Strategy | None = None
+    samples: Samples, leader: Indices, library: Library, start: Strategy | None = None, by_head: bool = False
 ) -> Strategy | None:
     """The strategy of a class that fits the followers best.
 
@@ -179,8 +179,9 @@ def fit_strategy(
         samples: n UAVs.
         leader: ``(n,)`` the head that each follows, -1 for none.
         library: the class.
-        rows: the most that are fitted to where every follower has its own.
         start: of a class that is part of this one, without ``own``: to begin from, which saves time.
+        by_head: every head has the same say, however many follow it. What a class misses is the same for all who
+            follow one head, and would be fitted to the heads of many.
 
     Returns:
         ``None`` where there are fewer rows than numbers to fit.
@@ -189,9 +190,9 @@ def fit_strategy(
     if not len(followers):
         return None
     if library.paired:
-        features, total, weight, energy = _paired_rows(samples, leader, followers, library, rows)
+        features, total, weight, energy = _paired_rows(samples, leader, followers, library, by_head)
     else:
-        features, total, weight, energy = _shared_rows(samples, leader, followers, library)
+        features, total, weight, energy = _shared_rows(samples, leader, followers, library, by_head)
     width = features.shape[1]
     observations = int(weight.sum()) * (2 if samples.unit else 3)
     numbers = (width - 1) // 3 + 1 if library.isotropic else 3 * width
@@ -212,37 +213,44 @@ def _extended(strategy: Strategy, width: int) -> Floats:
 
 
 def _shared_rows(
-    samples: Samples, leader: Indices, followers: Indices, library: Library
+    samples: Samples, leader: Indices, followers: Indices, library: Library, by_head: bool
 ) -> tuple[Floats, Floats, Floats, float]:
     """One row a head and time: features, sum of the followers' flights, how many, and their summed squares."""
     heads, group = np.unique(leader[followers], return_inverse=True)
     features, valid = head_features(samples, library, heads)
     member = np.zeros((len(heads), len(followers)))
-    member[group, np.arange(len(followers))] = 1.0
+    member[group, np.arange(len(followers))] = say = _say(group) if by_head else np.ones(len(followers))
     seen = samples.seen[followers].astype(np.float64)
     target = samples.target[followers]
     total = (member @ target.reshape(len(followers), -1)).reshape(len(heads), samples.rows, 3)
     weight = member @ seen
     keep = valid & (weight > 0)
-    energy = float((np.vecdot(target, target) * keep[group]).sum())
+    energy = float((np.vecdot(target, target) * keep[group] * say[:, None]).sum())
     return features[keep], total[keep], weight[keep], energy
 
 
 def _paired_rows(
-    samples: Samples, leader: Indices, followers: Indices, library: Library, rows: int
+    samples: Samples, leader: Indices, followers: Indices, library: Library, by_head: bool
 ) -> tuple[Floats, Floats, Floats, float]:
-    """One row a follower and time, of many a part: ``rows`` at most."""
+    """One row a follower and time, of many a part."""
     heads = leader[followers]
     unique, group = np.unique(heads, return_inverse=True)
     shared, valid = head_features(samples, library, unique)
     seen = valid[group] & samples.seen[followers] & pairs_seen(samples, library, (followers,), (heads,))
     who, when = np.nonzero(seen)
-    every = stride(len(who), rows, samples.rows)
+    every = stride(len(who), PAIRED_ROWS, samples.rows)
     who, when = who[::every], when[::every]
     extra, _ = pair_features(samples, library, followers[who], heads[who], when)
     target = samples.target[followers[who], when]
     features = np.concatenate([extra, shared[group[who], when]], axis=1)
-    return features, target, np.ones(len(target)), float((target**2).sum())
+    say = _say(group[who]) if by_head else np.ones(len(target))
+    return features, target * say[:, None], say, float((target**2).sum(axis=1) @ say)
+
+
+def _say(group: Indices) -> Floats:
+    """``(f,)`` weights by which all groups have the same say, 1 in the mean."""
+    say = 1.0 / np.bincount(group)[group]
+    return np.asarray(say / say.mean(), np.float64)
 
 
 def directions(samples: Samples, strategy: Strategy, followers: Indices, heads: Indices) -> tuple[Floats, Mask]:

@@ -10,6 +10,7 @@ from usnet_env import Window
 from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, register_follow_strategy, start
 
 OWN_DELAYS = "tests_own_delays"
+MAJORITY = "tests_majority"
 
 
 class OwnDelays(FollowStrategy):
@@ -22,7 +23,13 @@ class OwnDelays(FollowStrategy):
         return inputs.head_velocity[np.arange(len(delay)), delay]
 
 
+def majority(inputs):
+    """On every axis the sign of the head's last three velocities together."""
+    return np.sign(inputs.head_velocity[:, :3].sum(axis=1))
+
+
 register_follow_strategy(OWN_DELAYS, OwnDelays())
+register_follow_strategy(MAJORITY, majority, lags=3)
 
 
 def swarm_window(seed, **config):
