@@ -116,9 +116,9 @@ def head_features(samples: Samples, library: Library, heads: Indices | slice = s
     shape = past.shape[:2]
     parts = []
     if library.linear:
-        parts.append(past.reshape(*shape, -1))
+        parts.append(past.reshape(*shape, 3 * library.lags))
     if library.squares:
-        parts.append((past * past).reshape(*shape, -1))
+        parts.append((past * past).reshape(*shape, 3 * library.lags))
     if library.products:
         parts.append((past[..., [1, 2, 0]] * past[..., [2, 0, 1]]).reshape(*shape, -1))
     if library.across:
@@ -156,7 +156,7 @@ def pair_features(
             np.multiply(towards, distance > library.reach, out=features[..., 6:9])
     if library.own:
         past = samples.lagged[behind][..., : library.lags, :]
-        features[..., library.extra - 3 * library.lags :] = past.reshape(*past.shape[:-2], -1)
+        features[..., library.extra - 3 * library.lags :] = past.reshape(*past.shape[:-2], 3 * library.lags)
     return features, seen
 
 
@@ -330,7 +330,7 @@ def _paired_gain(
     shared = _axes_first(features @ strategy.coefficients[extra:])
     alone = np.zeros((3, len(voters), 1, 1), np.float32)
     if library.own:
-        past = samples.lagged[voters][:, :, : library.lags].reshape(len(voters), samples.rows, -1)
+        past = samples.lagged[voters][:, :, : library.lags].reshape(len(voters), samples.rows, 3 * library.lags)
         alone = _axes_first(past @ strategy.coefficients[extra - 3 * library.lags : extra])[:, :, None]
     toward = strategy.coefficients[:extra].astype(np.float32)
     position = _axes_first(samples.position)

@@ -262,3 +262,9 @@ def test_who_is_left_over_where_moments_are_missing_is_asked_again():
     for seed in range(12, 17):
         window, truth = swarm_window(seed, follow="f6", clusters=5, uavs=82, miss_rate=0.3)
         assert np.array_equal(FollowMixture().detect(window).candidates, truth.head)
+
+
+def test_nothing_is_fitted_where_no_moment_is_seen_with_all_of_its_past():
+    samples, _, leader, _ = seen(4, follow="f1", miss_rate=0.9)
+    assert not samples.lag_seen[leader >= 0].all(axis=2).any()
+    assert fit_strategy(samples, leader, Library(4, own=True)) is None
