@@ -24,6 +24,7 @@ SMOOTH = 0.55  # lag-1 autocorrelation from which on a head flies at once with i
 _MEMORIES = np.concatenate([np.linspace(0.0, 0.9, 7), [0.95, 0.98]])
 _POWERS = np.exp(np.linspace(np.log(0.005), np.log(2.0), 16))  # of the mean periodogram
 _NOISES = np.concatenate([[1e-4], np.exp(np.linspace(np.log(0.005), 0.0, 24))])
+_NOTHING = 1e-12  # of the square of the mean speed: who flies straight and is seen without noise has no spectrum
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,7 @@ def fit_spectra(velocity: Floats) -> FlightSpectra:
     shapes = (1.0 - _MEMORIES[:, None] ** 2) / (
         1.0 - 2.0 * _MEMORIES[:, None] * np.cos(omega) + _MEMORIES[:, None] ** 2
     )
-    scale = float(periodogram.mean())
+    scale = max(float(periodogram.mean()), _NOTHING)
     powers = scale * _POWERS
     best, found = np.inf, FlightSpectra(np.full(uavs, scale), np.zeros(uavs), 0.0)
     for noise in 0.5 * scale * _NOISES:

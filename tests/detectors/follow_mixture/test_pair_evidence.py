@@ -14,6 +14,7 @@ from detectors.follow_mixture.explain import at_once, missed_by_flocks, nearly_a
 from detectors.follow_mixture.explanation import KINDS, Explanation
 from detectors.follow_mixture.history import own_history
 from detectors.follow_mixture.likelihood import Noise, flight_likelihood, log_normaliser, natural_parameters
+from detectors.follow_mixture.noise import fit_spectra
 from detectors.follow_mixture.pair_evidence import (
     explained_by_pairs,
     flies_with,
@@ -268,3 +269,10 @@ def test_nothing_is_fitted_where_no_moment_is_seen_with_all_of_its_past():
     samples, _, leader, _ = seen(4, follow="f1", miss_rate=0.9)
     assert not samples.lag_seen[leader >= 0].all(axis=2).any()
     assert fit_strategy(samples, leader, Library(4, own=True)) is None
+
+
+def test_straight_flight_that_is_seen_without_noise_has_no_spectrum():
+    flight = np.tile(np.array([1.0, 0.0, 0.0]), (5, 8, 1))
+    spectra = fit_spectra(flight)
+    assert 0 < spectra.noise < 1e-12
+    assert (spectra.power < 1e-6).all()
