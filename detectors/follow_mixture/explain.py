@@ -159,7 +159,7 @@ def nearly_all(found: Explanation) -> bool:
 
 def in_doubt(found: Explanation) -> bool:
     """Whether flocks found no strategy that all share, or left many out."""
-    return not found.strategy.get("shared") or unled(found) > LEFT_OUT * len(found.leader)
+    return not found.strategy["shared"] or unled(found) > LEFT_OUT * len(found.leader)
 
 
 def followed(found: Explanation) -> NDArray[np.int64]:
@@ -180,23 +180,21 @@ def by_everybody(
     pairs: PairEvidence,
     flocks: Flocks,
     starts: list[NDArray[np.int64]],
-    found: Explanation | None,
+    found: Explanation,
     most: int | None,
 ) -> Explanation | None:
-    """What everybody says together, where flocks ``found`` heads in doubt or none; ``None`` if that is no better.
+    """What everybody says together, where flocks ``found`` heads in doubt; ``None`` if that is no better.
 
     Where delays differ from follower to follower the earlier explain the later as well as their head does. But they fly
-    at once with others who have the same delay, and these follow somebody else. And heads that flocks found are not
-    dropped for those who are left out without.
+    at once with others who have the same delay, and these follow somebody else. And where no head of flocks passed its
+    gate, it must be shown that anybody is followed.
     """
-    if found is not None:
-        starts = [followed(found), *starts]
-    for mixture in climb_together(samples, history, pairs, starts, most):
-        if leads_its_flock(mixture, flocks) or (found is not None and drops(samples, history, mixture, found)):
+    for mixture in climb_together(samples, history, pairs, [followed(found), *starts], most):
+        if leads_its_flock(mixture, flocks) or drops(samples, history, mixture, found):
             continue
         better = with_led(samples, history, pairs, mixture) if unexplained(mixture) else mixture
         answer = explained_by_mixture(samples, history, better)
-        if answer is not None and 2 * answer.passed.sum() > len(answer.heads):
+        if answer is not None and (found.passed.any() or 2 * answer.passed.sum() > len(answer.heads)):
             return answer
     return None
 
@@ -212,9 +210,14 @@ def leads_its_flock(mixture: Mixture, flocks: Flocks) -> bool:
 
 
 def drops(samples: Samples, history: OwnHistory, mixture: Mixture, found: Explanation) -> bool:
-    """Whether a head of flocks is none any more, though it does not fly as those do whom it is put among."""
-    leader = mixture.heads.leader
-    for head in np.setdiff1d(found.heads[found.passed], mixture.heads.heads):
+    """Whether a head of flocks is dropped that does not fly as those do whom it is put among.
+
+    Where others take the place of some, flocks were wrong about more than these.
+    """
+    heads, leader = mixture.heads.heads, mixture.heads.leader
+    if len(np.setdiff1d(heads, found.heads)):
+        return False
+    for head in np.setdiff1d(found.heads[found.passed], heads):
         fellows = np.flatnonzero((leader == leader[head]) & (leader >= 0))
         if not flies_with(samples, history, int(head), fellows[fellows != head]):
             return True

@@ -25,6 +25,7 @@ _FAILED = 0.2  # what is left of a head's probability where chance explains as m
 _UNKNOWN = 0.45  # the most likely that somebody is a head by the way of flying alone
 _A_BIT = 1.0  # nats: a follower that is badly predicted gains little by its head, a head loses by another
 _LEAST = 20.0  # nats that a head adds at least
+_LEAST_SHARE = 0.05  # of a swarm that follows, in flocks of two and more
 _LONE_SHARE = 0.2  # of a swarm that follows, where nobody who follows flies as somebody else does: of n² pairs of
 #                    flights a few match by luck
 
@@ -38,8 +39,9 @@ def flock_gate(watch: Watch, found: FlockHeads) -> Gate:
     observed = _per_head(watch, found, followed, 0)
     surrogates = np.array([_per_head(watch, found, followed, shift) for shift in wrong_times(rows)])
     gate = judged(count, observed - head_price(watch.uavs), surrogates)
-    together = (np.bincount(watch.label, minlength=watch.flocks) > 1) & followed
-    enough = together.any() or followed.sum() >= _LONE_SHARE * watch.uavs
+    sizes = np.bincount(watch.label, minlength=watch.flocks)
+    together = int(sizes[(sizes > 1) & followed].sum())
+    enough = together >= _LEAST_SHARE * watch.uavs or followed.sum() >= _LONE_SHARE * watch.uavs
     return replace(gate, passed=gate.passed & (gate.added > _LEAST) & enough)
 
 
