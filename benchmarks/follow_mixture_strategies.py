@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from usnet_env.swarm import FollowInputs, FollowStrategy, register_follow_strategy
 
-__all__ = ["OUT_OF_LIST", "UNSEEN"]
+__all__ = ["LOOKED_AT", "OUT_OF_LIST", "UNSEEN"]
 
 Array = NDArray[np.float32]
 
@@ -89,6 +89,26 @@ def majority(inputs: FollowInputs) -> Array:
     return np.sign(inputs.head_velocity[:, :3].sum(axis=1))
 
 
+Array = NDArray[np.float32]
+
+
+def osprey(inputs: FollowInputs) -> Array:
+    """Where the head flies next if it keeps turning in the plane and by the angle of its last turn."""
+    now, before = inputs.head_velocity[:, 0], inputs.head_velocity[:, 1]
+    cosine = (now * before).sum(axis=1, keepdims=True)
+    return (2.0 * cosine * now - before).astype(np.float32)
+
+
+def heron(inputs: FollowInputs) -> Array:
+    """Parallel navigation: across the line of sight as the head (two lags), along it always towards the head."""
+    gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
+    distance = np.sqrt((gap * gap).sum(axis=1, keepdims=True))
+    sight = gap / np.maximum(distance, 5.0)  # fades when close, where the line of sight has no direction
+    velocity = inputs.head_velocity[:, 0] + 0.6 * inputs.head_velocity[:, 1]
+    along = (velocity * sight).sum(axis=1, keepdims=True)
+    return (velocity + (np.abs(along) - along) * sight).astype(np.float32)
+
+
 def _register() -> tuple[str, ...]:
     register_follow_strategy("own_delays", OwnDelays())
     register_follow_strategy("turned", Turned())
@@ -99,12 +119,15 @@ def _register() -> tuple[str, ...]:
         ("formation_offset", formation, 1),
         ("median", median, 3),  # this one and the next were written by another hand than the detector
         ("pursuit", pursuit, 2),
-        ("swerve", swerve, 1),  # added when the detector was done
+        ("swerve", swerve, 1),
         ("majority", majority, 3),
+        ("osprey", osprey, 2),  # by another hand, and not looked at before the rows that are published
+        ("heron", heron, 2),
     ):
         register_follow_strategy(name, function, lags=lags)
     return "own_delays", "turned", "saturated", "products", "absolute", "formation_offset", "median", "pursuit"
 
 
 OUT_OF_LIST = _register()
-UNSEEN = ("swerve", "majority")  # that nothing was built for, nor looked at before the rows that are published
+LOOKED_AT = ("swerve", "majority")  # unseen by an earlier build, which did badly on the second
+UNSEEN = ("osprey", "heron")  # that nothing was built for, nor looked at before the rows that are published
