@@ -7,7 +7,7 @@ python benchmarks/follow_mixture.py --reliability     # head probabilities again
 python benchmarks/follow_mixture.py --policies        # J of policy='cost' and 'map' where both played an episode
 
 Rows go to benchmarks/results/follow_mixture/<tier>.csv, one an episode, as they come; episodes that are there are not
-played again. Swarm seeds come from --seed (4044 by default; below 1000 for tuning) and the episode's number.
+played again. Swarm seeds come from --seed (6066 by default; below 1000 for tuning) and the episode's number.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from mixture_windows import MAJORITY, OWN_DELAYS, problem, swarm_window
 
+from detectors.follow_mixture import explain
 from detectors.follow_mixture.detector import FollowMixture
 from detectors.follow_mixture.explain import by_everybody, by_flocks, drops, evidence_of, in_doubt
 from detectors.follow_mixture.explanation import Explanation
@@ -14,6 +15,7 @@ from detectors.follow_mixture.flock_heads import watch_flocks
 from detectors.follow_mixture.flock_search import first_guesses, flights, seen_spectra
 from detectors.follow_mixture.flocks import flocks_of
 from detectors.follow_mixture.mixture import fit_mixture
+from detectors.follow_mixture.mixture_evidence import explained_by_mixture
 from detectors.follow_mixture.pair_evidence import pair_evidence
 from detectors.follow_mixture.samples import samples_of
 from detectors.follow_mixture.search import climb_together, unexplained
@@ -149,3 +151,19 @@ def test_a_head_that_flies_like_none_of_those_it_is_put_among_is_not_dropped():
     assert not drops(samples, history, without, replace(found, passed=np.array([False, True, True])))
     fellow = int(np.flatnonzero(leader == heads[1])[0])  # a follower whom flocks took for a head may be put back
     assert not drops(samples, history, right, replace(found, heads=np.append(heads, fellow), passed=np.ones(4, bool)))
+
+
+def test_without_a_gate_that_passed_nobody_is_said_to_be_followed(monkeypatch):
+    _, truth, samples, flocks, found = told(2, **BY_MAJORITY)
+    assert not wrong_about_heads(truth, everybody(samples, flocks, found))
+    nobody = replace(found, heads=np.empty(0, np.int64), passed=np.empty(0, bool))
+    assert not wrong_about_heads(truth, everybody(samples, flocks, nobody))
+
+    def failed(*arguments):
+        answer = explained_by_mixture(*arguments)
+        return replace(answer, passed=np.zeros(len(answer.heads), bool))
+
+    monkeypatch.setattr(explain, "explained_by_mixture", failed)
+    assert everybody(samples, flocks, nobody) is None
+    one = replace(found, heads=np.flatnonzero(truth.head)[:1], passed=np.ones(1, bool))
+    assert everybody(samples, flocks, one) is not None

@@ -178,6 +178,24 @@ def test_a_few_lone_flights_that_match_are_luck():
     assert not one.passed.any()
 
 
+@pytest.mark.parametrize(("uavs", "passes"), [(30, True), (60, False)])
+def test_a_flock_of_two_in_a_large_swarm_that_matches_is_luck(uavs, passes):
+    label = np.concatenate([[0, 0], np.arange(1, uavs - 1)])  # one pair of fellows, and everybody else alone
+    flocks = uavs - 1
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=(uavs, 30, 1, 3))
+    flight = np.zeros((flocks + uavs, 30, 3))
+    flight[:flocks] = 0.1 * rng.normal(size=(flocks, 30, 3))
+    flight[0] = values[9, :, 0] + 0.01 * rng.normal(size=(30, 3))
+    head = np.full(flocks, -1)
+    head[0] = 9
+    watch = Watch(label, flight, np.zeros((flocks + uavs, 30, 1)))
+    found = FlockHeads(head, np.zeros((flocks, uavs)), Shown(Library(1, isotropic=True), values), np.ones(1), 0.0, 0.0)
+    gate = flock_gate(watch, found)
+    assert (gate.added > 2 * gate.chance).all()
+    assert gate.passed.all() == passes  # two of sixty are less than a twentieth
+
+
 def test_at_most_so_many_heads():
     samples, watch, _ = watched(19, uavs=40)
     assert len(heads_of_flocks(samples, watch, most=2).heads) == 2
