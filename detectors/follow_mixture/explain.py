@@ -158,8 +158,9 @@ def nearly_all(found: Explanation) -> bool:
 
 
 def in_doubt(found: Explanation) -> bool:
-    """Whether flocks found no strategy that all share, or left many out."""
-    return not found.strategy["shared"] or unled(found) > LEFT_OUT * len(found.leader)
+    """Whether flocks left many out, or found no strategy that all share and left somebody out or had a gate fail."""
+    sure = found.strategy["shared"] or (unled(found) <= 0 and found.passed.all())
+    return not sure or unled(found) > LEFT_OUT * len(found.leader)
 
 
 def followed(found: Explanation) -> NDArray[np.int64]:

@@ -176,6 +176,7 @@ def flock_libraries(lags: int) -> list[Library]:
     mixed = [Library(lags, squares=True), Library(1, squares=True, products=True)]
     if lags > 1:
         mixed.append(Library(2, squares=True, products=True, across=True))
+        mixed.append(Library(2, linear=False, turns=True, isotropic=True))
     return linear + squares + mixed
 
 

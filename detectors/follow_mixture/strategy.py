@@ -53,6 +53,8 @@ class Library:
         isotropic: the same law on every axis.
         reach: metres; the direction to the head counts apart within and beyond it. 0: the same everywhere.
         across: products of the last velocity and the one before, axis by axis.
+        turns: the last velocity, the one before and their cross product, times powers of their cosine up to the second.
+            With the same law on every axis: whatever of two velocities turns as they do, to second order.
     """
 
     lags: int
@@ -64,11 +66,12 @@ class Library:
     isotropic: bool = False
     reach: float = 0.0
     across: bool = False
+    turns: bool = False
 
     @property
     def name(self) -> str:
         """How the class is called in reports."""
-        names = ("linear", "squares", "products", "across", "towards", "own", "isotropic")
+        names = ("linear", "squares", "products", "across", "turns", "towards", "own", "isotropic")
         parts = [name for name in names if getattr(self, name)]
         if self.reach:
             parts.append(f"reach[{self.reach:.0f} m]")
@@ -121,8 +124,12 @@ def head_features(samples: Samples, library: Library, heads: Indices | slice = s
         parts.append((past * past).reshape(*shape, 3 * library.lags))
     if library.products:
         parts.append((past[..., [1, 2, 0]] * past[..., [2, 0, 1]]).reshape(*shape, -1))
+    newest, before = past[:, :, 0], past[:, :, min(1, library.lags - 1)]
+    if library.turns:
+        vectors = np.stack([newest, before, np.cross(newest, before)], axis=2)
+        cosine = np.vecdot(newest, before)[..., None, None]
+        parts.append(np.concatenate([vectors, cosine * vectors, cosine**2 * vectors], axis=2).reshape(*shape, 27))
     if library.across:
-        newest, before = past[:, :, 0], past[:, :, min(1, library.lags - 1)]
         parts.append((newest[..., :, None] * before[..., None, :]).reshape(*shape, -1))
     parts.append(np.ones((*shape, 1)))
     return np.concatenate(parts, axis=2), valid

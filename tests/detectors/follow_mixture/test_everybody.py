@@ -99,8 +99,10 @@ def test_a_shared_strategy_that_leaves_nobody_out_is_not_in_doubt():
         passed=np.array([True]),
     )
     assert not in_doubt(sure)
-    sure.strategy["shared"] = False
-    assert in_doubt(sure)
+    sure.strategy["shared"] = False  # each pair its own, but nobody is left and all gates pass
+    assert not in_doubt(sure)
+    assert in_doubt(replace(sure, passed=np.array([False])))
+    assert in_doubt(replace(sure, leader=np.array([-1, 0, 0, -1])))
 
 
 @pytest.mark.parametrize("seed", range(4))
