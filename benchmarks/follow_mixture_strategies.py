@@ -109,6 +109,27 @@ def heron(inputs: FollowInputs) -> Array:
     return (velocity + (np.abs(along) - along) * sight).astype(np.float32)
 
 
+def curlew(inputs: FollowInputs) -> Array:
+    """Track guidance: along the head's course (two lags), and back onto its track line by the cross-track error."""
+    course = inputs.head_velocity[:, 0] + inputs.head_velocity[:, 1]
+    course = course / np.maximum(np.sqrt((course * course).sum(axis=1, keepdims=True)), 1e-3)
+    gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
+    error = gap - (gap * course).sum(axis=1, keepdims=True) * course
+    return (course + error / np.sqrt((error * error).sum(axis=1, keepdims=True) + 80.0**2)).astype(np.float32)
+
+
+def dunlin(inputs: FollowInputs) -> Array:
+    """A limited turn rate: from its own last velocity towards the head's (two lags), by at most 0.9 radians a step."""
+    own = inputs.own_position[:, 0] - inputs.own_position[:, 1]
+    own = own / np.maximum(np.sqrt((own * own).sum(axis=1, keepdims=True)), 1e-3)
+    wanted = inputs.head_velocity[:, 0] + 0.7 * inputs.head_velocity[:, 1]
+    along = (wanted * own).sum(axis=1, keepdims=True)
+    aside = wanted - along * own
+    across = np.sqrt((aside * aside).sum(axis=1, keepdims=True))
+    angle = np.minimum(np.arctan2(across, along), 0.9)
+    return (np.cos(angle) * own + np.sin(angle) * aside / np.maximum(across, 1e-6)).astype(np.float32)
+
+
 def _register() -> tuple[str, ...]:
     register_follow_strategy("own_delays", OwnDelays())
     register_follow_strategy("turned", Turned())
@@ -121,13 +142,15 @@ def _register() -> tuple[str, ...]:
         ("pursuit", pursuit, 2),
         ("swerve", swerve, 1),
         ("majority", majority, 3),
-        ("osprey", osprey, 2),  # by another hand, and not looked at before the rows that are published
+        ("osprey", osprey, 2),  # this one and the next three were written by another hand as well
         ("heron", heron, 2),
+        ("curlew", curlew, 2),
+        ("dunlin", dunlin, 2),
     ):
         register_follow_strategy(name, function, lags=lags)
     return "own_delays", "turned", "saturated", "products", "absolute", "formation_offset", "median", "pursuit"
 
 
 OUT_OF_LIST = _register()
-LOOKED_AT = ("swerve", "majority")  # unseen by an earlier build, which did badly on the second
-UNSEEN = ("osprey", "heron")  # that nothing was built for, nor looked at before the rows that are published
+LOOKED_AT = ("swerve", "majority", "osprey", "heron")  # unseen by earlier builds, which did badly on two of them
+UNSEEN = ("curlew", "dunlin")  # that nothing was built for, nor looked at before the rows that are published

@@ -11,6 +11,7 @@ from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, register_follo
 
 OWN_DELAYS = "tests_own_delays"
 MAJORITY = "tests_majority"
+ONWARDS = "tests_onwards"
 
 
 class OwnDelays(FollowStrategy):
@@ -28,8 +29,15 @@ def majority(inputs):
     return np.sign(inputs.head_velocity[:, :3].sum(axis=1))
 
 
+def onwards(inputs):
+    """Where the head flies next if it turns again as it did."""
+    now, before = inputs.head_velocity[:, 0], inputs.head_velocity[:, 1]
+    return 2.0 * np.vecdot(now, before)[:, None] * now - before
+
+
 register_follow_strategy(OWN_DELAYS, OwnDelays())
 register_follow_strategy(MAJORITY, majority, lags=3)
+register_follow_strategy(ONWARDS, onwards, lags=2)
 
 
 def swarm_window(seed, **config):

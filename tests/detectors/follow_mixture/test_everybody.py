@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from mixture_windows import MAJORITY, OWN_DELAYS, problem, swarm_window
+from mixture_windows import MAJORITY, ONWARDS, OWN_DELAYS, problem, swarm_window
 
 from detectors.follow_mixture import explain
 from detectors.follow_mixture.detector import FollowMixture
@@ -169,3 +169,11 @@ def test_without_a_gate_that_passed_nobody_is_said_to_be_followed(monkeypatch):
     assert everybody(samples, flocks, nobody) is None
     one = replace(found, heads=np.flatnonzero(truth.head)[:1], passed=np.ones(1, bool))
     assert everybody(samples, flocks, one) is not None
+
+
+def test_heads_whose_next_move_is_foretold_from_their_last_turn_are_found():
+    """Cubic in velocities: in no class but that of turns."""
+    for seed in range(3):
+        window, truth = swarm_window(seed, follow=ONWARDS, clusters=5, uavs=82)
+        answer = FollowMixture().detect(window)
+        np.testing.assert_array_equal(answer.candidates, truth.head)

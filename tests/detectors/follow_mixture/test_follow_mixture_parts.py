@@ -269,3 +269,21 @@ def test_the_policy_keeps_to_its_budget_and_to_the_living():
     assert not choose(np.full(4, 0.1), alive, Policy(policy="map"), tie).any()
     assert choose(np.full(4, 0.001), alive, Policy(), tie).sum() >= 1
     assert not choose(probability, np.zeros(4, bool), Policy(), tie).any()
+
+
+def test_what_turns_as_two_velocities_do_is_in_the_class_of_turns():
+    """The features of turned velocities are the turned features; the next move of who keeps turning is one of them."""
+    samples, _, _, _ = problem(3)
+    library = Library(2, linear=False, turns=True, isotropic=True)
+    rng = np.random.default_rng(0)
+    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    plain, turned = (
+        head_features(replace(samples, lagged=lagged), library)[0][..., :-1].reshape(30, samples.rows, 9, 3)
+        for lagged in (samples.lagged, samples.lagged @ turn.T)
+    )
+    np.testing.assert_allclose(turned, plain @ turn.T, atol=1e-6)
+    newest, before = samples.lagged[:, :, 0], samples.lagged[:, :, 1]
+    onwards = 2.0 * np.vecdot(newest, before)[..., None] * newest - before
+    np.testing.assert_allclose(2.0 * plain[:, :, 3] - plain[:, :, 1], onwards, atol=1e-6)
+    assert library.name == "turns+isotropic(2)"
