@@ -139,7 +139,7 @@ _TIERS = (
     ("noise", ("gauss_markov-0.3",), "f1-f3", "the same, smooth heads"),
     ("noise", ("gauss_markov-0.3",), "f4-f7", "the same, smooth heads"),
     ("decoys", (), "f1-f7", "1, 3 or 10 decoys"),
-    ("unlisted", (), "fourteen others", "strategies of no list, iid and smooth heads"),
+    ("unlisted", (), "14 others", "strategies of no list, iid and smooth heads"),
     ("silence", (), "nobody follows", "six mobilities, with jitter and without"),
 )
 _BESIDE = ("lagged-regression", "destroy-all")
