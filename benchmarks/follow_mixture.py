@@ -29,7 +29,7 @@ from usnet_env.drawing import new_figure
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.evaluation.statistics import mean_interval, rate_interval
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.objectives import average_precision, multi_cluster_objective, single_cluster_objective
 from usnet_env.plugins import detector_label, make_detector
 
@@ -472,9 +472,9 @@ def main() -> None:
         found = reliability(list(dict.fromkeys(cell.tier for cell in wanted)), asked.results, asked.seed)
         if not found:
             raise SystemExit("There are no rows yet: play some cells first.")
-        with written_whole(asked.results / "reliability.md") as aside:
+        with atomic_write(asked.results / "reliability.md") as aside:
             aside.write_text(reliability_tables(found), encoding="utf-8")
-        with written_whole(asked.results / "reliability.png") as aside:
+        with atomic_write(asked.results / "reliability.png") as aside:
             reliability_figure(found).savefig(aside, format="png", dpi=100)
         print(reliability_tables(found))
         return
@@ -487,7 +487,7 @@ def main() -> None:
             ("policies.md", policies, wanted),
         )
         for name, lines, some in pages:
-            with written_whole(asked.results / name) as aside:
+            with atomic_write(asked.results / name) as aside:
                 aside.write_text("\n".join([*lines(some, asked.results, asked.seed), ""]).lstrip(), encoding="utf-8")
         return
     if asked.policies:

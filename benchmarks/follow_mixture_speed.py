@@ -29,7 +29,7 @@ from speed_helpers import seconds as seconds_by
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.statistics import rate_interval
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.objectives import exact, multi_cluster_objective
 from usnet_env.plugins import make_detector
 from usnet_env.provenance import machine, versions
@@ -238,7 +238,7 @@ def main() -> None:
         "gassl": beside_gassl(arguments.episodes),
     }
     write_json(arguments.out, result)
-    with written_whole(arguments.out.with_suffix(".md")) as aside:
+    with atomic_write(arguments.out.with_suffix(".md")) as aside:
         aside.write_text(tables(result) + "\n", encoding="utf-8")
     print(f"\n{tables(result)}")
 

@@ -25,7 +25,7 @@ from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import play_episode, warm_up
 from usnet_env.evaluation.players import as_player
 from usnet_env.evaluation.statistics import Interval, mean_interval, rate_interval
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.plugins import make_detector
 
 LEARNED = "detectors.learned:Learned"
@@ -176,7 +176,7 @@ def main() -> None:
         wanted = [cell for cell in cells if cell["detector"] in asked.detectors]
         rows = play_cells(path, wanted, lambda _: asked.games, one)
     text = text_of(rows)
-    with written_whole(path.with_suffix(".md")) as aside:
+    with atomic_write(path.with_suffix(".md")) as aside:
         aside.write_text(text + "\n", encoding="utf-8")
     print(text)
 

@@ -11,7 +11,7 @@ from typing import Any
 from multiagent_table import RESULTS, play_cells, table
 
 from usnet_env import make_detector
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.multiagent.play import play_game
 from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.multiagent.usnet_observers_v0 import parallel_env
@@ -56,7 +56,7 @@ def main() -> None:
         "seen_in_round_1": "UAVs seen in round 1",
     }
     text = table(rows, ["range", "observers", "fusion"], columns)
-    with written_whole(RESULTS / "multiagent_observers.md") as aside:
+    with atomic_write(RESULTS / "multiagent_observers.md") as aside:
         aside.write_text(text + "\n", encoding="utf-8")
     print(text)
 

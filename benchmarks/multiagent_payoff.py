@@ -11,7 +11,7 @@ from typing import Any
 from multiagent_table import RESULTS, play_cells, table
 
 from usnet_env import make_detector
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.multiagent.play import play_game
 from usnet_env.multiagent.policies import CamouflagedHead, DetectorObserver, Policy, RandomHead, TruthfulHead
 from usnet_env.multiagent.usnet_evasion_v0 import parallel_env
@@ -69,7 +69,7 @@ def main() -> None:
         "first_redundant": "redundant in round 1",
     }
     text = table(rows, ["follow", "observer", "swarm"], columns)
-    with written_whole(RESULTS / "multiagent_payoff.md") as aside:
+    with atomic_write(RESULTS / "multiagent_payoff.md") as aside:
         aside.write_text(text + "\n", encoding="utf-8")
     print(text)
 

@@ -24,7 +24,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from usnet_env import make_detector
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.multiagent.usnet_evasion_v0 import OBSERVER, parallel_env
 
@@ -140,7 +140,7 @@ def earlier(path: Path) -> list[dict[str, Any]]:
 
 
 def write(path: Path, rows: list[dict[str, Any]]) -> None:
-    with written_whole(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
@@ -196,9 +196,9 @@ def main() -> None:
         write(RESULTS / "multiagent_ppo.csv", rows)
     columns = {"J": "J_m", "swarm_payoff": "J_m less the price", "success": "all heads hit"}
     text = table(rows, ["detector", "follow", "swarm"], {**columns, **{name: name for name in CHOICES}})
-    with written_whole(RESULTS / "multiagent_ppo.md") as aside:
+    with atomic_write(RESULTS / "multiagent_ppo.md") as aside:
         aside.write_text(text + "\n", encoding="utf-8")
-    with written_whole(RESULTS / "multiagent_ppo.png") as aside:
+    with atomic_write(RESULTS / "multiagent_ppo.png") as aside:
         draw(curves).savefig(aside, format="png", dpi=100)
     print(text)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from usnet_env.evaluation.statistics import mean_interval, rate_interval
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 
 RESULTS = Path(__file__).parent / "results"
 SEED = 2022  # of the first game; seeds of published games were not used for tuning
@@ -37,7 +37,7 @@ def play_cells(
         for seed in missing:
             rows.append({**plain, "seed": str(seed), **{name: str(value) for name, value in play(cell, seed).items()}})
         if missing:
-            with written_whole(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
+            with atomic_write(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
                 writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
                 writer.writeheader()
                 writer.writerows(rows)

@@ -36,7 +36,7 @@ from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import play_episode
 from usnet_env.evaluation.players import as_player
 from usnet_env.evaluation.statistics import mean_interval, rate_interval
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.plugins import make_detector
 from usnet_env.swarm.random_follow import random_follow_strategy
 
@@ -217,7 +217,7 @@ def measured(detectors: Mapping[str, Any], games: int) -> list[dict[str, Any]]:
 
 
 def write(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    with written_whole(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
@@ -242,7 +242,7 @@ def main() -> None:
             pivot(rows, keys, "exact", rate_interval, list(detectors)),
         ]
     )
-    with written_whole(RESULTS / "ppo_observer.md") as aside:
+    with atomic_write(RESULTS / "ppo_observer.md") as aside:
         aside.write_text(text + "\n", encoding="utf-8")
     print(text)
 

@@ -18,7 +18,7 @@ from detectors.gassl.agat import Agat, AgatSizes
 from detectors.gassl.ifsn import Ifsn
 from detectors.gassl.input_pooling import InputPooling, standardise
 from detectors.gassl.inputs import samples_of
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "detectors" / "gassl"))
@@ -105,5 +105,5 @@ def peak_memory(imports: Sequence[str], env: str, detector: str) -> dict[str, in
 
 def write_json(path: Path, result: dict[str, object]) -> None:
     """The file appears whole."""
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         aside.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.base import Detector
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -65,7 +65,7 @@ class PolicyDetector(Detector):
         threshold: of the third form; 0 is right for logits, 0.5 for probabilities.
 
     Raises:
-        InvalidArgument: from :meth:`reset` and :meth:`detect`: the policy has none of the forms, holds an environment,
+        ArgumentError: from :meth:`reset` and :meth:`detect`: the policy has none of the forms, holds an environment,
             or gives another number of values than UAVs.
     """
 
@@ -161,19 +161,19 @@ class PolicyDetector(Detector):
     def _check_arguments(self) -> None:
         policy = self.policy
         if isinstance(policy, type) or not (callable(policy) or callable(getattr(policy, "predict", None))):
-            raise InvalidArgument(
-                f"policy must have predict(observation, ...), or be a TorchRL or PyTorch module, got {shown(policy)}."
+            raise ArgumentError(
+                f"policy must have predict(observation, ...), or be a TorchRL or PyTorch module, got {quote(policy)}."
             )
         for name in ("env", "_vec_normalize_env"):
             if getattr(policy, name, None) is not None:
-                raise InvalidArgument(
+                raise ArgumentError(
                     f"policy must hold no environment (of a Stable-Baselines3 model give model.policy), got one "
                     f"with {name}."
                 )
         if self.observe is not None and not callable(self.observe):
-            raise InvalidArgument(f"observe must be a function of a window or None, got {shown(self.observe)}.")
+            raise ArgumentError(f"observe must be a function of a window or None, got {quote(self.observe)}.")
         if isinstance(self.threshold, bool) or not isinstance(self.threshold, int | float):
-            raise InvalidArgument(f"threshold must be a number, got {shown(self.threshold)}.")
+            raise ArgumentError(f"threshold must be a number, got {quote(self.threshold)}.")
 
 
 def _array(value: Any) -> NDArray[Any]:
@@ -200,7 +200,7 @@ def _per_uav(value: Any, uavs: int) -> NDArray[np.float64]:
     """``(uavs,)`` numbers, with or without axes of length 1."""
     values = _array(value)
     if values.size != uavs or values.dtype.kind not in "biuf":
-        raise InvalidArgument(f"policy must give one number for each of {uavs} UAVs, got shape {values.shape}.")
+        raise ArgumentError(f"policy must give one number for each of {uavs} UAVs, got shape {values.shape}.")
     return values.reshape(uavs).astype(np.float64)
 
 
@@ -210,9 +210,9 @@ def _candidates(action: Any, uavs: int) -> NDArray[np.bool_]:
     if values.size == 1 and uavs > 1 and values.dtype.kind in "iu":
         index = int(values.reshape(()))
         if not 0 <= index < uavs:
-            raise InvalidArgument(f"policy must name a UAV from 0 to {uavs - 1}, got {index}.")
+            raise ArgumentError(f"policy must name a UAV from 0 to {uavs - 1}, got {index}.")
         return np.arange(uavs) == index
     bits = _per_uav(values, uavs)
     if not ((bits == 0) | (bits == 1)).all():
-        raise InvalidArgument(f"policy must give an action of 0 and 1, got {shown(values)}.")
+        raise ArgumentError(f"policy must give an action of 0 and 1, got {quote(values)}.")
     return bits.astype(bool)

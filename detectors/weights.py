@@ -17,8 +17,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from usnet_env.config import InvalidArgument, shown
-from usnet_env.files import written_whole
+from usnet_env.config import ArgumentError, quote
+from usnet_env.files import atomic_write
 
 __all__ = ["arrays_of", "packaged_arrays", "packaged_record", "read_arrays", "write_arrays", "write_weights"]
 
@@ -26,7 +26,7 @@ __all__ = ["arrays_of", "packaged_arrays", "packaged_record", "read_arrays", "wr
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Tensor]) -> bytes:
     """Write arrays as safetensors, whole or not at all; the bytes that were written."""
     data: bytes = save({name: value.detach().contiguous() for name, value in arrays.items()})
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         aside.write_bytes(data)
     return data
 
@@ -46,14 +46,14 @@ def write_weights(
         ``path``.
 
     Raises:
-        InvalidArgument: the path has another suffix or can't be written to.
+        ArgumentError: the path has another suffix or can't be written to.
     """
     final = Path(path)
     if final.suffix != ".safetensors":
-        raise InvalidArgument(f"path must be a name that ends in .safetensors, got {shown(str(path))}.")
+        raise ArgumentError(f"path must be a name that ends in .safetensors, got {quote(str(path))}.")
     data = write_arrays(final, arrays)
     record = {"sha256": sha256(data).hexdigest(), "training": dict(training), "metrics": dict(metrics)}
-    with written_whole(final.with_suffix(".json")) as aside:
+    with atomic_write(final.with_suffix(".json")) as aside:
         aside.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     return final
 
@@ -62,15 +62,15 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, Tensor]:
     """The arrays of a file that :func:`write_weights` wrote.
 
     Raises:
-        InvalidArgument: a file is missing or broken, or the arrays are not those that the JSON names.
+        ArgumentError: a file is missing or broken, or the arrays are not those that the JSON names.
     """
     final = Path(path)
     try:
         data, record = final.read_bytes(), final.with_suffix(".json").read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InvalidArgument(
-            f"path must be a weights file with its JSON beside it, got {shown(str(path))}: {reason}."
+        raise ArgumentError(
+            f"path must be a weights file with its JSON beside it, got {quote(str(path))}: {reason}."
         ) from None
     return _checked(str(path), data, record)
 
@@ -92,12 +92,12 @@ def _checked(path: str, data: bytes, record: str) -> dict[str, Tensor]:
     try:
         expected = json.loads(record)["sha256"]
     except (ValueError, KeyError, TypeError):
-        raise InvalidArgument(f"path must have a JSON with a sha256 beside it, got {shown(path)} without.") from None
+        raise ArgumentError(f"path must have a JSON with a sha256 beside it, got {quote(path)} without.") from None
     found = sha256(data).hexdigest()
     if found != expected:
-        raise InvalidArgument(
-            f"path must hold the weights that its JSON names (sha256 {shown(expected)}), "
-            f"got {shown(path)} with the sha256 {found!r}."
+        raise ArgumentError(
+            f"path must hold the weights that its JSON names (sha256 {quote(expected)}), "
+            f"got {quote(path)} with the sha256 {found!r}."
         )
     return arrays_of(path, data)
 
@@ -106,10 +106,10 @@ def arrays_of(path: str, data: bytes) -> dict[str, Tensor]:
     """The arrays in the bytes of a safetensors file.
 
     Raises:
-        InvalidArgument: the bytes are none; ``path`` is named.
+        ArgumentError: the bytes are none; ``path`` is named.
     """
     try:
         arrays: dict[str, Tensor] = load(data)
     except SafetensorError as error:
-        raise InvalidArgument(f"path must be a safetensors file, got {shown(path)}: {error}.") from None
+        raise ArgumentError(f"path must be a safetensors file, got {quote(path)}: {error}.") from None
     return arrays

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, field_validator
 
-from usnet_env.config import Config, InvalidArgument, shown, unknown_name
+from usnet_env.config import ArgumentError, Config, quote, unknown_name
 
 
 class Sample(Config):
@@ -22,7 +22,7 @@ class Sample(Config):
     @classmethod
     def _short(cls, name: str) -> str:
         if len(name) > 3:
-            raise InvalidArgument(f"name must be short, got {shown(name)}.")
+            raise ArgumentError(f"name must be short, got {quote(name)}.")
         return name
 
 
@@ -46,7 +46,7 @@ class Sample(Config):
     ],
 )
 def test_each_refusal_is_one_sentence(values, sentence):
-    with pytest.raises(InvalidArgument) as caught:
+    with pytest.raises(ArgumentError) as caught:
         Sample(**values)
     assert str(caught.value) == sentence
     assert caught.value.__cause__ is None
@@ -76,7 +76,7 @@ Values = st.one_of(
 def test_any_values_are_taken_or_refused_in_one_sentence_about_one_of_them(values):
     try:
         sample = Sample(**values)
-    except InvalidArgument as error:
+    except ArgumentError as error:
         sentence = str(error)
     else:
         for name, value in values.items():
@@ -90,9 +90,9 @@ def test_any_values_are_taken_or_refused_in_one_sentence_about_one_of_them(value
 
 @given(st.text())
 def test_shown_is_one_line_and_short(text):
-    assert len(shown(text)) <= 80
-    assert "\n" not in shown(text)
-    assert shown([1, "a"]) == "[1, 'a']"
+    assert len(quote(text)) <= 80
+    assert "\n" not in quote(text)
+    assert quote([1, "a"]) == "[1, 'a']"
 
 
 def test_unknown_name_lists_the_known_and_hints_at_the_nearest():

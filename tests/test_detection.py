@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from usnet_env import Detection, InvalidArgument
+from usnet_env import ArgumentError, Detection
 
 N = 4
 
@@ -71,7 +71,7 @@ def test_only_candidates_and_scores_are_needed():
     ],
 )
 def test_a_bad_part_is_refused_in_one_sentence_that_names_it(name, value):
-    with pytest.raises(InvalidArgument, match=rf"^{name} must .*, got .*\.$") as caught:
+    with pytest.raises(ArgumentError, match=rf"^{name} must .*, got .*\.$") as caught:
         Detection(**parts(**{name: value}))
     assert "\n" not in str(caught.value)
 
@@ -85,7 +85,7 @@ def test_is_made_exactly_from_what_the_contract_allows(candidates, scores, leade
     allowed = bool(np.isfinite(scores).all() and ((leader >= -1) & (leader < 3)).all())
     try:
         detection = Detection(candidates, scores, leader=leader)
-    except InvalidArgument:
+    except ArgumentError:
         assert not allowed
     else:
         assert allowed

@@ -159,5 +159,5 @@ assert "matplotlib.pyplot" not in sys.modules
 
 def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(drawing.MissingExtra, match=r"pip install 'usnet\[render\]'"):
+    with pytest.raises(drawing.MissingExtraError, match=r"pip install 'usnet\[render\]'"):
         drawing.round_frame(**scene())

@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 from sklearn.metrics import average_precision_score, f1_score, precision_score, recall_score
 
 from usnet_env import objectives
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 
 UAVS = st.integers(1, 12)
 
@@ -176,7 +176,7 @@ def test_purity_hides_a_misplaced_head_and_head_in_cluster_does_not():
     ],
 )
 def test_bad_input_is_one_sentence_with_the_name(call, name):
-    with pytest.raises(InvalidArgument, match=f"^{name} ") as refused:
+    with pytest.raises(ArgumentError, match=f"^{name} ") as refused:
         call()
     assert str(refused.value).endswith(".")
     assert "\n" not in str(refused.value)

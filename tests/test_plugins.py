@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usnet_env import Detection, InvalidArgument, plugins
+from usnet_env import ArgumentError, Detection, plugins
 from usnet_env.plugins import (
     DetectorLike,
     describe_detectors,
@@ -58,7 +58,7 @@ class Refuses(Mine):
 
 class RefusesClearly(Mine):
     def __init__(self, count=1):
-        raise InvalidArgument("count must be odd, got 1.")
+        raise ArgumentError("count must be odd, got 1.")
 
 
 class Lacking:
@@ -148,7 +148,7 @@ def test_arguments_in_brackets_beside_them_and_in_both():
     ],
 )
 def test_brackets_take_literals_only(text):
-    with pytest.raises(InvalidArgument, match=r"^detector must be written name\(argument=value, \.\.\.\) with Python"):
+    with pytest.raises(ArgumentError, match=r"^detector must be written name\(argument=value, \.\.\.\) with Python"):
         make_detector(text)
 
 
@@ -157,7 +157,7 @@ def test_any_text_gives_a_detector_or_one_sentence(text):
     for name in (text, f"random({text})", f"random{text}"):
         try:
             make_detector(name)
-        except InvalidArgument as error:
+        except ArgumentError as error:
             sentence = str(error)
         else:
             continue
@@ -198,7 +198,7 @@ def test_any_text_gives_a_detector_or_one_sentence(text):
     ],
 )
 def test_each_mistake_has_its_sentence(name, arguments, sentence):
-    with pytest.raises(InvalidArgument, match=f"^{sentence}$"):
+    with pytest.raises(ArgumentError, match=f"^{sentence}$"):
         make_detector(name, **arguments)
 
 
@@ -215,14 +215,12 @@ def test_a_registered_detector_is_found_by_its_name():
 def test_registering_what_cannot_be_used_is_refused():
     register_detector("mine", Mine)
     for name in ("mine", "random"):
-        with pytest.raises(
-            InvalidArgument, match=rf"^name must be a new one, got '{name}', which is registered already"
-        ):
+        with pytest.raises(ArgumentError, match=rf"^name must be a new one, got '{name}', which is registered already"):
             register_detector(name, NeedsOne)
     for name in ("", "a b", "a:b", "a(b)", "-a", None, 3):
-        with pytest.raises(InvalidArgument, match=r"^name must consist of letters"):
+        with pytest.raises(ArgumentError, match=r"^name must consist of letters"):
             register_detector(name, Mine)
-    with pytest.raises(InvalidArgument, match=r"^factory must be a class or a function"):
+    with pytest.raises(ArgumentError, match=r"^factory must be a class or a function"):
         register_detector("other", Mine())
 
 
@@ -239,7 +237,7 @@ def test_labels():
     assert detector_label(NeedsOne(7)) == "NeedsOne(count=7)"
     assert detector_label(Unhashable()) == "Unhashable"
     assert detector_label(make_detector("five(extra=2)")) == "five(extra=2)"
-    with pytest.raises(InvalidArgument, match=r"^arguments must be empty for a detector that was already made"):
+    with pytest.raises(ArgumentError, match=r"^arguments must be empty for a detector that was already made"):
         detector_label(Mine(), {"count": 3})
 
 
@@ -259,7 +257,7 @@ def test_a_strangers_entry_point_is_found(installed):
     assert "stranger" in detector_names()
     assert make_detector("stranger(count=9)").count == 9
     assert detector_label(make_detector("stranger(count=9)")) == "stranger(count=9)"
-    with pytest.raises(InvalidArgument, match="registered already"):
+    with pytest.raises(ArgumentError, match="registered already"):
         register_detector("stranger", NeedsOne)
 
 
@@ -273,7 +271,7 @@ def test_a_broken_stranger_harms_nobody_else(installed, tmp_path, monkeypatch):
     assert lines["stranger"] == "Names the first few."
     assert lines["random"].startswith("Names a few")
     assert make_detector("stranger")
-    with pytest.raises(InvalidArgument, match=r"^detector 'broken' can't be loaded: OSError: no licence\.$"):
+    with pytest.raises(ArgumentError, match=r"^detector 'broken' can't be loaded: OSError: no licence\.$"):
         make_detector("broken")
 
 
@@ -304,7 +302,7 @@ def test_however_a_stranger_breaks_the_others_are_listed(installed, tmp_path, mo
     assert lines["stranger"] == "Names the first few."
     assert set(BUILT_IN) <= set(lines)
     assert detector_label(make_detector("stranger")) == "stranger"
-    with pytest.raises(InvalidArgument, match=reason):
+    with pytest.raises(ArgumentError, match=reason):
         make_detector("broken")
 
 

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from usnet_env import InvalidArgument, Window
+from usnet_env import ArgumentError, Window
 from usnet_env.window import frozen_array
 
 
@@ -67,13 +67,13 @@ def test_from_observation_is_the_window_that_the_observation_holds(instants, uav
 def test_an_observation_without_a_key_is_refused(key):
     observation = parts()
     del observation[key]
-    with pytest.raises(InvalidArgument, match=r"^observation must be a mapping with the keys position, .*, got \["):
+    with pytest.raises(ArgumentError, match=r"^observation must be a mapping with the keys position, .*, got \["):
         Window.from_observation(observation)
 
 
 @pytest.mark.parametrize("observation", [None, np.zeros(3), [1, 2]])
 def test_an_observation_that_is_no_mapping_is_refused(observation):
-    with pytest.raises(InvalidArgument, match=r"^observation must be a mapping"):
+    with pytest.raises(ArgumentError, match=r"^observation must be a mapping"):
         Window.from_observation(observation)
 
 
@@ -107,7 +107,7 @@ def test_an_observation_that_is_no_mapping_is_refused(observation):
     ],
 )
 def test_a_bad_part_is_refused_in_one_sentence_that_names_it(name, value):
-    with pytest.raises(InvalidArgument, match=rf"^{name} must .*, got .*\.$") as caught:
+    with pytest.raises(ArgumentError, match=rf"^{name} must .*, got .*\.$") as caught:
         Window(**parts(**{name: value}))
     assert "\n" not in str(caught.value)
 
@@ -116,12 +116,12 @@ def test_a_bad_part_is_refused_in_one_sentence_that_names_it(name, value):
 def test_frozen_array_copies_every_array_of_the_right_shape_or_refuses_it(array):
     try:
         copy = frozen_array("array", array, np.float64, array.shape)
-    except InvalidArgument:
+    except ArgumentError:
         assert not np.isfinite(array).all()
     else:
         assert np.isfinite(array).all()
         np.testing.assert_array_equal(copy, array)
         assert not copy.flags.writeable
         assert not np.shares_memory(copy, array)
-    with pytest.raises(InvalidArgument, match="array must have shape"):
+    with pytest.raises(ArgumentError, match="array must have shape"):
         frozen_array("array", array, np.float64, (*array.shape, None))

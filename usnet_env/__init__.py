@@ -9,7 +9,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
 from usnet_env.envs import register_environments
 from usnet_env.swarm import register_follow_strategy, register_mobility
@@ -25,8 +25,8 @@ except PackageNotFoundError:  # a source tree on the path without an installatio
     __version__ = "0+unknown"
 
 __all__ = [
+    "ArgumentError",
     "Detection",
-    "InvalidArgument",
     "Window",
     "__version__",
     "evaluate",

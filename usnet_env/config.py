@@ -1,6 +1,6 @@
 """What every configuration of this project has in common: frozen, typed, and checked in one place.
 
-A value that is refused raises :class:`InvalidArgument` with one sentence that names the argument, what it got and
+A value that is refused raises :class:`ArgumentError` with one sentence that names the argument, what it got and
 what it takes.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-__all__ = ["Config", "InvalidArgument", "shown", "unknown_name"]
+__all__ = ["ArgumentError", "Config", "quote", "unknown_name"]
 
 _LONGEST_VALUE = 80
 
@@ -27,22 +27,22 @@ _TAKES = {  # pydantic's error types in the words of this project
 }
 
 
-class InvalidArgument(ValueError):
+class ArgumentError(ValueError):
     """An argument was refused; the message is one sentence for the person who gave it."""
 
 
-def shown(value: object) -> str:
+def quote(value: object) -> str:
     """``value`` as it stands in an error message: its ``repr``, shortened and on one line."""
     text = " ".join(repr(value).split())
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 1] + "…"
 
 
-def unknown_name(argument: str, got: object, known: Iterable[str]) -> InvalidArgument:
+def unknown_name(argument: str, got: object, known: Iterable[str]) -> ArgumentError:
     """The error for a name that is in no registry, with the nearest known name as a hint."""
     names = sorted(known)
     near = get_close_matches(got, names, n=1) if isinstance(got, str) else []
     hint = f" (did you mean {near[0]!r}?)" if near else ""
-    return InvalidArgument(f"{argument} must be one of {', '.join(names)}, got {shown(got)}{hint}.")
+    return ArgumentError(f"{argument} must be one of {', '.join(names)}, got {quote(got)}{hint}.")
 
 
 def _as_python(value: Any) -> Any:
@@ -63,9 +63,9 @@ def _sentence(error: ValidationError) -> str:
     if first["type"] == "value_error":  # a validator of ours: its text is the sentence
         return str(first["ctx"]["error"])
     if first["type"] == "extra_forbidden":
-        return f"{name} is not an argument of this configuration, got {shown(first['input'])}."
+        return f"{name} is not an argument of this configuration, got {quote(first['input'])}."
     takes = _TAKES.get(first["type"], first["msg"].removeprefix("Input should be ").rstrip("."))
-    return f"{name} must be {takes}, got {shown(first['input'])}."
+    return f"{name} must be {takes}, got {quote(first['input'])}."
 
 
 class Config(BaseModel):
@@ -79,7 +79,7 @@ class Config(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as error:
-            raise InvalidArgument(_sentence(error)) from None
+            raise ArgumentError(_sentence(error)) from None
 
     @model_validator(mode="before")
     @classmethod

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.window import frozen_array
 
 __all__ = ["Detection"]
@@ -28,7 +28,7 @@ class Detection:
         extras: anything else worth keeping, by name; probabilities go under ``"probability"``.
 
     Raises:
-        InvalidArgument: an array of another shape, or with values that are not finite.
+        ArgumentError: an array of another shape, or with values that are not finite.
     """
 
     candidates: NDArray[np.bool_]
@@ -48,12 +48,12 @@ class Detection:
             if (value := getattr(self, name)) is not None:
                 labels = frozen_array(name, value, np.int64, (uavs,))
                 if not np.array_equal(labels, np.asarray(value)):
-                    raise InvalidArgument(f"{name} must hold whole numbers, got {shown(value)}.")
+                    raise ArgumentError(f"{name} must hold whole numbers, got {quote(value)}.")
                 put(self, name, labels)
         if self.leader is not None and not ((self.leader >= -1) & (self.leader < uavs)).all():
-            raise InvalidArgument(f"leader must hold indices from -1 to {uavs - 1}, got {shown(self.leader)}.")
+            raise ArgumentError(f"leader must hold indices from -1 to {uavs - 1}, got {quote(self.leader)}.")
         if self.attention is not None:
             put(self, "attention", frozen_array("attention", self.attention, np.float64, (uavs, uavs)))
         if not isinstance(self.extras, Mapping):
-            raise InvalidArgument(f"extras must be a mapping of names to values, got {shown(self.extras)}.")
+            raise ArgumentError(f"extras must be a mapping of names to values, got {quote(self.extras)}.")
         put(self, "extras", dict(self.extras))

@@ -22,7 +22,7 @@ __all__ = [
     "HIT",
     "MISSED",
     "REDUNDANT",
-    "MissingExtra",
+    "MissingExtraError",
     "cluster_colors",
     "draw_legend",
     "draw_round",
@@ -45,7 +45,7 @@ _TRACK_PARTS = 6  # pieces of a track, from faint to strong
 _TRACK_SAMPLES = 49  # a track is thinned to as many points; a picture shows no more
 
 
-class MissingExtra(ImportError):
+class MissingExtraError(ImportError):
     """An optional package is not installed; the message says which command installs it."""
 
 
@@ -58,13 +58,13 @@ def new_figure(width: float, height: float, dpi: float = 100) -> Figure:
         dpi: pixels per inch.
 
     Raises:
-        MissingExtra: matplotlib is not installed.
+        MissingExtraError: matplotlib is not installed.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
-        raise MissingExtra("Drawing needs matplotlib: pip install 'usnet[render]'.") from None
+        raise MissingExtraError("Drawing needs matplotlib: pip install 'usnet[render]'.") from None
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
@@ -262,7 +262,7 @@ def draw_round(
         The figure.
 
     Raises:
-        MissingExtra: matplotlib is not installed.
+        MissingExtraError: matplotlib is not installed.
     """
     if axes is None:
         axes = new_figure(9.6, 7.2).add_axes((0.07, 0.08, 0.66, 0.86) if legend else (0.09, 0.08, 0.88, 0.86))
@@ -326,7 +326,7 @@ def round_frame(
         size: width and height in pixels.
 
     Raises:
-        MissingExtra: matplotlib is not installed.
+        MissingExtraError: matplotlib is not installed.
     """
     width, height = size
     figure = new_figure(9.6, 9.6 * height / width, dpi=width / 9.6)

@@ -9,13 +9,13 @@ from errno import EISDIR
 from pathlib import Path
 from uuid import uuid4
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 
-__all__ = ["written_whole"]
+__all__ = ["atomic_write"]
 
 
 @contextmanager
-def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A place beside ``path`` to write to; it becomes ``path`` when the block ends well, and vanishes otherwise.
 
     Args:
@@ -25,7 +25,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         The path to write to, in the same folder.
 
     Raises:
-        InvalidArgument: the place can't be written to.
+        ArgumentError: the place can't be written to.
     """
     final = Path(path)
     aside = final.with_name(f".{final.name}.{uuid4().hex}")
@@ -36,8 +36,8 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield aside
         os.replace(aside, final)
     except OSError as error:
-        raise InvalidArgument(
-            f"path must be a file that can be written, got {shown(str(final))}: {error.strerror or error}."
+        raise ArgumentError(
+            f"path must be a file that can be written, got {quote(str(final))}: {error.strerror or error}."
         ) from None
     finally:
         with suppress(OSError):  # usually it has moved to its place

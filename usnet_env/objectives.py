@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 
 __all__ = [
     "average_precision",
@@ -39,10 +39,10 @@ def _mask(name: str, value: ArrayLike) -> Mask:
     array = np.asarray(value)
     if array.dtype != bool:
         if array.dtype.kind not in "iuf" or not ((array == 0) | (array == 1)).all():
-            raise InvalidArgument(f"{name} must hold only 0 and 1 (or booleans), got {shown(value)}.")
+            raise ArgumentError(f"{name} must hold only 0 and 1 (or booleans), got {quote(value)}.")
         array = array.astype(bool)
     if array.ndim == 0 or array.shape[-1] == 0:
-        raise InvalidArgument(f"{name} must have shape (..., N) with N of at least 1, got {array.shape}.")
+        raise ArgumentError(f"{name} must have shape (..., N) with N of at least 1, got {array.shape}.")
     return array
 
 
@@ -50,7 +50,7 @@ def _pair(first_name: str, first: ArrayLike, name: str, value: ArrayLike) -> tup
     """Two masks over the same N UAVs."""
     reference, mask = _mask(first_name, first), _mask(name, value)
     if reference.shape[-1] != mask.shape[-1]:
-        raise InvalidArgument(
+        raise ArgumentError(
             f"{name} must have as many UAVs as {first_name}, {reference.shape[-1]}, got {mask.shape[-1]}."
         )
     return reference, mask
@@ -60,7 +60,7 @@ def _labels(name: str, value: ArrayLike, uavs: int) -> NDArray[np.int64]:
     """``(N,)`` labels; -1 stands for none."""
     labels = np.asarray(value)
     if labels.shape != (uavs,) or labels.dtype.kind not in "iu":
-        raise InvalidArgument(f"{name} must hold a whole number for each of {uavs} UAVs, got {shown(value)}.")
+        raise ArgumentError(f"{name} must hold a whole number for each of {uavs} UAVs, got {quote(value)}.")
     return labels.astype(np.int64)
 
 
@@ -68,9 +68,9 @@ def _one_round_each(head: ArrayLike, candidates_per_round: ArrayLike) -> tuple[M
     """Heads ``(N,)`` and candidates ``(R, N)``."""
     heads, candidates = _pair("head", head, "candidates_per_round", candidates_per_round)
     if heads.ndim != 1:
-        raise InvalidArgument(f"head must have shape (N,), got {heads.shape}.")
+        raise ArgumentError(f"head must have shape (N,), got {heads.shape}.")
     if candidates.ndim != 2:
-        raise InvalidArgument(f"candidates_per_round must have shape (R, N), got {candidates.shape}.")
+        raise ArgumentError(f"candidates_per_round must have shape (R, N), got {candidates.shape}.")
     return heads, candidates
 
 
@@ -114,11 +114,11 @@ def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Ratios:
         J_s, ``(...)`` float64.
 
     Raises:
-        InvalidArgument: another number of heads than one, or different numbers of UAVs.
+        ArgumentError: another number of heads than one, or different numbers of UAVs.
     """
     heads, named = _pair("head", head, "candidates", candidates)
     if (heads.sum(axis=-1) != 1).any():
-        raise InvalidArgument("head must hold exactly one head in P1, got another number.")
+        raise ArgumentError("head must hold exactly one head in P1, got another number.")
     count = named.sum(axis=-1)
     hit = (heads & named).any(axis=-1)
     return np.asarray(np.where(count > 0, hit.astype(float) - count, -1.0))
@@ -211,9 +211,9 @@ def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
     """
     heads, values = _mask("head", head), np.asarray(scores)
     if values.shape != heads.shape or heads.ndim != 1 or values.dtype.kind not in "biuf":
-        raise InvalidArgument(f"scores must hold a number for each of {heads.shape[-1]} UAVs, got {shown(scores)}.")
+        raise ArgumentError(f"scores must hold a number for each of {heads.shape[-1]} UAVs, got {quote(scores)}.")
     if not np.isfinite(values).all():
-        raise InvalidArgument("scores must be finite, got NaN or infinity.")
+        raise ArgumentError("scores must be finite, got NaN or infinity.")
     if not heads.any():
         return 0.0
     from sklearn.metrics import average_precision_score  # a second of import that the environments need not pay

@@ -21,7 +21,7 @@ from types import FunctionType
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
-from usnet_env.config import InvalidArgument, shown, unknown_name
+from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -66,14 +66,14 @@ def register_detector(name: str, factory: Factory) -> None:
         factory: a class, or a function, that gives a detector when it is called with keyword arguments.
 
     Raises:
-        InvalidArgument: the name is taken or not a name, or the factory can't be called.
+        ArgumentError: the name is taken or not a name, or the factory can't be called.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise InvalidArgument(f"name must consist of letters, digits, '_', '.' and '-', got {shown(name)}.")
+        raise ArgumentError(f"name must consist of letters, digits, '_', '.' and '-', got {quote(name)}.")
     if not callable(factory):
-        raise InvalidArgument(f"factory must be a class or a function that makes a detector, got {shown(factory)}.")
+        raise ArgumentError(f"factory must be a class or a function that makes a detector, got {quote(factory)}.")
     if _registered.get(name, factory) is not factory or (name not in _registered and name in _entry_points()):
-        raise InvalidArgument(f"name must be a new one, got {name!r}, which is registered already.")
+        raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
     _registered[name] = factory
 
 
@@ -91,7 +91,7 @@ def describe_detectors() -> dict[str, str]:
     for name in detector_names():
         try:
             lines[name] = (inspect.getdoc(_factory(name)) or "").partition("\n")[0]
-        except InvalidArgument as error:
+        except ArgumentError as error:
             warnings.warn(str(error), stacklevel=2)
             lines[name] = f"not available: {error}"
     return lines
@@ -109,20 +109,20 @@ def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
         The detector, not yet reset.
 
     Raises:
-        InvalidArgument: no such detector, it can't be imported, or its constructor doesn't take the arguments.
+        ArgumentError: no such detector, it can't be imported, or its constructor doesn't take the arguments.
     """
     plain, given = _parsed(name, arguments)
     factory = _factory(plain)
     _check_arguments(plain, factory, given)
     try:
         detector = factory(**given)
-    except InvalidArgument:
+    except ArgumentError:
         raise
     except (Exception, SystemExit) as error:
-        raise InvalidArgument(f"detector {plain!r} could not be made: {_reason(error)}.") from error
+        raise ArgumentError(f"detector {plain!r} could not be made: {_reason(error)}.") from error
     if isinstance(detector, type) or not isinstance(detector, DetectorLike):
-        raise InvalidArgument(
-            f"detector {plain!r} must have the methods detect(window) and reset(seed), got {shown(detector)}."
+        raise ArgumentError(
+            f"detector {plain!r} must have the methods detect(window) and reset(seed), got {quote(detector)}."
         )
     if factory is not type(detector):
         with suppress(TypeError):  # it can't be hashed or weakly referenced: its class's name has to serve
@@ -142,12 +142,12 @@ def detector_label(detector: Any, arguments: Mapping[str, Any] | None = None) ->
         The name, and its arguments in alphabetical order in brackets where there are any.
 
     Raises:
-        InvalidArgument: a name that can't be read, or arguments beside a detector that has been made.
+        ArgumentError: a name that can't be read, or arguments beside a detector that has been made.
     """
     if isinstance(detector, str):
         return _label(*_parsed(detector, arguments or {}))
     if arguments:
-        raise InvalidArgument(f"arguments must be empty for a detector that was already made, got {shown(arguments)}.")
+        raise ArgumentError(f"arguments must be empty for a detector that was already made, got {quote(arguments)}.")
     with suppress(TypeError):
         if detector in _made_by_function:
             return _made_by_function[detector]
@@ -162,7 +162,7 @@ def _label(name: str, arguments: Mapping[str, Any]) -> str:
 
 def _told(value: Any) -> str:
     """A value as a label tells it: a function by its name, as its address differs from run to run."""
-    return str(value.__qualname__) if isinstance(value, FunctionType) else shown(value)
+    return str(value.__qualname__) if isinstance(value, FunctionType) else quote(value)
 
 
 def _registered_name(kind: type) -> str | None:
@@ -175,7 +175,7 @@ def _registered_name(kind: type) -> str | None:
             try:
                 if _factory(name) is kind:
                     return name
-            except InvalidArgument:
+            except ArgumentError:
                 continue
     return None
 
@@ -219,40 +219,40 @@ def _check_arguments(name: str, factory: Factory, arguments: Mapping[str, Any]) 
             if argument not in known:
                 near = get_close_matches(argument, known, n=1)
                 hint = f" (did you mean {near[0]!r}?)" if near else ""
-                raise InvalidArgument(f"detector {name!r} has no argument {argument!r}{hint}; {takes}.")
+                raise ArgumentError(f"detector {name!r} has no argument {argument!r}{hint}; {takes}.")
     for argument, parameter in known.items():
         if parameter.default is parameter.empty and argument not in arguments:
-            raise InvalidArgument(f"detector {name!r} needs the argument {argument!r}; {takes}.")
+            raise ArgumentError(f"detector {name!r} needs the argument {argument!r}; {takes}.")
 
 
 def _parsed(text: Any, more: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     """Name and arguments of ``name(key=literal, ...)``."""
     if not isinstance(text, str) or not text.strip():
-        raise InvalidArgument(f"detector must be a name, got {shown(text)}.")
+        raise ArgumentError(f"detector must be a name, got {quote(text)}.")
     name, bracket, inner = text.strip().partition("(")
     arguments = _literals(text, inner) if bracket else {}
     for argument in more:
         if argument in arguments:
-            raise InvalidArgument(f"{argument} must be given once, got it in {shown(text)} and beside it.")
+            raise ArgumentError(f"{argument} must be given once, got it in {quote(text)} and beside it.")
     return name.strip(), {**arguments, **more}
 
 
 def _literals(text: str, inner: str) -> dict[str, Any]:
     """The arguments in ``inner``, which is what follows the opening bracket of ``text``."""
-    takes = f"detector must be written name(argument=value, ...) with Python literals as values, got {shown(text)}."
+    takes = f"detector must be written name(argument=value, ...) with Python literals as values, got {quote(text)}."
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SyntaxWarning)  # what it warns of is refused below
             call = ast.parse(f"name({inner}", mode="eval").body
         if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Name) or call.args:
-            raise InvalidArgument(takes)
+            raise ArgumentError(takes)
         arguments: dict[str, Any] = {}
         for keyword in call.keywords:
             if keyword.arg is None or keyword.arg in arguments:
-                raise InvalidArgument(takes)
+                raise ArgumentError(takes)
             arguments[keyword.arg] = ast.literal_eval(keyword.value)
     except (SyntaxError, ValueError, TypeError, MemoryError, RecursionError):
-        raise InvalidArgument(takes) from None
+        raise ArgumentError(takes) from None
     return arguments
 
 
@@ -266,7 +266,7 @@ def _entry_points() -> dict[str, EntryPoint]:
         if EntryPoint.pattern.match(point.value) is None or not _NAME.fullmatch(point.name):
             warnings.warn(
                 f"detector {point.name!r} of {_distribution(point)} is ignored: an entry point must be written "
-                f"name = module:Class, got {shown(f'{point.name} = {point.value}')}.",
+                f"name = module:Class, got {quote(f'{point.name} = {point.value}')}.",
                 stacklevel=3,
             )
             continue
@@ -317,9 +317,9 @@ def _loaded(name: str, load: Callable[[], Any]) -> Factory:
     try:
         factory = load()
     except (Exception, SystemExit) as error:  # whatever happens while a stranger's module is imported
-        raise InvalidArgument(f"detector {name!r} can't be loaded: {_reason(error)}.") from error
+        raise ArgumentError(f"detector {name!r} can't be loaded: {_reason(error)}.") from error
     if not callable(factory):
-        raise InvalidArgument(f"detector {name!r} must be a class or a function that makes one, got {shown(factory)}.")
+        raise ArgumentError(f"detector {name!r} must be a class or a function that makes one, got {quote(factory)}.")
     made: Factory = factory
     return made
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 
 __all__ = ["Window", "frozen_array"]
 
@@ -20,17 +20,17 @@ def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | No
     try:
         array = np.asarray(value)
     except ValueError:
-        raise InvalidArgument(f"{name} must be an array of shape {takes}, got {shown(value)}.") from None
+        raise ArgumentError(f"{name} must be an array of shape {takes}, got {quote(value)}.") from None
     if array.ndim != len(shape) or any(
         want is not None and want != has for want, has in zip(shape, array.shape, strict=True)
     ):
-        raise InvalidArgument(f"{name} must have shape {takes}, got {array.shape}.")
+        raise ArgumentError(f"{name} must have shape {takes}, got {array.shape}.")
     if array.dtype.kind not in "biuf":
-        raise InvalidArgument(f"{name} must hold numbers, got dtype {array.dtype}.")
+        raise ArgumentError(f"{name} must hold numbers, got dtype {array.dtype}.")
     if dtype is bool and not ((array == 0) | (array == 1)).all():
-        raise InvalidArgument(f"{name} must hold only 0 and 1 (or booleans), got {shown(np.unique(array)[:4])}.")
+        raise ArgumentError(f"{name} must hold only 0 and 1 (or booleans), got {quote(np.unique(array)[:4])}.")
     if not np.isfinite(array).all():
-        raise InvalidArgument(f"{name} must be finite, got NaN or infinity.")
+        raise ArgumentError(f"{name} must be finite, got NaN or infinity.")
     copy: NDArray[Any] = array.astype(dtype, copy=True)
     copy.setflags(write=False)
     return copy
@@ -52,7 +52,7 @@ class Window:
         round: number of the detection round, from 1.
 
     Raises:
-        InvalidArgument: an array of another shape, with values that are not finite, or a mask that is not 0/1.
+        ArgumentError: an array of another shape, with values that are not finite, or a mask that is not 0/1.
     """
 
     position: NDArray[np.float32]
@@ -65,7 +65,7 @@ class Window:
         position = frozen_array("position", self.position, np.float32, (None, None, 3))
         instants, uavs = position.shape[:2]
         if instants < 2 or uavs < 1:
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"position must hold at least 2 instants of at least 1 UAV, got shape {position.shape}."
             )
         put = object.__setattr__
@@ -74,7 +74,7 @@ class Window:
         put(self, "seen", frozen_array("seen", self.seen, bool, (instants, uavs)))
         put(self, "alive", frozen_array("alive", self.alive, bool, (uavs,)))
         if isinstance(self.round, bool) or not isinstance(self.round, int | np.integer) or self.round < 1:
-            raise InvalidArgument(f"round must be a whole number from 1, got {shown(self.round)}.")
+            raise ArgumentError(f"round must be a whole number from 1, got {quote(self.round)}.")
         put(self, "round", int(self.round))
 
     @property
@@ -100,12 +100,12 @@ class Window:
             observation: a mapping with the keys ``position, velocity, seen, alive, round``.
 
         Raises:
-            InvalidArgument: a key is missing, or its value is refused.
+            ArgumentError: a key is missing, or its value is refused.
         """
         keys = ("position", "velocity", "seen", "alive", "round")
         if not isinstance(observation, Mapping) or any(key not in observation for key in keys):
             has = sorted(observation) if isinstance(observation, Mapping) else type(observation).__name__
-            raise InvalidArgument(f"observation must be a mapping with the keys {', '.join(keys)}, got {shown(has)}.")
+            raise ArgumentError(f"observation must be a mapping with the keys {', '.join(keys)}, got {quote(has)}.")
         return cls(
             position=observation["position"],
             velocity=observation["velocity"],

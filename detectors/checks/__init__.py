@@ -5,11 +5,11 @@
 ``check_estimator`` is to estimators.
 """
 
-from detectors.checks.asking import CheckFailed
+from detectors.checks.asking import CheckError
 from detectors.checks.run import (
     CHECKS,
     CheckResult,
-    DetectorChecksFailed,
+    DetectorChecksError,
     check_detector,
     exit_status,
     parametrize_with_checks,
@@ -18,9 +18,9 @@ from detectors.checks.run import (
 
 __all__ = [
     "CHECKS",
-    "CheckFailed",
+    "CheckError",
     "CheckResult",
-    "DetectorChecksFailed",
+    "DetectorChecksError",
     "check_detector",
     "exit_status",
     "parametrize_with_checks",

@@ -9,7 +9,7 @@ import numpy as np
 
 from detectors.checks.asking import SEED, answers, checked, fresh, require
 from detectors.checks.windows import hovering, simulated, unseen_in_part
-from usnet_env.config import shown
+from usnet_env.config import quote
 from usnet_env.window import Window
 
 __all__ = [
@@ -61,7 +61,7 @@ def check_masked_uavs_are_never_candidates(detector: Any) -> None:
 def _only_the_living(detector: Any, window: Window, seed: int) -> None:
     (answer,) = answers(detector, [window], seed)
     dead = np.flatnonzero(answer.candidates & ~window.alive)
-    require(not len(dead), f"a destroyed UAV must not be a candidate, got {shown(dead.tolist())}.")
+    require(not len(dead), f"a destroyed UAV must not be a candidate, got {quote(dead.tolist())}.")
 
 
 def check_missing_samples(detector: Any) -> None:
@@ -79,7 +79,7 @@ def check_scores_are_finite(detector: Any) -> None:
             value = np.asarray(answer.extras["probability"])
             require(
                 value.shape == (window.uavs,) and bool(((value >= 0) & (value <= 1)).all()),
-                f"extras['probability'] must hold {window.uavs} numbers from 0 to 1, got {shown(value)}.",
+                f"extras['probability'] must hold {window.uavs} numbers from 0 to 1, got {quote(value)}.",
             )
 
 
@@ -92,7 +92,7 @@ def check_batch(detector: Any) -> None:
     given = list(windows)
     own.reset(SEED)
     batch = own.detect_batch(given)
-    require(isinstance(batch, list), f"detect_batch must return a list, got {shown(batch)}.")
+    require(isinstance(batch, list), f"detect_batch must return a list, got {quote(batch)}.")
     require(len(batch) == len(windows), f"detect_batch must give {len(windows)} answers, got {len(batch)}.")
     for answer, window in zip(batch, windows, strict=True):
         checked(answer, window)

@@ -12,7 +12,7 @@ from sklearn.base import clone
 
 from detectors.checks.asking import SEED, answers, ask, difference, fresh, require
 from detectors.checks.windows import simulated
-from usnet_env.config import shown
+from usnet_env.config import quote
 
 __all__ = ["check_constructor_only_stores", "check_parameters_and_clone", "check_pickling"]
 
@@ -37,14 +37,15 @@ def check_parameters_and_clone(detector: Any) -> None:
     own = fresh(detector)
     params: Mapping[str, Any] = own.get_params(deep=False)
     require(
-        sorted(params) == names, f"get_params must give {', '.join(names) or 'nothing'}, got {shown(sorted(params))}."
+        sorted(params) == names,
+        f"get_params must give {', '.join(names) or 'nothing'}, got {quote(sorted(params))}.",
     )
     before = {name: (value, repr(value)) for name, value in params.items()}
     require(own.set_params(**params) is own, "set_params must return the detector.")
     answers(own, [simulated(), simulated(seed=1, destroyed=3, round=2)])
     for name, (value, text) in before.items():
         now = own.get_params(deep=False)[name]
-        require(now is value and repr(now) == text, f"reset and detect must leave {name} as it is, got {shown(now)}.")
+        require(now is value and repr(now) == text, f"reset and detect must leave {name} as it is, got {quote(now)}.")
     twin = clone(own)
     require(type(twin) is type(own), f"clone must give a {type(own).__name__}, got {type(twin).__name__}.")
     require(sorted(twin.get_params(deep=False)) == names, "clone must have the same arguments.")

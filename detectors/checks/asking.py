@@ -9,23 +9,23 @@ from typing import Any
 import numpy as np
 from sklearn.base import clone
 
-from usnet_env.config import shown
+from usnet_env.config import quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["CheckFailed", "answers", "ask", "difference", "fresh", "require"]
+__all__ = ["CheckError", "answers", "ask", "difference", "fresh", "require"]
 
 SEED = 5  # of the detectors' own generators
 
 
-class CheckFailed(AssertionError):
+class CheckError(AssertionError):
     """A detector did not pass a check; the message is one sentence."""
 
 
 def require(holds: bool, sentence: str) -> None:
-    """Raise :class:`CheckFailed` with that sentence unless it holds."""
+    """Raise :class:`CheckError` with that sentence unless it holds."""
     if not holds:
-        raise CheckFailed(sentence)
+        raise CheckError(sentence)
 
 
 def fresh(detector: Any) -> Any:
@@ -39,7 +39,7 @@ def fresh(detector: Any) -> Any:
         try:
             return clone(detector)
         except Exception:
-            raise CheckFailed(f"copy.deepcopy must copy the detector, got {type(error).__name__}: {error}") from error
+            raise CheckError(f"copy.deepcopy must copy the detector, got {type(error).__name__}: {error}") from error
 
 
 def ask(detector: Any, window: Window) -> Detection:
@@ -50,7 +50,7 @@ def ask(detector: Any, window: Window) -> Detection:
 def checked(answer: Any, window: Window) -> Detection:
     """``answer`` if it is a detection for all N UAVs of the window."""
     if not isinstance(answer, Detection):
-        raise CheckFailed(f"detect must return a usnet_env.Detection, got {shown(answer)}.")
+        raise CheckError(f"detect must return a usnet_env.Detection, got {quote(answer)}.")
     named = len(answer.candidates)
     require(named == window.uavs, f"detect must answer for all {window.uavs} UAVs, got candidates for {named}.")
     return answer

@@ -21,7 +21,7 @@ from detectors.checks.answers import (
     check_smallest_swarm,
 )
 from detectors.checks.arguments import check_constructor_only_stores, check_parameters_and_clone, check_pickling
-from detectors.checks.asking import CheckFailed
+from detectors.checks.asking import CheckError
 from detectors.checks.repeatability import (
     check_episodes_start_afresh,
     check_permuting_uavs_permutes_the_answer,
@@ -35,7 +35,7 @@ from detectors.checks.surroundings import (
     check_time_budget,
 )
 from detectors.checks.truth import check_no_reach_for_truth, check_truth_nearby_changes_nothing
-from usnet_env.config import InvalidArgument, shown, unknown_name
+from usnet_env.config import ArgumentError, quote, unknown_name
 
 if TYPE_CHECKING:
     import pytest
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 __all__ = [
     "CHECKS",
     "CheckResult",
-    "DetectorChecksFailed",
+    "DetectorChecksError",
     "check_detector",
     "exit_status",
     "parametrize_with_checks",
@@ -100,7 +100,7 @@ class CheckResult:
     error: Exception | None = None
 
 
-class DetectorChecksFailed(AssertionError):
+class DetectorChecksError(AssertionError):
     """A detector did not pass; ``results`` holds every verdict."""
 
     def __init__(self, detector: Any, results: Sequence[CheckResult]) -> None:
@@ -132,11 +132,11 @@ def check_detector(
         A result for every check, in the order of :data:`CHECKS`. An expected failure that doesn't fail has passed.
 
     Raises:
-        DetectorChecksFailed: a check failed that was not expected to (after all checks have run).
-        InvalidArgument: an argument is refused: no detector, no such check, a reason that is none.
+        DetectorChecksError: a check failed that was not expected to (after all checks have run).
+        ArgumentError: an argument is refused: no detector, no such check, a reason that is none.
     """
     if on_fail not in ("raise", None):
-        raise InvalidArgument(f"on_fail must be 'raise' or None, got {shown(on_fail)}.")
+        raise ArgumentError(f"on_fail must be 'raise' or None, got {quote(on_fail)}.")
     excuses = _checked_excuses(_checked_detector(detector), expected_failed_checks)
     results = []
     for check in _checks(seconds):
@@ -144,7 +144,7 @@ def check_detector(
         if callback is not None:
             callback(results[-1])
     if on_fail == "raise" and any(result.status == "failed" for result in results):
-        raise DetectorChecksFailed(detector, results)
+        raise DetectorChecksError(detector, results)
     return results
 
 
@@ -165,7 +165,7 @@ def parametrize_with_checks(
         seconds: the time budget of an answer for 82 UAVs and T_ob = 100.
 
     Raises:
-        InvalidArgument: as :func:`check_detector`.
+        ArgumentError: as :func:`check_detector`.
     """
     import pytest  # whoever uses this has it; the checks themselves need none
 
@@ -209,7 +209,7 @@ def exit_status(results: Sequence[CheckResult]) -> int:
 def _checks(seconds: float) -> list[Check]:
     """All checks, with the time budget filled in."""
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0:
-        raise InvalidArgument(f"seconds must be a number above 0, got {shown(seconds)}.")
+        raise ArgumentError(f"seconds must be a number above 0, got {quote(seconds)}.")
     budget = functools.partial(check_time_budget, seconds=float(seconds))
     return [budget if check is check_time_budget else check for check in CHECKS]
 
@@ -222,7 +222,7 @@ def _name(check: Check) -> str:
 def _checked_detector(detector: Any) -> Any:
     methods = all(callable(getattr(detector, method, None)) for method in ("detect", "reset"))
     if isinstance(detector, type) or not methods:
-        raise InvalidArgument(f"detector must be an object with detect(window) and reset(seed), got {shown(detector)}.")
+        raise ArgumentError(f"detector must be an object with detect(window) and reset(seed), got {quote(detector)}.")
     return detector
 
 
@@ -231,9 +231,9 @@ def _checked_excuses(detector: Any, excuses: Mapping[str, str] | None) -> Mappin
         if name not in _NAMES:
             raise unknown_name("expected_failed_checks", name, _NAMES)
         if not isinstance(reason, str) or not reason.strip():
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"expected_failed_checks must give a reason for {name} of {type(detector).__name__}, "
-                f"got {shown(reason)}."
+                f"got {quote(reason)}."
             )
     return excuses or {}
 
@@ -259,4 +259,4 @@ def _result(check: Check, detector: Any, excuses: Mapping[str, str]) -> CheckRes
 def _sentence(failure: Exception) -> str:
     """A failure on one line: the check's own sentence, or what the detector raised."""
     text = " ".join(str(failure).split())
-    return text if isinstance(failure, CheckFailed) else f"{type(failure).__name__}: {text}".rstrip(": ")
+    return text if isinstance(failure, CheckError) else f"{type(failure).__name__}: {text}".rstrip(": ")

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from detectors.lagged.correlation import lagged_correlation
 from detectors.lagged.selection import centred
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.window import frozen_array
 
 __all__ = ["AFFINITIES", "affinity_of", "cosine", "lag", "lag_correlation", "rbf"]
@@ -54,7 +54,7 @@ def lag(features: Floats, max_lag: int) -> Floats:
     that many small correlations by chance do not tie a large swarm together, and full correlation is 1.
     """
     if features.ndim != 3:
-        raise InvalidArgument(
+        raise ArgumentError(
             f"affinity must be 'rbf', 'cosine' or None for features without a time axis {features.shape}, got 'lag'."
         )
     by_chance = lag_correlation(features, max_lag, surrogate=True)
@@ -110,7 +110,7 @@ def affinity_of(affinity: str | Affinity | None, features: Floats, max_lag: int)
         ``(n, n)``, symmetric, from 0 to 1, 1 on the diagonal.
 
     Raises:
-        InvalidArgument: ``lag`` of features without a time axis; or a callable gave another shape, what is not finite
+        ArgumentError: ``lag`` of features without a time axis; or a callable gave another shape, what is not finite
             or not symmetric, or values outside 0 to 1.
     """
     if affinity is None:
@@ -119,7 +119,7 @@ def affinity_of(affinity: str | Affinity | None, features: Floats, max_lag: int)
         return AFFINITIES[affinity](features, max_lag)
     values = frozen_array("affinity", affinity(features), np.float64, (len(features), len(features))).copy()
     if values.min() < 0.0 or values.max() > 1.0 or not np.allclose(values, values.T):
-        raise InvalidArgument(
+        raise ArgumentError(
             "affinity must give a symmetric array with values from 0 to 1, "
             f"got values from {values.min():.3g} to {values.max():.3g}."
         )

@@ -18,7 +18,7 @@ from sklearn.base import BaseEstimator
 from detectors.clustering.affinity import AFFINITIES, Affinity, affinity_of
 from detectors.clustering.count import COUNTS, eigengap, gap
 from detectors.clustering.features import FEATURES, Features, features_of
-from usnet_env.config import Config, InvalidArgument, shown, unknown_name
+from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.window import Window, frozen_array
 
 __all__ = [
@@ -51,7 +51,7 @@ class Clustering:
             estimated before clustering.
 
     Raises:
-        InvalidArgument: an array of another shape, or labels other than -1 to ``count`` - 1, each used.
+        ArgumentError: an array of another shape, or labels other than -1 to ``count`` - 1, each used.
     """
 
     labels: Labels
@@ -66,8 +66,8 @@ class Clustering:
         uavs = len(self.labels)
         used = np.unique(self.labels)
         if not np.array_equal(used[used != -1], np.arange(self.count)):
-            raise InvalidArgument(
-                f"labels must be the numbers 0 to count - 1 = {self.count - 1}, each used, and -1, got {shown(used)}."
+            raise ArgumentError(
+                f"labels must be the numbers 0 to count - 1 = {self.count - 1}, each used, and -1, got {quote(used)}."
             )
         if self.features is not None:
             values = np.asarray(self.features)
@@ -140,7 +140,7 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
         memory: T_0, the samples in ``"raw"`` and ``"scaled"``.
 
     Raises:
-        InvalidArgument: from :meth:`cluster`, if an argument is refused.
+        ArgumentError: from :meth:`cluster`, if an argument is refused.
     """
 
     counts: tuple[str, ...] = COUNTS  #: the names that ``count`` takes
@@ -160,7 +160,7 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
         self.memory = memory
 
     def check_arguments(self) -> ClustererArguments:
-        """The common arguments, or ``InvalidArgument``. A subclass with arguments of its own checks them as well."""
+        """The common arguments, or ``ArgumentError``. A subclass with arguments of its own checks them as well."""
         common = ClustererArguments(**{name: getattr(self, name) for name in ClustererArguments.model_fields})
         if isinstance(common.count, str) and common.count not in self.counts:
             raise unknown_name("count", common.count, (*self.counts, "a whole number"))
@@ -178,7 +178,7 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
             rng: what is random comes from here.
 
         Raises:
-            InvalidArgument: an argument is refused, or a callable of ``features`` or ``affinity`` gave what it can't.
+            ArgumentError: an argument is refused, or a callable of ``features`` or ``affinity`` gave what it can't.
         """
         arguments = self.check_arguments()
         living = Living(window, arguments)
@@ -239,14 +239,14 @@ def register_clusterer(name: str, factory: Callable[..., Clusterer]) -> None:
             keyword arguments.
 
     Raises:
-        InvalidArgument: the name is taken or not a name, or the factory can't be called.
+        ArgumentError: the name is taken or not a name, or the factory can't be called.
     """
     if not isinstance(name, str) or not name.strip():
-        raise InvalidArgument(f"name must be a non-empty name, got {shown(name)}.")
+        raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
     if not callable(factory):
-        raise InvalidArgument(f"factory must be a class or a function that makes a clusterer, got {shown(factory)}.")
+        raise ArgumentError(f"factory must be a class or a function that makes a clusterer, got {quote(factory)}.")
     if _CLUSTERERS.get(name, factory) is not factory:
-        raise InvalidArgument(f"name must be a new one, got {name!r}, which is registered already.")
+        raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
     _CLUSTERERS[name] = factory
 
 
@@ -258,7 +258,7 @@ def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
         arguments: of its constructor.
 
     Raises:
-        InvalidArgument: no such clusterer, or an argument that it does not have.
+        ArgumentError: no such clusterer, or an argument that it does not have.
     """
     if name not in _CLUSTERERS:
         raise unknown_name("clusterer", name, _CLUSTERERS)
@@ -267,5 +267,5 @@ def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
     takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values())
     for argument in arguments:
         if argument not in known and not takes_any:
-            raise InvalidArgument(f"clusterer {name!r} has no argument {argument!r}; it takes {', '.join(known)}.")
+            raise ArgumentError(f"clusterer {name!r} has no argument {argument!r}; it takes {', '.join(known)}.")
     return factory(**arguments)

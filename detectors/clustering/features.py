@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.window import Window, frozen_array
 
 __all__ = ["FEATURES", "features_of", "raw", "scaled", "velocities"]
@@ -100,14 +100,14 @@ def features_of(features: str | Features, window: Window, memory: int) -> Floats
         ``(N, d)``, or a series ``(N, T, d)``.
 
     Raises:
-        InvalidArgument: a callable gave another shape, or what is not finite.
+        ArgumentError: a callable gave another shape, or what is not finite.
     """
     if isinstance(features, str):
         values = FEATURES[features](window, memory)
     else:
         given = np.array(features(window), copy=True)
         if given.ndim not in (2, 3):
-            raise InvalidArgument(f"features must give an array (N, d) or (N, T, d), got shape {given.shape}.")
+            raise ArgumentError(f"features must give an array (N, d) or (N, T, d), got shape {given.shape}.")
         given[~window.alive[: len(given)]] = 0
         shape = (window.uavs, *[None] * (given.ndim - 1))
         values = frozen_array("features", given, np.float64, shape).copy()

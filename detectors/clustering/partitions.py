@@ -17,7 +17,7 @@ from detectors.clustering.features import Features
 from detectors.clustering.snmf import symmetric_nmf
 from detectors.lagged.regression import regression_evidence
 from detectors.lagged.selection import detection_from_evidence
-from usnet_env.config import Config, InvalidArgument, shown, unknown_name
+from usnet_env.config import ArgumentError, Config, quote, unknown_name
 
 __all__ = ["Agglomerative", "Hdbscan", "KMeans", "LeadVotes", "Spectral", "SymmetricNMF"]
 
@@ -86,7 +86,7 @@ class SymmetricNMF(Clusterer):
         self.steps = steps
 
     def check_arguments(self) -> ClustererArguments:
-        """The common arguments, or ``InvalidArgument``."""
+        """The common arguments, or ``ArgumentError``."""
         _SymmetricNMFArguments(starts=self.starts, steps=self.steps)
         return super().check_arguments()
 
@@ -123,7 +123,7 @@ class Agglomerative(Clusterer):
         self.linkage = linkage
 
     def check_arguments(self) -> ClustererArguments:
-        """The common arguments, or ``InvalidArgument``."""
+        """The common arguments, or ``ArgumentError``."""
         if self.linkage not in LINKAGES:
             raise unknown_name("linkage", self.linkage, LINKAGES)
         return super().check_arguments()
@@ -166,12 +166,10 @@ class Hdbscan(Clusterer):
         self.least = least
 
     def check_arguments(self) -> ClustererArguments:
-        """The common arguments, or ``InvalidArgument``."""
+        """The common arguments, or ``ArgumentError``."""
         _HdbscanArguments(least=self.least)
         if self.count != OWN:
-            raise InvalidArgument(
-                f"count must be {OWN!r} for HDBSCAN, which counts by itself, got {shown(self.count)}."
-            )
+            raise ArgumentError(f"count must be {OWN!r} for HDBSCAN, which counts by itself, got {quote(self.count)}.")
         return super().check_arguments()
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
@@ -226,7 +224,7 @@ class LeadVotes(Clusterer):
         self.ridge = ridge
 
     def check_arguments(self) -> ClustererArguments:
-        """The common arguments, or ``InvalidArgument``."""
+        """The common arguments, or ``ArgumentError``."""
         _LeadVotesArguments(lags=self.lags, squares=self.squares, ridge=self.ridge)
         return super().check_arguments()
 

@@ -21,7 +21,7 @@ from pydantic import Field
 from scipy.special import expit, logit
 
 from detectors.follow_mixture.explanation import KINDS, Explanation
-from usnet_env.config import Config, InvalidArgument, shown
+from usnet_env.config import ArgumentError, Config, quote
 
 __all__ = [
     "MOST_ODDS",
@@ -173,13 +173,13 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
     """The calibration in a file that ``usnet train follow-mixture`` wrote.
 
     Raises:
-        InvalidArgument: the file is missing, or holds something else.
+        ArgumentError: the file is missing, or holds something else.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InvalidArgument(f"path must be a calibration file, got {shown(str(path))}: {reason}.") from None
+        raise ArgumentError(f"path must be a calibration file, got {quote(str(path))}: {reason}.") from None
     return _parsed(text, str(path))
 
 
@@ -187,10 +187,10 @@ def _parsed(text: str, path: str) -> Calibration:
     try:
         beliefs = json.loads(text)["calibration"]
         return Calibration(**{name: _belief(belief) for name, belief in beliefs.items()})
-    except InvalidArgument as error:
-        raise InvalidArgument(f"path must hold a calibration, got {shown(path)}: {str(error).rstrip('.')}.") from None
+    except ArgumentError as error:
+        raise ArgumentError(f"path must hold a calibration, got {quote(path)}: {str(error).rstrip('.')}.") from None
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise InvalidArgument(f"path must hold a calibration as JSON, got {shown(path)}.") from None
+        raise ArgumentError(f"path must hold a calibration as JSON, got {quote(path)}.") from None
 
 
 def _belief(entries: dict[str, Any]) -> Belief:

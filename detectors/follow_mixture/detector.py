@@ -13,7 +13,7 @@ from detectors.follow_mixture.calibration import calibrated
 from detectors.follow_mixture.explain import explain
 from detectors.follow_mixture.policy import Policy, choose
 from detectors.follow_mixture.samples import samples_of
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -46,7 +46,7 @@ class FollowMixture(Detector):
             nobody seems to follow anybody and heads could only be guessed.
 
     Raises:
-        InvalidArgument: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class FollowMixture(Detector):
         """Start an episode; the generator serves to break ties only.
 
         Raises:
-            InvalidArgument: an argument of the constructor is refused.
+            ArgumentError: an argument of the constructor is refused.
         """
         self._arguments()
         super().reset(seed)
@@ -89,11 +89,11 @@ class FollowMixture(Detector):
             ``gate`` (one sentence each), ``nats`` (what the whole explanation gains, after prices).
 
         Raises:
-            InvalidArgument: an argument of the constructor is refused, or ``clusters`` exceeds the window's N.
+            ArgumentError: an argument of the constructor is refused, or ``clusters`` exceeds the window's N.
         """
         arguments = self._arguments()
         if arguments.clusters is not None and arguments.clusters > window.uavs:
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"clusters must be at most the number of UAVs in the window ({window.uavs}), got {arguments.clusters}."
             )
         rng = getattr(self, "rng", None) or np.random.default_rng()

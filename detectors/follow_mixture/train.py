@@ -39,8 +39,8 @@ from detectors.follow_mixture.calibration import (
 from detectors.follow_mixture.explain import explain
 from detectors.follow_mixture.explanation import KINDS
 from detectors.follow_mixture.samples import samples_of
-from usnet_env.config import Config, InvalidArgument, shown
-from usnet_env.files import written_whole
+from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.files import atomic_write
 from usnet_env.provenance import versions
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_strategy
@@ -342,7 +342,7 @@ def train_calibration(
         The calibration's file.
 
     Raises:
-        InvalidArgument: an argument is refused, ``out`` can't be written to, or its rows are of other draws or of
+        ArgumentError: an argument is refused, ``out`` can't be written to, or its rows are of other draws or of
             another version of the detector.
     """
     training = CalibrationTraining() if training is None else training
@@ -351,9 +351,9 @@ def train_calibration(
     rows: list[dict[str, str]] = []
     if resume and path.exists():
         if not (folder / _IDENTITY).exists() or (folder / _IDENTITY).read_text(encoding="utf-8") != identity:
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"out must hold no rows of other draws or of another version of the detector (start again with "
-                f"resume=False, or elsewhere), got {shown(str(folder))}."
+                f"resume=False, or elsewhere), got {quote(str(folder))}."
             )
         rows = read_rows(path)[: training.swarms]
     _write(folder / _IDENTITY, identity)
@@ -409,7 +409,7 @@ def _as_csv(names: Sequence[str], lines: Iterable[Sequence[Any]]) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         aside.write_text(text, encoding="utf-8")
 
 
@@ -417,15 +417,15 @@ def read_rows(path: str | os.PathLike[str]) -> list[dict[str, str]]:
     """Rows that :func:`train_calibration` wrote; ``.gz`` is read as well.
 
     Raises:
-        InvalidArgument: the file is missing or holds something else.
+        ArgumentError: the file is missing or holds something else.
     """
     try:
         data = Path(path).read_bytes()
         text = (gzip.decompress(data) if str(path).endswith(".gz") else data).decode("utf-8")
         rows = list(csv.DictReader(io.StringIO(text)))
     except (OSError, EOFError, UnicodeDecodeError, csv.Error) as error:
-        raise InvalidArgument(f"path must be a file of rows, got {shown(str(path))}: {error}.") from None
+        raise ArgumentError(f"path must be a file of rows, got {quote(str(path))}: {error}.") from None
     numbered = all(row.get("swarm") == str(number) for number, row in enumerate(rows))
     if not numbered or any(set(row) != set(COLUMNS) for row in rows):
-        raise InvalidArgument(f"path must hold rows of this calibration, got {shown(str(path))}.")
+        raise ArgumentError(f"path must hold rows of this calibration, got {quote(str(path))}.")
     return rows

@@ -15,7 +15,7 @@ from detectors.gassl.input_pooling import InputPooling, fit_input_pooling
 from detectors.gassl.inputs import samples_of
 from detectors.gassl.prediction_pooling import PredictionPooling, fit_prediction_pooling
 from detectors.gassl.votes import RULES, choices, probabilities, top
-from usnet_env.config import Config, InvalidArgument, shown, unknown_name
+from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -69,7 +69,7 @@ class Gassl(Detector):
         query_hidden, query, key, similarity_hidden, ifsn_hidden, ifsn_learning_rate: of input pooling.
 
     Raises:
-        InvalidArgument: from :meth:`reset` and :meth:`detect`: an argument is refused, the device is not there, or the
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, the device is not there, or the
             window has fewer than 3 UAVs, no UAV that was seen, or no more than T_0 velocities.
     """
 
@@ -129,7 +129,7 @@ class Gassl(Detector):
         """The settings of the pooling, and the vote rule; checks every argument.
 
         Raises:
-            InvalidArgument: an argument is refused, or belongs to the other pooling.
+            ArgumentError: an argument is refused, or belongs to the other pooling.
         """
         plain = _Arguments(**{name: getattr(self, name) for name in _Arguments.model_fields})
         if plain.preset not in PRESETS:
@@ -141,9 +141,7 @@ class Gassl(Detector):
         if rule not in RULES:
             raise unknown_name("rule", rule, RULES)
         if plain.gate and pooling != "predictions":
-            raise InvalidArgument(
-                "gate must be False with pooling='inputs', whose fit has no held-out times, got True."
-            )
+            raise ArgumentError("gate must be False with pooling='inputs', whose fit has no held-out times, got True.")
         kinds: dict[str, type[PredictionPooling] | type[InputPooling]] = {
             "predictions": PredictionPooling,
             "inputs": InputPooling,
@@ -153,23 +151,23 @@ class Gassl(Detector):
         kind = kinds[pooling]
         for name, value in given.items():
             if name not in kind.model_fields:
-                raise InvalidArgument(f"{name} must be None with pooling={pooling!r}, got {shown(value)}.")
+                raise ArgumentError(f"{name} must be None with pooling={pooling!r}, got {quote(value)}.")
         return kind(**given), rule
 
     def _device(self) -> torch.device:
         if self.device == "auto":
             return torch.device("cuda" if torch.cuda.is_available() else "cpu")
         if self.device not in ("cpu", "cuda"):
-            raise InvalidArgument(f"device must be 'cpu', 'cuda' or 'auto', got {shown(self.device)}.")
+            raise ArgumentError(f"device must be 'cpu', 'cuda' or 'auto', got {quote(self.device)}.")
         if self.device == "cuda" and not torch.cuda.is_available():
-            raise InvalidArgument("device must be one that is there ('cpu' or 'auto'), got 'cuda' without a GPU.")
+            raise ArgumentError("device must be one that is there ('cpu' or 'auto'), got 'cuda' without a GPU.")
         return torch.device(self.device)
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode.
 
         Raises:
-            InvalidArgument: an argument of the constructor is refused.
+            ArgumentError: an argument of the constructor is refused.
         """
         self.settings()
         self._device()
@@ -198,7 +196,7 @@ class Gassl(Detector):
         """
         mask = np.asarray(members)
         if mask.shape != (window.uavs,) or mask.dtype != bool:
-            raise InvalidArgument(f"members must be {window.uavs} booleans, got {shown(members)}.")
+            raise ArgumentError(f"members must be {window.uavs} booleans, got {quote(members)}.")
         part = Window(window.position, window.velocity, window.seen, window.alive & mask, window.round)
         return self.detect(part)
 
@@ -231,13 +229,13 @@ class Gassl(Detector):
     def _members(self, window: Window) -> NDArray[np.intp]:
         """Indices of the UAVs that can be looked at."""
         if window.uavs < _LEAST_UAVS:
-            raise InvalidArgument(f"window must hold at least {_LEAST_UAVS} UAVs, got {window.uavs}.")
+            raise ArgumentError(f"window must hold at least {_LEAST_UAVS} UAVs, got {window.uavs}.")
         if window.observation_steps <= self.memory:
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"window must hold more than memory = {self.memory} velocities, got {window.observation_steps}."
             )
         if not window.velocity_seen.any():
-            raise InvalidArgument("window must show at least one UAV that lives, got one in which all are masked.")
+            raise ArgumentError("window must show at least one UAV that lives, got one in which all are masked.")
         return np.flatnonzero(window.alive)
 
     def _too_few(self, window: Window, index: NDArray[np.intp], rng: np.random.Generator) -> Detection:

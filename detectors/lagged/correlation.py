@@ -36,7 +36,7 @@ class LaggedCorrelation(LaggedDetector):
             ``max_lag`` + 6 velocities.
 
     Raises:
-        InvalidArgument: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     def __init__(self, clusters: int | None = None, max_lag: int = 4) -> None:
@@ -44,7 +44,7 @@ class LaggedCorrelation(LaggedDetector):
         self.max_lag = max_lag
 
     def check_arguments(self) -> _Arguments:
-        """The arguments, or ``InvalidArgument``."""
+        """The arguments, or ``ArgumentError``."""
         return _Arguments(clusters=self.clusters, max_lag=self.max_lag)
 
     def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:

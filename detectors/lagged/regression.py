@@ -43,7 +43,7 @@ class LaggedRegression(LaggedDetector):
         ridge: the penalty, in units of the features' mean squared singular value, at least 0.
 
     Raises:
-        InvalidArgument: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     def __init__(self, clusters: int | None = None, lags: int = 4, squares: bool = True, ridge: float = 1e-3) -> None:
@@ -53,7 +53,7 @@ class LaggedRegression(LaggedDetector):
         self.ridge = ridge
 
     def check_arguments(self) -> _Arguments:
-        """The arguments, or ``InvalidArgument``."""
+        """The arguments, or ``ArgumentError``."""
         return _Arguments(clusters=self.clusters, lags=self.lags, squares=self.squares, ridge=self.ridge)
 
     def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from usnet_env.config import Config, InvalidArgument
+from usnet_env.config import ArgumentError, Config
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -211,7 +211,7 @@ class LaggedDetector(Detector):
 
     @abstractmethod
     def check_arguments(self) -> Any:
-        """The arguments as a :class:`LaggedArguments`, or ``InvalidArgument``."""
+        """The arguments as a :class:`LaggedArguments`, or ``ArgumentError``."""
 
     @abstractmethod
     def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
@@ -221,7 +221,7 @@ class LaggedDetector(Detector):
         """Start an episode; the generator serves to break ties only.
 
         Raises:
-            InvalidArgument: an argument of the constructor is refused.
+            ArgumentError: an argument of the constructor is refused.
         """
         self.check_arguments()
         super().reset(seed)
@@ -236,11 +236,11 @@ class LaggedDetector(Detector):
             number found (0: nobody seems to follow anybody).
 
         Raises:
-            InvalidArgument: an argument of the constructor is refused, or ``clusters`` exceeds the window's N.
+            ArgumentError: an argument of the constructor is refused, or ``clusters`` exceeds the window's N.
         """
         self.check_arguments()
         if self.clusters is not None and self.clusters > window.uavs:
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"clusters must be at most the number of UAVs in the window ({window.uavs}), got {self.clusters}."
             )
         living = np.flatnonzero(window.alive)

@@ -14,7 +14,7 @@ from detectors.follow_mixture.policy import Policy, choose
 from detectors.learned.inputs import inputs_of
 from detectors.learned.network import HeadNetwork, network_of
 from detectors.weights import packaged_arrays, read_arrays
-from usnet_env.config import Config, InvalidArgument, unknown_name
+from usnet_env.config import ArgumentError, Config, unknown_name
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -54,7 +54,7 @@ class Learned(Detector):
         weights: ``"shipped"``, or a weights file of :func:`detectors.learned.train.train_heads`.
 
     Raises:
-        InvalidArgument: from :meth:`reset` and :meth:`detect`: an argument is refused, or the weights file is missing,
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the weights file is missing,
             broken, or not what the JSON beside it says.
     """
 
@@ -76,7 +76,7 @@ class Learned(Detector):
         """Start an episode; the generator serves to break ties only.
 
         Raises:
-            InvalidArgument: an argument of the constructor is refused.
+            ArgumentError: an argument of the constructor is refused.
         """
         self._network = load_network(self._arguments().weights)
         super().reset(seed)
@@ -90,14 +90,14 @@ class Learned(Detector):
             attention, the probability that UAV i follows j; in ``extras`` ``probability`` ``(N,)``.
 
         Raises:
-            InvalidArgument: an argument of the constructor is refused, or more than ``MOST_UAVS`` live.
+            ArgumentError: an argument of the constructor is refused, or more than ``MOST_UAVS`` live.
         """
         arguments = self._arguments()
         if not hasattr(self, "_network"):
             self.reset()
         living = np.flatnonzero(window.alive)
         if len(living) > MOST_UAVS:
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"window must hold at most {MOST_UAVS} living UAVs for this detector, got {len(living)}."
             )
         probability, attention = np.zeros(window.uavs), np.zeros((window.uavs, window.uavs))
@@ -116,7 +116,7 @@ def load_network(weights: str = "shipped") -> HeadNetwork:
     """The network with the shipped weights or those of a file, in the mode of use.
 
     Raises:
-        InvalidArgument: the file is missing, broken, or not what the JSON beside it says.
+        ArgumentError: the file is missing, broken, or not what the JSON beside it says.
     """
     if weights == "shipped":
         return network_of("learned.safetensors", packaged_arrays("detectors.learned", "learned"))

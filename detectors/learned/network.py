@@ -10,7 +10,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from detectors.learned.features import PAIR_FEATURES
-from usnet_env.config import Config, InvalidArgument, shown
+from usnet_env.config import ArgumentError, Config, quote
 
 __all__ = ["Answer", "HeadNetwork", "NetworkSizes", "draw_network", "network_of"]
 
@@ -92,7 +92,7 @@ class HeadNetwork(nn.Module):
     def __init__(self, sizes: NetworkSizes) -> None:
         super().__init__()
         if sizes.width % sizes.heads:
-            raise InvalidArgument(f"heads must divide width ({sizes.width}), got {sizes.heads}.")
+            raise ArgumentError(f"heads must divide width ({sizes.width}), got {sizes.heads}.")
         width = sizes.width
         self.sizes = sizes
         self.forth = nn.Linear(PAIR_FEATURES, width)
@@ -132,17 +132,17 @@ def network_of(path: str, arrays: Mapping[str, Tensor]) -> HeadNetwork:
     """The network with these weights, whose sizes follow from their shapes.
 
     Raises:
-        InvalidArgument: the arrays are not those of a network, or not finite; ``path`` is named.
+        ArgumentError: the arrays are not those of a network, or not finite; ``path`` is named.
     """
     try:
         width, heads = len(arrays["itself"]), len(arrays["blocks.0.attention.weight"])
         blocks = sum(name.endswith(".attention.weight") for name in arrays)
         network = draw_network(NetworkSizes(width=width, heads=heads, blocks=blocks), 0)
         network.load_state_dict(dict(arrays))
-    except (KeyError, TypeError, RuntimeError, InvalidArgument):
-        raise InvalidArgument(
-            f"path must hold the arrays of a head network, got {shown(path)} with {shown(sorted(arrays))}."
+    except (KeyError, TypeError, RuntimeError, ArgumentError):
+        raise ArgumentError(
+            f"path must hold the arrays of a head network, got {quote(path)} with {quote(sorted(arrays))}."
         ) from None
     if any(not bool(value.isfinite().all()) for value in arrays.values()):
-        raise InvalidArgument(f"path must hold finite arrays, got others in {shown(path)}.")
+        raise ArgumentError(f"path must hold finite arrays, got others in {quote(path)}.")
     return network.eval()

@@ -23,8 +23,8 @@ from torch import Tensor
 from detectors.learned.inputs import Inputs, inputs_of
 from detectors.learned.network import Answer, HeadNetwork, NetworkSizes, draw_network
 from detectors.weights import arrays_of, write_arrays, write_weights
-from usnet_env.config import Config, InvalidArgument, shown
-from usnet_env.files import written_whole
+from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.files import atomic_write
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
@@ -178,11 +178,11 @@ def train_heads(
         The weights file.
 
     Raises:
-        InvalidArgument: an argument is refused, ``out`` can't be written to, or its checkpoint is of another training.
+        ArgumentError: an argument is refused, ``out`` can't be written to, or its checkpoint is of another training.
     """
     training = HeadTraining() if training is None else training
     if isinstance(checkpoint_every, bool) or not isinstance(checkpoint_every, int) or checkpoint_every < 1:
-        raise InvalidArgument(f"checkpoint_every must be a whole number from 1, got {shown(checkpoint_every)}.")
+        raise ArgumentError(f"checkpoint_every must be a whole number from 1, got {quote(checkpoint_every)}.")
     folder = Path(out)
     checkpoint = folder / _CHECKPOINT
     network = draw_network(training.sizes(), int(_rng(training, _START).integers(2**63)))
@@ -195,7 +195,7 @@ def train_heads(
         progress(len(losses), training.steps)
         if len(losses) % checkpoint_every == 0 or len(losses) == training.steps:
             _write_checkpoint(checkpoint, training, network, optimiser, losses)
-    with written_whole(folder / "losses.csv") as aside, aside.open("w", encoding="utf-8", newline="") as file:
+    with atomic_write(folder / "losses.csv") as aside, aside.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["step", "loss"])
         writer.writerows((step, round(loss, 6)) for step, loss in enumerate(losses, start=1))
@@ -272,9 +272,9 @@ def _read_checkpoint(
 ) -> list[float]:
     arrays = arrays_of(str(path), path.read_bytes())
     if "losses" not in arrays or not torch.equal(arrays.get("training", torch.empty(0)), _identity(training)):
-        raise InvalidArgument(
+        raise ArgumentError(
             f"out must hold no checkpoint of another training (train from the start with resume=False, or elsewhere), "
-            f"got {shown(str(path))}."
+            f"got {quote(str(path))}."
         )
     network.load_state_dict(
         {name.removeprefix("network."): value for name, value in arrays.items() if name.startswith("network.")}

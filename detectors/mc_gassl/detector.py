@@ -23,7 +23,7 @@ from detectors.mc_gassl.gru import GruParameters, GruSizes, draw_parameters
 from detectors.mc_gassl.metric import Metric
 from detectors.mc_gassl.online import OnlineTraining, train_online
 from detectors.mc_gassl.weights import load_meta_weights
-from usnet_env.config import Config, InvalidArgument, shown, unknown_name
+from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -126,7 +126,7 @@ class McGassl(Detector):
         memory: T_0.
 
     Raises:
-        InvalidArgument: from :meth:`reset` and :meth:`detect`: an argument is refused, or a window with clusters to
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or a window with clusters to
             look at has no more than T_0 velocities.
     """
 
@@ -172,7 +172,7 @@ class McGassl(Detector):
         """The preset with the arguments that were given in their places; checks every argument.
 
         Raises:
-            InvalidArgument: an argument is refused.
+            ArgumentError: an argument is refused.
         """
         plain = _Arguments(**{name: getattr(self, name) for name in _Arguments.model_fields})
         if plain.preset not in PRESETS:
@@ -194,12 +194,12 @@ class McGassl(Detector):
         if isinstance(stages.clusterer, str):
             make_clusterer(stages.clusterer)
         elif not callable(getattr(stages.clusterer, "cluster", None)):
-            raise InvalidArgument(
-                f"clusterer must be a name or have cluster(window, rng), got {shown(stages.clusterer)}."
+            raise ArgumentError(
+                f"clusterer must be a name or have cluster(window, rng), got {quote(stages.clusterer)}."
             )
         if self.head_detector is not None and not callable(getattr(self.head_detector, "detect_batch", None)):
-            raise InvalidArgument(
-                f"head_detector must have reset(seed) and detect_batch(windows), got {shown(self.head_detector)}."
+            raise ArgumentError(
+                f"head_detector must have reset(seed) and detect_batch(windows), got {quote(self.head_detector)}."
             )
         return stages
 
@@ -207,7 +207,7 @@ class McGassl(Detector):
         """Start an episode: the GRU network is what it was off line.
 
         Raises:
-            InvalidArgument: an argument of the constructor is refused.
+            ArgumentError: an argument of the constructor is refused.
         """
         stages = self.stages()
         super().reset(seed)

@@ -76,7 +76,7 @@ def gru_features(
         ``(N, w)``, or ``(N, T_ob - T_0 + 1, w)`` for ``"series"``.
 
     Raises:
-        InvalidArgument: an argument is refused.
+        ArgumentError: an argument is refused.
     """
     arguments = _Arguments(mode=mode, memory=memory, scale=scale)
     if mode not in MODES:

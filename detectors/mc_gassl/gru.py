@@ -14,7 +14,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from usnet_env.config import Config, InvalidArgument, shown
+from usnet_env.config import ArgumentError, Config, quote
 
 __all__ = ["ARENA_SCALE", "GruInputs", "GruParameters", "GruSizes", "Scale", "draw_parameters", "embed", "gru"]
 
@@ -45,7 +45,7 @@ class GruParameters:
         candidate: W_h ``(w, 3 + w)``, for [v; g_r * h].
 
     Raises:
-        InvalidArgument: the three don't have one such shape.
+        ArgumentError: the three don't have one such shape.
     """
 
     reset: Tensor
@@ -56,8 +56,8 @@ class GruParameters:
         shapes = [tuple(tensor.shape) for tensor in self.tensors()]
         width = shapes[0][0] if shapes[0] else 0
         if width < 3 or any(shape != (width, width + 3) for shape in shapes):
-            raise InvalidArgument(
-                f"parameters must be three arrays of one shape (width, width + 3) with width >= 3, got {shown(shapes)}."
+            raise ArgumentError(
+                f"parameters must be three arrays of one shape (width, width + 3) with width >= 3, got {quote(shapes)}."
             )
 
     @property

@@ -11,7 +11,7 @@ from pydantic import Field
 from torch import Tensor
 
 from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, embed, gru
-from usnet_env.config import Config, InvalidArgument
+from usnet_env.config import ArgumentError, Config
 
 __all__ = ["SAMPLINGS", "Metric", "Triplets", "batch_loss", "draw_triplets", "triplet_loss"]
 
@@ -142,10 +142,10 @@ def batch_loss(
         The loss; 0 where no triplet can be drawn.
 
     Raises:
-        InvalidArgument: ``labels`` has another length than n.
+        ArgumentError: ``labels`` has another length than n.
     """
     if labels.shape != (inputs.uavs,):
-        raise InvalidArgument(f"labels must have shape ({inputs.uavs},), got {tuple(labels.shape)}.")
+        raise ArgumentError(f"labels must have shape ({inputs.uavs},), got {tuple(labels.shape)}.")
     batch = inputs.at(torch.randperm(inputs.times, generator=generator)[: metric.times])
     triplets = draw_triplets(metric, parameters, batch, labels, generator)
     # The Siamese network: the same cells for the anchors, the positives and the negatives, and for nobody else.

@@ -59,7 +59,7 @@ def train_online(
         with a fellow), the parameters come back as they were and the losses are 0.
 
     Raises:
-        InvalidArgument: ``labels`` has another length than n.
+        ArgumentError: ``labels`` has another length than n.
     """
     losses: list[float] = []
     for _ in range(settings.steps):

@@ -25,8 +25,8 @@ from detectors.mc_gassl.meta import Clustered, OfflineTraining, Task, train_offl
 from detectors.mc_gassl.metric import Metric, batch_loss
 from detectors.mc_gassl.online import OnlineTraining, train_online
 from detectors.mc_gassl.weights import NAMES, parameters_of, save_weights
-from usnet_env.config import Config, InvalidArgument, shown
-from usnet_env.files import written_whole
+from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.files import atomic_write
 from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
@@ -175,12 +175,12 @@ def train_meta(
         The weights file.
 
     Raises:
-        InvalidArgument: an argument is refused, ``out`` can't be written to, or its checkpoint is of another training
+        ArgumentError: an argument is refused, ``out`` can't be written to, or its checkpoint is of another training
             or of more episodes.
     """
     training = MetaTraining() if training is None else training
     if isinstance(checkpoint_every, bool) or not isinstance(checkpoint_every, int) or checkpoint_every < 1:
-        raise InvalidArgument(f"checkpoint_every must be a whole number from 1, got {shown(checkpoint_every)}.")
+        raise ArgumentError(f"checkpoint_every must be a whole number from 1, got {quote(checkpoint_every)}.")
     folder, settings, total = Path(out), training.offline(), training.strategies + training.episodes
     parameters = start_of(training)
     losses: list[float] = []
@@ -199,7 +199,7 @@ def train_meta(
         losses += more
         _write_checkpoint(checkpoint, training, parameters, losses)
         progress(training.strategies + len(losses), total)
-    with written_whole(folder / "losses.csv") as aside, aside.open("w", encoding="utf-8", newline="") as file:
+    with atomic_write(folder / "losses.csv") as aside, aside.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["episode", "loss"])
         writer.writerows(enumerate(losses, start=1))
@@ -240,7 +240,7 @@ def _identity(training: MetaTraining) -> torch.Tensor:
 def _write_checkpoint(path: Path, training: MetaTraining, parameters: GruParameters, losses: list[float]) -> None:
     arrays = dict(zip(NAMES, parameters.tensors(), strict=True))
     arrays |= {"losses": torch.tensor(losses, dtype=torch.float64), "training": _identity(training)}
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         aside.write_bytes(save({name: value.contiguous() for name, value in arrays.items()}))
 
 
@@ -249,14 +249,14 @@ def _read_checkpoint(path: Path, training: MetaTraining) -> tuple[GruParameters,
     parameters = parameters_of(str(path), data)
     arrays = load(data)
     if "losses" not in arrays or not torch.equal(arrays.get("training", torch.empty(0)), _identity(training)):
-        raise InvalidArgument(
+        raise ArgumentError(
             f"out must hold no checkpoint of another training (train from the start with resume=False, or elsewhere), "
-            f"got {shown(str(path))}."
+            f"got {quote(str(path))}."
         )
     losses: list[float] = arrays["losses"].tolist()
     if len(losses) > training.episodes:
-        raise InvalidArgument(
-            f"episodes must be at least the {len(losses)} of the checkpoint in {shown(str(path.parent))}, "
+        raise ArgumentError(
+            f"episodes must be at least the {len(losses)} of the checkpoint in {quote(str(path.parent))}, "
             f"got {training.episodes}."
         )
     return parameters, losses

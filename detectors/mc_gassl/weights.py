@@ -12,7 +12,7 @@ from torch import Tensor
 
 from detectors.mc_gassl.gru import GruParameters
 from detectors.weights import arrays_of, packaged_arrays, packaged_record, read_arrays, write_weights
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 
 __all__ = ["NAMES", "load_meta_weights", "load_weights", "meta_record", "parameters_of", "save_weights"]
 
@@ -28,7 +28,7 @@ def save_weights(
     """Write W, and ``path`` with the suffix ``.json`` beside it, see :func:`detectors.weights.write_weights`.
 
     Raises:
-        InvalidArgument: the path has another suffix than ``.safetensors`` or can't be written to.
+        ArgumentError: the path has another suffix than ``.safetensors`` or can't be written to.
     """
     return write_weights(path, dict(zip(NAMES, parameters.tensors(), strict=True)), training, metrics)
 
@@ -37,7 +37,7 @@ def load_weights(path: str | os.PathLike[str]) -> GruParameters:
     """The weights in a file that :func:`save_weights` wrote.
 
     Raises:
-        InvalidArgument: a file is missing or broken, or the weights are not those that the JSON names.
+        ArgumentError: a file is missing or broken, or the weights are not those that the JSON names.
     """
     return _parameters(str(path), read_arrays(path))
 
@@ -56,15 +56,15 @@ def parameters_of(path: str, data: bytes) -> GruParameters:
     """W from the bytes of a safetensors file with the arrays :data:`NAMES`, and maybe others.
 
     Raises:
-        InvalidArgument: the bytes are none, or hold other arrays; ``path`` is named.
+        ArgumentError: the bytes are none, or hold other arrays; ``path`` is named.
     """
     return _parameters(path, arrays_of(path, data))
 
 
 def _parameters(path: str, arrays: Mapping[str, Tensor]) -> GruParameters:
     if any(name not in arrays for name in NAMES):
-        raise InvalidArgument(f"path must hold the arrays {', '.join(NAMES)}, got {shown(path)} with {sorted(arrays)}.")
+        raise ArgumentError(f"path must hold the arrays {', '.join(NAMES)}, got {quote(path)} with {sorted(arrays)}.")
     parameters = GruParameters(*(arrays[name] for name in NAMES))
     if any(value.dtype != torch.float32 or not bool(value.isfinite().all()) for value in parameters.tensors()):
-        raise InvalidArgument(f"path must hold finite float32 arrays, got others in {shown(path)}.")
+        raise ArgumentError(f"path must hold finite float32 arrays, got others in {quote(path)}.")
     return parameters

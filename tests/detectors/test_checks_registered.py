@@ -6,7 +6,7 @@ from importlib.metadata import distribution
 import pytest
 
 from detectors.checks import check_detector, parametrize_with_checks
-from usnet_env import InvalidArgument, make_detector
+from usnet_env import ArgumentError, make_detector
 
 # Made small where the defaults train for long: what is checked doesn't depend on the number of steps.
 SMALL = {"gassl": "gassl(steps=4, voters=4)", "mc-gassl": "mc-gassl(gate_steps=4, passes=1)"}
@@ -24,7 +24,7 @@ def made(name):
             if name == "mc-gassl":
                 detector.set_params(head_detector=make_detector(SMALL["gassl"]))
             return detector
-        except InvalidArgument as error:  # its extra is not installed
+        except ArgumentError as error:  # its extra is not installed
             pytest.skip(str(error))
 
 

@@ -8,7 +8,7 @@ from synthetic_windows import flight, heads_of, window_of
 
 from detectors.lagged import LaggedCorrelation, LaggedRegression, OnePerRound
 from detectors.lagged.selection import Evidence, cover_voters, voters_of
-from usnet_env import InvalidArgument, Window
+from usnet_env import ArgumentError, Window
 
 BOTH = [LaggedRegression, LaggedCorrelation]
 ALL = [*BOTH, OnePerRound]
@@ -231,14 +231,14 @@ def test_a_bad_argument_is_refused_when_it_is_used(kind, name, value):
     velocity, _ = flight(np.random.default_rng(14), steps=10)
     detector = kind(**{name: value})
     for use in (lambda: detector.reset(0), lambda: detector.detect(window_of(velocity))):
-        with pytest.raises(InvalidArgument, match=rf"^{name} must be .*, got .*\.$"):
+        with pytest.raises(ArgumentError, match=rf"^{name} must be .*, got .*\.$"):
             use()
 
 
 @pytest.mark.parametrize("kind", BOTH)
 def test_more_clusters_than_uavs_are_refused(kind):
     velocity, leader = flight(np.random.default_rng(15), steps=10)
-    with pytest.raises(InvalidArgument, match=r"^clusters must be at most .*\(16\), got 17\.$"):
+    with pytest.raises(ArgumentError, match=r"^clusters must be at most .*\(16\), got 17\.$"):
         answer(kind(clusters=len(leader) + 1), window_of(velocity))
 
 

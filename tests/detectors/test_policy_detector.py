@@ -13,7 +13,7 @@ from synthetic_windows import flight, window_of
 import usnet_env
 from detectors.checks import CHECKS, check_detector
 from detectors.policy_detector import PolicyDetector, observation_of
-from usnet_env import InvalidArgument, Window, make_detector
+from usnet_env import ArgumentError, Window, make_detector
 
 UAVS = 14
 SMALL = {"clusters": 2, "uavs": UAVS, "observation_steps": 60, "max_rounds": 4}
@@ -113,7 +113,7 @@ def test_masks_go_to_whoever_takes_them():
     ],
 )
 def test_each_mistake_has_its_sentence(policy, arguments, sentence):
-    with pytest.raises(InvalidArgument, match=sentence):
+    with pytest.raises(ArgumentError, match=sentence):
         PolicyDetector(policy, **arguments).detect(a_window())
 
 
@@ -211,7 +211,7 @@ def trained():
 
 
 def test_a_trained_model_gives_its_policy_and_not_itself(trained):
-    with pytest.raises(InvalidArgument, match=r"policy must hold no environment .*give model\.policy"):
+    with pytest.raises(ArgumentError, match=r"policy must hold no environment .*give model\.policy"):
         PolicyDetector(trained).reset(0)
     detector = PolicyDetector(trained.policy)
     window = a_window()

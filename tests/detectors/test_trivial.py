@@ -3,8 +3,8 @@ import pytest
 from sklearn.base import clone
 from synthetic_windows import flight, window_of
 
-from detectors.trivial import DestroyAll, NoCandidates, RandomDetector
-from usnet_env import InvalidArgument
+from detectors.baselines.trivial import DestroyAll, NoCandidates, RandomDetector
+from usnet_env import ArgumentError
 
 
 @pytest.fixture
@@ -60,5 +60,5 @@ def test_random_works_without_reset(window):
 def test_random_refuses_a_bad_count_when_it_is_used(window, count):
     detector = clone(RandomDetector(count=count))
     for use in (lambda: detector.reset(0), lambda: detector.detect(window)):
-        with pytest.raises(InvalidArgument, match=r"^count must be .*, got .*\.$"):
+        with pytest.raises(ArgumentError, match=r"^count must be .*, got .*\.$"):
             use()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 
 CLASSES = (SingleClusterEnv, MultiClusterEnv)
@@ -35,7 +35,7 @@ anything = st.one_of(
 def test_every_argument_works_or_is_named(kind, name, value):
     try:
         env = kind(**{name: value})
-    except InvalidArgument as error:
+    except ArgumentError as error:
         sentence = str(error)
         # A size that contradicts another may be told of by the other's name.
         about = {"clusters": ("clusters", "uavs", "cluster_sizes"), "decoys": ("decoys", "uavs")}.get(name, (name,))

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import usnet_env
-from usnet_env import InvalidArgument, Window
+from usnet_env import ArgumentError, Window
 from usnet_env.envs import ENVIRONMENTS, MultiDiscreteCandidates, register_environments
 
 IDS = sorted(ENVIRONMENTS)
@@ -287,7 +287,7 @@ def test_a_wrong_action_raises_one_clear_sentence_and_changes_nothing(action):
     env = gym.make(MULTI, **SMALL).unwrapped
     env.reset(seed=0)
     before = env.get_state()
-    with pytest.raises(InvalidArgument, match=r"^action must .*got .*\.$"):
+    with pytest.raises(ArgumentError, match=r"^action must .*got .*\.$"):
         env.step(action)
     assert pickle.dumps(env.get_state()) == pickle.dumps(before)
 
@@ -318,23 +318,23 @@ def test_actions_of_every_kind_are_taken(dtype):
     ],
 )
 def test_bad_arguments_are_named(name, arguments, sentence):
-    with pytest.raises(InvalidArgument, match=sentence):
+    with pytest.raises(ArgumentError, match=sentence):
         gym.make(name, **arguments)
 
 
 def test_a_bad_render_mode_is_named():
-    with pytest.raises(InvalidArgument, match="render_mode must be 'rgb_array' or None, got 'human'"):
+    with pytest.raises(ArgumentError, match="render_mode must be 'rgb_array' or None, got 'human'"):
         usnet_env.envs.MultiClusterEnv(render_mode="human")
 
 
 def test_what_comes_too_early_or_too_late_is_refused():
     env = gym.make(SINGLE).unwrapped
     for early in (env.action_masks, env.get_state, lambda: env.step(np.zeros(16)), lambda: env.swarm):
-        with pytest.raises(InvalidArgument, match="reset must be called first"):
+        with pytest.raises(ArgumentError, match="reset must be called first"):
             early()
     env.reset(seed=0)
     env.step(np.zeros(16, np.int8))
-    with pytest.raises(InvalidArgument, match="reset must be called first, got a step in an episode that is over"):
+    with pytest.raises(ArgumentError, match="reset must be called first, got a step in an episode that is over"):
         env.step(np.zeros(16, np.int8))
 
 
@@ -388,7 +388,7 @@ def test_a_state_of_another_env_is_refused():
     env.reset(seed=0)
     other.reset(seed=0)
     for wrong in (env.get_state(), {}, None, 3):
-        with pytest.raises(InvalidArgument, match="state must come from get_state"):
+        with pytest.raises(ArgumentError, match="state must come from get_state"):
             other.set_state(wrong)
 
 
@@ -446,7 +446,7 @@ def test_multi_discrete_wrapper_plays_the_same_game():
     assert wrapped.action_space.contains(action)
     same(plain.step(action)[0], wrapped.step(action)[0])
     np.testing.assert_array_equal(wrapped.action_masks(), plain.unwrapped.action_masks())
-    with pytest.raises(InvalidArgument, match="env must have a MultiBinary action space"):
+    with pytest.raises(ArgumentError, match="env must have a MultiBinary action space"):
         MultiDiscreteCandidates(wrapped)
 
 

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.envs import ENVIRONMENTS
 
 MULTI = "USNET/MultiCluster-v0"
@@ -70,20 +70,20 @@ def test_masks_are_those_of_the_single_envs():
 
 
 def test_bad_input_is_named():
-    with pytest.raises(InvalidArgument, match="num_envs must be a whole number from 1, got 0"):
+    with pytest.raises(ArgumentError, match="num_envs must be a whole number from 1, got 0"):
         gym.make_vec(MULTI, num_envs=0)
-    with pytest.raises(InvalidArgument, match="follow must be one of"):
+    with pytest.raises(ArgumentError, match="follow must be one of"):
         gym.make_vec(MULTI, num_envs=2, follow="f0")
-    with pytest.raises(InvalidArgument, match="render_mode must be None"):
+    with pytest.raises(ArgumentError, match="render_mode must be None"):
         gym.make_vec(MULTI, num_envs=2, render_mode="rgb_array")
     batch = gym.make_vec(MULTI, num_envs=2, observation_steps=10)
-    with pytest.raises(InvalidArgument, match="reset must be called first"):
+    with pytest.raises(ArgumentError, match="reset must be called first"):
         batch.step(np.zeros((2, 82)))
-    with pytest.raises(InvalidArgument, match="seed must hold one seed for each of 2 envs, got 3"):
+    with pytest.raises(ArgumentError, match="seed must hold one seed for each of 2 envs, got 3"):
         batch.reset(seed=[1, 2, 3])
     batch.reset(seed=0)
     for wrong in (np.zeros(82), np.full((2, 82), 2), np.full((2, 82), np.nan), None):
-        with pytest.raises(InvalidArgument, match="action must"):
+        with pytest.raises(ArgumentError, match="action must"):
             batch.step(wrong)
 
 

@@ -25,7 +25,7 @@ from sample_detectors import (
 )
 
 import usnet_env
-from usnet_env import InvalidArgument, evaluate
+from usnet_env import ArgumentError, evaluate
 from usnet_env.evaluation import METRICS, TRIVIAL, EvaluationError
 from usnet_env.evaluation.episode import episode_seeds
 
@@ -237,7 +237,7 @@ def test_the_table_shows_every_row():
     assert "RandomThird" in text.getvalue()
     assert "Followed" in text.getvalue()
     assert "head in cl. 1" in text.getvalue()
-    with pytest.raises(InvalidArgument, match=r"^detector must be one of"):
+    with pytest.raises(ArgumentError, match=r"^detector must be one of"):
         result["nobody-else"]
 
 
@@ -266,7 +266,7 @@ def test_a_detector_that_fails_in_a_worker_ends_it_as_well():
 def test_what_cannot_travel_needs_one_worker():
     detector = Everybody()
     detector.tool = lambda: None
-    with pytest.raises(InvalidArgument, match=r"^workers must be 1"):
+    with pytest.raises(ArgumentError, match=r"^workers must be 1"):
         evaluate(MULTI, detector, episodes=2, env_kwargs=SMALL, workers=2)
     assert len(evaluate(MULTI, detector, episodes=2, env_kwargs=SMALL).rows) == 2
 
@@ -300,7 +300,7 @@ def test_what_cannot_travel_needs_one_worker():
     ],
 )
 def test_bad_input_is_one_sentence_with_the_name(changes, words):
-    with pytest.raises(InvalidArgument) as refused:
+    with pytest.raises(ArgumentError) as refused:
         evaluate(**({"env": MULTI, "detector": "none", "episodes": 1, "env_kwargs": SMALL} | changes))
     sentence = str(refused.value)
     assert all(word in sentence for word in words), sentence
@@ -313,15 +313,15 @@ def test_bad_input_is_one_sentence_with_the_name(changes, words):
     st.one_of(st.floats(), st.text(max_size=5), st.integers(max_value=-1), st.integers(min_value=2**63), st.none()),
 )
 def test_whatever_number_is_wrong_is_named(name, value):
-    with pytest.raises(InvalidArgument, match=rf"^{name} must be "):
+    with pytest.raises(ArgumentError, match=rf"^{name} must be "):
         evaluate(MULTI, Nobody(), **{name: value})
 
 
 def test_a_made_environment_takes_no_arguments_and_one_worker():
     env = gym.make(MULTI, **SMALL)
-    with pytest.raises(InvalidArgument, match=r"^workers must be 1"):
+    with pytest.raises(ArgumentError, match=r"^workers must be 1"):
         evaluate(env, Nobody(), workers=2)
-    with pytest.raises(InvalidArgument, match=r"^env_kwargs must be empty"):
+    with pytest.raises(ArgumentError, match=r"^env_kwargs must be empty"):
         evaluate(env, Nobody(), env_kwargs={"follow": "f2"})
-    with pytest.raises(InvalidArgument, match=r"^env must be"):
+    with pytest.raises(ArgumentError, match=r"^env must be"):
         evaluate(gym.make("CartPole-v1"), Nobody())

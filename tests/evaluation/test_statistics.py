@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import bootstrap, norm
 
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.evaluation.statistics import mean_interval, rate_interval
 
 NUMBERS = st.floats(-1e6, 1e6)
@@ -63,10 +63,10 @@ def test_the_same_sample_has_the_same_interval():
 @pytest.mark.parametrize("values", [[], [float("nan")], [float("inf")], [[1.0]]])
 def test_no_interval_without_finite_numbers(values):
     for function in (mean_interval, rate_interval):
-        with pytest.raises(InvalidArgument, match="values must hold at least one number"):
+        with pytest.raises(ArgumentError, match="values must hold at least one number"):
             function(values)
 
 
 def test_a_rate_is_made_of_zeros_and_ones():
-    with pytest.raises(InvalidArgument, match="0 or 1"):
+    with pytest.raises(ArgumentError, match="0 or 1"):
         rate_interval([0.5])

@@ -8,7 +8,7 @@ import platform
 import pytest
 from sample_detectors import Base, Everybody, Failing, Followed, RandomThird
 
-from usnet_env import Detection, InvalidArgument, evaluate
+from usnet_env import ArgumentError, Detection, evaluate
 from usnet_env.evaluation import EvaluationError
 from usnet_env.evaluation.store import COLUMNS, write_text
 
@@ -117,7 +117,7 @@ def test_another_run_s_folder_is_refused(tmp_path, changes, name):
     asked = {"env": MULTI, "detector": RandomThird(), "episodes": 2, "env_kwargs": SMALL, "out": tmp_path}
     evaluate(**asked)
     before = (tmp_path / "episodes.csv").read_bytes()
-    with pytest.raises(InvalidArgument, match=rf"^out must be .*another .*{name}"):
+    with pytest.raises(ArgumentError, match=rf"^out must be .*another .*{name}"):
         evaluate(**(asked | changes))
     assert (tmp_path / "episodes.csv").read_bytes() == before
 
@@ -139,7 +139,7 @@ def test_a_folder_that_somebody_edited_is_refused(tmp_path, name, text):
     asked = {"env": MULTI, "detector": RandomThird(), "episodes": 2, "env_kwargs": SMALL, "out": tmp_path}
     evaluate(**asked)
     (tmp_path / name).write_text(text)
-    with pytest.raises(InvalidArgument, match=r"^out must ") as refused:
+    with pytest.raises(ArgumentError, match=r"^out must ") as refused:
         evaluate(**asked)
     assert "\n" not in str(refused.value)
     assert (tmp_path / name).read_text() == text
@@ -147,10 +147,10 @@ def test_a_folder_that_somebody_edited_is_refused(tmp_path, name, text):
 
 def test_a_file_or_a_stranger_s_rows_are_refused(tmp_path):
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(InvalidArgument, match=r"^out must be a folder"):
+    with pytest.raises(ArgumentError, match=r"^out must be a folder"):
         evaluate(MULTI, RandomThird(), episodes=1, env_kwargs=SMALL, out=tmp_path / "file")
     (tmp_path / "episodes.csv").write_text("mine")
-    with pytest.raises(InvalidArgument, match=r"^out must be .*no run\.json"):
+    with pytest.raises(ArgumentError, match=r"^out must be .*no run\.json"):
         evaluate(MULTI, RandomThird(), episodes=1, env_kwargs=SMALL, out=tmp_path)
     assert (tmp_path / "episodes.csv").read_text() == "mine"
 

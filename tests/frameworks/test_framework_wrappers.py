@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.envs.wrappers import BoxMasks
 
 SMALL = {"clusters": 2, "uavs": 10, "observation_steps": 12, "max_rounds": 4}
@@ -24,7 +24,7 @@ def test_masks_become_boxes_and_nothing_else_changes():
 
 
 def test_an_observation_without_masks_is_refused():
-    with pytest.raises(InvalidArgument, match="env must have a Dict observation space, got Box"):
+    with pytest.raises(ArgumentError, match="env must have a Dict observation space, got Box"):
         BoxMasks(gym.make("CartPole-v1"))
 
 
@@ -75,8 +75,8 @@ def test_the_spaces_are_what_the_frameworks_want(games):
 def test_what_is_no_game_is_refused(games):
     from usnet_env.multiagent.wrappers import MultiDiscreteVotes, ParallelBoxMasks
 
-    with pytest.raises(InvalidArgument, match=r"env must have votes that are candidates, got Box.* for observer_0"):
+    with pytest.raises(ArgumentError, match=r"env must have votes that are candidates, got Box.* for observer_0"):
         MultiDiscreteVotes(games["observers"](**SMALL, fusion="scores"))
     for wrapper in (MultiDiscreteVotes, ParallelBoxMasks):
-        with pytest.raises(InvalidArgument, match="env must be a parallel_env or a wrapper round it, got 3"):
+        with pytest.raises(ArgumentError, match="env must be a parallel_env or a wrapper round it, got 3"):
             wrapper(3)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from small_games import drawn, small
 
 import usnet_env  # noqa: F401  # registers the single-agent environments
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.multiagent import usnet_evasion_v0
 from usnet_env.multiagent.evasion import Delayed, Manoeuvres, Mixed, Plan, fly, handed, price
 from usnet_env.swarm import FollowInputs, SwarmConfig, advance, start
@@ -343,7 +343,7 @@ def test_the_observers_view_has_no_trace_of_roles():
     ],
 )
 def test_bad_arguments_are_named(arguments, sentence):
-    with pytest.raises(InvalidArgument, match=sentence):
+    with pytest.raises(ArgumentError, match=sentence):
         usnet_evasion_v0.parallel_env(**arguments)
 
 
@@ -354,7 +354,7 @@ def test_a_wrong_choice_is_refused_and_changes_nothing(action):
     env, twin = small("evasion"), small("evasion")
     env.reset(seed=0)
     twin.reset(seed=0)
-    with pytest.raises(InvalidArgument, match=r"^action of head_1 must hold 4 whole numbers .*got .*\.$"):
+    with pytest.raises(ArgumentError, match=r"^action of head_1 must hold 4 whole numbers .*got .*\.$"):
         env.step(act(env, head_1=action))
     assert data_equivalence(env.step(act(env)), twin.step(act(twin)), exact=True)
 
@@ -362,24 +362,24 @@ def test_a_wrong_choice_is_refused_and_changes_nothing(action):
 @pytest.mark.parametrize("wrong", [None, {}, {"observer_0": np.zeros(20)}, [1, 2]])
 def test_an_action_for_every_agent_is_asked_for(wrong):
     env = small("evasion")
-    with pytest.raises(InvalidArgument, match="reset must be called first"):
+    with pytest.raises(ArgumentError, match="reset must be called first"):
         env.step({})
     env.reset(seed=0)
-    with pytest.raises(InvalidArgument, match="actions must map each of observer_0, head_0, head_1, head_2"):
+    with pytest.raises(ArgumentError, match="actions must map each of observer_0, head_0, head_1, head_2"):
         env.step(wrong)
     stray = {**act(env), "head_9": TRUTHFUL}
-    with pytest.raises(InvalidArgument, match="actions must map each of"):
+    with pytest.raises(ArgumentError, match="actions must map each of"):
         env.step(stray)
 
 
 def test_what_is_unknown_or_too_early_is_refused():
     env = small("evasion")
     for early in (env.state, lambda: env.swarm):
-        with pytest.raises(InvalidArgument, match="reset must be called first"):
+        with pytest.raises(ArgumentError, match="reset must be called first"):
             early()
     for where in (env.observation_space, env.action_space):
-        with pytest.raises(InvalidArgument, match=r"agent must be one of observer_0, head_0.*got 'head_7'"):
+        with pytest.raises(ArgumentError, match=r"agent must be one of observer_0, head_0.*got 'head_7'"):
             where("head_7")
     for seed in (-1, 1.5, "a", True):
-        with pytest.raises(InvalidArgument, match="seed must be a whole number from 0 or None"):
+        with pytest.raises(ArgumentError, match="seed must be a whole number from 0 or None"):
             env.reset(seed=seed)

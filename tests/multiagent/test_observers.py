@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from small_games import SMALL, small
 
 import usnet_env  # noqa: F401  # registers the single-agent environments
-from usnet_env import InvalidArgument, Window
+from usnet_env import ArgumentError, Window
 from usnet_env.multiagent import Fusion, fusions, register_fusion, usnet_observers_v0
 from usnet_env.multiagent.sight import Sight, placements, team_sight
 from usnet_env.swarm.formation import ARENA
@@ -223,7 +223,7 @@ def test_the_grid_is_the_same_in_every_episode_and_uniform_places_are_not():
     ],
 )
 def test_bad_arguments_are_named(arguments, sentence):
-    with pytest.raises(InvalidArgument, match=sentence):
+    with pytest.raises(ArgumentError, match=sentence):
         usnet_observers_v0.parallel_env(**arguments)
 
 
@@ -234,7 +234,7 @@ def test_bad_arguments_are_named(arguments, sentence):
 def test_a_wrong_vote_is_refused(fusion, action):
     env = small("observers", fusion=fusion, message_size=0)
     env.reset(seed=0)
-    with pytest.raises(InvalidArgument, match=r"^action .*must .*got .*\.$"):
+    with pytest.raises(ArgumentError, match=r"^action .*must .*got .*\.$"):
         env.step({**votes(env, [(), (), ()]), "observer_1": action})
 
 
@@ -246,14 +246,14 @@ def test_a_rule_of_ones_own():
     env.reset(seed=0)
     env.step(votes(env, [[1], [2], [3]]))
     assert np.flatnonzero(env.decided.candidates).tolist() == [1]
-    with pytest.raises(InvalidArgument, match="name must be a new one, got 'union'"):
+    with pytest.raises(ArgumentError, match="name must be a new one, got 'union'"):
         register_fusion("union", first)
-    with pytest.raises(InvalidArgument, match="name must be a non-empty name"):
+    with pytest.raises(ArgumentError, match="name must be a non-empty name"):
         register_fusion("", first)
-    with pytest.raises(InvalidArgument, match="rule must be a Fusion"):
+    with pytest.raises(ArgumentError, match="rule must be a Fusion"):
         register_fusion("other", lambda sent, seen: sent[0] > 0)
     register_fusion("broken", Fusion("candidates", lambda sent, seen: sent.sum()))
     env = small("observers", fusion="broken")
     env.reset(seed=0)
-    with pytest.raises(InvalidArgument, match="fusion rule must return 20 booleans"):
+    with pytest.raises(ArgumentError, match="fusion rule must return 20 booleans"):
         env.step(votes(env, [(), (), ()]))

@@ -5,7 +5,7 @@ import pytest
 from gymnasium import spaces
 from small_games import SMALL, drawn, small
 
-from usnet_env import Detection, InvalidArgument, make_detector
+from usnet_env import ArgumentError, Detection, make_detector
 from usnet_env.multiagent import usnet_evasion_v0, usnet_observers_v0
 from usnet_env.multiagent.play import play_game
 from usnet_env.multiagent.policies import (
@@ -171,15 +171,15 @@ def test_a_policy_of_one_agent_need_not_be_such_that_it_can_be_copied():
 
 def test_who_has_no_policy_is_named():
     env = small("evasion")
-    with pytest.raises(InvalidArgument, match=r"policies must name head_0 or its role head, got \['observer'\]"):
+    with pytest.raises(ArgumentError, match=r"policies must name head_0 or its role head, got \['observer'\]"):
         play_game(env, {"observer": RandomObserver()}, 0)
-    with pytest.raises(InvalidArgument, match="env must be the parallel_env of a game of this project"):
+    with pytest.raises(ArgumentError, match="env must be the parallel_env of a game of this project"):
         play_game(small("evasion", "env"), {}, 0)
-    with pytest.raises(InvalidArgument, match="detector must have the methods reset and detect"):
+    with pytest.raises(ArgumentError, match="detector must have the methods reset and detect"):
         DetectorObserver(3)
-    with pytest.raises(InvalidArgument, match="action_space must be MultiDiscrete for a head"):
+    with pytest.raises(ArgumentError, match="action_space must be MultiDiscrete for a head"):
         play_game(env, {"observer": RandomObserver(), "head": TruthfulHead(), "observer_0": TruthfulHead()}, 0)
-    with pytest.raises(InvalidArgument, match="action_space must be MultiBinary or Box for an observer"):
+    with pytest.raises(ArgumentError, match="action_space must be MultiBinary or Box for an observer"):
         play_game(env, {"observer": RandomObserver(), "head": RandomObserver()}, 0)
 
 
@@ -280,18 +280,18 @@ def test_the_action_mask_says_what_is_legal():
 def test_a_number_out_of_range_is_refused(action):
     env = DiscreteActions(small("evasion"))
     env.reset(seed=0)
-    with pytest.raises(InvalidArgument, match="action of observer_0 must be a whole number from 0 to 20, got"):
+    with pytest.raises(ArgumentError, match="action of observer_0 must be a whole number from 0 to 20, got"):
         env.step({**dict.fromkeys(env.agents, 0), "observer_0": action})
 
 
 def test_what_cannot_be_numbered_is_refused():
-    with pytest.raises(InvalidArgument, match="env must have votes that are candidates"):
+    with pytest.raises(ArgumentError, match="env must have votes that are candidates"):
         DiscreteActions(small("observers", fusion="scores"))
-    with pytest.raises(InvalidArgument, match="env must be the parallel_env"):
+    with pytest.raises(ArgumentError, match="env must be the parallel_env"):
         DiscreteActions(small("evasion", "env"))
-    with pytest.raises(InvalidArgument, match="env must have at most 100000 actions"):
+    with pytest.raises(ArgumentError, match="env must have at most 100000 actions"):
         DiscreteActions(small("evasion", most_decoys=1000, most_delay=100, memory=101))
     env = DiscreteActions(small("evasion"))
     env.reset(seed=0)
-    with pytest.raises(InvalidArgument, match="actions must map agents to actions"):
+    with pytest.raises(ArgumentError, match="actions must map agents to actions"):
         env.step(None)

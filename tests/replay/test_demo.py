@@ -8,7 +8,7 @@ import sys
 import pytest
 from rich.console import Console
 
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.replay import EpisodeRecord
 from usnet_env.replay.demo import run_demo
 
@@ -70,6 +70,6 @@ def test_without_rerun_the_rest_is_written(tmp_path, monkeypatch):
     ],
 )
 def test_refuses_in_one_sentence_and_writes_nothing(tmp_path, arguments, name):
-    with pytest.raises(InvalidArgument, match=rf"^{name} must"):
+    with pytest.raises(ArgumentError, match=rf"^{name} must"):
         run(tmp_path / "demo", **arguments)
     assert not (tmp_path / "demo").exists()

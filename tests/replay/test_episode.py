@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from small_episode import ROUNDS, UAVS, small_episode
 
-from usnet_env import InvalidArgument
-from usnet_env.files import written_whole
+from usnet_env import ArgumentError
+from usnet_env.files import atomic_write
 from usnet_env.replay import EpisodeRecord
 
 
@@ -95,12 +95,12 @@ def test_arrays_are_read_only(episode):
     ],
 )
 def test_refuses_impossible_records(changes, name):
-    with pytest.raises(InvalidArgument, match=rf"^{name} must"):
+    with pytest.raises(ArgumentError, match=rf"^{name} must"):
         small_episode(**changes)
 
 
 def refusal(path) -> str:
-    with pytest.raises(InvalidArgument) as caught:
+    with pytest.raises(ArgumentError) as caught:
         EpisodeRecord.load(path)
     message = str(caught.value)
     assert message.startswith("path must be")
@@ -178,7 +178,7 @@ def test_a_damaged_file_never_loads_as_another_episode(tmp_path, episode):
         path.write_bytes(damaged)
         try:
             assert same(EpisodeRecord.load(path), episode)  # a bit that carries nothing, as a date in the archive
-        except InvalidArgument:
+        except ArgumentError:
             refused += 1
     assert refused > 100
 
@@ -188,7 +188,7 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path):
     path.write_text("old")
 
     def interrupted():
-        with written_whole(path) as aside:
+        with atomic_write(path) as aside:
             aside.write_text("half")
             raise KeyboardInterrupt
 
@@ -201,5 +201,5 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path):
 def test_a_place_that_cannot_be_written_is_one_sentence(tmp_path, episode):
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "e.npz", tmp_path):
-        with pytest.raises(InvalidArgument, match=r"^path must be a file that can be written"):
+        with pytest.raises(ArgumentError, match=r"^path must be a file that can be written"):
             episode.save(path)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_episode import ROUNDS, UAVS, small_episode
 
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.replay import draw_episode, episode_figure
 from usnet_env.replay.story import outcome, round_line
 
@@ -83,5 +83,5 @@ def test_the_file_is_a_png_and_whole(tmp_path):
     path = episode_figure(small_episode(), tmp_path / "new" / "e.png")
     assert path.read_bytes().startswith(b"\x89PNG")
     assert list(path.parent.iterdir()) == [path]
-    with pytest.raises(InvalidArgument, match=r"^path must be a file that can be written"):
+    with pytest.raises(ArgumentError, match=r"^path must be a file that can be written"):
         episode_figure(small_episode(), tmp_path)

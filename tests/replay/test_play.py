@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from usnet_env import Detection, InvalidArgument, Window
+from usnet_env import ArgumentError, Detection, Window
 from usnet_env.replay import EpisodeRecord, play
 
 
@@ -119,10 +119,10 @@ class Mute(Scripted):
 
 @pytest.mark.parametrize("says", [None, np.zeros(16), Detection(np.zeros(3, bool), np.zeros(3))])
 def test_refuses_other_answers(says):
-    with pytest.raises(InvalidArgument, match="detector must answer a Detection for 16 UAVs"):
+    with pytest.raises(ArgumentError, match="detector must answer a Detection for 16 UAVs"):
         play(multi(), Mute(says=says), 0, None)
 
 
 def test_refuses_other_environments():
-    with pytest.raises(InvalidArgument, match="env must be a USNET environment"):
+    with pytest.raises(ArgumentError, match="env must be a USNET environment"):
         play(gym.make("CartPole-v1"), Scripted(), 0, None)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from small_episode import ROUNDS, SAMPLES, UAVS, small_episode
 
-from usnet_env import InvalidArgument
-from usnet_env.drawing import MissingExtra
+from usnet_env import ArgumentError
+from usnet_env.drawing import MissingExtraError
 from usnet_env.replay import write_recording
 from usnet_env.replay.recording import instants
 
@@ -127,12 +127,12 @@ def test_a_swarm_that_nobody_saw_can_be_written(tmp_path):
 
 
 def test_a_place_that_cannot_be_written(tmp_path):
-    with pytest.raises(InvalidArgument, match=r"^path must be a file that can be written"):
+    with pytest.raises(ArgumentError, match=r"^path must be a file that can be written"):
         write_recording(small_episode(), tmp_path)
 
 
 def test_without_rerun_one_sentence_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(MissingExtra, match=r"pip install 'usnet\[replay\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'usnet\[replay\]'"):
         write_recording(small_episode(), tmp_path / "e.rrd")
     assert list(tmp_path.iterdir()) == []

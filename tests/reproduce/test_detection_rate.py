@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.reproduce import detection_rate
 from usnet_env.reproduce.detection_rate import Cell, measure, play, rate_of, read_rows, tasks_for, write_rows
 
@@ -94,7 +94,7 @@ def test_rows_survive_the_file(tmp_path):
 def test_another_file_is_refused(tmp_path, text):
     (tmp_path / "rows.csv").write_text(text, encoding="utf-8")
     with pytest.raises(
-        InvalidArgument, match=r"out must hold rows of this measurement, got something else in 'rows.csv'"
+        ArgumentError, match=r"out must hold rows of this measurement, got something else in 'rows.csv'"
     ):
         read_rows(tmp_path / "rows.csv")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.reproduce import metric_learning
 from usnet_env.reproduce.metric_learning import Row, band, curves, markdown
 
@@ -66,7 +66,7 @@ def test_the_table_names_every_start_and_the_difference(made):
 
 
 def test_one_training_has_no_band(tmp_path):
-    with pytest.raises(InvalidArgument, match="trainings must be at least 2"):
+    with pytest.raises(ArgumentError, match="trainings must be at least 2"):
         metric_learning.losses(tmp_path, **{**SMALL, "trainings": 1})
 
 

@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 import pytest
 
 from detectors.clustering import clusterers
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.reproduce import purity, purity_report
 from usnet_env.reproduce.purity import CLUSTERERS, FEATURES, Method, Row, Task, methods_of, play, reproduce
 from usnet_env.reproduce.rounds import Cell
@@ -37,14 +37,14 @@ def test_every_clusterer_takes_part():
     ],
 )
 def test_unknown_names_are_refused(arguments, said):
-    with pytest.raises(InvalidArgument, match=said):
+    with pytest.raises(ArgumentError, match=said):
         methods_of(**arguments)
 
 
 def test_features_of_a_network_that_is_not_there_are_refused(monkeypatch):
     monkeypatch.setattr(purity, "_has_gru", lambda: False)
     assert {method.features for method in methods_of()} == set(PLAIN)
-    with pytest.raises(InvalidArgument, match="without PyTorch, got 'gru-mean'"):
+    with pytest.raises(ArgumentError, match="without PyTorch, got 'gru-mean'"):
         methods_of(features=["gru-mean"])
 
 
@@ -117,7 +117,7 @@ def test_rows_are_the_same_on_two_processes(tmp_path):
     ],
 )
 def test_bad_arguments_leave_nothing_behind(tmp_path, arguments, said):
-    with pytest.raises(InvalidArgument, match=said):
+    with pytest.raises(ArgumentError, match=said):
         reproduce(tmp_path, **{"episodes": 1} | arguments)
     assert not list(tmp_path.iterdir())
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import usnet_env
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.evaluation import TRIVIAL
 from usnet_env.reproduce import rounds, rounds_report
 from usnet_env.reproduce.rounds import STUDIES, Cell, Row, Task, cells_of, play, reproduce, tasks_for
@@ -49,7 +49,7 @@ def test_the_studies_are_the_paper_s():
     assert len(cells) == 7 + 5 + 6 + 1 - 2  # f1 M=5 and f3 N=82 stand in two studies
     assert {cell.clusters for cell in cells_of(["clusters"])} == {2, 3, 5, 8, 10}
     assert cells_of(["example"], "gauss_markov", True) == [Cell("f1", 8, 185, "gauss_markov", True)]
-    with pytest.raises(InvalidArgument, match="study"):
+    with pytest.raises(ArgumentError, match="study"):
         cells_of(["size"])
 
 
@@ -159,7 +159,7 @@ def test_rows_are_the_same_on_two_processes(tmp_path, small_studies):
     ],
 )
 def test_bad_arguments_leave_nothing_behind(tmp_path, arguments, said):
-    with pytest.raises(InvalidArgument, match=said):
+    with pytest.raises(ArgumentError, match=said):
         reproduce(tmp_path, **{"detectors": ["random"], "episodes": 1} | arguments)
     assert not list(tmp_path.iterdir())
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.reproduce.rows import Measurement, counter, episode_means, measure, read_rows, write_rows
 
 
@@ -101,7 +101,7 @@ def test_any_rows_survive_the_file(tmp_path_factory, rows):
 )
 def test_other_files_are_refused(tmp_path, text):
     (tmp_path / "rows.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(InvalidArgument, match=r"out must hold rows of this measurement, got something else in 'rows"):
+    with pytest.raises(ArgumentError, match=r"out must hold rows of this measurement, got something else in 'rows"):
         read_rows(tmp_path / "rows.csv", Square)
 
 

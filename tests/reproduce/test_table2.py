@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.cli import main
 from usnet_env.evaluation.statistics import Interval
 from usnet_env.reproduce import attention, table2
@@ -32,7 +32,7 @@ def test_cells_are_cells_or_rows():
     assert table2.parse_cells("f1:2, f4:15") == [("f1", 2), ("f4", 15)]
     assert len(table2.parse_cells("f3,f3:2")) == 10
     for wrong in ("f8", "f1:4", "", "f1:2:3", "2"):
-        with pytest.raises(InvalidArgument, match="--cells must list cells"):
+        with pytest.raises(ArgumentError, match="--cells must list cells"):
             table2.parse_cells(wrong)
 
 
@@ -72,7 +72,7 @@ def test_scenes_have_their_head_where_the_figure_has_it():
     scene = attention.scene_of("f1", 5, 3, 0)
     assert scene.window.uavs == 6
     assert attention.scene_of("f1", 5, 3, scene.seed).seed == scene.seed
-    with pytest.raises(InvalidArgument, match="head must be an index from 0 to 5, got 6"):
+    with pytest.raises(ArgumentError, match="head must be an index from 0 to 5, got 6"):
         attention.scene_of("f1", 5, 6, 0)
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.swarm import SwarmConfig, follow_strategies, mobilities
 
 WHOLE = ["clusters", "uavs", "observation_steps", "memory", "sample_every"]
@@ -34,7 +34,7 @@ not_names = st.one_of(
 
 
 def refuses(name, value):
-    with pytest.raises(InvalidArgument) as caught:
+    with pytest.raises(ArgumentError) as caught:
         SwarmConfig(**{name: value})
     sentence = str(caught.value)
     assert sentence.startswith(f"{name} must")
@@ -90,11 +90,11 @@ def test_other_bad_values(name, value):
 
 
 def test_what_contradicts_is_named():
-    with pytest.raises(InvalidArgument, match=r"memory must be at least 4 for follow='f7', got 3\."):
+    with pytest.raises(ArgumentError, match=r"memory must be at least 4 for follow='f7', got 3\."):
         SwarmConfig(follow="f7", memory=3)
-    with pytest.raises(InvalidArgument, match=r"uavs must be at least 3 \* clusters \+ decoys = 17 .*got 16\."):
+    with pytest.raises(ArgumentError, match=r"uavs must be at least 3 \* clusters \+ decoys = 17 .*got 16\."):
         SwarmConfig(clusters=5, uavs=16, decoys=2)
-    with pytest.raises(InvalidArgument, match="follw is not an argument"):
+    with pytest.raises(ArgumentError, match="follw is not an argument"):
         SwarmConfig(follw="f1")
 
 

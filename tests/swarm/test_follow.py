@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from usnet_env import InvalidArgument, register_follow_strategy
+from usnet_env import ArgumentError, register_follow_strategy
 from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, follow_strategies, start
 from usnet_env.swarm import follow as follow_module
 from usnet_env.swarm.flight import Flight
@@ -164,7 +164,7 @@ def test_a_function_written_as_f6_flies_as_f6(registry):
     ],
 )
 def test_bad_registrations_are_refused(registry, name, strategy, arguments, sentence):
-    with pytest.raises(InvalidArgument, match=sentence):
+    with pytest.raises(ArgumentError, match=sentence):
         register_follow_strategy(name, strategy, **arguments)
 
 
@@ -177,7 +177,7 @@ def test_bad_registrations_are_refused(registry, name, strategy, arguments, sent
 )
 def test_a_function_with_a_bad_answer_is_told_so(registry, function, sentence):
     register_follow_strategy("bad", function)
-    with pytest.raises(InvalidArgument, match=sentence):
+    with pytest.raises(ArgumentError, match=sentence):
         fly("bad")
 
 

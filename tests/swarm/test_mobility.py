@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usnet_env import InvalidArgument, register_mobility
+from usnet_env import ArgumentError, register_mobility
 from usnet_env.swarm import SwarmConfig, advance, mobilities, start
 from usnet_env.swarm import mobility as mobility_module
 from usnet_env.swarm.mobility import mobility
@@ -140,17 +140,17 @@ def test_a_registered_function_is_used_by_name_and_keeps_its_state(registry):
 
 
 def test_bad_mobilities_are_refused(registry):
-    with pytest.raises(InvalidArgument, match=r"mobility must be one of .*'iids' .*did you mean 'iid'"):
+    with pytest.raises(ArgumentError, match=r"mobility must be one of .*'iids' .*did you mean 'iid'"):
         mobility("iids")
-    with pytest.raises(InvalidArgument, match="law must be a Mobility or a function"):
+    with pytest.raises(ArgumentError, match="law must be a Mobility or a function"):
         register_mobility("x", 3)
-    with pytest.raises(InvalidArgument, match="name must be a new one"):
+    with pytest.raises(ArgumentError, match="name must be a new one"):
         register_mobility("iid", lambda *a: None)
-    with pytest.raises(InvalidArgument, match="name must be a non-empty name"):
+    with pytest.raises(ArgumentError, match="name must be a non-empty name"):
         register_mobility("", mobility("iid"))
     register_mobility("short", lambda rng, position, steps, state: np.zeros((1, 3)))
-    with pytest.raises(InvalidArgument, match="mobility function must return an array of shape"):
+    with pytest.raises(ArgumentError, match="mobility function must return an array of shape"):
         tracks("short")
     register_mobility("nan", lambda rng, position, steps, state: np.full((steps, len(position), 3), np.nan))
-    with pytest.raises(InvalidArgument, match="must return finite numbers"):
+    with pytest.raises(ArgumentError, match="must return finite numbers"):
         tracks("nan")

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.swarm.follow import FollowFunction, Lags
 from usnet_env.swarm.mobility import MobilityFunction
@@ -151,9 +151,9 @@ def test_a_swarm_without_heads_does_not_fly_on():
     state = start(config, rngs)
     state = destroy(state, state.head)
     assert (state.leader[0][~state.head[0]] == -1).all()
-    with pytest.raises(InvalidArgument, match="state must have a head left"):
+    with pytest.raises(ArgumentError, match="state must have a head left"):
         advance(config, state, rngs)
-    with pytest.raises(InvalidArgument, match="rngs must hold one generator"):
+    with pytest.raises(ArgumentError, match="rngs must hold one generator"):
         advance(config, start(config, rngs), generators([0, 1]))
 
 

@@ -18,7 +18,7 @@ from usnet_env.cli.play import demo, evaluate
 from usnet_env.cli.reproduce import reproduce
 from usnet_env.cli.train import train
 from usnet_env.cli.words import say
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 
 __all__ = ["main"]
 
@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has gone, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _FAILED
-    except InvalidArgument as error:
+    except ArgumentError as error:
         say(str(error))
         return _REFUSED
     except Exception as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from usnet_env.cli.words import progress_bar, show
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 
 __all__ = ["check_detector", "list_"]
 
@@ -29,7 +29,7 @@ def check_detector(ctx: click.Context, name: str, expected: tuple[str, ...], sec
     for word in expected:
         check, equals, reason = word.partition("=")
         if not equals:
-            raise InvalidArgument(f"--expect must be written check=reason, got {shown(word)}.")
+            raise ArgumentError(f"--expect must be written check=reason, got {quote(word)}.")
         reasons[check.strip()] = reason.strip()
     from detectors import checks
     from usnet_env.plugins import make_detector

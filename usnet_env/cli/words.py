@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 
 __all__ = ["PIPE_WIDTH", "PairsCommand", "WholeNumber", "pairs", "progress_bar", "say", "show", "show_markdown"]
 
@@ -33,7 +33,7 @@ class WholeNumber(click.ParamType):  # type: ignore[type-arg]  # generic in the 
         if re.fullmatch(r"[-+]?[0-9]{1,30}", text) and self.least <= int(text) <= self.most:
             return int(text)
         option = param.opts[0] if param is not None else "value"
-        raise InvalidArgument(f"{option} must be a whole number from {self.least} to {self.most}, got {shown(value)}.")
+        raise ArgumentError(f"{option} must be a whole number from {self.least} to {self.most}, got {quote(value)}.")
 
 
 class PairsCommand(click.Command):
@@ -50,7 +50,7 @@ class PairsCommand(click.Command):
                 if word == "--set":
                     following = next(words, None)
                     if following is None or following.startswith("--"):
-                        raise InvalidArgument("--set must be followed by key=value pairs, got none.")
+                        raise ArgumentError("--set must be followed by key=value pairs, got none.")
                     spread.append(following)
             else:
                 spread += ["--set", word]
@@ -64,12 +64,12 @@ def _yaml_value(key: str, text: str) -> Any:
     try:
         value = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError):
-        raise InvalidArgument(f"{key} must be a YAML value, got {shown(text)}.") from None
+        raise ArgumentError(f"{key} must be a YAML value, got {quote(text)}.") from None
     if isinstance(value, str) and _EXPONENT.fullmatch(value):
         return float(value)
     for item in value if isinstance(value, list) else [value]:
         if item is not None and not isinstance(item, str | int | float):
-            raise InvalidArgument(f"{key} must be a number, a name or a list of these, got {shown(text)}.")
+            raise ArgumentError(f"{key} must be a number, a name or a list of these, got {quote(text)}.")
     return value
 
 
@@ -80,9 +80,9 @@ def pairs(words: Sequence[str]) -> dict[str, Any]:
         key, equals, text = word.partition("=")
         key = key.strip()
         if not equals or not key:
-            raise InvalidArgument(f"--set must be followed by key=value pairs, got {shown(word)}.")
+            raise ArgumentError(f"--set must be followed by key=value pairs, got {quote(word)}.")
         if key in values:
-            raise InvalidArgument(f"--set must name each key once, got {key} twice.")
+            raise ArgumentError(f"--set must name each key once, got {key} twice.")
         values[key] = _yaml_value(key, text)
     return values
 

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field
 
-from usnet_env.config import Config, InvalidArgument, shown
+from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.swarm import Sighting, SwarmConfig, SwarmState, advance, destroy, start
 
@@ -109,16 +109,16 @@ def candidates_from(action: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """The action as booleans of that shape; agents send int8, booleans or floats.
 
     Raises:
-        InvalidArgument: another shape, or anything but 0 and 1.
+        ArgumentError: another shape, or anything but 0 and 1.
     """
     try:
         values = np.asarray(action)
     except ValueError:
         values = np.empty(0, object)
     if values.shape != shape:
-        raise InvalidArgument(f"action must have shape {shape} (one 0 or 1 a UAV), got {shown(action)}.")
+        raise ArgumentError(f"action must have shape {shape} (one 0 or 1 a UAV), got {quote(action)}.")
     if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
-        raise InvalidArgument(f"action must hold only 0 and 1, got {shown(action)}.")
+        raise ArgumentError(f"action must hold only 0 and 1, got {quote(action)}.")
     return values.astype(bool)
 
 

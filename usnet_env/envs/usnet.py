@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from usnet_env.config import Config, InvalidArgument, shown
+from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.envs import game
 from usnet_env.swarm import SwarmConfig, SwarmState
 
@@ -46,7 +46,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
     def __init__(self, config: SwarmConfig, rules: game.Rules, reveal_truth: bool, render_mode: str | None) -> None:
         face = _Face(reveal_truth=reveal_truth, render_mode=render_mode)
         if face.render_mode not in (None, *self.metadata["render_modes"]):
-            raise InvalidArgument(f"render_mode must be 'rgb_array' or None, got {shown(render_mode)}.")
+            raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(render_mode)}.")
         self.config = config
         self.rules = rules
         self.reveal_truth = face.reveal_truth
@@ -69,7 +69,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     def _running(self) -> game.GameState:
         if self._game is None:
-            raise InvalidArgument("reset must be called first, got an environment that was never reset.")
+            raise ArgumentError("reset must be called first, got an environment that was never reset.")
         return self._game
 
     def reset(
@@ -101,11 +101,11 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             is all 0): there is nothing left to find.
 
         Raises:
-            InvalidArgument: an action of another shape or with other values, or a step after the end.
+            ArgumentError: an action of another shape or with other values, or a step after the end.
         """
         before = self._running()
         if before.terminated[0] or before.truncated[0]:
-            raise InvalidArgument("reset must be called first, got a step in an episode that is over.")
+            raise ArgumentError("reset must be called first, got a step in an episode that is over.")
         candidates = game.candidates_from(action, (self.config.uavs,))
         state, turn = game.play(self.rules, before, candidates[None])
         self._decided = (self._window, before.swarm, candidates)
@@ -154,12 +154,12 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             The observation of that moment.
 
         Raises:
-            InvalidArgument: a state of an env with other arguments, or no state at all.
+            ArgumentError: a state of an env with other arguments, or no state at all.
         """
         here = {"config": self.config.model_dump(), "rules": self.rules.model_dump()}
         if not isinstance(state, dict) or {name: state.get(name) for name in here} != here:
-            raise InvalidArgument(
-                f"state must come from get_state of an environment with the same arguments, got {shown(state)}."
+            raise ArgumentError(
+                f"state must come from get_state of an environment with the same arguments, got {quote(state)}."
             )
         saved = copy.deepcopy(state)
         self._game = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])

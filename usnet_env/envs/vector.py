@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.envs import game
 from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
 from usnet_env.swarm import SwarmState
@@ -37,9 +37,9 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise InvalidArgument(f"num_envs must be a whole number from 1, got {shown(num_envs)}.")
+            raise ArgumentError(f"num_envs must be a whole number from 1, got {quote(num_envs)}.")
         if arguments.get("render_mode") is not None:
-            raise InvalidArgument("render_mode must be None for a vector env, which draws nothing; use a single env.")
+            raise ArgumentError("render_mode must be None for a vector env, which draws nothing; use a single env.")
         single = self.single_env(**arguments)
         self.num_envs = int(num_envs)
         self.config, self.rules, self.reveal_truth = single.config, single.rules, single.reveal_truth
@@ -57,7 +57,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
 
     def _running(self) -> game.GameState:
         if self._game is None:
-            raise InvalidArgument("reset must be called first, got an environment that was never reset.")
+            raise ArgumentError("reset must be called first, got an environment that was never reset.")
         return self._game
 
     def reset(
@@ -74,7 +74,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         if seeds is None:
             seeds = [None] * self.num_envs
         if len(seeds) != self.num_envs:
-            raise InvalidArgument(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seeds)}.")
+            raise ArgumentError(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seeds)}.")
         fresh = not self._rngs
         self._rngs = [
             seeding.np_random(None if one is None else int(one))[0] if fresh or one is not None else self._rngs[b]

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 
 __all__ = ["BoxMasks", "MultiDiscreteCandidates", "box_masks"]
 
@@ -18,10 +18,10 @@ def box_masks(space: spaces.Space[Any]) -> spaces.Dict:
     """An observation space whose masks are ``Box(0, 1, …, int8)`` instead of ``MultiBinary``; the values fit both.
 
     Raises:
-        InvalidArgument: a space that is no ``Dict``.
+        ArgumentError: a space that is no ``Dict``.
     """
     if not isinstance(space, spaces.Dict):
-        raise InvalidArgument(f"env must have a Dict observation space, got {shown(space)}.")
+        raise ArgumentError(f"env must have a Dict observation space, got {quote(space)}.")
     parts = space.spaces.items()
     return spaces.Dict(
         {
@@ -38,7 +38,7 @@ class BoxMasks(gym.ObservationWrapper[Any, Any, Any]):
     games of several agents.
 
     Raises:
-        InvalidArgument: an env whose observation is no ``Dict``.
+        ArgumentError: an env whose observation is no ``Dict``.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -55,7 +55,7 @@ class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any]):
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         if not isinstance(env.action_space, spaces.MultiBinary):
-            raise InvalidArgument(f"env must have a MultiBinary action space, got {shown(env.action_space)}.")
+            raise ArgumentError(f"env must have a MultiBinary action space, got {quote(env.action_space)}.")
         super().__init__(env)
         self.action_space = spaces.MultiDiscrete(np.full(env.action_space.shape, 2))
 

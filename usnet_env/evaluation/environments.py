@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 
 __all__ = [
     "environment_about",
@@ -34,21 +34,19 @@ def environment_spec(env_id: str) -> EnvSpec:
     """The registered environment of that id, with or without its module (``"usnet_env:USNET/MultiCluster-v0"``).
 
     Raises:
-        InvalidArgument: no such module, or no such id; the sentence names the nearest ids.
+        ArgumentError: no such module, or no such id; the sentence names the nearest ids.
     """
     module, _, name = env_id.rpartition(":")
     if module:
         try:
             import_module(module)
         except (ImportError, ValueError) as error:
-            raise InvalidArgument(
-                f"env must name a module that can be imported, got {shown(env_id)}: {error}."
-            ) from None
+            raise ArgumentError(f"env must name a module that can be imported, got {quote(env_id)}: {error}.") from None
     if name in gym.registry:
         return gym.registry[name]
     ids = usnet_ids()
     near = get_close_matches(name, ids, n=_HINTS, cutoff=0.5) or ids
-    raise InvalidArgument(f"env must be a registered id, got {shown(env_id)} (near: {', '.join(near)}).")
+    raise ArgumentError(f"env must be a registered id, got {quote(env_id)} (near: {', '.join(near)}).")
 
 
 def _creator(spec: EnvSpec) -> Any:
@@ -76,15 +74,15 @@ def _has_truth(kind: type) -> bool:
     return all(hasattr(kind, name) for name in ("swarm", "problem"))
 
 
-def _stranger(spec: EnvSpec) -> InvalidArgument:
-    return InvalidArgument(f"env must be a USNET environment ({', '.join(usnet_ids())}), got {shown(spec.id)}.")
+def _stranger(spec: EnvSpec) -> ArgumentError:
+    return ArgumentError(f"env must be a USNET environment ({', '.join(usnet_ids())}), got {quote(spec.id)}.")
 
 
 def make_environment(spec: EnvSpec, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
     """Make the environment.
 
     Raises:
-        InvalidArgument: an argument that it does not take or refuses, or an environment of another kind.
+        ArgumentError: an argument that it does not take or refuses, or an environment of another kind.
     """
     creator = _creator(spec)
     if isinstance(creator, type) and not _has_truth(creator):
@@ -94,7 +92,7 @@ def make_environment(spec: EnvSpec, env_kwargs: Mapping[str, Any]) -> gym.Env[An
         if known is not None and name not in known:
             near = get_close_matches(str(name), known, n=1)
             hint = f" (did you mean {near[0]!r}?)" if near else ""
-            raise InvalidArgument(f"{name} is not an argument of {spec.id}{hint}; it takes {', '.join(known)}.")
+            raise ArgumentError(f"{name} is not an argument of {spec.id}{hint}; it takes {', '.join(known)}.")
     env: gym.Env[Any, Any] = gym.make(spec, disable_env_checker=True, **env_kwargs)
     if not is_usnet(env):
         env.close()

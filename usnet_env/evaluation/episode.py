@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.metrics import episode_metrics
 from usnet_env.evaluation.players import Answer, Player
@@ -31,7 +31,7 @@ def episode_seeds(seed: int, episode: int) -> tuple[int, int]:
 
 def _failure(label: str, where: str, error: Exception) -> EvaluationError:
     text = " ".join(str(error).split())
-    cause = text if isinstance(error, InvalidArgument) else f"{type(error).__name__}: {text}".rstrip(": ")
+    cause = text if isinstance(error, ArgumentError) else f"{type(error).__name__}: {text}".rstrip(": ")
     return EvaluationError(f"detector {label!r} failed in {where}: {cause.rstrip('.')}.")
 
 
@@ -74,7 +74,7 @@ def play_episode(env: gym.Env[Any, Any], player: Player, label: str, seed: int, 
         try:
             answer = player.answer(observation)
             if answer.candidates.shape != truth.head.shape:
-                raise InvalidArgument(f"the answer must be for {len(truth.head)} UAVs, got {len(answer.candidates)}.")
+                raise ArgumentError(f"the answer must be for {len(truth.head)} UAVs, got {len(answer.candidates)}.")
         except Exception as error:
             raise _failure(label, f"episode {episode}, round {len(answers) + 1}", error) from error
         observation, _, terminated, truncated, info = env.step(answer.candidates.astype(np.int8))

@@ -18,7 +18,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.evaluation.environments import environment_spec, make_environment
 from usnet_env.evaluation.episode import Row, play_episode, warm_up
 from usnet_env.evaluation.errors import EvaluationError
@@ -141,14 +141,14 @@ def play_in_processes(
         collect: called in this process.
 
     Raises:
-        InvalidArgument: something cannot be sent to another process.
+        ArgumentError: something cannot be sent to another process.
         EvaluationError: a detector failed, or a process died.
     """
     arguments = (env_id, dict(env_kwargs), entrants, seed)
     try:
         pickle.dumps(arguments)
     except Exception as error:
-        raise InvalidArgument(
+        raise ArgumentError(
             f"workers must be 1 for a detector or argument that cannot be sent to another process, got {workers}: "
             f"{error}."
         ) from None

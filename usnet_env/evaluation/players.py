@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -65,9 +65,9 @@ class DetectorPlayer:
         detection = self.detector.detect(window)
         seconds = time.perf_counter() - begin
         if not isinstance(detection, Detection):
-            raise InvalidArgument(f"detect must return a usnet_env.Detection, got {shown(detection)}.")
+            raise ArgumentError(f"detect must return a usnet_env.Detection, got {quote(detection)}.")
         if len(detection.candidates) != window.uavs:
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"detect must answer for all {window.uavs} UAVs, got candidates for {len(detection.candidates)}."
             )
         return Answer(detection.candidates, detection.scores, detection.clusters, seconds)
@@ -109,10 +109,10 @@ class PolicyPlayer:
         self._state, self._start = state, False
         values = np.asarray(action)
         if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
-            raise InvalidArgument(f"predict must return an action of 0 and 1, got {shown(action)}.")
+            raise ArgumentError(f"predict must return an action of 0 and 1, got {quote(action)}.")
         uavs = len(observation["alive"]) if isinstance(observation, Mapping) else values.size
         if values.shape != (uavs,):
-            raise InvalidArgument(f"predict must return an action of shape ({uavs},), got {values.shape}.")
+            raise ArgumentError(f"predict must return an action of shape ({uavs},), got {values.shape}.")
         return Answer(values.astype(bool), values.astype(np.float64), None, seconds)
 
     def warm_up(self, observation: Any) -> None:
@@ -124,13 +124,13 @@ def as_player(detector: Any) -> Player:
     """The player for a detector, or for anything with ``predict``.
 
     Raises:
-        InvalidArgument: neither of the two, or a class in place of an object.
+        ArgumentError: neither of the two, or a class in place of an object.
     """
     if not isinstance(detector, type):
         if callable(getattr(detector, "detect", None)) and callable(getattr(detector, "reset", None)):
             return DetectorPlayer(detector)
         if callable(getattr(detector, "predict", None)):
             return PolicyPlayer(detector)
-    raise InvalidArgument(
-        f"detector must be a name, or an object with detect and reset, or one with predict, got {shown(detector)}."
+    raise ArgumentError(
+        f"detector must be a name, or an object with detect and reset, or one with predict, got {quote(detector)}."
     )

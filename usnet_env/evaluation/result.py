@@ -78,7 +78,7 @@ class EvaluationResult:
         """The metrics of one detector by its label.
 
         Raises:
-            InvalidArgument: no row has that label.
+            ArgumentError: no row has that label.
         """
         for entry in self.summary:
             if entry["detector"] == detector:

@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 from pydantic import BaseModel, Field
 
-from usnet_env.config import Config, InvalidArgument, shown
+from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.evaluation.environments import environment_spec, is_usnet, make_environment
 from usnet_env.evaluation.episode import Row
 from usnet_env.evaluation.match import Entrant, Match, play_in_processes
@@ -75,7 +75,7 @@ def evaluate(
         Rows, summary and table.
 
     Raises:
-        InvalidArgument: an argument was refused.
+        ArgumentError: an argument was refused.
         EvaluationError: a detector raised or gave an answer that does not fit; the sentence names it, the episode and
             the cause. Rows that were finished are kept in ``out``.
     """
@@ -139,7 +139,7 @@ def _known_rows(store: RunStore | None, entrants: Sequence[Entrant], episodes: i
     rows = {} if store is None else {(row["detector"], row["episode"]): row for row in store.rows()}
     labels = {entrant.label for entrant in entrants}
     if any(label not in labels or not 0 <= episode < episodes for label, episode in rows):
-        raise InvalidArgument("out must hold rows of this run only, got rows of other detectors or episodes.")
+        raise ArgumentError("out must hold rows of this run only, got rows of other detectors or episodes.")
     return rows
 
 
@@ -147,18 +147,18 @@ def _env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
     if env_kwargs is None:
         return {}
     if not isinstance(env_kwargs, Mapping) or not all(isinstance(name, str) for name in env_kwargs):
-        raise InvalidArgument(f"env_kwargs must be a mapping of names to values, got {shown(env_kwargs)}.")
+        raise ArgumentError(f"env_kwargs must be a mapping of names to values, got {quote(env_kwargs)}.")
     return dict(env_kwargs)
 
 
 def _made(env: Any, arguments: Mapping[str, Any], workers: int) -> gym.Env[Any, Any]:
     """An environment that the caller made."""
     if not isinstance(env, gym.Env) or not is_usnet(env):
-        raise InvalidArgument(f"env must be a registered id or a USNET environment, got {shown(env)}.")
+        raise ArgumentError(f"env must be a registered id or a USNET environment, got {quote(env)}.")
     if arguments:
-        raise InvalidArgument("env_kwargs must be empty for an environment that was already made.")
+        raise ArgumentError("env_kwargs must be empty for an environment that was already made.")
     if workers != 1:
-        raise InvalidArgument(f"workers must be 1 for an environment that was already made, got {workers}.")
+        raise ArgumentError(f"workers must be 1 for an environment that was already made, got {workers}.")
     return env
 
 
@@ -166,12 +166,12 @@ def _entrants(detector: Any, trivial: bool) -> list[Entrant]:
     """Every detector under a label of its own."""
     asked = list(detector) if isinstance(detector, list | tuple) else [detector]
     if not asked:
-        raise InvalidArgument("detector must name at least one detector, got an empty list.")
+        raise ArgumentError("detector must name at least one detector, got an empty list.")
     entrants: dict[str, Entrant] = {}
     for one in asked:
         label = _label(one)
         if label in entrants and isinstance(one, str):
-            raise InvalidArgument(f"detector must name each detector once, got {label!r} twice.")
+            raise ArgumentError(f"detector must name each detector once, got {label!r} twice.")
         twin = 2
         while label in entrants:
             label = f"{_label(one)} #{twin}"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 
 __all__ = ["CONFIDENCE", "Interval", "mean_interval", "rate_interval"]
 
@@ -30,7 +30,7 @@ class Interval(NamedTuple):
 def _sample(values: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
     sample = np.asarray(values, dtype=np.float64)
     if sample.ndim != 1 or not len(sample) or not np.isfinite(sample).all():
-        raise InvalidArgument("values must hold at least one number, all of them finite.")
+        raise ArgumentError("values must hold at least one number, all of them finite.")
     return sample
 
 
@@ -41,11 +41,11 @@ def rate_interval(values: Sequence[float] | NDArray[np.float64]) -> Interval:
         values: ``(n,)`` of 0 and 1.
 
     Raises:
-        InvalidArgument: no value, or another value than 0 and 1.
+        ArgumentError: no value, or another value than 0 and 1.
     """
     sample = _sample(values)
     if not ((sample == 0) | (sample == 1)).all():
-        raise InvalidArgument("values of a rate must be 0 or 1.")
+        raise ArgumentError("values of a rate must be 0 or 1.")
     interval = binomtest(int(sample.sum()), len(sample)).proportion_ci(CONFIDENCE, method="wilson")
     mean = float(sample.mean())
     # Wilson's ends at 0 and n successes are 0 and 1 but for rounding.
@@ -63,7 +63,7 @@ def mean_interval(values: Sequence[float] | NDArray[np.float64], seed: int = 0) 
         seed: of the resampling; the same values and seed give the same interval.
 
     Raises:
-        InvalidArgument: no value, or one that is not finite.
+        ArgumentError: no value, or one that is not finite.
     """
     sample = _sample(values)
     if (sample == sample[0]).all():

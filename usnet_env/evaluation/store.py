@@ -12,10 +12,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.evaluation.episode import Row
 from usnet_env.evaluation.metrics import CLUSTER_METRICS, METRICS
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.provenance import machine, versions
 
 __all__ = ["COLUMNS", "RunStore", "write_text"]
@@ -30,7 +30,7 @@ _SHARE_OF_TIME = 0.05  # rewriting the rows may take this share of a run
 
 def write_text(path: Path, text: str) -> None:
     """Write a file so that it is either there in full or not at all."""
-    with written_whole(path) as aside, aside.open("w", encoding="utf-8", newline="") as file:
+    with atomic_write(path) as aside, aside.open("w", encoding="utf-8", newline="") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())
@@ -52,7 +52,7 @@ class RunStore:
         config: what was asked for, as plain JSON values; a folder that holds another config is refused.
 
     Raises:
-        InvalidArgument: the folder holds another run, or something that is none.
+        ArgumentError: the folder holds another run, or something that is none.
     """
 
     def __init__(self, folder: Path, config: Mapping[str, Any]) -> None:
@@ -61,12 +61,12 @@ class RunStore:
         self._saved = time.monotonic()
         self._cost = 0.0
         if folder.exists() and not folder.is_dir():
-            raise InvalidArgument(f"out must be a folder, got the file {str(folder)!r}.")
+            raise ArgumentError(f"out must be a folder, got the file {str(folder)!r}.")
         if (folder / RUN).exists():
             self._check()
             return
         if (folder / EPISODES).exists():
-            raise InvalidArgument(f"out must be a new folder or a run's, got {str(folder)!r} with rows but no {RUN}.")
+            raise ArgumentError(f"out must be a new folder or a run's, got {str(folder)!r} with rows but no {RUN}.")
         folder.mkdir(parents=True, exist_ok=True)
         about = {"config": self._config, "versions": versions(), "machine": machine()}
         write_text(folder / RUN, json.dumps(about, indent=2) + "\n")
@@ -77,18 +77,16 @@ class RunStore:
             about = json.loads((self.folder / RUN).read_text(encoding="utf-8"))
             config, made_by = dict(about["config"]), about["versions"]["usnet"]
         except (ValueError, KeyError, TypeError):
-            raise InvalidArgument(
-                f"out must be a run's folder, got {str(self.folder)!r} with a broken {RUN}."
-            ) from None
+            raise ArgumentError(f"out must be a run's folder, got {str(self.folder)!r} with a broken {RUN}.") from None
         if config != self._config:
             names = config.keys() | self._config.keys()
             others = sorted(name for name in names if config.get(name) != self._config.get(name))
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"out must be a new folder or that of the same run, got {str(self.folder)!r}, whose run has another "
                 f"{', '.join(others)}."
             )
         if made_by != version("usnet"):
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"out must be a new folder, got {str(self.folder)!r}, whose run was made by usnet {made_by}."
             )
 
@@ -96,7 +94,7 @@ class RunStore:
         """The rows of the episodes that are finished.
 
         Raises:
-            InvalidArgument: the file is not what was written.
+            ArgumentError: the file is not what was written.
         """
         path = self.folder / EPISODES
         if not path.exists():
@@ -108,9 +106,7 @@ class RunStore:
                     raise ValueError
                 return [{name: _value(name, row[name]) for name in COLUMNS} for row in reader]
         except (ValueError, TypeError, csv.Error):
-            raise InvalidArgument(
-                f"out must hold whole rows, got a broken {EPISODES} in {str(self.folder)!r}."
-            ) from None
+            raise ArgumentError(f"out must hold whole rows, got a broken {EPISODES} in {str(self.folder)!r}.") from None
 
     def due(self) -> bool:
         """Whether it is time to write rows: as often as writing takes a small share of the time."""

@@ -11,8 +11,8 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown
-from usnet_env.drawing import MissingExtra
+from usnet_env.config import ArgumentError, quote
+from usnet_env.drawing import MissingExtraError
 from usnet_env.envs.game import GameState, Rules
 from usnet_env.swarm import Sighting, SwarmConfig, SwarmState
 
@@ -21,7 +21,7 @@ try:
     from pettingzoo.utils.conversions import parallel_to_aec_wrapper
     from pettingzoo.utils.wrappers import BaseParallelWrapper, OrderEnforcingWrapper
 except ImportError:
-    raise MissingExtra("Games of several agents need PettingZoo: pip install 'usnet[multiagent]'.") from None
+    raise MissingExtraError("Games of several agents need PettingZoo: pip install 'usnet[multiagent]'.") from None
 
 __all__ = [
     "AECEnv",
@@ -69,13 +69,13 @@ def rules_of(
     """The rules of P2; ``max_cycles`` is PettingZoo's name for the most steps, ``before`` of which are no round.
 
     Raises:
-        InvalidArgument: a number out of its range.
+        ArgumentError: a number out of its range.
     """
     rules = Rules(problem="P2", max_rounds=max_rounds, shot_budget=shot_budget, redundancy_price=redundancy_price)
     if max_cycles is None:
         return rules
     if isinstance(max_cycles, bool) or not isinstance(max_cycles, int | np.integer) or max_cycles < 1 + before:
-        raise InvalidArgument(f"max_cycles must be None or a whole number from {1 + before}, got {shown(max_cycles)}.")
+        raise ArgumentError(f"max_cycles must be None or a whole number from {1 + before}, got {quote(max_cycles)}.")
     return rules.model_copy(update={"max_rounds": min(rules.max_rounds, int(max_cycles) - before)})
 
 
@@ -105,7 +105,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         action_spaces: dict[str, spaces.Space[Any]],
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InvalidArgument(f"render_mode must be 'rgb_array' or None, got {shown(render_mode)}.")
+            raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(render_mode)}.")
         self.config = config
         self.rules = rules
         self.render_mode = render_mode
@@ -133,7 +133,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def _of(self, values: Mapping[str, Any], agent: str) -> Any:
         if agent not in values:
-            raise InvalidArgument(f"agent must be one of {', '.join(self.possible_agents)}, got {shown(agent)}.")
+            raise ArgumentError(f"agent must be one of {', '.join(self.possible_agents)}, got {quote(agent)}.")
         return values[agent]
 
     @property
@@ -143,24 +143,24 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def _running(self) -> GameState:
         if self._game is None:
-            raise InvalidArgument("reset must be called first, got a game that was never reset.")
+            raise ArgumentError("reset must be called first, got a game that was never reset.")
         return self._game
 
     def _generator(self, seed: int | None) -> np.random.Generator:
         """The game's own generator, seeded anew unless ``seed`` is ``None`` and there is one."""
         if seed is not None or self._rng is None:
             if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0):
-                raise InvalidArgument(f"seed must be a whole number from 0 or None, got {shown(seed)}.")
+                raise ArgumentError(f"seed must be a whole number from 0 or None, got {quote(seed)}.")
             self._rng = seeding.np_random(None if seed is None else int(seed))[0]
         return self._rng
 
     def _checked(self, actions: Any) -> dict[str, Any]:
         """The actions of a step, one for each living agent."""
         if not self.agents:
-            raise InvalidArgument("reset must be called first, got a step in a game that is over or never began.")
+            raise ArgumentError("reset must be called first, got a step in a game that is over or never began.")
         if not isinstance(actions, Mapping) or set(actions) != set(self.agents):
             got = sorted(map(str, actions)) if isinstance(actions, Mapping) else actions
-            raise InvalidArgument(f"actions must map each of {', '.join(self.agents)} to its action, got {shown(got)}.")
+            raise ArgumentError(f"actions must map each of {', '.join(self.agents)} to its action, got {quote(got)}.")
         return dict(actions)
 
     def state(self) -> NDArray[np.float32]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from usnet_env.config import Config, InvalidArgument, shown
+from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm import FollowInputs, FollowStrategy, Mobility, Sighting, SwarmConfig, SwarmState, advance, kernels
 from usnet_env.swarm.flight import Flight
 from usnet_env.swarm.mobility import mobility
@@ -53,8 +53,8 @@ class Manoeuvres(Config):
         for name in self.mobilities:
             mobility(name)
         if not self.mobilities or len(set(self.mobilities)) != len(self.mobilities):
-            raise InvalidArgument(
-                f"mobilities must hold one or more different names, got {shown(list(self.mobilities))}."
+            raise ArgumentError(
+                f"mobilities must hold one or more different names, got {quote(list(self.mobilities))}."
             )
         return self
 

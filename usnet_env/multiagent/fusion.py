@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown, unknown_name
+from usnet_env.config import ArgumentError, quote, unknown_name
 
 __all__ = ["Fusion", "fusion", "fusions", "register_fusion"]
 
@@ -58,7 +58,7 @@ def fusion(name: str) -> Fusion:
     """The fusion rule registered under ``name``.
 
     Raises:
-        InvalidArgument: no such name.
+        ArgumentError: no such name.
     """
     if name not in _FUSIONS:
         raise unknown_name("fusion", name, _FUSIONS)
@@ -69,12 +69,12 @@ def register_fusion(name: str, rule: Fusion) -> None:
     """Make a fusion rule of one's own available as ``fusion=name``.
 
     Raises:
-        InvalidArgument: the name is taken or not a name, or the rule is not a :class:`Fusion`.
+        ArgumentError: the name is taken or not a name, or the rule is not a :class:`Fusion`.
     """
     if not isinstance(name, str) or not name.strip():
-        raise InvalidArgument(f"name must be a non-empty name, got {shown(name)}.")
+        raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
     if not isinstance(rule, Fusion) or rule.vote not in ("candidates", "scores") or not callable(rule.rule):
-        raise InvalidArgument(f"rule must be a Fusion with a vote of 'candidates' or 'scores', got {shown(rule)}.")
+        raise ArgumentError(f"rule must be a Fusion with a vote of 'candidates' or 'scores', got {quote(rule)}.")
     if name in _FUSIONS and _FUSIONS[name] != rule:
-        raise InvalidArgument(f"name must be a new one, got {name!r}, which is registered already.")
+        raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
     _FUSIONS[name] = rule

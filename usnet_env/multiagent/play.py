@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.multiagent.base import Decided, UsnetParallelEnv
 from usnet_env.provenance import versions
 
@@ -74,16 +74,16 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, Acting], seed: int, 
         What happened; ``usnet_env.replay.EpisodeRecord(**played.record)`` is the episode as a file keeps it.
 
     Raises:
-        InvalidArgument: an env of another kind, or no policy for an agent.
+        ArgumentError: an env of another kind, or no policy for an agent.
     """
     if not isinstance(env, UsnetParallelEnv):
-        raise InvalidArgument(f"env must be the parallel_env of a game of this project, got {shown(env)}.")
+        raise ArgumentError(f"env must be the parallel_env of a game of this project, got {quote(env)}.")
     observations, infos = env.reset(seed=seed)
     chosen = {}
     for agent in env.possible_agents:
         policy = policies.get(agent, policies.get(role_of(agent)))
         if policy is None:
-            raise InvalidArgument(f"policies must name {agent} or its role {role_of(agent)}, got {sorted(policies)}.")
+            raise ArgumentError(f"policies must name {agent} or its role {role_of(agent)}, got {sorted(policies)}.")
         chosen[agent] = policy
     uses = Counter(map(id, chosen.values()))
     players = {agent: copy.deepcopy(one) if uses[id(one)] > 1 else one for agent, one in chosen.items()}

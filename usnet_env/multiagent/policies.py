@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.plugins import DetectorLike
 from usnet_env.window import Window
@@ -111,7 +111,7 @@ class DetectorObserver(Policy):
 
     def __init__(self, detector: DetectorLike) -> None:
         if isinstance(detector, type) or not isinstance(detector, DetectorLike):
-            raise InvalidArgument(f"detector must have the methods reset and detect, got {shown(detector)}.")
+            raise ArgumentError(f"detector must have the methods reset and detect, got {quote(detector)}.")
         self.detector = detector
 
     def reset(self, seed: int, action_space: spaces.Space[Any]) -> None:
@@ -129,7 +129,7 @@ class DetectorObserver(Policy):
         part = Window(window.position, window.velocity, window.seen & seen, seen, window.round)
         detection = self.detector.detect(part)
         if not isinstance(detection, Detection) or detection.candidates.shape != (window.uavs,):
-            raise InvalidArgument(f"detector must answer a Detection for {window.uavs} UAVs, got {shown(detection)}.")
+            raise ArgumentError(f"detector must answer a Detection for {window.uavs} UAVs, got {quote(detection)}.")
         named = detection.candidates & legal
         as_scores = isinstance(self.action_space, spaces.Box)
         return _vote(_shares(detection, named) if as_scores else named, self.action_space)
@@ -148,7 +148,7 @@ def _shares(detection: Detection, named: NDArray[np.bool_]) -> NDArray[np.float6
 def _vote(vote: Array, space: spaces.Space[Any]) -> Array:
     """A vote of N numbers in the form that the action space has, followed by zeros for a message."""
     if not isinstance(space, spaces.MultiBinary | spaces.Box):
-        raise InvalidArgument(f"action_space must be MultiBinary or Box for an observer, got {shown(space)}.")
+        raise ArgumentError(f"action_space must be MultiBinary or Box for an observer, got {quote(space)}.")
     action = np.zeros(space.shape, space.dtype)
     action[: len(vote)] = vote
     return action
@@ -157,7 +157,7 @@ def _vote(vote: Array, space: spaces.Space[Any]) -> Array:
 def _choices(space: spaces.Space[Any]) -> NDArray[np.int64]:
     """How many values each of a head's choices has."""
     if not isinstance(space, spaces.MultiDiscrete):
-        raise InvalidArgument(f"action_space must be MultiDiscrete for a head, got {shown(space)}.")
+        raise ArgumentError(f"action_space must be MultiDiscrete for a head, got {quote(space)}.")
     return np.asarray(space.nvec, np.int64)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from usnet_env.config import Config, InvalidArgument, shown, unknown_name
+from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.swarm import Sighting, SwarmConfig
 from usnet_env.swarm.formation import ARENA
 from usnet_env.swarm.sensing import sense
@@ -36,7 +36,7 @@ class Sight(Config):
         message_size: numbers that every observer sends to all others in a round; 0: none.
 
     Raises:
-        InvalidArgument: a value of another type or out of its range, or a list whose length is not K.
+        ArgumentError: a value of another type or out of its range, or a list whose length is not K.
     """
 
     observers: Annotated[int, Field(ge=1, le=1000)] = 4
@@ -51,8 +51,8 @@ class Sight(Config):
         for name in ("sensing_range", "position_noise", "miss_rate"):
             value = getattr(self, name)
             if isinstance(value, tuple) and len(value) != self.observers:
-                raise InvalidArgument(
-                    f"{name} must be one number, or one for each of {self.observers} observers, got {shown(value)}."
+                raise ArgumentError(
+                    f"{name} must be one number, or one for each of {self.observers} observers, got {quote(value)}."
                 )
         if self.placement not in _PLACEMENTS:
             raise unknown_name("placement", self.placement, _PLACEMENTS)

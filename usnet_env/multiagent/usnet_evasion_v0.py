@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
     AECEnv,
@@ -170,10 +170,10 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         )
         strategy = config.follow_strategy
         if strategy is None:
-            raise InvalidArgument("follow must be a strategy by which followers follow, got 'none'.")
+            raise ArgumentError("follow must be a strategy by which followers follow, got 'none'.")
         if strategy.lags + most_delay > memory:
-            raise InvalidArgument(
-                f"memory must be at least {strategy.lags + most_delay} for follow={shown(follow)} and "
+            raise ArgumentError(
+                f"memory must be at least {strategy.lags + most_delay} for follow={quote(follow)} and "
                 f"most_delay={most_delay}, got {memory}."
             )
         self.heads = [f"head_{j}" for j in range(clusters)]
@@ -228,7 +228,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             step for the last time.
 
         Raises:
-            InvalidArgument: no action for an agent or one of another shape or with other values, or a step after the
+            ArgumentError: no action for an agent or one of another shape or with other values, or a step after the
                 end.
         """
         given = self._checked(actions)
@@ -306,9 +306,9 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             or values.dtype.kind not in "biuf"
             or not ((values >= 0) & (values < many) & (values == np.floor(values))).all()
         ):
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"action of {agent} must hold {len(many)} whole numbers from 0, each below {many.tolist()}, "
-                f"got {shown(action)}."
+                f"got {quote(action)}."
             )
         return values.astype(np.int64)
 

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
     AECEnv,
@@ -211,7 +211,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             Observations, rewards, terminations, truncations and infos by agent.
 
         Raises:
-            InvalidArgument: no action for an agent or one of another shape or with other values, or a step after the
+            ArgumentError: no action for an agent or one of another shape or with other values, or a step after the
                 end.
         """
         given = self._checked(actions)
@@ -276,14 +276,14 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         except ValueError:
             values = np.empty(0, object)
         if values.shape != (length,) or values.dtype.kind not in "biuf" or not ((values >= 0) & (values <= 1)).all():
-            raise InvalidArgument(f"action of {agent} must hold {length} numbers from 0 to 1, got {shown(action)}.")
+            raise ArgumentError(f"action of {agent} must hold {length} numbers from 0 to 1, got {quote(action)}.")
         return values.astype(np.float64)
 
     def _fused(self, votes: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """The candidates; a rule of a stranger is checked."""
         candidates = np.asarray(self.fusion.rule(votes, seen))
         if candidates.shape != (self.config.uavs,) or candidates.dtype != bool:
-            raise InvalidArgument(f"fusion rule must return {self.config.uavs} booleans, got {shown(candidates)}.")
+            raise ArgumentError(f"fusion rule must return {self.config.uavs} booleans, got {quote(candidates)}.")
         return candidates
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.envs.wrappers import box_masks
 from usnet_env.multiagent.base import BaseParallelWrapper, Observation, Step, UsnetParallelEnv
 
@@ -28,12 +28,12 @@ class DiscreteActions(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo 
         env: one of the games' ``parallel_env``.
 
     Raises:
-        InvalidArgument: an env of another kind, one whose votes are scores, or one with too many actions.
+        ArgumentError: an env of another kind, one whose votes are scores, or one with too many actions.
     """
 
     def __init__(self, env: UsnetParallelEnv) -> None:
         if not isinstance(env, UsnetParallelEnv):
-            raise InvalidArgument(f"env must be the parallel_env of a game of this project, got {shown(env)}.")
+            raise ArgumentError(f"env must be the parallel_env of a game of this project, got {quote(env)}.")
         super().__init__(env)
         self._actions: dict[str, spaces.Discrete] = {}
         self._observations: dict[str, spaces.Dict] = {}
@@ -44,9 +44,9 @@ class DiscreteActions(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo 
             elif isinstance(inner, spaces.MultiDiscrete):
                 count = int(np.prod(inner.nvec))
             else:
-                raise InvalidArgument(f"env must have votes that are candidates, got {shown(inner)} for {agent}.")
+                raise ArgumentError(f"env must have votes that are candidates, got {quote(inner)} for {agent}.")
             if count > _MOST_ACTIONS:
-                raise InvalidArgument(f"env must have at most {_MOST_ACTIONS} actions for each agent, got {count}.")
+                raise ArgumentError(f"env must have at most {_MOST_ACTIONS} actions for each agent, got {count}.")
             self._actions[agent] = spaces.Discrete(count)
             self._observations[agent] = spaces.Dict({**seen.spaces, "action_mask": spaces.MultiBinary(count)})
 
@@ -69,10 +69,10 @@ class DiscreteActions(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo 
         """A step with one number for each agent.
 
         Raises:
-            InvalidArgument: a number out of range, or what the wrapped game refuses.
+            ArgumentError: a number out of range, or what the wrapped game refuses.
         """
         if not isinstance(actions, dict):
-            raise InvalidArgument(f"actions must map agents to actions, got {shown(actions)}.")
+            raise ArgumentError(f"actions must map agents to actions, got {quote(actions)}.")
         inner = {agent: self._inner(agent, action) for agent, action in actions.items()}
         observations, *rest = self.env.step(inner)
         return ({agent: self._masked(agent, one) for agent, one in observations.items()}, *rest)
@@ -84,9 +84,7 @@ class DiscreteActions(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo 
         count = int(self._actions[agent].n)
         value = np.asarray(action)
         if value.shape not in ((), (1,)) or value.dtype.kind not in "iu" or not 0 <= value.item() < count:
-            raise InvalidArgument(
-                f"action of {agent} must be a whole number from 0 to {count - 1}, got {shown(action)}."
-            )
+            raise ArgumentError(f"action of {agent} must be a whole number from 0 to {count - 1}, got {quote(action)}.")
         space = self.env.action_space(agent)
         if isinstance(space, spaces.MultiDiscrete):
             return np.array(np.unravel_index(value.item(), space.nvec))
@@ -113,7 +111,7 @@ class MultiDiscreteVotes(BaseParallelWrapper):  # type: ignore[misc]  # PettingZ
         env: one of the games' ``parallel_env``, or a wrapper round it. Heads' actions stay as they are.
 
     Raises:
-        InvalidArgument: an env of another kind, or one whose votes are scores.
+        ArgumentError: an env of another kind, or one whose votes are scores.
     """
 
     def __init__(self, env: UsnetParallelEnv | BaseParallelWrapper) -> None:
@@ -132,7 +130,7 @@ class ParallelBoxMasks(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo
         env: one of the games' ``parallel_env``, or a wrapper round it such as :class:`DiscreteActions`.
 
     Raises:
-        InvalidArgument: an env of another kind.
+        ArgumentError: an env of another kind.
     """
 
     def __init__(self, env: UsnetParallelEnv | BaseParallelWrapper) -> None:
@@ -147,7 +145,7 @@ class ParallelBoxMasks(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo
 def _game(env: Any) -> Any:
     """``env``, if it is a game in Parallel form."""
     if not isinstance(env, UsnetParallelEnv | BaseParallelWrapper):
-        raise InvalidArgument(f"env must be a parallel_env or a wrapper round it, got {shown(env)}.")
+        raise ArgumentError(f"env must be a parallel_env or a wrapper round it, got {quote(env)}.")
     return env
 
 
@@ -155,5 +153,5 @@ def _multi_discrete(agent: str, space: Any) -> spaces.MultiDiscrete:
     if isinstance(space, spaces.MultiBinary):
         return spaces.MultiDiscrete(np.full(space.shape, 2))
     if not isinstance(space, spaces.MultiDiscrete):
-        raise InvalidArgument(f"env must have votes that are candidates, got {shown(space)} for {agent}.")
+        raise ArgumentError(f"env must have votes that are candidates, got {quote(space)} for {agent}.")
     return space

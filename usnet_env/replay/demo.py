@@ -12,8 +12,8 @@ import numpy as np
 from rich.console import Console
 
 import usnet_env.envs  # noqa: F401  # registers the environments
-from usnet_env.config import InvalidArgument, shown
-from usnet_env.drawing import MissingExtra
+from usnet_env.config import ArgumentError, quote
+from usnet_env.drawing import MissingExtraError
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.replay.figure import episode_figure
 from usnet_env.replay.play import Round, play
@@ -62,7 +62,7 @@ def run_demo(
         The files written, by ``"episode"``, ``"replay"`` and ``"picture"``.
 
     Raises:
-        InvalidArgument: an argument that the environment or the registry of detectors refuses, or a folder that can't
+        ArgumentError: an argument that the environment or the registry of detectors refuses, or a folder that can't
             be written to.
     """
     console = console or Console()
@@ -71,7 +71,7 @@ def run_demo(
         console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InvalidArgument(f"seed must be a whole number from 0, got {shown(seed)}.")
+        raise ArgumentError(f"seed must be a whole number from 0, got {quote(seed)}.")
     player = make_detector(detector)
     env = gym.make("USNET/MultiCluster-v0", clusters=clusters, uavs=uavs, follow=follow)
     detector_seed = int(np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(1)[0])
@@ -93,7 +93,7 @@ def run_demo(
         try:
             with console.status(f"writing the {name}"):
                 written[name] = make(record, folder / file)
-        except MissingExtra as missing:
+        except MissingExtraError as missing:
             say(f"{name:<7}  left out. {missing}")
         else:
             say(f"{name:<7}  {written[name]}" + (f"  (open: {_viewer()} {written[name]})" if name == "replay" else ""))

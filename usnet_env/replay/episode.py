@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.drawing import last_seen
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.window import frozen_array
 
@@ -29,7 +29,7 @@ def _whole_numbers(name: str, value: Any, shape: tuple[int | None, ...], low: in
     """``value`` as int64, refused unless every number is whole and within ``low`` to ``high``."""
     exact = frozen_array(name, value, np.float64, shape)
     if not ((exact >= low) & (exact <= high) & (exact == np.floor(exact))).all():
-        raise InvalidArgument(f"{name} must hold whole numbers from {low} to {high}, got {shown(np.asarray(value))}.")
+        raise ArgumentError(f"{name} must hold whole numbers from {low} to {high}, got {quote(np.asarray(value))}.")
     return frozen_array(name, value, np.int64, shape)
 
 
@@ -40,7 +40,7 @@ def _plain(name: str, value: Mapping[str, Any]) -> dict[str, Any]:
             raise TypeError
         plain: dict[str, Any] = json.loads(json.dumps(dict(value), allow_nan=False))
     except (TypeError, ValueError):
-        raise InvalidArgument(f"{name} must map names to plain values that JSON holds, got {shown(value)}.") from None
+        raise ArgumentError(f"{name} must map names to plain values that JSON holds, got {quote(value)}.") from None
     return plain
 
 
@@ -75,7 +75,7 @@ class EpisodeRecord:
         versions: versions of what computed this, by package.
 
     Raises:
-        InvalidArgument: an array of another shape or with impossible values, or rounds that contradict each other.
+        ArgumentError: an array of another shape or with impossible values, or rounds that contradict each other.
     """
 
     position: NDArray[np.float32]
@@ -107,7 +107,7 @@ class EpisodeRecord:
         position = frozen_array("position", self.position, np.float32, (None, None, None, 3))
         rounds, instants, uavs = position.shape[:3]
         if rounds < 1 or instants < 2 or uavs < 1:
-            raise InvalidArgument(
+            raise ArgumentError(
                 "position must hold at least 1 round of at least 2 instants of at least 1 UAV, "
                 f"got shape {position.shape}."
             )
@@ -136,23 +136,23 @@ class EpisodeRecord:
 
     def _check_words(self) -> None:
         if self.problem not in ("P1", "P2"):
-            raise InvalidArgument(f"problem must be 'P1' or 'P2', got {shown(self.problem)}.")
+            raise ArgumentError(f"problem must be 'P1' or 'P2', got {quote(self.problem)}.")
         for name in ("env_id", "detector"):
             if not isinstance(getattr(self, name), str):
-                raise InvalidArgument(f"{name} must be a text, got {shown(getattr(self, name))}.")
+                raise ArgumentError(f"{name} must be a text, got {quote(getattr(self, name))}.")
         for name in ("seed", "detector_seed"):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int)):
-                raise InvalidArgument(f"{name} must be a whole number or None, got {shown(value)}.")
+                raise ArgumentError(f"{name} must be a whole number or None, got {quote(value)}.")
 
     def _check_story(self) -> None:
         if (self.head & self.decoy).any():
-            raise InvalidArgument(
-                f"decoy must exclude the heads, got UAVs {shown(np.flatnonzero(self.head & self.decoy))} as both."
+            raise ArgumentError(
+                f"decoy must exclude the heads, got UAVs {quote(np.flatnonzero(self.head & self.decoy))} as both."
             )
         left = self.alive & ~self.fired
         if not np.array_equal(self.alive[1:], left[:-1]):
-            raise InvalidArgument("alive must be, in every later round, what the round before left; it is not.")
+            raise ArgumentError("alive must be, in every later round, what the round before left; it is not.")
 
     @property
     def rounds(self) -> int:
@@ -208,13 +208,13 @@ class EpisodeRecord:
             The path.
 
         Raises:
-            InvalidArgument: the place can't be written to.
+            ArgumentError: the place can't be written to.
         """
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         arrays: dict[str, Any] = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
         words = {name: values[name] for name in values if name not in arrays and values[name] is not None}
         words |= {"format": _FORMAT, "version": FORMAT_VERSION}
-        with written_whole(path) as aside, aside.open("wb") as file:
+        with atomic_write(path) as aside, aside.open("wb") as file:
             np.savez_compressed(file, **arrays | {_METADATA: np.array(json.dumps(words))})
         return Path(path)
 
@@ -229,10 +229,10 @@ class EpisodeRecord:
             The record, equal to the one saved in every array and word.
 
         Raises:
-            InvalidArgument: no such file, a file of another kind, a damaged one, or one of a newer format.
+            ArgumentError: no such file, a file of another kind, a damaged one, or one of a newer format.
         """
-        where = shown(os.fspath(path))
-        foreign = InvalidArgument(f"path must be an episode file of this project, got {where}.")
+        where = quote(os.fspath(path))
+        foreign = ArgumentError(f"path must be an episode file of this project, got {where}.")
         try:
             with open(path, "rb") as file:
                 loaded = np.load(file, allow_pickle=False)
@@ -240,21 +240,21 @@ class EpisodeRecord:
                     raise foreign
                 arrays: dict[str, Any] = {name: loaded[name] for name in loaded.files}
             words = json.loads(str(arrays.pop(_METADATA)))
-        except InvalidArgument:
+        except ArgumentError:
             raise
         except FileNotFoundError:
-            raise InvalidArgument(f"path must be an episode file, got {where}, which does not exist.") from None
+            raise ArgumentError(f"path must be an episode file, got {where}, which does not exist.") from None
         except Exception as error:  # a damaged header makes NumPy raise whatever Python's own tokenizer raises
             why = " ".join(str(error).split()) or type(error).__name__
-            raise InvalidArgument(f"path must be an intact episode file, got {where}, not readable: {why}.") from None
+            raise ArgumentError(f"path must be an intact episode file, got {where}, not readable: {why}.") from None
         if not isinstance(words, dict) or words.pop("format", None) != _FORMAT:
             raise foreign
         version = words.pop("version", None)
         if version != FORMAT_VERSION:
-            raise InvalidArgument(
-                f"path must be an episode file of version {FORMAT_VERSION}, got {where} of version {shown(version)}."
+            raise ArgumentError(
+                f"path must be an episode file of version {FORMAT_VERSION}, got {where} of version {quote(version)}."
             )
         try:
             return cls(**words, **arrays)
-        except (InvalidArgument, TypeError) as error:  # TypeError: a field is missing, doubled or unknown
-            raise InvalidArgument(f"path must be an intact episode file, got {where}: {error}") from None
+        except (ArgumentError, TypeError) as error:  # TypeError: a field is missing, doubled or unknown
+            raise ArgumentError(f"path must be an intact episode file, got {where}: {error}") from None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usnet_env.drawing import HIT, REDUNDANT, draw_legend, draw_round, last_seen, new_figure, round_marks
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import count, highest_scores, outcome, round_line
 
@@ -66,7 +66,7 @@ def draw_episode(record: EpisodeRecord) -> Figure:
     """The picture as a matplotlib figure: a map for each round, the scores of round 1, and what one sees in words.
 
     Raises:
-        MissingExtra: matplotlib is not installed.
+        MissingExtraError: matplotlib is not installed.
     """
     panels = _panels(record.rounds)
     width = max(len(panels) * (_MAP + _MARGIN) + _LEGEND, 9.0)
@@ -119,10 +119,10 @@ def episode_figure(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
         The path.
 
     Raises:
-        InvalidArgument: the place can't be written to.
-        MissingExtra: matplotlib is not installed.
+        ArgumentError: the place can't be written to.
+        MissingExtraError: matplotlib is not installed.
     """
     figure = draw_episode(record)
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         figure.savefig(aside, format="png")
     return Path(path)

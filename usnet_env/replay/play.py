@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 from pydantic import BaseModel
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.plugins import DetectorLike, detector_label
 from usnet_env.provenance import versions
@@ -49,7 +49,7 @@ class Round:
 def _plain_config(config: BaseModel) -> dict[str, Any]:
     """A config's values as JSON holds them; a part given as an object is kept as its text."""
     return {
-        name: value if isinstance(value, str | int | float | tuple | None) else shown(value)
+        name: value if isinstance(value, str | int | float | tuple | None) else quote(value)
         for name, value in ((name, getattr(config, name)) for name in type(config).model_fields)
     }
 
@@ -79,11 +79,11 @@ def play(
         The record of the whole episode.
 
     Raises:
-        InvalidArgument: an environment of another kind, or a detector's answer of another kind or size.
+        ArgumentError: an environment of another kind, or a detector's answer of another kind or size.
     """
     game: Any = env.unwrapped
     if not all(hasattr(game, name) for name in ("config", "rules", "problem")):
-        raise InvalidArgument(f"env must be a USNET environment, got {shown(env)}.")
+        raise ArgumentError(f"env must be a USNET environment, got {quote(env)}.")
     observation, _ = env.reset(seed=seed)
     detector.reset(detector_seed)
     windows: list[Window] = []
@@ -98,7 +98,7 @@ def play(
         detection = detector.detect(window)
         seconds = time.perf_counter() - began
         if not isinstance(detection, Detection) or detection.candidates.shape != (window.uavs,):
-            raise InvalidArgument(f"detector must answer a Detection for {window.uavs} UAVs, got {shown(detection)}.")
+            raise ArgumentError(f"detector must answer a Detection for {window.uavs} UAVs, got {quote(detection)}.")
         observation, _, terminated, truncated, info = env.step(detection.candidates.astype(np.int8))
         over = bool(terminated or truncated)
         windows.append(window)

@@ -15,8 +15,8 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.drawing import NOBODY, MissingExtra, cluster_colors
-from usnet_env.files import written_whole
+from usnet_env.drawing import NOBODY, MissingExtraError, cluster_colors
+from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import count, highest_scores, outcome, round_line
 
@@ -252,17 +252,17 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
         The path.
 
     Raises:
-        InvalidArgument: the place can't be written to.
-        MissingExtra: rerun-sdk is not installed.
+        ArgumentError: the place can't be written to.
+        MissingExtraError: rerun-sdk is not installed.
     """
     try:
         import rerun as rr
     except ImportError:
-        raise MissingExtra("Replays need rerun-sdk: pip install 'usnet[replay]'.") from None
+        raise MissingExtraError("Replays need rerun-sdk: pip install 'usnet[replay]'.") from None
     stream = rr.RecordingStream("usnet", recording_id=str(uuid4()))
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         stream.save(aside, default_blueprint=_blueprint(record))
         try:
             _write(record, _Writer(record, stream))

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
 from usnet_env.envs import SingleClusterEnv
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.plugins import make_detector
 from usnet_env.window import Window
 
@@ -52,16 +52,16 @@ def scene_of(follow: str, followers: int, head: int, seed: int) -> Scene:
     """The first episode from ``seed`` on whose head has the wanted index.
 
     Raises:
-        InvalidArgument: no such index.
+        ArgumentError: no such index.
     """
     if not 0 <= head <= followers:
-        raise InvalidArgument(f"head must be an index from 0 to {followers}, got {head}.")
+        raise ArgumentError(f"head must be an index from 0 to {followers}, got {head}.")
     env = SingleClusterEnv(follow=follow, followers=followers)
     for tried in range(seed, seed + _SEEDS_TRIED):
         observation, _ = env.reset(seed=tried)
         if env.swarm.head[head]:
             return Scene(follow, followers, head, tried, Window.from_observation(observation))
-    raise InvalidArgument(f"seed must lead to a head at index {head} soon, got {seed}.")
+    raise ArgumentError(f"seed must lead to a head at index {head} soon, got {seed}.")
 
 
 def detect(scene: Scene, detector: str) -> Detection:
@@ -97,7 +97,7 @@ def heads_figure(scene: Scene, answers: dict[str, Detection]) -> Figure:
     grid = figure.subplots(2, 4).ravel()
     paper, ours = (answers[name] for name in SHOWN)
     if paper.attention is None or ours.attention is None:
-        raise InvalidArgument("answers must hold attention, got a detection without.")
+        raise ArgumentError("answers must hold attention, got a detection without.")
     heads = paper.extras["attention_heads"]
     panels = [("α, the paper's network", paper.attention), ("α, prediction pooling", ours.attention)]
     panels += [
@@ -183,6 +183,6 @@ def reproduce(
         "sizes-f7.png": sizes_figure(scenes[1:], answers[1:]),
     }
     for name, figure in figures.items():
-        with written_whole(folder / name) as aside:
+        with atomic_write(folder / name) as aside:
             figure.savefig(aside, format="png", dpi=100)
     return [folder / name for name in figures]

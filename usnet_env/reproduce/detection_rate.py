@@ -167,7 +167,7 @@ def read_rows(path: Path) -> list[Row]:
     """The rows of a file; none if there is no file.
 
     Raises:
-        InvalidArgument: the file holds something else.
+        ArgumentError: the file holds something else.
     """
     return rows.read_rows(path, Row)
 

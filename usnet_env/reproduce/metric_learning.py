@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
-from usnet_env.files import written_whole
+from usnet_env.files import atomic_write
 from usnet_env.objectives import head_in_cluster, purity
 from usnet_env.reproduce.rows import Measurement, counter, keep_report, measure
 from usnet_env.window import Window
@@ -125,7 +125,7 @@ def losses(
         progress: called with the losses done and to do.
     """
     if trainings < 2:
-        raise InvalidArgument(f"trainings must be at least 2, for bands, got {shown(trainings)}.")
+        raise ArgumentError(f"trainings must be at least 2, for bands, got {quote(trainings)}.")
     tasks = [Task(number, start, strategies, episodes, steps) for number in range(trainings) for start in STARTS]
     path = folder / f"losses-F{strategies}-E{episodes}-seed{seed}.csv"
     rows = measure(
@@ -264,6 +264,6 @@ def features(folder: Path, seed: int = 2022, follow: str = "f1", steps: int = 20
         panel.set(xticks=[], yticks=[])
     figure.suptitle(f"{follow}, M = {labels.max() + 1}, N = {len(labels)}: colours are the true clusters, stars heads")
     path = folder / f"features-{follow}-seed{seed}.png"
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         figure.savefig(aside, format="png", dpi=110)
     return path

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from detectors.clustering import make_clusterer
-from usnet_env.config import InvalidArgument, unknown_name
+from usnet_env.config import ArgumentError, unknown_name
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.objectives import head_in_cluster, purity
@@ -120,14 +120,14 @@ def methods_of(
         counts: names of :data:`COUNTS`.
 
     Raises:
-        InvalidArgument: an unknown name, or features of a GRU that is not there.
+        ArgumentError: an unknown name, or features of a GRU that is not there.
     """
     wanted = tuple(features) if features is not None else FEATURES if _has_gru() else FEATURES[:3]
     for name in wanted:
         if name not in FEATURES:
             raise unknown_name("features", name, FEATURES)
         if name.startswith("gru-") and not _has_gru():
-            raise InvalidArgument(f"features must be {', '.join(FEATURES[:3])} without PyTorch, got {name!r}.")
+            raise ArgumentError(f"features must be {', '.join(FEATURES[:3])} without PyTorch, got {name!r}.")
     found = []
     for clusterer in clusterers:
         if clusterer not in CLUSTERERS:
@@ -226,7 +226,7 @@ def reproduce(
         The rows that were asked for.
 
     Raises:
-        InvalidArgument: an argument was refused.
+        ArgumentError: an argument was refused.
     """
     from usnet_env.reproduce import purity_report
 
@@ -235,7 +235,7 @@ def reproduce(
         MultiClusterEnv(**asdict(cell))
     chosen = list(dict.fromkeys(methods_of() if methods is None else methods))
     if not cells or not chosen or episodes < 1:
-        raise InvalidArgument("follow, methods and episodes must leave something to do, got none of one of them.")
+        raise ArgumentError("follow, methods and episodes must leave something to do, got none of one of them.")
     tasks = [
         Task(method, cell, first, min(_EPISODES_A_TASK, episodes - first))
         for first in range(0, episodes, _EPISODES_A_TASK)

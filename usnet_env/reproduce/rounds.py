@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, unknown_name
+from usnet_env.config import ArgumentError, unknown_name
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import TRIVIAL
 from usnet_env.evaluation.episode import episode_seeds, play_episode, warm_up
@@ -106,7 +106,7 @@ def cells_of(studies: Sequence[str], mobility: str = "iid", head_jitter: bool = 
     """The cells of some studies; those that several share stand once.
 
     Raises:
-        InvalidArgument: no such study.
+        ArgumentError: no such study.
     """
     for study in studies:
         if study not in STUDIES:
@@ -212,7 +212,7 @@ def reproduce(
         The rows that were asked for.
 
     Raises:
-        InvalidArgument: an argument was refused.
+        ArgumentError: an argument was refused.
         EvaluationError: a detector failed; rows that were finished are kept.
     """
     from usnet_env.reproduce import rounds_report
@@ -220,7 +220,7 @@ def reproduce(
     cells = cells_of(studies, mobility, head_jitter)
     names = list(dict.fromkeys([*detectors, *(TRIVIAL if trivial else ())]))
     if not cells or not names or episodes < 1:
-        raise InvalidArgument("studies, detectors and episodes must leave something to play, got none of one of them.")
+        raise ArgumentError("studies, detectors and episodes must leave something to play, got none of one of them.")
     for name in names:
         make_detector(name)
     MultiClusterEnv(**asdict(cells[0]))

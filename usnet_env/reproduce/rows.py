@@ -15,8 +15,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from usnet_env.config import InvalidArgument
-from usnet_env.files import written_whole
+from usnet_env.config import ArgumentError
+from usnet_env.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -146,7 +146,7 @@ def read_rows(path: Path, kind: type[RowT]) -> list[RowT]:
     """The rows of a file; none if there is no file.
 
     Raises:
-        InvalidArgument: the file holds something else.
+        ArgumentError: the file holds something else.
     """
     if not path.exists():
         return []
@@ -155,7 +155,7 @@ def read_rows(path: Path, kind: type[RowT]) -> list[RowT]:
             kinds = {field.name: _KINDS[str(field.type)] for field in fields(kind)}  # type: ignore[arg-type]
             return [kind(**{name: read(row[name]) for name, read in kinds.items()}) for row in csv.DictReader(file)]
     except (KeyError, ValueError, TypeError, csv.Error):
-        raise InvalidArgument(f"out must hold rows of this measurement, got something else in {path.name!r}.") from None
+        raise ArgumentError(f"out must hold rows of this measurement, got something else in {path.name!r}.") from None
 
 
 def write_rows(path: Path, rows: Iterable[RowT], kind: type[RowT], order: Callable[[RowT], Any]) -> None:
@@ -167,7 +167,7 @@ def write_rows(path: Path, rows: Iterable[RowT], kind: type[RowT], order: Callab
     for row in sorted(rows, key=order):
         values = [getattr(row, name) for name in names]
         writer.writerow([f"{value:.4f}" if isinstance(value, float) else value for value in values])
-    with written_whole(path) as aside:
+    with atomic_write(path) as aside:
         aside.write_text(text.getvalue(), encoding="utf-8")
 
 
@@ -178,9 +178,9 @@ def flight_suffix(mobility: str, head_jitter: bool) -> str:
 
 def keep_report(path: Path, markdown: str, picture: Figure) -> None:
     """Keep table and picture of a measurement beside its rows, as ``.md`` and ``.png``, each whole or as it was."""
-    with written_whole(path.with_suffix(".md")) as aside:
+    with atomic_write(path.with_suffix(".md")) as aside:
         aside.write_text(markdown, encoding="utf-8")
-    with written_whole(path.with_suffix(".png")) as aside:
+    with atomic_write(path.with_suffix(".png")) as aside:
         picture.savefig(aside, format="png", dpi=100)
 
 

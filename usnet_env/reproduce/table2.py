@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from usnet_env.config import InvalidArgument, shown
+from usnet_env.config import ArgumentError, quote
 from usnet_env.evaluation.statistics import Interval, rate_interval
 from usnet_env.reproduce.detection_rate import Cell, Row, measure, rate_of, read_rows, tasks_for
 from usnet_env.reproduce.rows import counter, flight_suffix, keep_report
@@ -58,7 +58,7 @@ def parse_cells(text: str | None) -> list[tuple[str, int]]:
     """``"f1:2,f4:15"`` as pairs; every cell of the table for ``None``.
 
     Raises:
-        InvalidArgument: a cell that is not in the table.
+        ArgumentError: a cell that is not in the table.
     """
     table = [(follow, followers) for follow in FOLLOW for followers in FOLLOWERS]
     if text is None:
@@ -68,9 +68,9 @@ def parse_cells(text: str | None) -> list[tuple[str, int]]:
         follow, colon, size = word.strip().partition(":")
         chosen = [cell for cell in table if cell[0] == follow and (not colon or str(cell[1]) == size)]
         if not chosen:
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"--cells must list cells such as f1:2 or rows such as f1, of f1 to f7 and m in "
-                f"{', '.join(map(str, FOLLOWERS))}, got {shown(word)}."
+                f"{', '.join(map(str, FOLLOWERS))}, got {quote(word)}."
             )
         cells += chosen
     return list(dict.fromkeys(cells))
@@ -140,7 +140,7 @@ def reproduce(
     """
     for preset in presets:
         if preset not in DETECTORS:
-            raise InvalidArgument(f"--preset must be one of {', '.join(DETECTORS)}, got {shown(preset)}.")
+            raise ArgumentError(f"--preset must be one of {', '.join(DETECTORS)}, got {quote(preset)}.")
     grid = [Cell(follow, followers, decoys, mobility, head_jitter) for follow, followers in parse_cells(cells)]
 
     def count(cell: Cell) -> int:

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from usnet_env.config import Config, InvalidArgument, shown
+from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm.follow import FollowStrategy, follow_strategy
 from usnet_env.swarm.formation import ARENA, AROUND_RADIUS, formation
 from usnet_env.swarm.mobility import Mobility, mobility
@@ -40,7 +40,7 @@ class SwarmConfig(Config):
         follow_seed: seed of the follow strategy's own draws (f7's network); ``None`` draws them for each episode.
 
     Raises:
-        InvalidArgument: a value of another type or out of its range, with the name of the argument.
+        ArgumentError: a value of another type or out of its range, with the name of the argument.
     """
 
     follow: str | FollowStrategy = "f1"
@@ -65,28 +65,28 @@ class SwarmConfig(Config):
             mobility(self.mobility)
         formation(self.formation)
         if strategy is not None and strategy.lags > self.memory:
-            raise InvalidArgument(
-                f"memory must be at least {strategy.lags} for follow={shown(self.follow)}, got {self.memory}."
+            raise ArgumentError(
+                f"memory must be at least {strategy.lags} for follow={quote(self.follow)}, got {self.memory}."
             )
         followers = self.uavs - self.clusters - self.decoys
         if self.cluster_sizes is not None:
             if len(self.cluster_sizes) != self.clusters:
-                raise InvalidArgument(
+                raise ArgumentError(
                     f"cluster_sizes must list the followers of each of the {self.clusters} clusters, "
-                    f"got {shown(list(self.cluster_sizes))}."
+                    f"got {quote(list(self.cluster_sizes))}."
                 )
             if sum(self.cluster_sizes) != followers:
-                raise InvalidArgument(
+                raise ArgumentError(
                     f"cluster_sizes must add up to uavs - clusters - decoys = {followers}, "
-                    f"got {shown(list(self.cluster_sizes))} with the sum {sum(self.cluster_sizes)}."
+                    f"got {quote(list(self.cluster_sizes))} with the sum {sum(self.cluster_sizes)}."
                 )
         if followers < 2 * self.clusters:
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"uavs must be at least 3 * clusters + decoys = {3 * self.clusters + self.decoys} "
                 f"(every head has 2 followers or more), got {self.uavs}."
             )
         if (self.steps + self.memory) * self.uavs > _MOST_SAMPLES:
-            raise InvalidArgument(
+            raise ArgumentError(
                 f"observation_steps must keep (memory + observation_steps * sample_every) * uavs within "
                 f"{_MOST_SAMPLES}, got {self.observation_steps} with {self.uavs} UAVs, one step in {self.sample_every}."
             )

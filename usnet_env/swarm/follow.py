@@ -15,7 +15,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown, unknown_name
+from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.swarm import kernels
 from usnet_env.swarm.flight import Flight
 
@@ -260,9 +260,9 @@ class FollowFunction(FollowStrategy):
         wanted = np.asarray(self.function(inputs), np.float32)
         shape = (len(inputs.own_position), 3)
         if wanted.shape != shape:
-            raise InvalidArgument(f"follow function must return an array of shape {shape}, got {wanted.shape}.")
+            raise ArgumentError(f"follow function must return an array of shape {shape}, got {wanted.shape}.")
         if not np.isfinite(wanted).all():
-            raise InvalidArgument("follow function must return finite numbers, got NaN or infinity.")
+            raise ArgumentError("follow function must return finite numbers, got NaN or infinity.")
         return wanted
 
 
@@ -286,7 +286,7 @@ def follow_strategy(name: str) -> FollowStrategy:
     """The follow strategy registered under ``name``.
 
     Raises:
-        InvalidArgument: no such name.
+        ArgumentError: no such name.
     """
     if name not in _STRATEGIES:
         raise unknown_name("follow", name, [*_STRATEGIES, "none"])
@@ -312,16 +312,16 @@ def register_follow_strategy(
         equation: for a function, how it is written in lists.
 
     Raises:
-        InvalidArgument: the name is taken or not a name, or the strategy is neither of the two.
+        ArgumentError: the name is taken or not a name, or the strategy is neither of the two.
     """
     if not isinstance(name, str) or not name.strip() or name == "none":
-        raise InvalidArgument(f"name must be a non-empty name other than 'none', got {shown(name)}.")
+        raise ArgumentError(f"name must be a non-empty name other than 'none', got {quote(name)}.")
     if not isinstance(strategy, FollowStrategy):
         if not callable(strategy):
-            raise InvalidArgument(f"strategy must be a FollowStrategy or a function, got {shown(strategy)}.")
+            raise ArgumentError(f"strategy must be a FollowStrategy or a function, got {quote(strategy)}.")
         if isinstance(lags, bool) or not isinstance(lags, int) or lags < 1:
-            raise InvalidArgument(f"lags must be a whole number from 1, got {shown(lags)}.")
+            raise ArgumentError(f"lags must be a whole number from 1, got {quote(lags)}.")
         strategy = FollowFunction(strategy, lags, float(noise), equation)
     if name in _STRATEGIES and _STRATEGIES[name] != strategy:
-        raise InvalidArgument(f"name must be a new one, got {name!r}, which is registered already.")
+        raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
     _STRATEGIES[name] = strategy

@@ -98,7 +98,7 @@ def formation(name: str) -> Callable[[np.random.Generator, Roles], NDArray[np.fl
     """The formation ``(rng, roles) -> (N, 3) metres`` of that name.
 
     Raises:
-        InvalidArgument: no such name.
+        ArgumentError: no such name.
     """
     if name not in _FORMATIONS:
         raise unknown_name("formation", name, _FORMATIONS)

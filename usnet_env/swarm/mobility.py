@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument, shown, unknown_name
+from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import ARENA
 
@@ -119,9 +119,9 @@ class MobilityFunction(Mobility):
         directions = np.asarray(self.function(rng, position, steps, state), np.float32)
         shape = (steps, len(position), 3)
         if directions.shape != shape:
-            raise InvalidArgument(f"mobility function must return an array of shape {shape}, got {directions.shape}.")
+            raise ArgumentError(f"mobility function must return an array of shape {shape}, got {directions.shape}.")
         if not np.isfinite(directions).all():
-            raise InvalidArgument("mobility function must return finite numbers, got NaN or infinity.")
+            raise ArgumentError("mobility function must return finite numbers, got NaN or infinity.")
         return directions
 
 
@@ -164,7 +164,7 @@ def mobility(name: str) -> Mobility:
     """The mobility registered under ``name``.
 
     Raises:
-        InvalidArgument: no such name.
+        ArgumentError: no such name.
     """
     if name not in _MOBILITIES:
         raise unknown_name("mobility", name, _MOBILITIES)
@@ -186,14 +186,14 @@ def register_mobility(
         description: for a function, its line in lists.
 
     Raises:
-        InvalidArgument: the name is taken or not a name, or the law is neither of the two.
+        ArgumentError: the name is taken or not a name, or the law is neither of the two.
     """
     if not isinstance(name, str) or not name.strip():
-        raise InvalidArgument(f"name must be a non-empty name, got {shown(name)}.")
+        raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
     if not isinstance(law, Mobility):
         if not callable(law):
-            raise InvalidArgument(f"law must be a Mobility or a function, got {shown(law)}.")
+            raise ArgumentError(f"law must be a Mobility or a function, got {quote(law)}.")
         law = MobilityFunction(law, description)
     if name in _MOBILITIES and _MOBILITIES[name] != law:
-        raise InvalidArgument(f"name must be a new one, got {name!r}, which is registered already.")
+        raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
     _MOBILITIES[name] = law

@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
 from usnet_env.swarm.flight import Flight
@@ -149,9 +149,9 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
         The state at the window's end, and the windows.
     """
     if len(rngs) != len(state.alive):
-        raise InvalidArgument(f"rngs must hold one generator for each of {len(state.alive)} swarms, got {len(rngs)}.")
+        raise ArgumentError(f"rngs must hold one generator for each of {len(state.alive)} swarms, got {len(rngs)}.")
     if config.follow_strategy is not None and not state.heads_left.all():
-        raise InvalidArgument("state must have a head left in every swarm, got one without; the game is over there.")
+        raise ArgumentError("state must have a head left in every swarm, got one without; the game is over there.")
     episodes, uavs = state.alive.shape
     memory, steps = config.memory, config.steps
     position = np.zeros((episodes, memory + steps + 1, uavs, 3), np.float32)

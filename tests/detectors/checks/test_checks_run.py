@@ -16,7 +16,7 @@ from sklearn.base import clone
 
 from detectors.checks import (
     CHECKS,
-    DetectorChecksFailed,
+    DetectorChecksError,
     check_detector,
     exit_status,
     parametrize_with_checks,
@@ -24,7 +24,7 @@ from detectors.checks import (
 )
 from detectors.checks.truth import truth_in_reach
 from detectors.checks.windows import hovering, permuted, simulated, unseen_in_part
-from usnet_env import InvalidArgument, Window
+from usnet_env import ArgumentError, Window
 from usnet_env.swarm import SwarmConfig
 
 NAMES = [check.__name__ for check in CHECKS]
@@ -48,7 +48,7 @@ def test_a_good_detector_has_a_result_for_every_check():
 
 def test_a_broken_one_raises_after_all_checks_and_says_what_failed():
     with pytest.raises(
-        DetectorChecksFailed, match=rf"^FavoursLowIndices fails 1 of {len(CHECKS)} checks:\n  {PERMUTING}: "
+        DetectorChecksError, match=rf"^FavoursLowIndices fails 1 of {len(CHECKS)} checks:\n  {PERMUTING}: "
     ):
         check_detector(broken.FavoursLowIndices())
     results = check_detector(broken.FavoursLowIndices(), on_fail=None)
@@ -104,14 +104,14 @@ def test_what_was_fitted_is_kept_and_the_detector_left_alone():
     ],
 )
 def test_bad_input_is_answered_in_one_sentence(arguments, sentence):
-    with pytest.raises(InvalidArgument, match=sentence):
+    with pytest.raises(ArgumentError, match=sentence):
         check_detector(**{"detector": broken.Good(), **arguments})
 
 
 def test_the_decorator_refuses_the_same():
-    with pytest.raises(InvalidArgument, match="detector must be an object"):
+    with pytest.raises(ArgumentError, match="detector must be an object"):
         parametrize_with_checks([broken.Good])
-    with pytest.raises(InvalidArgument, match="must give a reason"):
+    with pytest.raises(ArgumentError, match="must give a reason"):
         parametrize_with_checks([broken.Good()], expected_failed_checks=lambda detector: {PERMUTING: ""})
 
 

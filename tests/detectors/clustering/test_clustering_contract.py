@@ -15,7 +15,7 @@ from detectors.clustering import (
     make_clusterer,
     register_clusterer,
 )
-from usnet_env import InvalidArgument, Window
+from usnet_env import ArgumentError, Window
 from usnet_env.objectives import head_in_cluster, purity
 
 NAMES = ["agglomerative", "hdbscan", "kmeans", "lead-votes", "snmf", "spectral"]
@@ -221,7 +221,7 @@ def test_features_of_ones_own(name, count):
 )
 def test_a_bad_argument_is_refused_in_one_sentence(arguments, message):
     window, _, _ = swarm_window(10, clusters=2, uavs=20)
-    with pytest.raises(InvalidArgument, match=message) as refusal:
+    with pytest.raises(ArgumentError, match=message) as refusal:
         cluster("spectral", window, **arguments)
     assert str(refusal.value).count("\n") == 0
     assert str(refusal.value).endswith((".", "?)."))
@@ -239,18 +239,18 @@ def test_a_bad_argument_is_refused_in_one_sentence(arguments, message):
 )
 def test_an_argument_of_its_own_is_checked(name, arguments, message):
     window, _, _ = swarm_window(10, clusters=2, uavs=20)
-    with pytest.raises(InvalidArgument, match=message):
+    with pytest.raises(ArgumentError, match=message):
         cluster(name, window, **arguments)
 
 
 def test_names():
-    with pytest.raises(InvalidArgument, match="did you mean 'spectral'"):
+    with pytest.raises(ArgumentError, match="did you mean 'spectral'"):
         make_clusterer("spectrall")
-    with pytest.raises(InvalidArgument, match="has no argument 'clusters'; it takes count"):
+    with pytest.raises(ArgumentError, match="has no argument 'clusters'; it takes count"):
         make_clusterer("spectral", clusters=5)
-    with pytest.raises(InvalidArgument, match="registered already"):
+    with pytest.raises(ArgumentError, match="registered already"):
         register_clusterer("kmeans", lambda: None)
-    with pytest.raises(InvalidArgument, match="factory must be"):
+    with pytest.raises(ArgumentError, match="factory must be"):
         register_clusterer("mine", 5)
     register_clusterer("kmeans", KMeans)  # the same once more
 
@@ -270,6 +270,6 @@ def test_a_clusterer_of_ones_own():
 
 
 def test_a_clustering_refuses_labels_that_skip_a_number():
-    with pytest.raises(InvalidArgument, match="labels must be"):
+    with pytest.raises(ArgumentError, match="labels must be"):
         Clustering(np.array([0, 2]), 2)
     assert Clustering(np.array([-1, -1]), 0).count == 0

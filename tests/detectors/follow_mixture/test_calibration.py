@@ -31,7 +31,7 @@ from detectors.follow_mixture.train import (
     read_rows,
     train_calibration,
 )
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.swarm.random_follow import RandomFollowStrategy
 
 SHIPPED = files("detectors.follow_mixture") / "data" / "calibration.json"
@@ -129,7 +129,7 @@ def test_a_bad_calibration_is_refused_in_one_sentence(tmp_path, change, sentence
     change(made)
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps(made))
-    with pytest.raises(InvalidArgument, match=sentence) as refused:
+    with pytest.raises(ArgumentError, match=sentence) as refused:
         read_calibration(path)
     assert str(refused.value).startswith("path must hold a calibration")
     assert str(refused.value).count(".\n") == 0
@@ -139,9 +139,9 @@ def test_a_bad_calibration_is_refused_in_one_sentence(tmp_path, change, sentence
 def test_something_else_is_no_calibration(tmp_path, text):
     path = tmp_path / "calibration.json"
     path.write_text(text)
-    with pytest.raises(InvalidArgument, match="path must hold a calibration as JSON"):
+    with pytest.raises(ArgumentError, match="path must hold a calibration as JSON"):
         read_calibration(path)
-    with pytest.raises(InvalidArgument, match="path must be a calibration file"):
+    with pytest.raises(ArgumentError, match="path must be a calibration file"):
         read_calibration(tmp_path / "missing.json")
 
 
@@ -162,14 +162,14 @@ def test_interrupted_training_goes_on_to_the_identical_result(tmp_path):
     for name in ("calibration.json", "rows.csv", "reliability.csv"):
         assert (whole.parent / name).read_bytes() == (parts.parent / name).read_bytes()
     assert isinstance(read_calibration(whole), Calibration)
-    with pytest.raises(InvalidArgument, match="out must hold no rows of other draws"):
+    with pytest.raises(ArgumentError, match="out must hold no rows of other draws"):
         train_calibration(tmp_path / "parts", TINY.model_copy(update={"seed": 1}))
     anew = train_calibration(tmp_path / "parts", TINY.model_copy(update={"seed": 1}), resume=False)
     assert whole.read_bytes() != anew.read_bytes()
     (tmp_path / "parts" / "rows.csv").write_text("swarm\n1\n")
-    with pytest.raises(InvalidArgument, match="path must hold rows of this calibration"):
+    with pytest.raises(ArgumentError, match="path must hold rows of this calibration"):
         read_rows(tmp_path / "parts" / "rows.csv")
-    with pytest.raises(InvalidArgument, match="path must be a file of rows"):
+    with pytest.raises(ArgumentError, match="path must be a file of rows"):
         read_rows(tmp_path / "parts" / "none.csv")
 
 

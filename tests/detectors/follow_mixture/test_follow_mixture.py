@@ -6,7 +6,7 @@ from mixture_windows import swarm_window
 from sklearn.base import clone
 
 from detectors.follow_mixture import FollowMixture
-from usnet_env import InvalidArgument, Window
+from usnet_env import ArgumentError, Window
 
 F1_TO_F6 = ["f1", "f2", "f3", "f4", "f5", "f6"]
 
@@ -186,11 +186,11 @@ def test_a_bad_argument_is_refused_when_it_is_used(name, value):
     window, _ = swarm_window(0, observation_steps=10)
     detector = FollowMixture(**{name: value})
     for use in (lambda: detector.reset(0), lambda: detector.detect(window)):
-        with pytest.raises(InvalidArgument, match=rf"^{name} must be .*, got .*\.$"):
+        with pytest.raises(ArgumentError, match=rf"^{name} must be .*, got .*\.$"):
             use()
 
 
 def test_more_clusters_than_uavs_are_refused():
     window, _ = swarm_window(0, observation_steps=10)
-    with pytest.raises(InvalidArgument, match="clusters must be at most"):
+    with pytest.raises(ArgumentError, match="clusters must be at most"):
         answer(window, clusters=31)

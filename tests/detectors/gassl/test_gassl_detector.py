@@ -10,7 +10,7 @@ from sklearn.base import clone
 
 from detectors.gassl import PRESETS, Gassl
 from detectors.gassl.votes import RULES
-from usnet_env import InvalidArgument, Window, evaluate, make_detector
+from usnet_env import ArgumentError, Window, evaluate, make_detector
 
 FEW = {"steps": 5}  # where it doesn't matter whom it names
 
@@ -435,7 +435,7 @@ def test_as_a_policy():
 def test_an_argument_is_refused_in_one_sentence(arguments, argument):
     window, _ = cluster(followers=2)
     for act in (lambda: Gassl(**arguments).reset(0), lambda: Gassl(**arguments).detect(window)):
-        with pytest.raises(InvalidArgument) as refused:
+        with pytest.raises(ArgumentError) as refused:
             act()
         sentence = str(refused.value)
         assert sentence.startswith(f"{argument} must ")
@@ -446,7 +446,7 @@ def test_an_argument_is_refused_in_one_sentence(arguments, argument):
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_a_gpu_that_is_not_there():
-    with pytest.raises(InvalidArgument, match=r"^device must be .*'cuda' without a GPU\.$"):
+    with pytest.raises(ArgumentError, match=r"^device must be .*'cuda' without a GPU\.$"):
         Gassl(device="cuda").reset(0)
     window, head = cluster(followers=2)
     assert named([detector(device="auto").detect(window)]) == [head]
@@ -478,9 +478,9 @@ def test_windows_that_are_refused():
         (unseen, r"^window must show at least one UAV that lives, got one in which all are masked\.$"),
     ]:
         for preset in PRESETS:
-            with pytest.raises(InvalidArgument, match=sentence):
+            with pytest.raises(ArgumentError, match=sentence):
                 detector(preset=preset).detect(refused)
-            with pytest.raises(InvalidArgument, match=sentence):
+            with pytest.raises(ArgumentError, match=sentence):
                 detector(preset=preset).detect_batch([window, refused])
 
 
@@ -488,14 +488,14 @@ def test_a_window_with_nan_is_refused_at_the_border():
     window, _ = cluster(followers=2)
     broken = window.velocity.copy()
     broken[3, 1, 0] = np.nan
-    with pytest.raises(InvalidArgument, match=r"^velocity must be finite, got NaN or infinity\.$"):
+    with pytest.raises(ArgumentError, match=r"^velocity must be finite, got NaN or infinity\.$"):
         changed(window, velocity=broken)
 
 
 @pytest.mark.parametrize("members", [np.ones(4, bool), np.ones(3, int), None, [True, False]])
 def test_members_that_are_refused(members):
     window, _ = cluster(followers=2)
-    with pytest.raises(InvalidArgument, match=r"^members must be 3 booleans, got .*\.$"):
+    with pytest.raises(ArgumentError, match=r"^members must be 3 booleans, got .*\.$"):
         detector().detect_among(window, members)
 
 

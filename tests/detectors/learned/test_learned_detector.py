@@ -15,7 +15,7 @@ from detectors.learned.features import PAIR_FEATURES, pair_features
 from detectors.learned.inputs import inputs_of
 from detectors.learned.network import NetworkSizes, draw_network
 from detectors.learned.train import HeadTraining, draw_example
-from usnet_env import InvalidArgument, Window
+from usnet_env import ArgumentError, Window
 from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 
@@ -172,14 +172,14 @@ def test_it_says_what_it_does_not_take(tmp_path):
         ({"weights": 3}, "weights must be a name"),
         ({"weights": str(tmp_path / "none.safetensors")}, "path must be a weights file with its JSON beside it"),
     ):
-        with pytest.raises(InvalidArgument, match=text):
+        with pytest.raises(ArgumentError, match=text):
             Learned(**arguments).reset(0)
-        with pytest.raises(InvalidArgument, match=text):
+        with pytest.raises(ArgumentError, match=text):
             Learned(**arguments).detect(simulated(1, 3))
     many = MOST_UAVS + 1
     ones = np.ones((2, many))
     crowd = Window(np.zeros((2, many, 3)), np.zeros((1, many, 3)), ones, ones[0])
-    with pytest.raises(InvalidArgument, match=f"window must hold at most {MOST_UAVS} living UAVs"):
+    with pytest.raises(ArgumentError, match=f"window must hold at most {MOST_UAVS} living UAVs"):
         answer(crowd)
 
 
@@ -190,7 +190,7 @@ def test_a_network_reads_its_inputs_whatever_the_size():
         head, leader = network(*inputs)
         assert head.shape == (uavs,)
         assert leader.shape == (uavs, uavs)
-    with pytest.raises(InvalidArgument, match=r"heads must divide width \(8\), got 3"):
+    with pytest.raises(ArgumentError, match=r"heads must divide width \(8\), got 3"):
         draw_network(NetworkSizes(width=8, heads=3), 0)
     before = torch.random.get_rng_state()
     draw_network(NetworkSizes(), 1)

@@ -16,7 +16,7 @@ from detectors.learned.detector import load_network
 from detectors.learned.network import network_of
 from detectors.learned.train import HeadTraining, draw_swarm, train_heads
 from detectors.weights import arrays_of, packaged_record, read_arrays, write_weights
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 from usnet_env.swarm.random_follow import RandomFollowStrategy
 
 SMALL = {"steps": 6, "swarms": 2, "width": 8, "heads": 2, "blocks": 1, "most_uavs": 16, "most_clusters": 2, "warm": 2}
@@ -48,7 +48,7 @@ def test_interrupted_training_goes_on_to_the_identical_result(tmp_path):
         assert (whole.parent / name).read_bytes() == (parts.parent / name).read_bytes()
     assert torch.equal(before[0], torch.random.get_rng_state())
     assert before[1] == np.random.get_state()[1].tobytes()  # noqa: NPY002
-    with pytest.raises(InvalidArgument, match="out must hold no checkpoint of another training"):
+    with pytest.raises(ArgumentError, match="out must hold no checkpoint of another training"):
         train_heads(tmp_path / "parts", HeadTraining(**{**SMALL, "seed": 1}))
     anew = train_heads(tmp_path / "parts", HeadTraining(**{**SMALL, "seed": 1}), resume=False)
     assert whole.read_bytes() != anew.read_bytes()
@@ -108,22 +108,22 @@ def test_changed_or_foreign_weights_are_refused(tmp_path):
     path = write_weights(tmp_path / "own.safetensors", network.state_dict(), {}, {})
     assert torch.equal(read_arrays(path)["itself"], network.state_dict()["itself"])
     path.write_bytes(path.read_bytes()[:-1] + b"\x01")
-    with pytest.raises(InvalidArgument, match="path must hold the weights that its JSON names"):
+    with pytest.raises(ArgumentError, match="path must hold the weights that its JSON names"):
         read_arrays(path)
     path.with_suffix(".json").write_text("{}")
-    with pytest.raises(InvalidArgument, match="path must have a JSON with a sha256 beside it"):
+    with pytest.raises(ArgumentError, match="path must have a JSON with a sha256 beside it"):
         read_arrays(path)
-    with pytest.raises(InvalidArgument, match="path must be a name that ends in"):
+    with pytest.raises(ArgumentError, match="path must be a name that ends in"):
         write_weights(tmp_path / "own.pt", {}, {}, {})
-    with pytest.raises(InvalidArgument, match="path must be a safetensors file"):
+    with pytest.raises(ArgumentError, match="path must be a safetensors file"):
         arrays_of("half", b"half of one")
-    with pytest.raises(InvalidArgument, match="path must hold the arrays of a head network"):
+    with pytest.raises(ArgumentError, match="path must hold the arrays of a head network"):
         network_of("other", load(save({"w": torch.zeros(3)})))
     broken = {name: torch.full_like(value, torch.nan) for name, value in network.state_dict().items()}
-    with pytest.raises(InvalidArgument, match="path must hold finite arrays"):
+    with pytest.raises(ArgumentError, match="path must hold finite arrays"):
         network_of("other", broken)
     (tmp_path / "checkpoint.safetensors").write_bytes(b"half of one")
-    with pytest.raises(InvalidArgument, match="path must be a safetensors file"):
+    with pytest.raises(ArgumentError, match="path must be a safetensors file"):
         train_heads(tmp_path, HeadTraining(**SMALL))
 
 
@@ -131,11 +131,11 @@ def test_changed_or_foreign_weights_are_refused(tmp_path):
     "bad", [{"steps": 0}, {"swarms": 0}, {"seed": -1}, {"rate": 0.0}, {"most_uavs": 9}, {"leader_weight": -1.0}]
 )
 def test_bad_settings_are_refused(bad):
-    with pytest.raises(InvalidArgument, match=next(iter(bad))):
+    with pytest.raises(ArgumentError, match=next(iter(bad))):
         HeadTraining(**bad)
 
 
 @pytest.mark.parametrize("bad", [0, 1.5, True])
 def test_a_bad_checkpoint_interval_is_refused(tmp_path, bad):
-    with pytest.raises(InvalidArgument, match="checkpoint_every"):
+    with pytest.raises(ArgumentError, match="checkpoint_every"):
         train_heads(tmp_path, HeadTraining(**SMALL), checkpoint_every=bad)

@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import usnet_env
+from detectors.baselines.trivial import NoCandidates, RandomDetector
 from detectors.clustering import Clustering
 from detectors.gassl import Gassl
 from detectors.mc_gassl import PRESETS, McGassl
-from detectors.trivial import NoCandidates, RandomDetector
-from usnet_env import InvalidArgument
+from usnet_env import ArgumentError
 
 SMALL = {"head_detector": Gassl(steps=3, times=8, voters=4), "gate_steps": 3, "passes": 1, "online_steps": 2}
 
@@ -186,7 +186,7 @@ def test_the_seed_decides(preset):
     ],
 )
 def test_bad_arguments(arguments, sentence):
-    with pytest.raises(InvalidArgument, match=sentence):
+    with pytest.raises(ArgumentError, match=sentence):
         McGassl(**arguments).reset(0)
 
 

@@ -13,7 +13,7 @@ from detectors.clustering import make_clusterer
 from detectors.mc_gassl.features import MODES, gru_features, inputs_of
 from detectors.mc_gassl.gru import embed
 from usnet_env import Window
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 
 
 def weights(width=3):
@@ -136,5 +136,5 @@ def test_clusterers_take_them(mode):
 @pytest.mark.parametrize("bad", [{"mode": "meen"}, {"memory": 0}, {"scale": 0.0}, {"scale": (1.0, -1.0, 1.0)}])
 def test_bad_arguments_are_refused(bad):
     window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
-    with pytest.raises(InvalidArgument, match=next(iter(bad))):
+    with pytest.raises(ArgumentError, match=next(iter(bad))):
         gru_features(window, weights(), **bad)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mc_gassl_inputs import generator, parameters, random_inputs
 
 from detectors.mc_gassl.gru import GruParameters, GruSizes, draw_parameters, embed, gru
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 
 
 def literal_cell(weights, h, v):
@@ -100,10 +100,10 @@ def test_a_random_start_is_its_generators_alone():
 
 @pytest.mark.parametrize("shapes", [((3, 6), (3, 6), (3, 5)), ((2, 5), (2, 5), (2, 5)), ((3, 6), (4, 7), (3, 6))])
 def test_parameters_of_other_shapes_are_refused(shapes):
-    with pytest.raises(InvalidArgument, match=r"parameters must be three arrays of one shape \(width, width \+ 3\)"):
+    with pytest.raises(ArgumentError, match=r"parameters must be three arrays of one shape \(width, width \+ 3\)"):
         GruParameters(*(torch.zeros(shape) for shape in shapes))
 
 
 def test_a_width_below_a_position_is_refused():
-    with pytest.raises(InvalidArgument, match="width"):
+    with pytest.raises(ArgumentError, match="width"):
         GruSizes(width=2)

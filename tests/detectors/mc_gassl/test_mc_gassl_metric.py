@@ -8,7 +8,7 @@ from mc_gassl_inputs import generator, parameters, random_inputs
 
 from detectors.mc_gassl.gru import GruParameters, embed
 from detectors.mc_gassl.metric import SAMPLINGS, Metric, batch_loss, draw_triplets, triplet_loss
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 
 
 def drawn(sampling, inputs, labels, anchors=10_000, seed=0):
@@ -164,11 +164,11 @@ def test_far_away_from_the_origin_hard_sampling_is_still_exact():
 
 
 def test_labels_of_another_length_are_refused():
-    with pytest.raises(InvalidArgument, match=r"labels must have shape \(9,\), got \(8,\)"):
+    with pytest.raises(ArgumentError, match=r"labels must have shape \(9,\), got \(8,\)"):
         batch_loss(parameters(), random_inputs(), torch.zeros(8, dtype=torch.int64), Metric(), generator())
 
 
 @pytest.mark.parametrize("bad", [{"sampling": "hardest"}, {"margin": 0.0}, {"times": 0}, {"scale": -1.0}])
 def test_bad_settings_are_refused(bad):
-    with pytest.raises(InvalidArgument, match=next(iter(bad))):
+    with pytest.raises(ArgumentError, match=next(iter(bad))):
         Metric(**bad)

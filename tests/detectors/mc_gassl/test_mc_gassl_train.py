@@ -9,7 +9,7 @@ import torch
 
 from detectors.mc_gassl.train import MetaTraining, draw_task, train_meta
 from detectors.mc_gassl.weights import load_weights
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 
 SMALL = {"strategies": 3, "episodes": 12, "uavs": 16, "clusters": 3, "observation_steps": 12, "times": 2, "anchors": 20}
 
@@ -49,9 +49,9 @@ def test_training_can_be_prolonged_but_not_cut_short_or_changed(tmp_path):
     train_meta(tmp_path / "grown", MetaTraining(**short))
     grown = train_meta(tmp_path / "grown", MetaTraining(**SMALL))
     assert long.read_bytes() == grown.read_bytes()
-    with pytest.raises(InvalidArgument, match="episodes must be at least the 12"):
+    with pytest.raises(ArgumentError, match="episodes must be at least the 12"):
         train_meta(tmp_path / "grown", MetaTraining(**short))
-    with pytest.raises(InvalidArgument, match="out must hold no checkpoint of another training"):
+    with pytest.raises(ArgumentError, match="out must hold no checkpoint of another training"):
         train_meta(tmp_path / "grown", MetaTraining(seed=1, **SMALL))
     anew = train_meta(tmp_path / "grown", MetaTraining(seed=1, **SMALL), resume=False)
     assert long.read_bytes() != anew.read_bytes()
@@ -76,7 +76,7 @@ def test_what_is_written(tmp_path):
 
 def test_a_broken_checkpoint_is_refused(tmp_path):
     (tmp_path / "checkpoint.safetensors").write_bytes(b"half of one")
-    with pytest.raises(InvalidArgument, match="path must be a safetensors file"):
+    with pytest.raises(ArgumentError, match="path must be a safetensors file"):
         train_meta(tmp_path, MetaTraining(**SMALL))
 
 
@@ -100,11 +100,11 @@ def test_training_beats_a_random_start_on_strategies_it_has_not_seen(tmp_path):
 
 @pytest.mark.parametrize("bad", [{"episodes": 0}, {"strategies": 0}, {"seed": -1}, {"method": "maml"}, {"width": 2}])
 def test_bad_settings_are_refused(bad):
-    with pytest.raises(InvalidArgument, match=next(iter(bad))):
+    with pytest.raises(ArgumentError, match=next(iter(bad))):
         MetaTraining(**bad)
 
 
 @pytest.mark.parametrize("bad", [0, 1.5, True])
 def test_a_bad_checkpoint_interval_is_refused(tmp_path, bad):
-    with pytest.raises(InvalidArgument, match="checkpoint_every"):
+    with pytest.raises(ArgumentError, match="checkpoint_every"):
         train_meta(tmp_path, MetaTraining(**SMALL), checkpoint_every=bad)

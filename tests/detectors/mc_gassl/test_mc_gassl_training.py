@@ -8,7 +8,7 @@ from detectors.mc_gassl.gru import GruParameters
 from detectors.mc_gassl.meta import OfflineTraining, Task, joint_step, meta_step, train_offline
 from detectors.mc_gassl.metric import Metric, batch_loss
 from detectors.mc_gassl.online import OnlineTraining, train_online
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 
 # Every hinge is far from its kink, so that differences are derivatives; hard triplets don't depend on the weights.
 SMOOTH = Metric(sampling="hard", margin=5.0, times=3, anchors=10, scale=1.0)
@@ -162,5 +162,5 @@ def test_online_training_without_a_triplet_changes_nothing(labels):
     ],
 )
 def test_bad_settings_are_refused(kind, bad):
-    with pytest.raises(InvalidArgument, match=next(iter(bad))):
+    with pytest.raises(ArgumentError, match=next(iter(bad))):
         kind(**bad)

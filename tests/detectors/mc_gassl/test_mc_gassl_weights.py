@@ -11,7 +11,7 @@ from safetensors.torch import save
 from detectors.mc_gassl import weights as weights_module
 from detectors.mc_gassl.train import MetaTraining
 from detectors.mc_gassl.weights import load_meta_weights, load_weights, meta_record, save_weights
-from usnet_env.config import InvalidArgument
+from usnet_env.config import ArgumentError
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_weights_that_the_record_does_not_name_are_refused(saved):
     data = bytearray(path.read_bytes())
     data[-1] ^= 1
     path.write_bytes(data)
-    with pytest.raises(InvalidArgument, match="path must hold the weights that its JSON names"):
+    with pytest.raises(ArgumentError, match="path must hold the weights that its JSON names"):
         load_weights(path)
 
 
@@ -63,7 +63,7 @@ def test_weights_that_the_record_does_not_name_are_refused(saved):
 def test_files_without_weights_are_refused(saved, data, message):
     path, _ = saved
     replace(path, data)
-    with pytest.raises(InvalidArgument, match=message):
+    with pytest.raises(ArgumentError, match=message):
         load_weights(path)
 
 
@@ -71,21 +71,21 @@ def test_files_without_weights_are_refused(saved, data, message):
 def test_a_broken_record_is_refused(saved, record):
     path, _ = saved
     path.with_suffix(".json").write_text(record, encoding="utf-8")
-    with pytest.raises(InvalidArgument, match="path must have a JSON with a sha256"):
+    with pytest.raises(ArgumentError, match="path must have a JSON with a sha256"):
         load_weights(path)
 
 
 def test_a_missing_file_is_refused(saved, tmp_path):
     path, _ = saved
-    with pytest.raises(InvalidArgument, match="path must be a weights file"):
+    with pytest.raises(ArgumentError, match="path must be a weights file"):
         load_weights(tmp_path / "none.safetensors")
     path.with_suffix(".json").unlink()
-    with pytest.raises(InvalidArgument, match="path must be a weights file"):
+    with pytest.raises(ArgumentError, match="path must be a weights file"):
         load_weights(path)
 
 
 def test_another_suffix_is_refused(tmp_path):
-    with pytest.raises(InvalidArgument, match=r"path must be a name that ends in \.safetensors"):
+    with pytest.raises(ArgumentError, match=r"path must be a name that ends in \.safetensors"):
         save_weights(tmp_path / "w.pt", parameters(), {}, {})
 
 

@@ -41,7 +41,7 @@ class Factions(Detector):
         threshold: the least correlation of a following, from 0 to 1.
 
     Raises:
-        InvalidArgument: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     def __init__(self, max_lag: int = 4, threshold: float = 0.4) -> None:

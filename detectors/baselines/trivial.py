@@ -30,7 +30,7 @@ class RandomDetector(Detector):
         count: how many UAVs to name in a round, at least 1; all the living ones where fewer live.
 
     Raises:
-        InvalidArgument: from :meth:`reset` and :meth:`detect`, if ``count`` is not a whole number from 1.
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if ``count`` is not a whole number from 1.
     """
 
     def __init__(self, count: int = 1) -> None:

@@ -1,6 +1,6 @@
 """Peers by method, re-implemented from their papers: pairwise Granger causality, and factions with their leaders."""
 
-from detectors.peers.factions import Factions
-from detectors.peers.granger import Granger
+from detectors.baselines.factions import Factions
+from detectors.baselines.granger import Granger
 
 __all__ = ["Factions", "Granger"]

@@ -35,7 +35,7 @@ class Granger(LaggedDetector):
         own_lags: past velocities of i, at least 0.
 
     Raises:
-        InvalidArgument: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     def __init__(self, clusters: int | None = None, lags: int = 3, own_lags: int = 2) -> None:
@@ -44,7 +44,7 @@ class Granger(LaggedDetector):
         self.own_lags = own_lags
 
     def check_arguments(self) -> _Arguments:
-        """The arguments, or ``InvalidArgument``."""
+        """The arguments, or ``ArgumentError``."""
         return _Arguments(clusters=self.clusters, lags=self.lags, own_lags=self.own_lags)
 
     def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:

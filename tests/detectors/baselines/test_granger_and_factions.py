@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from sklearn.base import clone
 
-from detectors.peers import Factions, Granger
-from detectors.peers.factions import following_network, pagerank
-from detectors.peers.granger import granger_evidence
-from usnet_env import InvalidArgument, Window
+from detectors.baselines import Factions, Granger
+from detectors.baselines.factions import following_network, pagerank
+from detectors.baselines.granger import granger_evidence
+from usnet_env import ArgumentError, Window
 from usnet_env.swarm import SwarmConfig, advance, start
 
 BOTH = [Granger, Factions]
@@ -114,5 +114,5 @@ def test_the_constructor_only_stores(kind):
     ],
 )
 def test_a_bad_argument_is_refused(detector, name):
-    with pytest.raises(InvalidArgument, match=rf"^{name} must be .*, got .*\.$"):
+    with pytest.raises(ArgumentError, match=rf"^{name} must be .*, got .*\.$"):
         detector.reset(0)
