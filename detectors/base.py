@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,13 @@ class Detector(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no ty
     Subclass it and write :meth:`detect`; anything with the same methods serves as well. The constructor stores its
     keyword arguments and nothing else (scikit-learn's rule), which gives ``get_params``, ``set_params`` and
     ``sklearn.base.clone``. State that lives across the rounds of an episode is made in :meth:`reset`.
+
+    Attributes:
+        side_by_side: whether :meth:`detect_batch` trains on all windows together, so that an answer depends on the
+            windows that it is given with. A table of results records the batch of such a detector.
     """
+
+    side_by_side: ClassVar[bool] = False
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode: forget the last one and own a fresh generator ``self.rng``.

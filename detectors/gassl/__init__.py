@@ -1,5 +1,5 @@
-"""GASSL: the paper's Algorithm 1, and the project's own step beyond it."""
+"""GASSL, §III: the paper's Algorithm 1 as it is printed."""
 
-from detectors.gassl.detector import PRESETS, Gassl
+from detectors.gassl.detector import Gassl
 
-__all__ = ["PRESETS", "Gassl"]
+__all__ = ["Gassl"]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -11,157 +10,104 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.gassl.input_pooling import InputPooling, fit_input_pooling
-from detectors.gassl.inputs import samples_of
-from detectors.gassl.prediction_pooling import PredictionPooling, fit_prediction_pooling
-from detectors.gassl.votes import RULES, choices, probabilities, top
+from detectors.gassl.agat import AgatSizes, draw_agat
+from detectors.gassl.algorithm_1 import algorithm_1
+from detectors.gassl.ifsn import IfsnSizes, draw_ifsn
+from detectors.gassl.topology_matrix import build_batch
+from detectors.gassl.training import Fit, Training, prepare_inputs, train
+from detectors.gassl.votes import RULES, choose_heads, count_votes, select_top
 from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["PRESETS", "Gassl"]
+__all__ = ["Gassl"]
 
-Floats = NDArray[np.float64]
-
-#: pooling and vote rule of each preset: the best pair by measurement, and the paper's.
-PRESETS = {"default": ("predictions", "mass"), "paper": ("inputs", "paper")}
-POOLINGS = ("predictions", "inputs")
-
+IMPLEMENTATIONS = ("compiled", "printed")
 _LEAST_UAVS = 3  # a head and two followers
 
 
 class _Arguments(Config):
-    """The plain arguments, checked; settings of a pooling are checked by its own config."""
+    """The arguments that no other config checks."""
 
-    preset: str
-    pooling: str | None
-    rule: str | None
     top_k: Annotated[int, Field(ge=1)]
-    gate: bool
-    gate_threshold: Annotated[float, Field(ge=0)]
-    device: str
-    memory: Annotated[int, Field(ge=1, le=1000)]
+    rule: str
+    implementation: str
 
 
 class Gassl(Detector):
-    """Graph attention self-supervised learning: whom does every UAV's flight depend on? (the paper's Algorithm 1).
+    """Graph attention self-supervised learning, the paper's Algorithm 1 as it is printed.
 
-    Every UAV attends to the others so that a shared network, the IFSN, can predict its next velocity; the UAV that is
-    attended to most is the head. Made for one cluster (P1); :meth:`detect_among` looks at a part of a swarm.
+    Every UAV attends to all UAVs so that a shared network, the IFSN, can predict its next velocity. The networks are
+    trained on the window that they judge, one UAV after another, with all times in every gradient step. The UAV that is
+    attended to most by the largest number of other UAVs is the candidate. Made for one cluster (P1).
 
     Args:
-        preset: ``"default"`` (prediction pooling, votes by mass) or ``"paper"`` (the paper's network and rule).
-        pooling: ``"predictions"`` or ``"inputs"``; ``None``: the preset's. See
-            :mod:`detectors.gassl.prediction_pooling` and :mod:`detectors.gassl.input_pooling`.
-        rule: ``"paper"``, ``"exclude-self"``, ``"occlusion"`` or ``"mass"``; ``None``: the preset's. See
-            :func:`detectors.gassl.votes.probabilities`.
-        top_k: K, how many candidates are named.
-        gate: name nobody where nobody seems to be followed; with prediction pooling only. By default the best guess is
-            named in any case.
-        gate_threshold: how much better than by its own history the second best of a candidate's followers must be
-            predicted on held-out times, as the logarithm of the errors' ratio (a head has two followers or more).
-        device: ``"cpu"``, ``"cuda"`` or ``"auto"`` (a GPU if there is one).
+        top_k: K, the number of candidates.
+        rule: ``"paper"``, or ``"exclude-self"`` where no UAV may choose itself.
+        steps: Ω, gradient steps for each UAV.
+        learning_rate: β of equations (24) and (25).
+        query_hidden: hidden units of L.
+        query: outputs of L.
+        key: K, rows of K_l.
+        similarity_hidden: units of the two hidden layers of s_l.
+        ifsn_hidden: units of each of the three hidden layers of the IFSN.
+        gain: scale of the initial values of K_l and s_l; with a small one, the IFSN learns the window by heart before
+            attention has moved.
         memory: T_0.
-        steps, times, learning_rate, weight_decay, input_noise: of training; ``None``: the pooling's default, see
-            :class:`detectors.gassl.prediction_pooling.PredictionPooling` and
-            :class:`detectors.gassl.input_pooling.InputPooling`.
-        voters, units, blocks, ridge, floor: of prediction pooling.
-        query_hidden, query, key, similarity_hidden, ifsn_hidden, ifsn_learning_rate: of input pooling.
+        implementation: ``"compiled"``, or ``"printed"``: the readable loop of
+            :mod:`detectors.gassl.algorithm_1`, some hundred times slower, with the same answer.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, the device is not there, or the
-            window has fewer than 3 UAVs, no UAV that was seen, or no more than T_0 velocities.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the window has fewer than 3
+            UAVs, no velocity that was seen, or no more than T_0 velocities.
     """
 
     def __init__(
         self,
-        preset: str = "default",
-        pooling: str | None = None,
-        rule: str | None = None,
         top_k: int = 1,
-        gate: bool = False,
-        gate_threshold: float = 0.5,
-        device: str = "cpu",
+        rule: str = "paper",
+        steps: int = 100,
+        learning_rate: float = 3e-3,
+        query_hidden: int = 16,
+        query: int = 8,
+        key: int = 8,
+        similarity_hidden: tuple[int, int] = (16, 8),
+        ifsn_hidden: int = 8,
+        gain: float = 3.0,
         memory: int = 4,
-        steps: int | None = None,
-        times: int | None = None,
-        learning_rate: float | None = None,
-        weight_decay: float | None = None,
-        input_noise: float | None = None,
-        voters: int | None = None,
-        units: int | None = None,
-        blocks: int | None = None,
-        ridge: float | None = None,
-        floor: float | None = None,
-        query_hidden: int | None = None,
-        query: int | None = None,
-        key: int | None = None,
-        similarity_hidden: tuple[int, int] | None = None,
-        ifsn_hidden: tuple[int, ...] | None = None,
-        ifsn_learning_rate: float | None = None,
+        implementation: str = "compiled",
     ) -> None:
-        self.preset = preset
-        self.pooling = pooling
-        self.rule = rule
         self.top_k = top_k
-        self.gate = gate
-        self.gate_threshold = gate_threshold
-        self.device = device
-        self.memory = memory
+        self.rule = rule
         self.steps = steps
-        self.times = times
         self.learning_rate = learning_rate
-        self.weight_decay = weight_decay
-        self.input_noise = input_noise
-        self.voters = voters
-        self.units = units
-        self.blocks = blocks
-        self.ridge = ridge
-        self.floor = floor
         self.query_hidden = query_hidden
         self.query = query
         self.key = key
         self.similarity_hidden = similarity_hidden
         self.ifsn_hidden = ifsn_hidden
-        self.ifsn_learning_rate = ifsn_learning_rate
+        self.gain = gain
+        self.memory = memory
+        self.implementation = implementation
 
-    def settings(self) -> tuple[PredictionPooling | InputPooling, str]:
-        """The settings of the pooling, and the vote rule; checks every argument.
+    def settings(self) -> tuple[AgatSizes, IfsnSizes, Training]:
+        """Widths of both networks, and Ω and β; checks every argument.
 
         Raises:
-            ArgumentError: an argument is refused, or belongs to the other pooling.
+            ArgumentError: an argument is refused.
         """
-        plain = _Arguments(**{name: getattr(self, name) for name in _Arguments.model_fields})
-        if plain.preset not in PRESETS:
-            raise unknown_name("preset", plain.preset, PRESETS)
-        pooling = PRESETS[plain.preset][0] if plain.pooling is None else plain.pooling
-        rule = PRESETS[plain.preset][1] if plain.rule is None else plain.rule
-        if pooling not in POOLINGS:
-            raise unknown_name("pooling", pooling, POOLINGS)
-        if rule not in RULES:
-            raise unknown_name("rule", rule, RULES)
-        if plain.gate and pooling != "predictions":
-            raise ArgumentError("gate must be False with pooling='inputs', whose fit has no held-out times, got True.")
-        kinds: dict[str, type[PredictionPooling] | type[InputPooling]] = {
-            "predictions": PredictionPooling,
-            "inputs": InputPooling,
-        }
-        known = set(PredictionPooling.model_fields) | set(InputPooling.model_fields)
-        given = {name: getattr(self, name) for name in sorted(known) if getattr(self, name) is not None}
-        kind = kinds[pooling]
-        for name, value in given.items():
-            if name not in kind.model_fields:
-                raise ArgumentError(f"{name} must be None with pooling={pooling!r}, got {quote(value)}.")
-        return kind(**given), rule
-
-    def _device(self) -> torch.device:
-        if self.device == "auto":
-            return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        if self.device not in ("cpu", "cuda"):
-            raise ArgumentError(f"device must be 'cpu', 'cuda' or 'auto', got {quote(self.device)}.")
-        if self.device == "cuda" and not torch.cuda.is_available():
-            raise ArgumentError("device must be one that is there ('cpu' or 'auto'), got 'cuda' without a GPU.")
-        return torch.device(self.device)
+        plain = _Arguments(top_k=self.top_k, rule=self.rule, implementation=self.implementation)
+        if plain.rule not in RULES:
+            raise unknown_name("rule", plain.rule, RULES)
+        if plain.implementation not in IMPLEMENTATIONS:
+            raise unknown_name("implementation", plain.implementation, IMPLEMENTATIONS)
+        names = ("memory", "query_hidden", "query", "key", "similarity_hidden", "gain")
+        agat = AgatSizes(**{name: getattr(self, name) for name in names})
+        try:
+            ifsn = IfsnSizes(hidden=self.ifsn_hidden)
+        except ArgumentError as error:
+            raise ArgumentError(f"ifsn_{error}") from None
+        return agat, ifsn, Training(steps=self.steps, learning_rate=self.learning_rate)
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode.
@@ -170,159 +116,92 @@ class Gassl(Detector):
             ArgumentError: an argument of the constructor is refused.
         """
         self.settings()
-        self._device()
         super().reset(seed)
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
 
         Returns:
-            Candidates (``top_k`` of them; none if the gate closes), scores c_i, ``leader`` (whom each UAV chose among
-            the others), attention alpha, and in ``extras``: ``choice`` ``(N,)``, with a UAV's own index where it
-            attends to itself or its own history most; ``explained`` ``(N,)``, the share of the squared velocity that
-            the fit explains (held out with prediction pooling, on the training times with input pooling). With input
-            pooling ``attention_heads`` ``(T_0 + 1, N, N)``; with prediction pooling ``gain`` ``(N,)``, the held-out
-            evidence that each UAV is followed (what the gate looks at), and ``followed`` (bool), whether the gate
-            would open.
+            Candidates (``top_k`` of them), scores c_i, ``leader`` (the other UAV that each UAV attends to most),
+            attention alpha ``(N, N)``, and in ``extras``: ``choice`` ``(N,)``, i_L^{(i)}, a UAV's own index where it
+            attends to itself most; ``attention_heads`` ``(T_0 + 1, N, N)``, alpha_l; ``explained`` ``(N,)``, the share
+            of the squared velocity that the fit explains on the training times; ``loss`` ``(N, Ω)``.
         """
-        return self.detect_batch([window])[0]
+        members = check_window(window, self.memory)
+        rng = getattr(self, "rng", None) or np.random.default_rng()
+        uavs = window.uavs
+        if len(members) < _LEAST_UAVS:  # no evidence: one of them is named at random, decision (x)
+            candidates = np.zeros(uavs, bool)
+            candidates[rng.permutation(members)[: self.top_k]] = True
+            return Detection(candidates=candidates, scores=np.zeros(uavs))
+        fit = self.fit_cluster(window, members, None, rng)
+        return answer(window, members, fit, self.rule, self.top_k, rng)
 
-    def detect_among(self, window: Window, members: NDArray[np.bool_]) -> Detection:
-        """Look at a part of the swarm only: the others are taken as if they were not there.
+    def draw_gamma(self, rng: np.random.Generator) -> NDArray[np.float32]:
+        """An initial Γ, ``(parameters,)``."""
+        agat, ifsn, _ = self.settings()
+        return draw_ifsn(ifsn, 6 * agat.attn_heads, rng)
+
+    def fit_cluster(
+        self, window: Window, members: NDArray[np.intp], gamma: NDArray[np.float32] | None, rng: np.random.Generator
+    ) -> Fit:
+        """Lines 1 to 7 of Algorithm 1 for some UAVs of a window; the other UAVs are taken as absent.
 
         Args:
-            window: the whole swarm's.
-            members: ``(N,)`` bool.
+            window: of the whole swarm.
+            members: ``(n,)`` indices of the cluster's UAVs, at least 3.
+            gamma: Γ to begin with, ``(parameters,)``, such as the one that another cluster left; drawn for ``None``.
+            rng: where initial values come from.
         """
-        mask = np.asarray(members)
-        if mask.shape != (window.uavs,) or mask.dtype != bool:
-            raise ArgumentError(f"members must be {window.uavs} booleans, got {quote(members)}.")
-        part = Window(window.position, window.velocity, window.seen, window.alive & mask, window.round)
-        return self.detect(part)
-
-    def detect_batch(self, windows: Sequence[Window]) -> list[Detection]:
-        """Train on several windows side by side: much faster for small swarms than one after another.
-
-        Windows with equal T_ob and equally many living UAVs share a batch. The draws of a batch come from one
-        generator, so an answer depends on what it is batched with.
-        """
-        settings, rule = self.settings()
-        device = self._device()
-        rng = getattr(self, "rng", None) or np.random.default_rng()
-        groups: dict[tuple[int, int], list[int]] = {}
-        members = []
-        for number, window in enumerate(windows):
-            index = self._members(window)
-            members.append(index)
-            groups.setdefault((len(index), window.observation_steps), []).append(number)
-        answers: dict[int, Detection] = {}
-        for (count, _), numbers in groups.items():
-            chosen = [windows[number] for number in numbers]
-            among = [members[number] for number in numbers]
-            if count < _LEAST_UAVS:
-                found = [self._too_few(window, index, rng) for window, index in zip(chosen, among, strict=True)]
-            else:
-                found = self._fit(chosen, among, settings, rule, device, rng)
-            answers.update(zip(numbers, found, strict=True))
-        return [answers[number] for number in range(len(windows))]
-
-    def _members(self, window: Window) -> NDArray[np.intp]:
-        """Indices of the UAVs that can be looked at."""
-        if window.uavs < _LEAST_UAVS:
-            raise ArgumentError(f"window must hold at least {_LEAST_UAVS} UAVs, got {window.uavs}.")
-        if window.observation_steps <= self.memory:
-            raise ArgumentError(
-                f"window must hold more than memory = {self.memory} velocities, got {window.observation_steps}."
-            )
-        if not window.velocity_seen.any():
-            raise ArgumentError("window must show at least one UAV that lives, got one in which all are masked.")
-        return np.flatnonzero(window.alive)
-
-    def _too_few(self, window: Window, index: NDArray[np.intp], rng: np.random.Generator) -> Detection:
-        """One or two UAVs hold no evidence: some of them are named at random."""
-        candidates = np.zeros(window.uavs, bool)
-        candidates[rng.permutation(index)[: self.top_k]] = not self.gate
-        return Detection(candidates=candidates, scores=np.zeros(window.uavs), extras={"followed": False})
-
-    def _fit(
-        self,
-        windows: list[Window],
-        members: list[NDArray[np.intp]],
-        settings: PredictionPooling | InputPooling,
-        rule: Literal["paper", "exclude-self", "occlusion", "mass"] | str,
-        device: torch.device,
-        rng: np.random.Generator,
-    ) -> list[Detection]:
-        samples = samples_of(windows, members, self.memory, device)
-        generator = torch.Generator(device).manual_seed(int(rng.integers(2**63)))
-        whole: list[dict[str, Any]] = []
-        if isinstance(settings, PredictionPooling):
-            fit = fit_prediction_pooling(samples, settings, generator)
-            attention = fit.attention.double()
-            # What is lost without candidate j: -log(1 - alpha_ij), as alpha is the posterior of a mixture.
-            rise = -torch.log1p(-attention.clamp(max=1.0 - 1e-12))
-            second = fit.held_out_gain.sort(dim=1, descending=True).values[:, 1]
-            for e in range(len(windows)):
-                gain = second[e].double().cpu().numpy()
-                followed = bool(gain[int(fit.winner[e])] >= self.gate_threshold)
-                whole.append({"gain": gain, "followed": followed})
-            explained = fit.explained
-        else:
-            inputs = fit_input_pooling(samples, settings, generator, occlude=rule == "occlusion")
-            attention, rise, explained = inputs.attention.double(), inputs.rise.double(), inputs.explained
-            whole = [{"attention_heads": heads.double().cpu().numpy()} for heads in inputs.attention_heads]
-        return [
-            self._answer(
-                window,
-                index,
-                rule,
-                attention[e].cpu().numpy(),
-                rise[e].cpu().numpy(),
-                {**whole[e], "explained": explained[e].double().cpu().numpy()},
-                rng,
-            )
-            for e, (window, index) in enumerate(zip(windows, members, strict=True))
-        ]
-
-    def _answer(
-        self,
-        window: Window,
-        index: NDArray[np.intp],
-        rule: str,
-        attention: Floats,
-        rise: Floats,
-        extras: dict[str, Any],
-        rng: np.random.Generator,
-    ) -> Detection:
-        """Votes of the n UAVs looked at, written out for all N of the window."""
-        uavs = window.uavs
-        choice, own = choices(attention, False, rng), choices(attention, True, rng)
-        c = probabilities(rule, attention, rise, choice, own)
-        candidates, scores = np.zeros(uavs, bool), np.zeros(uavs)
-        scores[index] = c
-        if not self.gate or extras["followed"]:
-            candidates[index[top(c, self.top_k, rng)]] = True
-        leader, chosen = np.full(uavs, -1, np.int64), np.full(uavs, -1, np.int64)
-        leader[index], chosen[index] = index[own], index[choice]
-        spread = {
-            name: _spread(value, index, uavs) if isinstance(value, np.ndarray) else value
-            for name, value in extras.items()
-        }
-        return Detection(
-            candidates=candidates,
-            scores=scores,
-            leader=leader,
-            attention=_spread(attention, index, uavs),
-            extras={"choice": chosen, **spread},
-        )
+        agat, ifsn, training = self.settings()
+        inputs = prepare_inputs(build_batch(window, members, self.memory))
+        phi = draw_agat(agat, len(members), rng)
+        if gamma is None:
+            gamma = draw_ifsn(ifsn, inputs.entries, rng)
+        if self.implementation == "compiled":
+            return train(inputs, phi, gamma, agat, training)
+        return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, ifsn, training)
 
 
-def _spread(values: Floats, index: NDArray[np.intp], uavs: int) -> Floats:
-    """``(n,)`` or ``(..., n, n)`` written out for all N UAVs, 0 elsewhere."""
-    if values.ndim == 1:
-        wide = np.zeros(uavs)
-        wide[index] = values
-        return wide
-    wide = np.zeros((*values.shape[:-2], uavs, uavs))
-    wide[..., index[:, None], index] = values
-    return wide
+def check_window(window: Window, memory: int) -> NDArray[np.intp]:
+    """Indices of the living UAVs of a window in which there is something to learn from.
+
+    Raises:
+        ArgumentError: fewer than 3 UAVs, no velocity that was seen, or no more than T_0 velocities.
+    """
+    if window.uavs < _LEAST_UAVS:
+        raise ArgumentError(f"window must hold at least {_LEAST_UAVS} UAVs, got {quote(window.uavs)}.")
+    if window.observation_steps <= memory:
+        raise ArgumentError(f"window must hold more than memory = {memory} velocities, got {window.observation_steps}.")
+    if not window.velocity_seen.any():
+        raise ArgumentError("window must show at least one living UAV, got one in which all samples are masked.")
+    return np.flatnonzero(window.alive)
+
+
+def answer(
+    window: Window, members: NDArray[np.intp], fit: Fit, rule: str, top_k: int, rng: np.random.Generator
+) -> Detection:
+    """Lines 6 to 8 of Algorithm 1: votes of the n UAVs of a cluster, written out for all N of the window."""
+    uavs = window.uavs
+    attention = fit.attention.astype(np.float64)
+    own = choose_heads(attention, True, rng)
+    choice = choose_heads(attention, False, rng) if rule == "paper" else own
+    c = count_votes(choice)
+    candidates, scores = np.zeros(uavs, bool), np.zeros(uavs)
+    scores[members] = c
+    candidates[members[select_top(c, top_k, rng)]] = True
+    leader, chosen = np.full(uavs, -1, np.int64), np.full(uavs, -1, np.int64)
+    leader[members], chosen[members] = members[own], members[choice]
+    whole = np.zeros((uavs, uavs))
+    whole[np.ix_(members, members)] = attention
+    attn_heads = np.zeros((fit.attn_heads.shape[1], uavs, uavs))
+    attn_heads[:, members[:, None], members] = fit.attn_heads.swapaxes(0, 1)
+    explained, loss = np.zeros(uavs), np.zeros((uavs, fit.loss.shape[1]))
+    explained[members], loss[members] = fit.explained, fit.loss
+    extras: dict[str, Any] = {
+        "choice": chosen,
+        "attention_heads": attn_heads,
+        "explained": explained,
+        "loss": loss,
+    }
+    return Detection(candidates=candidates, scores=scores, leader=leader, attention=whole, extras=extras)

@@ -1,44 +1,180 @@
-"""IFSN, the inherent follow strategy network of §III-A: one MLP Γ for all UAVs of a window."""
+"""IFSN, the inherent follow strategy network of §III-A: one MLP Γ, shared by all UAVs.
+
+Its input is the concatenation of a UAV's own positions, V̂_{i,t} and p̂_{i,t-T_0+1}, standardised to zero mean and unit
+variance, each entry over the batch's times (decision (s)). Three hidden layers (tanh), a linear output v̂_{i,t+1}.
+"""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from typing import Annotated
 
-import torch
-from torch import Tensor
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field
 
-__all__ = ["Ifsn"]
+from detectors.gassl.elementwise import tanh
+from usnet_env.config import Config
+
+__all__ = ["VARIANCE_FLOOR", "IfsnSizes", "draw_ifsn", "pair_losses", "predict", "predict_backward", "standardise"]
+
+VARIANCE_FLOOR = 1e-6  # added to the variance of an entry, which is 0 where a UAV does not move along an axis
+_FLOOR = np.float32(VARIANCE_FLOOR)
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
 
 
-class Ifsn:
-    """Γ of E windows: inputs -> hidden layers (three in the paper) with tanh -> v̂_{i,t+1}.
+class IfsnSizes(Config):
+    """Width of the IFSN, on which the paper is silent (decision (u)).
 
     Args:
-        windows: E.
-        inputs: length of the concatenation of P_{i,t}, V̂_{i,t} and p̂_{i,t-T_0+1}.
-        hidden: widths of the hidden layers.
-        generator: where the first values come from, uniform in ±1/sqrt(inputs of the layer).
+        hidden: units of each of the three hidden layers.
     """
 
-    def __init__(self, windows: int, inputs: int, hidden: tuple[int, ...], generator: torch.Generator) -> None:
-        self.layers: list[tuple[Tensor, Tensor]] = []
-        for before, after in pairwise((inputs, *hidden, 3)):
-            shape = ((windows, before, after), (windows, 1, after))
-            drawn = [
-                ((2.0 * torch.rand(*size, generator=generator, device=generator.device) - 1.0) / before**0.5)
-                for size in shape
-            ]
-            self.layers.append((drawn[0].requires_grad_(True), drawn[1].requires_grad_(True)))
+    hidden: Annotated[int, Field(ge=1, le=4096)] = 8
 
-    def parameters(self) -> list[Tensor]:
-        """All of Γ."""
-        return [parameter for layer in self.layers for parameter in layer]
+    def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
+        """The arrays of Γ in the order in which they lie in one flat vector; matrices map rows to columns.
 
-    def __call__(self, inputs: Tensor) -> Tensor:
-        """Predicted velocities ``(E, ..., 3)`` for inputs ``(E, ..., d)``."""
-        flat = inputs.reshape(inputs.shape[0], -1, inputs.shape[-1])
-        for index, (weight, bias) in enumerate(self.layers):
-            flat = torch.baddbmm(bias, flat, weight)
-            if index + 1 < len(self.layers):
-                flat = torch.tanh(flat)
-        return flat.view(*inputs.shape[:-1], 3)
+        Args:
+            inputs: entries of the concatenation, 6 (T_0 + 1).
+        """
+        width = self.hidden
+        return {
+            "first": (inputs, width), "first_bias": (width,),
+            "second": (width, width), "second_bias": (width,),
+            "third": (width, width), "third_bias": (width,),
+            "output": (width, 3), "output_bias": (3,),
+        }  # fmt: skip
+
+
+def draw_ifsn(sizes: IfsnSizes, inputs: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Initial Γ, ``(parameters,)``: uniform in ±1 / sqrt(inputs of the layer)."""
+    parts = []
+    for name, shape in sizes.shapes(inputs).items():
+        bound = 1.0 / (inputs if name.startswith("first") else sizes.hidden) ** 0.5
+        parts.append(rng.uniform(-bound, bound, int(np.prod(shape))))
+    return np.concatenate(parts).astype(np.float32)
+
+
+@njit(cache=True, nogil=True)
+def _arrays(gamma, inputs):  # type: ignore[no-untyped-def]
+    """Γ's arrays, views of the flat vector; the width follows from its length."""
+    width = 1
+    while width * (inputs + 2 * width + 6) + 3 < gamma.shape[0]:
+        width += 1
+    a = inputs * width
+    b = a + width
+    c = b + width * width
+    d = c + width
+    e = d + width * width
+    f = e + width
+    g = f + 3 * width
+    return (
+        gamma[:a].reshape((inputs, width)), gamma[a:b],
+        gamma[b:c].reshape((width, width)), gamma[c:d],
+        gamma[d:e].reshape((width, width)), gamma[e:f],
+        gamma[f:g].reshape((width, 3)), gamma[g:],
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def standardise(values, scale):  # type: ignore[no-untyped-def]
+    """``values`` ``(R, d)`` become zero-mean with unit variance over the times; ``scale`` ``(d,)`` gets the factors."""
+    times, entries = values.shape
+    for f in range(entries):
+        mean = _ZERO
+        for t in range(times):
+            mean += values[t, f]
+        mean /= np.float32(times)
+        variance = _ZERO
+        for t in range(times):
+            variance += (values[t, f] - mean) ** 2
+        factor = _ONE / np.sqrt(variance / np.float32(times) + _FLOOR)
+        scale[f] = factor
+        for t in range(times):
+            values[t, f] = (values[t, f] - mean) * factor
+
+
+@njit(cache=True, nogil=True)
+def predict(gamma, inputs):  # type: ignore[no-untyped-def]
+    """v̂_{i,t+1} ``(R, 3)`` of standardised inputs ``(R, d)``, and the three hidden layers."""
+    first, first_bias, second, second_bias, third, third_bias, output, output_bias = _arrays(gamma, inputs.shape[1])
+    one = tanh(np.dot(inputs, first) + first_bias)
+    two = tanh(np.dot(one, second) + second_bias)
+    three = tanh(np.dot(two, third) + third_bias)
+    return np.dot(three, output) + output_bias, one, two, three
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma):  # type: ignore[no-untyped-def]
+    """The gradient with respect to Γ, written to ``d_gamma``; returns that with respect to the inputs as they were
+    before they were standardised, ``(R, d)``.
+    """  # noqa: D205  # one sentence
+    times, entries = inputs.shape
+    _, _, second, _, third, _, output, _ = _arrays(gamma, entries)
+    d_first, d_first_bias, d_second, d_second_bias, d_third, d_third_bias, d_out, d_out_bias = _arrays(d_gamma, entries)
+    d_out[:] = np.dot(three.T, d_output)
+    d_out_bias[:] = d_output.sum(axis=0)
+    back = np.dot(d_output, output.T) * (_ONE - three * three)
+    d_third[:] = np.dot(two.T, back)
+    d_third_bias[:] = back.sum(axis=0)
+    back = np.dot(back, third.T) * (_ONE - two * two)
+    d_second[:] = np.dot(one.T, back)
+    d_second_bias[:] = back.sum(axis=0)
+    back = np.dot(back, second.T) * (_ONE - one * one)
+    d_first[:] = np.dot(inputs.T, back)
+    d_first_bias[:] = back.sum(axis=0)
+    d_inputs = np.dot(back, _arrays(gamma, entries)[0].T)
+    for f in range(entries):
+        mean, along = _ZERO, _ZERO
+        for t in range(times):
+            mean += d_inputs[t, f]
+            along += d_inputs[t, f] * inputs[t, f]
+        mean /= np.float32(times)
+        along /= np.float32(times)
+        for t in range(times):
+            d_inputs[t, f] = (d_inputs[t, f] - mean - inputs[t, f] * along) * scale[f]
+    return d_inputs
+
+
+@njit(cache=True, nogil=True)
+def pair_losses(gamma, own, source, target, weight):  # type: ignore[no-untyped-def]
+    """The squared error of Γ for every pair of UAVs, summed over the times: the sum of equation (37).
+
+    The input for UAV i and source i' is the concatenation of P_i, V_{i'} and p_{i'}; each entry is standardised over
+    the times, as in training. The first layer is linear in the two parts, which meet by one addition.
+
+    Args:
+        gamma: ``(parameters,)`` Γ.
+        own: ``(n, R, a)`` standardised own positions.
+        source: ``(n, R, b)`` standardised velocities, newest first, and position of every source.
+        target: ``(n, R, 3)`` metres per step, v_{i,t+1}.
+        weight: ``(n, R)``.
+
+    Returns:
+        ``(n, n)``: row i, column i'.
+    """
+    uavs, times, owns = own.shape
+    first, first_bias, second, second_bias, third, third_bias, output, output_bias = _arrays(
+        gamma, owns + source.shape[2]
+    )
+    width = first.shape[1]
+    from_own = np.empty((uavs, times, width), np.float32)
+    from_source = np.empty((uavs, times, width), np.float32)
+    for i in range(uavs):
+        from_own[i] = np.dot(own[i], first[:owns]) + first_bias
+        from_source[i] = np.dot(source[i], first[owns:])
+    result = np.empty((uavs, uavs), np.float32)
+    for i in range(uavs):
+        for j in range(uavs):
+            one = tanh(from_own[i] + from_source[j])
+            two = tanh(np.dot(one, second) + second_bias)
+            three = tanh(np.dot(two, third) + third_bias)
+            predicted = np.dot(three, output) + output_bias
+            total = _ZERO
+            for t in range(times):
+                for c in range(3):
+                    total += weight[i, t] * (predicted[t, c] - target[i, t, c]) ** 2
+            result[i, j] = total
+    return result

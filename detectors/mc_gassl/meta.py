@@ -14,8 +14,8 @@ from pydantic import Field
 from torch import Tensor
 
 from detectors.mc_gassl.gru import GruInputs, GruParameters
-from detectors.mc_gassl.metric import Metric, batch_loss
-from detectors.mc_gassl.online import descend
+from detectors.mc_gassl.online_training import descend
+from detectors.mc_gassl.triplet import Metric, batch_loss
 from usnet_env.config import Config
 
 __all__ = ["Clustered", "OfflineTraining", "Task", "joint_step", "meta_step", "train_offline"]

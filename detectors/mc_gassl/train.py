@@ -22,8 +22,8 @@ from safetensors.torch import load, save
 from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, GruSizes, draw_parameters
 from detectors.mc_gassl.meta import Clustered, OfflineTraining, Task, train_offline
-from detectors.mc_gassl.metric import Metric, batch_loss
-from detectors.mc_gassl.online import OnlineTraining, train_online
+from detectors.mc_gassl.online_training import OnlineTraining, train_online
+from detectors.mc_gassl.triplet import Metric, batch_loss
 from detectors.mc_gassl.weights import NAMES, parameters_of, save_weights
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.files import atomic_write
@@ -52,7 +52,7 @@ class MetaTraining(Config):
         width: entries of a feature, see :class:`detectors.mc_gassl.gru.GruSizes`.
         inner_rate: alpha.
         outer_rate: beta.
-        sampling, margin, times, anchors, scale: of a batch, see :class:`detectors.mc_gassl.metric.Metric`.
+        sampling, margin, times, anchors, scale: of a batch, see :class:`detectors.mc_gassl.triplet.Metric`.
         clusters, uavs, observation_steps, memory, mobility, head_jitter: of the swarms, see
             :class:`usnet_env.swarm.SwarmConfig`.
     """

@@ -49,6 +49,8 @@ class Row:
         hit: whether the head was named, and nobody else: J_s = 0.
         explained: share of the squared velocity that the detector's fit explains, mean over UAVs; NaN without a fit.
         seconds: of the batch, by episode.
+        batch: first episode and number of episodes that the detector answered together, such as ``42+21``. It is
+            ``42+1`` for a detector whose ``detect_batch`` answers one window after another.
     """
 
     detector: str
@@ -62,6 +64,7 @@ class Row:
     hit: int
     explained: float
     seconds: float
+    batch: str
 
     @property
     def cell(self) -> Cell:
@@ -71,7 +74,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Task:
-    """Some consecutive episodes of one detector in one cell, answered as one batch."""
+    """Some consecutive episodes of one detector in one cell."""
 
     detector: str
     cell: Cell
@@ -80,7 +83,11 @@ class Task:
 
 
 def tasks_for(detectors: Sequence[str], cells: Sequence[Cell], episodes: Callable[[Cell], int]) -> list[Task]:
-    """Batches of all cells, the small swarms first; batches do not depend on how many episodes are asked for."""
+    """Tasks of all cells, the small swarms first.
+
+    A detector that trains on several windows side by side answers the episodes of a task as one batch; its answers
+    depend on the batch, which its rows therefore record.
+    """
     tasks = []
     for cell in sorted(cells, key=lambda cell: (cell.uavs, cell.follow)):
         size = max(1, _BATCH_UAVS // cell.uavs)
@@ -103,28 +110,39 @@ def play(task: Task, seed: int) -> list[Row]:
     """Play the episodes of one task."""
     env = SingleClusterEnv(**asdict(task.cell))
     detector = make_detector(task.detector)
+    episodes = range(task.first, task.first + task.count)
     windows, heads = [], []
-    for episode in range(task.first, task.first + task.count):
+    for episode in episodes:
         observation, _ = env.reset(seed=_seeds(seed, task.cell, episode, 0))
         windows.append(Window.from_observation(observation))
         heads.append(env.swarm.head)
-    detector.reset(_seeds(seed, task.cell, task.first, 1))
-    begun = time.perf_counter()
-    at_once = getattr(detector, "detect_batch", None)
-    detections = [detector.detect(window) for window in windows] if at_once is None else at_once(windows)
-    seconds = (time.perf_counter() - begun) / task.count
-    return [
-        Row(
-            detector=task.detector,
-            **asdict(task.cell),
-            episode=task.first + number,
-            named=int(detection.candidates.any()),
-            hit=int(np.array_equal(detection.candidates, head)),
-            explained=float(np.mean(detection.extras.get("explained", np.nan))),
-            seconds=seconds,
-        )
-        for number, (detection, head) in enumerate(zip(detections, heads, strict=True))
-    ]
+    size = task.count if answers_together(detector) else 1
+    rows: list[Row] = []
+    for first in range(0, task.count, size):
+        batch = windows[first : first + size]
+        detector.reset(_seeds(seed, task.cell, episodes[first], 1))
+        begun = time.perf_counter()
+        detections = [detector.detect(batch[0])] if size == 1 else detector.detect_batch(batch)
+        seconds = (time.perf_counter() - begun) / len(batch)
+        rows += [
+            Row(
+                detector=task.detector,
+                **asdict(task.cell),
+                episode=episodes[first] + number,
+                named=int(detection.candidates.any()),
+                hit=int(np.array_equal(detection.candidates, heads[first + number])),
+                explained=float(np.mean(detection.extras.get("explained", np.nan))),
+                seconds=seconds,
+                batch=f"{episodes[first]}+{len(batch)}",
+            )
+            for number, detection in enumerate(detections)
+        ]
+    return rows
+
+
+def answers_together(detector: object) -> bool:
+    """Whether a detector has a ``detect_batch`` that says so by ``side_by_side``: it trains on all windows together."""
+    return bool(getattr(detector, "side_by_side", False)) and callable(getattr(detector, "detect_batch", None))
 
 
 def measure(

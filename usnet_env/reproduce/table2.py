@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from usnet_env.config import ArgumentError, quote
 from usnet_env.evaluation.statistics import Interval, rate_interval
+from usnet_env.plugins import detector_label, make_detector
 from usnet_env.reproduce.detection_rate import Cell, Row, measure, rate_of, read_rows, tasks_for
 from usnet_env.reproduce.rows import counter, flight_suffix, keep_report
 
@@ -34,12 +35,8 @@ FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 FOLLOWERS = (2, 3, 5, 10, 15, 20, 25, 30, 40, 50)
 PAPER_RUNS = 1000  # episodes behind each value of the paper
 
-#: Ours by default, the paper's as written, and a training-free one on the same episodes.
-DETECTORS = {
-    "default": "gassl",
-    "paper": "gassl(preset='paper')",
-    "lagged-regression": "lagged-regression(clusters=1)",
-}
+#: The paper's Algorithm 1, our variant of it, and a training-free detector on the same episodes.
+DETECTORS = ("gassl", "neural-granger", "lagged-regression(clusters=1)")
 _FEW, _MANY = 30, 100  # episodes a cell: above 15 followers, and up to 15
 
 
@@ -114,54 +111,46 @@ def reproduce(
     *,
     episodes: int | None = None,
     cells: str | None = None,
-    presets: Sequence[str] = tuple(DETECTORS),
+    detectors: Sequence[str] = DETECTORS,
     decoys: int = 0,
     mobility: str = "iid",
     head_jitter: bool = False,
     seed: int = 2022,
     workers: int = 1,
-    device: str = "cpu",
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Row]:
+) -> tuple[list[Row], Path]:
     """Measure the table's cells; an interrupted measurement goes on where it stopped.
 
     Args:
         folder: gets ``episodes[-decoysK][-mobility][-jitter]-seedS.csv``, ``.md`` and ``.png``.
         episodes: a cell; ``None``: 100 up to m = 15, 30 above.
         cells: as :func:`parse_cells` takes them.
-        presets: names of :data:`DETECTORS`.
+        detectors: as :func:`usnet_env.make_detector` takes them.
         decoys: UAVs that fly like heads and lead nobody.
         mobility: how the head flies.
         head_jitter: whether it has the followers' noise.
         seed: of the episodes; the reporting seed is one that nothing was tuned on.
         workers: processes.
-        device: where GASSL trains.
         progress: called with the episodes done and to do.
+
+    Returns:
+        The rows of these detectors, and the path of the report.
     """
-    for preset in presets:
-        if preset not in DETECTORS:
-            raise ArgumentError(f"--preset must be one of {', '.join(DETECTORS)}, got {quote(preset)}.")
+    for detector in detectors:
+        make_detector(detector)  # a wrong name or argument is refused before anything is measured
     grid = [Cell(follow, followers, decoys, mobility, head_jitter) for follow, followers in parse_cells(cells)]
 
     def count(cell: Cell) -> int:
         return episodes or (_MANY if cell.followers <= 15 else _FEW)
 
-    names = [_on(DETECTORS[preset], device) for preset in presets]
-    tasks = tasks_for(names, grid, count)
+    tasks = tasks_for([detector_label(detector) for detector in detectors], grid, count)
     suffix = (f"-decoys{decoys}" if decoys else "") + flight_suffix(mobility, head_jitter)
     path = folder / f"episodes{suffix}-seed{seed}.csv"
     rows = measure(tasks, seed, path, workers, counter(sum(task.count for task in tasks), progress))
     table = entries(read_rows(path))  # earlier measurements with the same seed stay in the table
     title = f"Detection rate, one cluster, {mobility} heads, {decoys} decoy{'s' if decoys != 1 else ''}"
     keep_report(path, markdown(table, title, with_paper=not suffix), draw(table, title, with_paper=not suffix))
-    return rows
-
-
-def _on(detector: str, device: str) -> str:
-    if device == "cpu" or not detector.startswith("gassl"):
-        return detector
-    name, bracket, inside = detector.partition("(")
-    return f"{name}({inside.rstrip(')') + ', ' if bracket else ''}device={device!r})"
+    return rows, path.with_suffix(".md")
 
 
 def _percent(value: float) -> str:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from mc_gassl_inputs import generator, parameters, random_inputs
 
 from detectors.mc_gassl.gru import GruParameters, embed
-from detectors.mc_gassl.metric import SAMPLINGS, Metric, batch_loss, draw_triplets, triplet_loss
+from detectors.mc_gassl.triplet import SAMPLINGS, Metric, batch_loss, draw_triplets, triplet_loss
 from usnet_env.config import ArgumentError
 
 

@@ -1,8 +1,8 @@
-"""One IFSN for a whole swarm, and whom it makes every UAV follow: the on-line step of the paper's Algorithm 2.
+"""One network for a whole swarm, and the leader that it gives to every UAV.
 
-All followers obey the same follow strategy, so one network learns it from all clusters at once. Put to every pair of
-UAVs it then says who is best predicted from whom, across the borders of the clusters it was trained with: i_H and the
-score c of the paper's on-line training.
+All followers obey the same follow strategy, so one network learns it from all clusters together. Applied to every pair
+of UAVs it then gives the UAV from which each UAV is predicted best, across the borders of the clusters that it was
+trained with. The idea is that of equations (37) and (38) of the paper, with a network of its own.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from detectors.gassl.inputs import Samples
-from detectors.gassl.prediction_pooling import (
+from detectors.neural_granger.inputs import Samples
+from detectors.neural_granger.per_candidate import (
     AdditiveNetwork,
-    PredictionPooling,
+    PerCandidate,
     Problem,
     held_out_times,
     other_times,
@@ -29,7 +29,7 @@ _CHUNK_ENTRIES = 4_000_000  # coordinates of predictions formed at once where no
 
 @dataclass(frozen=True)
 class Following:
-    """Who follows whom under the shared network, for one window of n UAVs.
+    """The leaders that the shared network finds, for one window of n UAVs.
 
     Args:
         leader: ``(n,)`` i_H: the source other than itself from which UAV i is predicted best.
@@ -39,8 +39,8 @@ class Following:
     leader: Tensor
     gain: Tensor
 
-    def followed(self, threshold: float) -> Tensor:
-        """``(n,)`` how many UAVs fly by UAV i' (the score c_i'), of those whose gain is at least ``threshold``."""
+    def count_followers(self, threshold: float) -> Tensor:
+        """``(n,)`` how many UAVs with a gain of at least ``threshold`` have UAV i' as their leader."""
         return torch.bincount(self.leader[self.gain >= threshold], minlength=len(self.leader))
 
 
@@ -48,7 +48,7 @@ def follow_by_shared_network(
     samples: Samples,
     head: Tensor,
     sources: Tensor,
-    settings: PredictionPooling,
+    settings: PerCandidate,
     generator: torch.Generator,
     passes: int = 2,
 ) -> Following:
@@ -56,11 +56,11 @@ def follow_by_shared_network(
 
     Args:
         samples: one window of n UAVs.
-        head: ``(n,)`` index of each UAV's supposed head; its own for who is supposed to be one.
-        sources: ``(s,)`` indices of those whom UAVs may choose, at least two; the supposed heads among them.
+        head: ``(n,)`` index of each UAV's supposed head; a supposed head's own index.
+        sources: ``(s,)`` indices of the UAVs that may be chosen, at least two; the supposed heads among them.
         settings: sizes and rates; ``voters`` UAVs are drawn in each step.
         generator: where all draws come from.
-        passes: trainings; from the second on every UAV's head is the one that it chose of the supposed ones.
+        passes: trainings; from the second on, each UAV's head is the one that it chose among the supposed heads.
     """
     problem = Problem(samples, settings, centre=False)
     used, _ = held_out_times(samples.times, settings.blocks, samples.velocity.shape[3], head.device)
@@ -136,5 +136,5 @@ def _gain(problem: Problem, network: AdditiveNetwork, leader: Tensor, times: Ten
         theirs = (leader == column).nonzero()[:, 0]
         errors = problem.errors(network, column[None], theirs, times)[0, 0]
         gain[theirs] = torch.log((null[theirs] + floor) / (weighted_mean(errors, weight[theirs]) + floor))
-    alone = leader == torch.arange(len(leader), device=leader.device)  # the only source has nobody to choose
+    alone = leader == torch.arange(len(leader), device=leader.device)  # the only source has no other UAV to choose
     return gain.masked_fill(alone | (samples.weight[0].sum(-1) == 0), 0.0)

@@ -9,7 +9,7 @@ from pydantic import Field
 from torch import Tensor
 
 from detectors.mc_gassl.gru import GruInputs, GruParameters
-from detectors.mc_gassl.metric import Metric, batch_loss
+from detectors.mc_gassl.triplet import Metric, batch_loss
 from usnet_env.config import Config
 
 __all__ = ["OnlineTraining", "descend", "train_online"]

@@ -22,15 +22,15 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from detectors.gassl.inputs import Samples
+from detectors.neural_granger.inputs import Samples
 from usnet_env.config import Config
 
 __all__ = [
     "AdditiveNetwork",
     "Fit",
-    "PredictionPooling",
+    "PerCandidate",
     "Problem",
-    "fit_prediction_pooling",
+    "fit_per_candidate",
     "held_out_times",
     "other_times",
     "weighted_mean",
@@ -44,8 +44,8 @@ _DISTANCE_SCALE = 300.0  # metres; keeps the offset between two UAVs of the aren
 _CHUNK_ENTRIES = 4_000_000  # pair errors formed at once where no gradient is kept
 
 
-class PredictionPooling(Config):
-    """Sizes and rates of :func:`fit_prediction_pooling`; measured on tuning seeds, see benchmarks/README.md.
+class PerCandidate(Config):
+    """Sizes and rates of :func:`fit_per_candidate`; measured on tuning seeds, see benchmarks/README.md.
 
     Args:
         steps: training steps.
@@ -138,7 +138,7 @@ class AdditiveNetwork:
         same.free = [parameter.expand(count, *parameter.shape[1:]) for parameter in self.free]
         return same
 
-    def optimiser(self, settings: PredictionPooling) -> torch.optim.AdamW:
+    def optimiser(self, settings: PerCandidate) -> torch.optim.AdamW:
         """AdamW on its parameters, decay only where it belongs."""
         groups = [
             {"params": self.weights, "weight_decay": settings.weight_decay},
@@ -252,7 +252,7 @@ class Problem:
             has one source to learn from; a network of several sources needs the means.
     """
 
-    def __init__(self, samples: Samples, settings: PredictionPooling, centre: bool = True) -> None:
+    def __init__(self, samples: Samples, settings: PerCandidate, centre: bool = True) -> None:
         self.samples, self.settings = samples, settings
         self.null = own_history(samples, settings.ridge)
         self.null_error = ((self.null - samples.target) ** 2).sum(-1)  # (E, n, R)
@@ -296,7 +296,7 @@ class Problem:
         return ((predicted.view(windows, count, *shape) - target) ** 2).sum(-1)
 
 
-def fit_prediction_pooling(samples: Samples, settings: PredictionPooling, generator: torch.Generator) -> Fit:
+def fit_per_candidate(samples: Samples, settings: PerCandidate, generator: torch.Generator) -> Fit:
     """Train a network from every candidate, take the best start, and attend by it.
 
     Args:

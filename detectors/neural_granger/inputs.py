@@ -1,4 +1,4 @@
-"""What GASSL learns from: the time series topology matrix of every time, for a batch of windows of equal size."""
+"""What the networks learn from: lagged velocities and positions at every time, for a batch of windows of equal size."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from detectors.series.gaps import fill_with_nearest
 from usnet_env.window import Window
 
 __all__ = ["Samples", "samples_of"]
@@ -49,19 +50,6 @@ class Samples:
         return int(self.target.shape[2])
 
 
-def _filled(position: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Positions ``(T, n, 3)`` with every unseen one taken from the nearest instant at which its UAV was seen."""
-    if seen.all():
-        return position
-    instants = np.arange(len(position))
-    filled = position.copy()
-    for i in np.flatnonzero(~seen.all(axis=0)):
-        known = np.flatnonzero(seen[:, i])
-        if len(known):
-            filled[:, i] = position[known[np.abs(instants[:, None] - known).argmin(axis=1)], i]
-    return filled
-
-
 def samples_of(
     windows: Sequence[Window], members: Sequence[NDArray[np.intp]], memory: int, device: torch.device
 ) -> Samples:
@@ -77,7 +65,7 @@ def samples_of(
     for window, index in zip(windows, members, strict=True):
         there = window.velocity_seen[:, index]
         velocity = np.where(there[..., None], window.velocity[:, index], np.float32(0))
-        position = _filled(window.position[:, index], window.seen[:, index])
+        position = fill_with_nearest(window.position[:, index], window.seen[:, index])
         steps = len(velocity)
         rows = steps - memory
         lagged = np.stack([velocity[memory - 1 - lag : steps - 1 - lag] for lag in range(memory)], axis=2)

@@ -1,0 +1,136 @@
+"""Algorithm 1 of the paper, to be read from top to bottom. Equation numbers are those of the paper's LaTeX source.
+
+:mod:`detectors.gassl.training` computes the same function of the same inputs in compiled loops, two orders of magnitude
+faster; tests hold it against this file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from detectors.gassl.agat import SLOPE, AgatSizes
+from detectors.gassl.ifsn import VARIANCE_FLOOR, IfsnSizes
+from detectors.gassl.training import Fit, Inputs, Training
+
+__all__ = ["algorithm_1", "batch_loss", "vote"]
+
+Parameters = Mapping[str, Tensor]
+
+
+def algorithm_1(
+    inputs: Inputs, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: IfsnSizes, training: Training
+) -> Fit:
+    """Algorithm 1, lines 1 to 7; the votes of lines 6 and 8 are :func:`vote`.
+
+    Args:
+        inputs: line 2, the batch of R time series topology matrices, as
+            :func:`detectors.gassl.training.prepare_inputs` makes it.
+        phi: ``(n, parameters)`` initial Φ_1, ..., Φ_n.
+        gamma: ``(parameters,)`` initial Γ.
+        agat: widths of the AGAT.
+        ifsn: widths of the IFSN.
+        training: Ω and β.
+
+    Returns:
+        The same as :func:`detectors.gassl.training.train`.
+    """
+    uavs = inputs.uavs
+    gamma = gamma.detach().clone()
+    attn_heads = torch.zeros(uavs, agat.attn_heads, uavs)
+    losses = torch.zeros(uavs, training.steps)
+    explained = torch.zeros(uavs)
+    for i in range(uavs):  # line 1
+        phi_i = phi[i].detach().clone()
+        for step in range(training.steps):  # line 3
+            phi_i.requires_grad_(True)
+            gamma.requires_grad_(True)
+            loss, _ = batch_loss(inputs, i, phi_i, gamma, agat, ifsn)
+            d_phi, d_gamma = torch.autograd.grad(loss, (phi_i, gamma))
+            phi_i = phi_i.detach() - training.learning_rate * d_phi  # line 4, equation (24)
+            gamma = gamma.detach() - training.learning_rate * d_gamma  # line 4, equation (25)
+            losses[i, step] = loss.detach()
+        last, alpha = batch_loss(inputs, i, phi_i, gamma, agat, ifsn)  # alpha_{i,i',l} at all times, (T_0 + 1, R, n)
+        attn_heads[i] = alpha.mean(dim=1)  # over the times: decision (t)
+        power = (inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum()
+        explained[i] = 1.0 - last / max(float(power), 1e-12)
+    return Fit(attn_heads.numpy(), gamma.numpy(), losses.numpy(), explained.numpy())
+
+
+def vote(attention: Tensor) -> tuple[Tensor, Tensor]:
+    """Lines 6 and 8 of Algorithm 1.
+
+    Args:
+        attention: ``(n, n)`` alpha_{i,i'}, the mean of alpha_{i,i',l} over the attention heads, equation (12).
+
+    Returns:
+        i_L^{(i)} ``(n,)`` and c_i ``(n,)``; the top K of c are the candidates, equations (21) and (22).
+    """
+    uavs = len(attention)
+    chosen = attention.argmax(dim=1)  # equation (19)
+    c = torch.zeros(uavs)
+    for i in range(uavs):  # equation (20)
+        for other in range(uavs):
+            if other != i and chosen[other] == i:
+                c[i] += 1.0 / uavs
+    return chosen, c
+
+
+def batch_loss(
+    inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: IfsnSizes
+) -> tuple[Tensor, Tensor]:
+    """L_B(Θ_i), equation (23), and alpha_{i,i',l} at all times, ``(T_0 + 1, R, n)``."""
+    network = dict(_named(phi, agat.shapes()))
+    value = torch.from_numpy(inputs.value).to(phi.dtype)  # (T_0 + 1, R, 3, n)
+    history = torch.from_numpy(inputs.history[i]).to(phi.dtype)  # (R, 3 (T_0 + 1)), V_{i,t} and p_{i,t-T_0+1}
+    query = _query(network, history)
+    alphas, pooled = [], []
+    for head in range(agat.attn_heads):
+        x = value[head].transpose(1, 2)  # (R, n, 3)
+        alpha = torch.softmax(_similarity(network, head, query, x), dim=1)  # equations (10), (11)
+        alphas.append(alpha)
+        pooled.append((alpha[:, :, None] * x).sum(dim=1))  # equations (13), (14)
+    own = torch.from_numpy(inputs.own[i]).to(phi.dtype)
+    concatenation = torch.cat([own, *pooled], dim=1)  # (R, 6 (T_0 + 1)): P_{i,t+1}, V̂_{i,t}, p̂_{i,t-T_0+1}
+    variance, mean = torch.var_mean(concatenation, dim=0, correction=0)
+    standardised = (concatenation - mean) / torch.sqrt(variance + VARIANCE_FLOOR)
+    predicted = _ifsn(dict(_named(gamma, ifsn.shapes(inputs.entries))), standardised)
+    target = torch.from_numpy(inputs.target[i]).to(phi.dtype)
+    weight = torch.from_numpy(inputs.weight[i]).to(phi.dtype)
+    return (weight * ((target - predicted) ** 2).sum(dim=1)).sum(), torch.stack(alphas)
+
+
+def _query(network: Parameters, history: Tensor) -> Tensor:
+    """The query data L(V_{i,t}, p_{i,t-T_0+1}), ``(R, query)``: one hidden layer."""
+    hidden = torch.tanh(history @ network["query_in"] + network["query_in_bias"])
+    return hidden @ network["query_out"] + network["query_out_bias"]
+
+
+def _similarity(network: Parameters, head: int, query: Tensor, x: Tensor) -> Tensor:
+    """s_l of the query data and the key data K_l x of all UAVs, ``(R, n)``: two hidden layers."""
+    key = x @ network[f"key_{head}"].T  # (R, n, K)
+    first = torch.cat([network[f"first_query_{head}"], network[f"first_key_{head}"]])
+    both = torch.cat([query[:, None].expand(-1, x.shape[1], -1), key], dim=2)
+    hidden = torch.nn.functional.leaky_relu(both @ first + network[f"first_bias_{head}"], SLOPE)
+    hidden = torch.nn.functional.leaky_relu(hidden @ network[f"second_{head}"] + network[f"second_bias_{head}"], SLOPE)
+    return hidden @ network[f"last_{head}"]
+
+
+def _ifsn(network: Parameters, inputs: Tensor) -> Tensor:
+    """v̂_{i,t+1} ``(R, 3)``: three hidden layers, no constraint layer."""
+    hidden = inputs
+    for layer in ("first", "second", "third"):
+        hidden = torch.tanh(hidden @ network[layer] + network[f"{layer}_bias"])
+    return hidden @ network["output"] + network["output_bias"]
+
+
+def _named(flat: Tensor, shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, Tensor]]:
+    """The arrays of a network, by name, as views of one flat vector."""
+    first = 0
+    for name, shape in shapes.items():
+        size = int(np.prod(shape))
+        yield name, flat[first : first + size].view(shape)
+        first += size

@@ -1,0 +1,111 @@
+"""The time series topology matrix X of equation (5), and the batch of all matrices that a window holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.series.gaps import fill_with_nearest
+from usnet_env.config import ArgumentError, quote
+from usnet_env.window import Window
+
+__all__ = ["Batch", "build_batch", "topology_matrix"]
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """The matrices X_t of n UAVs at all R = T_ob - T_0 times t that have a next velocity to predict.
+
+    Args:
+        position: ``(R, n, 3)`` metres, p_{i,t-T_0+1}, the first column of X_t.
+        velocity: ``(R, n, T_0, 3)`` metres per step, v_{i,t-T_0+1}, ..., v_{i,t}, the other columns, oldest first.
+        own: ``(R, n, T_0 + 1, 3)`` metres, p_{i,t-T_0+1}, ..., p_{i,t+1}: P_{i,t+1} of equation (1), decision (r).
+        target: ``(R, n, 3)`` metres per step, v_{i,t+1}.
+        weight: ``(R, n)``, 1 where the target was seen, else 0.
+
+    A velocity that was not seen is 0; a position that was not seen is the nearest seen one in time (decision (y)).
+    """
+
+    position: Floats
+    velocity: Floats
+    own: Floats
+    target: Floats
+    weight: Floats
+
+    @property
+    def times(self) -> int:
+        """R."""
+        return len(self.position)
+
+    @property
+    def uavs(self) -> int:
+        """The number n of UAVs."""
+        return self.position.shape[1]
+
+    @property
+    def memory(self) -> int:
+        """T_0."""
+        return self.velocity.shape[2]
+
+
+def build_batch(window: Window, members: NDArray[np.intp] | None = None, memory: int = 4) -> Batch:
+    """The batch of Algorithm 1, line 2.
+
+    Args:
+        window: T_ob velocities of N UAVs.
+        members: ``(n,)`` indices of the UAVs of the cluster; by default all living ones.
+        memory: T_0.
+
+    Raises:
+        ArgumentError: the window holds no more than T_0 velocities.
+    """
+    steps = window.observation_steps
+    if steps <= memory:
+        raise ArgumentError(f"window must hold more than memory = {memory} velocities, got {steps}.")
+    index = np.flatnonzero(window.alive) if members is None else np.asarray(members)
+    seen = window.velocity_seen[:, index]
+    velocity = np.where(seen[..., None], window.velocity[:, index], np.float32(0))
+    position = fill_with_nearest(window.position[:, index], window.seen[:, index])
+    times = np.arange(memory - 1, steps - 1)
+    past = times[:, None] - np.arange(memory - 1, -1, -1)  # (R, T_0): t - T_0 + 1, ..., t
+    instants = times[:, None] - np.arange(memory - 1, -2, -1)  # (R, T_0 + 1): t - T_0 + 1, ..., t + 1
+    return Batch(
+        position=position[times - memory + 1],
+        velocity=velocity[past].swapaxes(1, 2),
+        own=position[instants].swapaxes(1, 2),
+        target=velocity[times + 1],
+        weight=seen[times + 1].astype(np.float32),
+    )
+
+
+def topology_matrix(
+    window: Window, time: int, members: NDArray[np.intp] | None = None, memory: int = 4
+) -> NDArray[np.float32]:
+    """X_t of equation (5), ``(3 n, T_0 + 1)``: three rows for each UAV.
+
+    The columns are p_{i,t-T_0+1} in metres, and v_{i,t-T_0+1}, ..., v_{i,t} in metres per step. The head is a UAV of
+    its cluster, decision (e).
+
+    Args:
+        window: what the observer saw.
+        time: t, from T_0 - 1 to T_ob - 1.
+        members: ``(n,)`` indices of the UAVs of the cluster; by default all living ones.
+        memory: T_0.
+
+    Raises:
+        ArgumentError: the window does not hold all columns of that time.
+    """
+    steps = window.observation_steps
+    if isinstance(time, bool) or not isinstance(time, int | np.integer) or not memory - 1 <= time < steps:
+        raise ArgumentError(f"time must be a whole number from {memory - 1} to {steps - 1}, got {quote(time)}.")
+    index = np.flatnonzero(window.alive) if members is None else np.asarray(members)
+    first = int(time) - memory + 1
+    seen = window.velocity_seen[first : first + memory, index]
+    velocity = np.where(seen[..., None], window.velocity[first : first + memory, index], np.float32(0))
+    position = fill_with_nearest(window.position[:, index], window.seen[:, index])[first]
+    columns = np.concatenate([position[None], velocity])  # (T_0 + 1, n, 3)
+    return np.ascontiguousarray(columns.transpose(1, 2, 0).reshape(3 * len(index), memory + 1))

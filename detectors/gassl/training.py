@@ -1,0 +1,223 @@
+"""Algorithm 1, compiled: the same function of the same inputs as the readable :mod:`detectors.gassl.algorithm_1`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field
+
+from detectors.gassl.agat import AgatSizes, attend, attend_backward
+from detectors.gassl.ifsn import predict, predict_backward, standardise
+from detectors.gassl.topology_matrix import Batch
+from usnet_env.config import Config
+
+__all__ = ["Fit", "Inputs", "Training", "loss_and_gradient", "prepare_inputs", "train"]
+
+Floats = NDArray[np.float32]
+
+_ZERO = np.float32(0.0)
+_TWO = np.float32(2.0)
+
+
+class Training(Config):
+    """Settings of Algorithm 1, on whose values the paper is silent (decision (u)).
+
+    Args:
+        steps: Ω, gradient steps for each UAV.
+        learning_rate: β of equations (24) and (25).
+    """
+
+    steps: Annotated[int, Field(ge=1, le=1_000_000)] = 100
+    learning_rate: Annotated[float, Field(gt=0)] = 3e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """A batch as the networks read it; raw metres would saturate L and the softmax (decision (s)).
+
+    Args:
+        history: ``(n, R, 3 (T_0 + 1))`` each UAV's standardised v_{i,t}, ..., v_{i,t-T_0+1} and p_{i,t-T_0+1}.
+        value: ``(T_0 + 1, R, 3, n)`` the same of all UAVs, by attention head.
+        own: ``(n, R, 3 (T_0 + 1))`` metres, P_{i,t+1} less its mean over the times.
+        target: ``(n, R, 3)`` metres per step, v_{i,t+1}.
+        weight: ``(n, R)``.
+    """
+
+    history: Floats
+    value: Floats
+    own: Floats
+    target: Floats
+    weight: Floats
+
+    @property
+    def uavs(self) -> int:
+        """The number n of UAVs."""
+        return len(self.history)
+
+    @property
+    def entries(self) -> int:
+        """Entries of the IFSN's input, 6 (T_0 + 1)."""
+        return self.own.shape[2] + 3 * len(self.value)
+
+
+def prepare_inputs(batch: Batch) -> Inputs:
+    """Standardise a batch: one scale for all velocities, one an axis for the positions."""
+    velocity = batch.velocity.astype(np.float64)
+    position = batch.position.astype(np.float64)
+    velocity = (velocity - velocity.mean()) / max(velocity.std(), 1e-6)
+    position = (position - position.mean((0, 1))) / np.maximum(position.std((0, 1)), 1e-6)
+    by_head = [*(velocity[:, :, lag] for lag in range(batch.memory - 1, -1, -1)), position]  # (R, n, 3), newest first
+    own = batch.own.astype(np.float64)
+    own = (own - own.mean(axis=(0, 2), keepdims=True)).reshape(batch.times, batch.uavs, -1)
+    arrays = (
+        np.concatenate(by_head, axis=2).swapaxes(0, 1),
+        np.stack(by_head).swapaxes(2, 3),
+        own.swapaxes(0, 1),
+        batch.target.swapaxes(0, 1),
+        batch.weight.swapaxes(0, 1),
+    )
+    return Inputs(*(np.ascontiguousarray(array, np.float32) for array in arrays))
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What Algorithm 1 leaves.
+
+    Args:
+        attn_heads: ``(n, T_0 + 1, n)`` alpha_{i,i',l}, mean over all times (decision (t)).
+        gamma: ``(parameters,)`` the trained Γ.
+        loss: ``(n, Ω)`` L_B(Θ_i) of equation (23) before each step.
+        explained: ``(n,)`` share of the squared velocity that UAV i's last prediction explains, on the training times.
+    """
+
+    attn_heads: Floats
+    gamma: Floats
+    loss: Floats
+    explained: Floats
+
+    @property
+    def attention(self) -> Floats:
+        """``(n, n)`` alpha_{i,i'}, the mean over the attention heads, equation (12)."""
+        mean: Floats = self.attn_heads.mean(axis=1)
+        return mean
+
+
+@njit(cache=True, nogil=True)
+def _forward(phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale):  # type: ignore[no-untyped-def]
+    """L_B(Θ_i) of equation (23), and what the gradient needs."""
+    hidden, query = attend(phi, numbers, history, value, alpha, pooled)
+    owns = own.shape[1]
+    inputs[:, :owns] = own
+    for head in range(numbers[0]):
+        inputs[:, owns + 3 * head : owns + 3 * head + 3] = pooled[head]
+    standardise(inputs, scale)
+    predicted, one, two, three = predict(gamma, inputs)
+    loss = _ZERO
+    for t in range(predicted.shape[0]):
+        for c in range(3):
+            error = predicted[t, c] - target[t, c]
+            loss += weight[t] * error * error
+            predicted[t, c] = _TWO * weight[t] * error  # from here on the gradient
+    return loss, predicted, hidden, query, one, two, three
+
+
+@njit(cache=True, nogil=True)
+def _gradient(  # type: ignore[no-untyped-def]
+    phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale, d_pooled, d_phi, d_gamma
+):
+    """L_B(Θ_i); its gradients with respect to Φ_i and Γ are written to ``d_phi`` and ``d_gamma``."""
+    loss, d_output, hidden, query, one, two, three = _forward(
+        phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale
+    )
+    d_inputs = predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma)
+    owns = own.shape[1]
+    for head in range(numbers[0]):
+        d_pooled[head] = d_inputs[:, owns + 3 * head : owns + 3 * head + 3]
+    attend_backward(phi, numbers, history, value, alpha, pooled, hidden, query, d_pooled, d_phi)
+    return loss
+
+
+@njit(cache=True, nogil=True)
+def _train_uav(  # type: ignore[no-untyped-def]
+    phi, gamma, numbers, history, value, own, target, weight, rate, loss, attn_heads
+):
+    """Lines 3 to 6 of Algorithm 1 for one UAV: Φ_i and Γ move, equations (24), (25); returns the last L_B(Θ_i)."""
+    heads, times, _, uavs = value.shape
+    entries = own.shape[1] + 3 * heads
+    alpha = np.empty((heads, times, uavs), np.float32)
+    pooled = np.empty((heads, times, 3), np.float32)
+    d_pooled = np.empty((heads, times, 3), np.float32)
+    inputs = np.empty((times, entries), np.float32)
+    scale = np.empty(entries, np.float32)
+    d_phi, d_gamma = np.empty_like(phi), np.empty_like(gamma)
+    for step in range(loss.shape[0]):
+        loss[step] = _gradient(
+            phi, gamma, numbers, history, value, own, target, weight,
+            alpha, pooled, inputs, scale, d_pooled, d_phi, d_gamma,
+        )  # fmt: skip
+        for p in range(phi.shape[0]):
+            phi[p] -= rate * d_phi[p]
+        for p in range(gamma.shape[0]):
+            gamma[p] -= rate * d_gamma[p]
+    last = _forward(phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale)[0]
+    for head in range(heads):
+        for j in range(uavs):
+            total = _ZERO
+            for t in range(times):
+                total += alpha[head, t, j]
+            attn_heads[head, j] = total / np.float32(times)
+    return last
+
+
+def loss_and_gradient(
+    inputs: Inputs, uav: int, phi: Floats, gamma: Floats, sizes: AgatSizes
+) -> tuple[float, Floats, Floats]:
+    """L_B(Θ_i) of equation (23) and its gradients with respect to Φ_i and Γ, as flat vectors.
+
+    Args:
+        inputs: of n UAVs.
+        uav: i.
+        phi: ``(parameters,)`` Φ_i.
+        gamma: ``(parameters,)`` Γ.
+        sizes: of the AGAT.
+    """
+    heads, times, _, uavs = inputs.value.shape
+    d_phi, d_gamma = np.empty_like(phi), np.empty_like(gamma)
+    loss = _gradient(
+        phi, gamma, sizes.numbers(), inputs.history[uav], inputs.value, inputs.own[uav], inputs.target[uav],
+        inputs.weight[uav], np.empty((heads, times, uavs), np.float32), np.empty((heads, times, 3), np.float32),
+        np.empty((times, inputs.entries), np.float32), np.empty(inputs.entries, np.float32),
+        np.empty((heads, times, 3), np.float32), d_phi, d_gamma,
+    )  # fmt: skip
+    return float(loss), d_phi, d_gamma
+
+
+def train(inputs: Inputs, phi: Floats, gamma: Floats, sizes: AgatSizes, training: Training) -> Fit:
+    """Lines 1 to 7 of Algorithm 1: one UAV after another, all times in every step, Γ handed on.
+
+    Args:
+        inputs: of n UAVs.
+        phi: ``(n, parameters)`` initial Φ.
+        gamma: ``(parameters,)`` initial Γ.
+        sizes: of the AGAT.
+        training: Ω and β.
+    """
+    uavs, heads = inputs.uavs, sizes.attn_heads
+    phi, gamma = phi.copy(), gamma.copy()
+    loss = np.zeros((uavs, training.steps), np.float32)
+    attn_heads = np.zeros((uavs, heads, uavs), np.float32)
+    explained = np.zeros(uavs, np.float32)
+    for i in range(uavs):
+        last = _train_uav(
+            phi[i], gamma, sizes.numbers(), inputs.history[i], inputs.value, inputs.own[i], inputs.target[i],
+            inputs.weight[i], np.float32(training.learning_rate), loss[i], attn_heads[i],
+        )  # fmt: skip
+        power = float((inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum())
+        explained[i] = 1.0 - last / max(power, 1e-12)
+    # Where beta is too large, the loss overflows: the fit explains nothing, and the attention is even.
+    attn_heads = np.where(np.isfinite(attn_heads), attn_heads, np.float32(1.0 / uavs))
+    return Fit(attn_heads, gamma, loss, np.nan_to_num(explained, nan=0.0, posinf=0.0, neginf=0.0))

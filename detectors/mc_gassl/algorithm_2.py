@@ -1,0 +1,155 @@
+"""Algorithm 2 of the paper, the on-line executions: one detection round, to be read from top to bottom.
+
+The off-line meta-learning, Algorithm 2's first part, is in :mod:`detectors.mc_gassl.meta`. Equation numbers are those
+of the paper's LaTeX source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from detectors.clustering import Clustering
+from detectors.gassl import Gassl
+from detectors.gassl.detector import answer
+from detectors.gassl.topology_matrix import build_batch
+from detectors.gassl.training import prepare_inputs
+from detectors.mc_gassl.features import inputs_of
+from detectors.mc_gassl.gru import GruParameters
+from detectors.mc_gassl.online_training import OnlineTraining, train_online
+from detectors.mc_gassl.reclustering import best_heads, count_scores, recluster
+from usnet_env.window import Window
+
+__all__ = ["Round", "detect_heads", "run_round", "update_gru"]
+
+LEAST_UAVS = 3  # of a cluster that GASSL can look at
+
+#: lines 2 and 3: clusters of a window from the features of the GRU network W
+Cluster = Callable[[Window, GruParameters, np.random.Generator], Clustering]
+
+
+@dataclass(frozen=True, eq=False)
+class Heads:
+    """What line 4 gives, for all N UAVs of the window.
+
+    Args:
+        candidates: ``(N,)`` bool, Ĥ_r.
+        scores: ``(N,)`` c_i within the clusters, equation (20).
+        leader: ``(N,)`` the other UAV that each UAV attends to most, within its cluster; -1 without.
+        attention: ``(N, N)`` alpha_{i,i'} within the clusters.
+        gamma: the trained Γ.
+    """
+
+    candidates: NDArray[np.bool_]
+    scores: NDArray[np.float64]
+    leader: NDArray[np.int64]
+    attention: NDArray[np.float64]
+    gamma: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What a round gives.
+
+    Args:
+        heads: line 4.
+        clustering: lines 2 and 3.
+        followed: ``(N,)`` c_{i'} of equation (38).
+        parameters: W_r, for the next round.
+        loss: of each step of on-line training.
+    """
+
+    heads: Heads
+    clustering: Clustering
+    followed: NDArray[np.float64]
+    parameters: GruParameters
+    loss: list[float]
+
+
+def run_round(
+    window: Window,
+    parameters: GruParameters,
+    cluster: Cluster,
+    gassl: Gassl,
+    online: OnlineTraining,
+    rng: np.random.Generator,
+) -> Round:
+    """Lines 2 to 5 of the on-line executions. The environment destroys the candidates and ends the loop.
+
+    Args:
+        window: the observations of T_ob steps, with at least 3 living UAVs.
+        parameters: W_{r-1}; in round 1 the meta parameters.
+        cluster: features, M̂ and clusters.
+        gassl: the settings of Algorithm 1.
+        online: the settings of on-line training.
+        rng: where all draws come from.
+    """
+    clustering = cluster(window, parameters, rng)  # lines 2, 3
+    heads = detect_heads(window, clustering, gassl, rng)  # line 4
+    followed, updated, loss = update_gru(
+        window, parameters, clustering.count, heads.gamma, gassl, online, rng
+    )  # line 5
+    return Round(heads, clustering, followed, updated, loss)
+
+
+def detect_heads(window: Window, clustering: Clustering, gassl: Gassl, rng: np.random.Generator) -> Heads:
+    """Line 4: Algorithm 1 in every cluster; one Γ is handed through all UAVs of all clusters."""
+    uavs = window.uavs
+    candidates, scores = np.zeros(uavs, bool), np.zeros(uavs)
+    leader, attention = np.full(uavs, -1, np.int64), np.zeros((uavs, uavs))
+    gamma = gassl.draw_gamma(rng)
+    for label in range(clustering.count):
+        members = np.flatnonzero(clustering.labels == label)
+        if len(members) < LEAST_UAVS or not window.velocity_seen[:, members].any():
+            candidates[rng.choice(members)] = True  # no evidence: one of them at random, decision (x)
+            continue
+        fit = gassl.fit_cluster(window, members, gamma, rng)
+        gamma = fit.gamma
+        found = answer(window, members, fit, gassl.rule, gassl.top_k, rng)
+        assert found.leader is not None
+        assert found.attention is not None
+        candidates |= found.candidates
+        scores += found.scores
+        leader[members] = found.leader[members]
+        attention += found.attention
+    return Heads(candidates, scores, leader, attention, gamma)
+
+
+def update_gru(
+    window: Window,
+    parameters: GruParameters,
+    count: int,
+    gamma: NDArray[np.float32],
+    gassl: Gassl,
+    online: OnlineTraining,
+    rng: np.random.Generator,
+) -> tuple[NDArray[np.float64], GruParameters, list[float]]:
+    """Line 5: the swarm is re-clustered by the trained IFSN, and the GRU network learns from the clusters.
+
+    Args:
+        window: the window of this round.
+        parameters: W_{r-1}.
+        count: M̂.
+        gamma: Γ as line 4 left it.
+        gassl: gives T_0.
+        online: the settings of on-line training.
+        rng: where all draws come from.
+
+    Returns:
+        c_{i'} ``(N,)``, W_r and the loss of each step.
+    """
+    living = np.flatnonzero(window.alive)
+    inputs = prepare_inputs(build_batch(window, living, gassl.memory))
+    chosen = best_heads(inputs, gamma)  # equation (37)
+    followed = np.zeros(window.uavs)
+    followed[living] = count_scores(chosen)  # equation (38)
+    labels = np.full(window.uavs, -1, np.int64)
+    labels[living] = recluster(chosen, count, rng)
+    generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
+    dataset = inputs_of(window, gassl.memory), torch.from_numpy(labels)
+    updated, loss = train_online(parameters, *dataset, online, generator)  # equation (39)
+    return followed, updated, loss

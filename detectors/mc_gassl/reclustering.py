@@ -1,0 +1,54 @@
+"""Re-clustering by the trained IFSN, §IV-A-6: the dataset for the on-line training of the GRU network."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.gassl.ifsn import pair_losses, standardise
+from detectors.gassl.training import Inputs
+
+__all__ = ["best_heads", "count_scores", "recluster"]
+
+
+def best_heads(inputs: Inputs, gamma: NDArray[np.float32]) -> NDArray[np.int64]:
+    """i_H of every UAV, ``(n,)``: the other UAV from which the trained IFSN predicts it best, equation (37).
+
+    Args:
+        inputs: of all n living UAVs of the swarm.
+        gamma: ``(parameters,)`` the Γ that GASSL trained in the clusters.
+    """
+    own, source = inputs.own.copy(), np.ascontiguousarray(inputs.value.transpose(3, 1, 0, 2))
+    source = source.reshape(inputs.uavs, source.shape[1], -1)  # (n, R, 3 (T_0 + 1))
+    scale = np.empty(max(own.shape[2], source.shape[2]), np.float32)
+    for i in range(inputs.uavs):
+        standardise(own[i], scale)
+        standardise(source[i], scale)
+    loss = pair_losses(gamma, own, source, inputs.target, inputs.weight)
+    np.fill_diagonal(loss, np.inf)
+    return np.asarray(np.nan_to_num(loss, nan=np.inf).argmin(axis=1).astype(np.int64))
+
+
+def count_scores(chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+    """c_{i'} of every UAV, ``(n,)``: how many UAVs have i' as their i_H, equation (38)."""
+    return np.bincount(chosen, minlength=len(chosen)).astype(np.float64)
+
+
+def recluster(chosen: NDArray[np.int64], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """The clusters of the dataset D_r, ``(n,)``: the M̂ UAVs with the highest scores, each with the UAVs that chose it.
+
+    Args:
+        chosen: ``(n,)`` i_H.
+        count: M̂.
+        rng: breaks ties.
+
+    Returns:
+        Labels from 0; -1 for UAVs of no cluster.
+    """
+    score = count_scores(chosen)
+    heads = np.lexsort((rng.random(len(score)), -score))[:count]
+    labels = np.full(len(chosen), -1, np.int64)
+    for label, head in enumerate(heads):
+        labels[chosen == head] = label
+    labels[heads] = np.arange(len(heads))
+    return labels

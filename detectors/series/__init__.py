@@ -1,0 +1,1 @@
+"""What detectors share about series of observations."""
