@@ -29,6 +29,7 @@ __all__ = [
     "observe",
     "opening",
     "play",
+    "truth_info",
 ]
 
 Observation = dict[str, NDArray[Any]]
@@ -159,7 +160,6 @@ def play(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) -> tuple
     metrics = {
         "hits": hits,
         "redundant": redundant,
-        "heads_left": left,
         "round": rounds,
         "success": (left == 0).astype(np.int64),
         "J": objective,
@@ -170,17 +170,32 @@ def play(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) -> tuple
 
 
 def opening(rules: Rules, state: GameState) -> dict[str, NDArray[Any]]:
-    """The metrics of ``info`` before the first round: the same names, all at zero but the heads."""
+    """The metrics of ``info`` before the first round: the names of :func:`play`, all zero."""
     count = len(state.rounds)
     first = "reward_hit" if rules.problem == "P1" else "reward_round"
-    whole = {name: np.zeros(count, np.int64) for name in ("hits", "redundant", "heads_left", "round", "success")}
-    whole["heads_left"] = state.swarm.heads_left
     return {
-        **whole,
+        **{name: np.zeros(count, np.int64) for name in ("hits", "redundant", "round", "success")},
         "J": np.zeros(count),
         "over_budget": np.zeros(count, np.int64),
         first: np.zeros(count),
         "reward_redundancy": np.zeros(count),
+    }
+
+
+def truth_info(swarm: SwarmState) -> dict[str, NDArray[Any]]:
+    """What ``reveal_truth`` adds to ``info``: the roles and ``heads_left``, which with ``hits`` tells M.
+
+    Args:
+        swarm: B swarms, or one without the leading axis.
+
+    Returns:
+        ``head``, ``decoy`` ``(B, N)`` int8, ``leader`` ``(B, N)`` int64 and ``heads_left`` ``(B,)`` int64.
+    """
+    return {
+        "head": swarm.head.astype(np.int8),
+        "decoy": swarm.decoy.astype(np.int8),
+        "leader": swarm.leader,
+        "heads_left": swarm.heads_left,
     }
 
 

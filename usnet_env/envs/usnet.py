@@ -126,8 +126,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
     def _info(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
         info: dict[str, Any] = {name: values[0].item() for name, values in metrics.items()}
         if self.reveal_truth:
-            swarm = self.swarm
-            info |= {"head": swarm.head.astype(np.int8), "decoy": swarm.decoy.astype(np.int8), "leader": swarm.leader}
+            truth = game.truth_info(self.swarm)
+            info |= {**truth, "heads_left": int(truth["heads_left"])}
         return info
 
     def action_masks(self) -> NDArray[np.bool_]:
@@ -223,8 +223,18 @@ class SingleClusterEnv(UsnetEnv):
     k: by the formula it would tie with the optimum). In general 1{hit} − 1 − `redundancy_price` · (|Ĥ_1| − 1), which
     is J_s at price 1. More candidates than `shot_budget` destroy nobody and count as the empty answer.
 
-    `info` holds `hits`, `redundant`, `heads_left`, `round`, `success`, `J` (J_s at price 1), `over_budget` and the
-    reward's terms `reward_hit` and `reward_redundancy`.
+    `info` holds, at every step and all zero at reset:
+
+    | key | meaning |
+    | --- | --- |
+    | `hits` | candidates of the round that are heads |
+    | `redundant` | candidates of the round that are not living heads |
+    | `round` | rounds played |
+    | `success` | 1 if no head is left |
+    | `J` | J_s, at price 1 |
+    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
+    | `reward_hit` | the part of the reward for the hit: 0 if the head is a candidate, else −1 |
+    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
     ## Starting State
     Roles sit at random indices; the layout is `formation`. The first window starts when everyone has followed for
@@ -250,7 +260,7 @@ class SingleClusterEnv(UsnetEnv):
     | `follow_seed` | `None` | fixes f7's network; else a new one each episode |
     | `shot_budget` | `None` | most candidates |
     | `redundancy_price` | 1 | price of a redundant candidate |
-    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader` |
+    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader`, `heads_left` |
     | `render_mode` | `None` | `"rgb_array"` |
 
     ## Version History
@@ -326,8 +336,20 @@ class MultiClusterEnv(UsnetEnv):
 
     J_m alone is won by destroying everything (1 + (N − M)/N < 2): look at it beside precision, recall and rounds.
 
-    `info` holds `hits`, `redundant`, `heads_left`, `round`, `success`, `J` (J_m so far, at price 1), `over_budget`
-    and the reward's terms `reward_round` and `reward_redundancy`.
+    `info` holds, at every step and all zero at reset:
+
+    | key | meaning |
+    | --- | --- |
+    | `hits` | candidates of the round that are heads |
+    | `redundant` | candidates of the round that are not living heads |
+    | `round` | rounds played |
+    | `success` | 1 if no head is left |
+    | `J` | J_m of the rounds played so far, at price 1 |
+    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
+    | `reward_round` | the part of the reward for the round, −1 |
+    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
+
+    As long as heads are left, none of these values depends on M: `heads_left` needs `reveal_truth=True`.
 
     ## Starting State
     Roles sit at random indices; cluster sizes are `cluster_sizes` or random with at least 2 followers each; the layout
@@ -357,7 +379,7 @@ class MultiClusterEnv(UsnetEnv):
     | `max_rounds` | 20 | R_m |
     | `shot_budget` | `None` | most candidates a round |
     | `redundancy_price` | 1 | price of a redundant candidate |
-    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader` |
+    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader`, `heads_left` |
     | `render_mode` | `None` | `"rgb_array"` |
 
     ## Version History

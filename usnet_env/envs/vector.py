@@ -112,8 +112,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         """``info`` in Gymnasium's vector form: an array a key, and ``_key`` for who has it."""
         values = dict(metrics)
         if self.reveal_truth:
-            swarm = self.swarm
-            values |= {"head": swarm.head.astype(np.int8), "decoy": swarm.decoy.astype(np.int8), "leader": swarm.leader}
+            values |= game.truth_info(self.swarm)
         everyone = np.ones(self.num_envs, bool)
         return {
             key: value

@@ -83,7 +83,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     share that follows, and d decoys handed out: `mobility_price` · s for another mobility, `jitter_price` · s for
     jitter, `decoy_price` · d / N, and `delay_price` · delay · f.
 
-    `info` holds for everybody `hits`, `redundant`, `heads_left`, `round`, `success`, `J`, `over_budget`,
+    `info` holds for everybody `hits`, `redundant`, `round`, `success`, `J`, `over_budget`,
     `reward_round`, `reward_redundancy`, and `price`: one's own for a head, that of all for the observer.
 
     ## Starting State

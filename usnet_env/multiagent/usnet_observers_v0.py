@@ -65,7 +65,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     All observers get the reward of P2 for the fused candidates, −(1 + `redundancy_price` · redundant / N) a round;
     the return at price 1 is −J_m.
 
-    `info` is the same for all: `hits`, `redundant`, `heads_left`, `round`, `success`, `J`, `over_budget`,
+    `info` is the same for all: `hits`, `redundant`, `round`, `success`, `J`, `over_budget`,
     `reward_round`, `reward_redundancy`.
 
     ## Starting State
