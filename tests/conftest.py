@@ -10,8 +10,8 @@ if worker := os.environ.get("PYTEST_XDIST_WORKER"):
     # other, a hundred times longer than they take. This, too, is read at the first import.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# A property doesn't depend on time. Hypothesis's deadline (200 ms an example) and its check of slow generation would
-# make every property test fail now and then on a busy machine.
+# A property doesn't depend on time, but Hypothesis's deadline (200 ms per example) and its check for slow generation
+# do: on a busy machine the first `text()` of a process, which builds a table of Unicode, takes seconds and fails it.
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("usnet", deadline=None, suppress_health_check=[HealthCheck.too_slow])
