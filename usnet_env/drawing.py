@@ -158,17 +158,17 @@ def round_marks(
     """
     shown = np.isfinite(place[:, 0])
     target = head & alive
-    no_uav = np.zeros_like(alive)
-    gone = no_uav if destroyed_at is None else ~alive & np.isfinite(destroyed_at[:, 0])
+    none = np.zeros_like(alive)
+    gone = none if destroyed_at is None else ~alive & np.isfinite(destroyed_at[:, 0])
     follower = shown & ~head & ~decoy
     return {
         HEAD_MARK: shown & head,
         FOLLOWER_MARK: follower,
         LINK_MARK: follower & (leader >= 0) & shown[leader],
         DECOY_MARK: shown & decoy,
-        HIT_MARK: no_uav if candidates is None else candidates & target,
-        REDUNDANT_MARK: no_uav if candidates is None else candidates & ~target,
-        MISSED_MARK: no_uav if candidates is None else ~candidates & target,
+        HIT_MARK: none if candidates is None else candidates & target,
+        REDUNDANT_MARK: none if candidates is None else candidates & ~target,
+        MISSED_MARK: none if candidates is None else ~candidates & target,
         DESTROYED_MARK: gone,
     }
 

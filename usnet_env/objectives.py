@@ -114,36 +114,36 @@ def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Ratios:
     Raises:
         ArgumentError: the number of heads is not 1, or the masks have different numbers of UAVs.
     """
-    heads, named = _pair("head", head, "candidates", candidates)
+    heads, chosen = _pair("head", head, "candidates", candidates)
     if (heads.sum(axis=-1) != 1).any():
         raise ArgumentError("head must hold exactly one head in P1, got another number.")
-    count = named.sum(axis=-1)
-    hit = (heads & named).any(axis=-1)
+    count = chosen.sum(axis=-1)
+    hit = (heads & chosen).any(axis=-1)
     return np.asarray(np.where(count > 0, hit.astype(float) - count, -1.0))
 
 
 def precision(head: ArrayLike, candidates: ArrayLike) -> Ratios:
     """Share of the candidates ``(..., N)`` that are heads; 0 without a candidate."""
-    heads, named = _pair("head", head, "candidates", candidates)
-    return _ratio((heads & named).sum(axis=-1), named.sum(axis=-1))
+    heads, chosen = _pair("head", head, "candidates", candidates)
+    return _ratio((heads & chosen).sum(axis=-1), chosen.sum(axis=-1))
 
 
 def recall(head: ArrayLike, candidates: ArrayLike) -> Ratios:
     """Share of the heads ``(..., N)`` that are candidates; 0 without a head."""
-    heads, named = _pair("head", head, "candidates", candidates)
-    return _ratio((heads & named).sum(axis=-1), heads.sum(axis=-1))
+    heads, chosen = _pair("head", head, "candidates", candidates)
+    return _ratio((heads & chosen).sum(axis=-1), heads.sum(axis=-1))
 
 
 def f1(head: ArrayLike, candidates: ArrayLike) -> Ratios:
     """Harmonic mean of precision and recall, 2 |C & H| / (|C| + |H|); 0 where both sets are empty."""
-    heads, named = _pair("head", head, "candidates", candidates)
-    return _ratio(2 * (heads & named).sum(axis=-1), named.sum(axis=-1) + heads.sum(axis=-1))
+    heads, chosen = _pair("head", head, "candidates", candidates)
+    return _ratio(2 * (heads & chosen).sum(axis=-1), chosen.sum(axis=-1) + heads.sum(axis=-1))
 
 
 def exact(head: ArrayLike, candidates: ArrayLike) -> Mask:
     """Whether the set of candidates ``(..., N)`` equals the set of heads."""
-    heads, named = _pair("head", head, "candidates", candidates)
-    return np.asarray((heads == named).all(axis=-1))
+    heads, chosen = _pair("head", head, "candidates", candidates)
+    return np.asarray((heads == chosen).all(axis=-1))
 
 
 # One episode
@@ -214,9 +214,8 @@ def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
         raise ArgumentError("scores must be finite, got NaN or infinity.")
     if not heads.any():
         return 0.0
-    from sklearn.metrics import (
-        average_precision_score,
-    )  # not at the top: this import takes a second, and the environments don't need it
+    # Not at the top: this import takes a second, and the environments don't need it.
+    from sklearn.metrics import average_precision_score
 
     return float(average_precision_score(heads, values))
 
