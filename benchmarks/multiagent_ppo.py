@@ -73,7 +73,8 @@ class SwarmAsOne(gym.Env[Any, Any]):
 
     def _known(self, info: Mapping[str, Any], action: Any) -> Any:
         heads = self.game.config.clusters
-        game = [info["round"] / MAX_ROUNDS, info["heads_left"] / heads, info["hits"] / heads, info["redundant"] / 82]
+        left = int(self.game.swarm.heads_left)  # the swarm knows its own heads; the observer's info has no such number
+        game = [info["round"] / MAX_ROUNDS, left / heads, info["hits"] / heads, info["redundant"] / 82]
         last = [np.arange(many) == value for many, value in zip(self.choices, action, strict=True)]
         return np.concatenate([game, *last]).astype(np.float32)
 

@@ -89,7 +89,7 @@ def test_any_values_are_taken_or_refused_in_one_sentence_about_one_of_them(value
 
 
 @given(st.text())
-def test_shown_is_one_line_and_short(text):
+def test_quote_is_one_line_and_short(text):
     assert len(quote(text)) <= 80
     assert "\n" not in quote(text)
     assert quote([1, "a"]) == "[1, 'a']"

@@ -70,7 +70,7 @@ def test_equal_calls_draw_equal_frames():
 def test_round_marks():
     values = scene()
     position, seen = values.pop("position"), values.pop("seen")
-    place = drawing.last_seen(position, seen)
+    place = drawing.last_seen_position(position, seen)
     np.testing.assert_array_equal(place[5], position[-2, 5])
     assert np.isnan(place[[3, 6]]).all()
     marks = drawing.round_marks(place, **values, candidates=named(0, 1, 3, 8), destroyed_at=np.ones((UAVS, 3)))
@@ -104,7 +104,7 @@ def test_clusters_keep_their_colour_when_followers_change_sides():
     later, _ = drawing.cluster_colors(values["head"], np.where(values["leader"] == 0, 4, values["leader"]))
     assert later[1] == colors[4] == later[4]
     assert colors[0] != colors[4]
-    assert drawing.cluster_colors(values["head"], np.full(UAVS, -1))[0].tolist() == [drawing.NOBODY] * UAVS
+    assert drawing.cluster_colors(values["head"], np.full(UAVS, -1))[0].tolist() == [drawing.NO_CLUSTER_COLOR] * UAVS
 
 
 def test_every_cluster_of_a_large_swarm_looks_different():

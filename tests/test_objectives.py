@@ -54,7 +54,7 @@ def test_multi_cluster_objective_is_the_formula(episode):
         assert as_set(objectives.remaining_heads(head, candidates)[r + 1]) == remaining
     assert objectives.multi_cluster_objective(head, candidates) == len(candidates) + redundant_total / len(head)
     assert objectives.redundancy(head, candidates) == redundant_total / len(head)
-    assert objectives.finished(head, candidates) == (not remaining) == (hit_total == head.sum())
+    assert objectives.found_all_heads(head, candidates) == (not remaining) == (hit_total == head.sum())
 
 
 @given(UAVS, st.data())

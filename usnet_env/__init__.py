@@ -1,4 +1,4 @@
-"""The world, the game and the referee: who leads this swarm?
+"""Simulated UAV swarms, environments in which a detector must find the cluster heads, and their evaluation.
 
 Importing this package registers the environments with Gymnasium.
 """
@@ -36,8 +36,8 @@ __all__ = [
     "register_mobility",
 ]
 
-# The referee brings in statistics and tables; who only makes an env should not wait for them.
-_LATER = {
+# Lazy imports: the evaluation imports SciPy and tables, which an environment doesn't need.
+_LAZY_IMPORTS = {
     "evaluate": "usnet_env.evaluation",
     "make_detector": "usnet_env.plugins",
     "register_detector": "usnet_env.plugins",
@@ -47,6 +47,10 @@ register_environments()
 
 
 def __getattr__(name: str) -> Any:
-    if name in _LATER:
-        return getattr(import_module(_LATER[name]), name)
+    if name in _LAZY_IMPORTS:
+        return getattr(import_module(_LAZY_IMPORTS[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY_IMPORTS})

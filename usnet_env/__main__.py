@@ -1,4 +1,4 @@
-"""``python -m usnet_env`` is ``usnet``."""
+"""``python -m usnet_env`` runs the command ``usnet``."""
 
 import sys
 

@@ -1,7 +1,7 @@
-"""What every configuration of this project has in common: frozen, typed, and checked in one place.
+"""The base class of all configurations: frozen, typed and validated.
 
-A value that is refused raises :class:`ArgumentError` with one sentence that names the argument, what it got and
-what it takes.
+An invalid value raises :class:`ArgumentError`. Its message is one sentence with the argument, the value and what the
+argument takes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ __all__ = ["ArgumentError", "Config", "quote", "unknown_name"]
 
 _LONGEST_VALUE = 80
 
-_TAKES = {  # pydantic's error types in the words of this project
+_EXPECTED = {  # texts for pydantic's error types
     "int_type": "a whole number",
     "float_type": "a number",
     "bool_type": "true or false",
@@ -28,48 +28,48 @@ _TAKES = {  # pydantic's error types in the words of this project
 
 
 class ArgumentError(ValueError):
-    """An argument was refused; the message is one sentence for the person who gave it."""
+    """An argument is invalid; the message is one sentence with its name, its value and what it takes."""
 
 
 def quote(value: object) -> str:
-    """``value`` as it stands in an error message: its ``repr``, shortened and on one line."""
+    """Format ``value`` for an error message: its ``repr`` on one line of at most 80 characters."""
     text = " ".join(repr(value).split())
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 1] + "…"
 
 
 def unknown_name(argument: str, got: object, known: Iterable[str]) -> ArgumentError:
-    """The error for a name that is in no registry, with the nearest known name as a hint."""
+    """The error for a name that is not registered; it suggests the most similar known name."""
     names = sorted(known)
     near = get_close_matches(got, names, n=1) if isinstance(got, str) else []
     hint = f" (did you mean {near[0]!r}?)" if near else ""
     return ArgumentError(f"{argument} must be one of {', '.join(names)}, got {quote(got)}{hint}.")
 
 
-def _as_python(value: Any) -> Any:
-    """NumPy scalars and arrays, and lists, as the plain Python values that strict types accept."""
+def _to_python(value: Any) -> Any:
+    """Convert NumPy scalars and arrays, and lists, to the plain Python values that strict types accept."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
         return tuple(value.tolist())
     if isinstance(value, list):
-        return tuple(_as_python(item) for item in value)
+        return tuple(_to_python(item) for item in value)
     return value
 
 
-def _sentence(error: ValidationError) -> str:
-    """The first thing that pydantic refused, as one sentence."""
+def _to_sentence(error: ValidationError) -> str:
+    """The first error that pydantic found, as one sentence."""
     first = error.errors()[0]
     name = str(first["loc"][0]) if first["loc"] else "configuration"
-    if first["type"] == "value_error":  # a validator of ours: its text is the sentence
+    if first["type"] == "value_error":  # raised by a validator of this project: its text is the sentence
         return str(first["ctx"]["error"])
     if first["type"] == "extra_forbidden":
         return f"{name} is not an argument of this configuration, got {quote(first['input'])}."
-    takes = _TAKES.get(first["type"], first["msg"].removeprefix("Input should be ").rstrip("."))
+    takes = _EXPECTED.get(first["type"], first["msg"].removeprefix("Input should be ").rstrip("."))
     return f"{name} must be {takes}, got {quote(first['input'])}."
 
 
 class Config(BaseModel):
-    """A frozen, strictly typed configuration whose refusals are one sentence long."""
+    """A frozen, strictly typed configuration; an invalid value raises :class:`ArgumentError`."""
 
     model_config = ConfigDict(
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True
@@ -79,11 +79,11 @@ class Config(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as error:
-            raise ArgumentError(_sentence(error)) from None
+            raise ArgumentError(_to_sentence(error)) from None
 
     @model_validator(mode="before")
     @classmethod
     def _plain_values(cls, values: Any) -> Any:
         if isinstance(values, dict):
-            return {name: _as_python(value) for name, value in values.items()}
+            return {name: _to_python(value) for name, value in values.items()}
         return values

@@ -1,4 +1,4 @@
-"""The detection: a detector's whole answer to one window."""
+"""The detection: a detector's answer to one window."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ __all__ = ["Detection"]
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Who is to be destroyed, and why. All arrays are read-only copies.
+    """The answer of a detector to one window of N UAVs. All arrays are read-only copies.
 
     Args:
-        candidates: ``(N,)`` bool, the set named in this round (the paper's Ĥ_r).
-        scores: ``(N,)`` float64, finite; higher is more head-like.
-        clusters: ``(N,)`` int64, a cluster label for every UAV (-1: none), or ``None``.
-        leader: ``(N,)`` int64, the index of the head that each UAV is thought to follow (-1: nobody), or ``None``.
-        attention: ``(N, N)`` float64, row i: how much UAV i attends to each other UAV, or ``None``.
-        extras: anything else worth keeping, by name; probabilities go under ``"probability"``.
+        candidates: ``(N,)`` bool, the UAVs to destroy in this round (the paper's Ĥ_r).
+        scores: ``(N,)`` float64, finite; a higher score means a more likely head.
+        clusters: ``(N,)`` int64, a cluster label for each UAV (-1: no cluster), or ``None``.
+        leader: ``(N,)`` int64, the estimated head of each UAV (-1: no head), or ``None``.
+        attention: ``(N, N)`` float64; row i has the attention weights of UAV i on all UAVs, or ``None``.
+        extras: further results by name; head probabilities have the name ``"probability"``.
 
     Raises:
-        ArgumentError: an array of another shape, or with values that are not finite.
+        ArgumentError: an array has another shape, values that are not finite, or indices out of range.
     """
 
     candidates: NDArray[np.bool_]

@@ -1,7 +1,7 @@
-"""One way to draw a swarm and a round: environments' frames and the replay's figures are made here.
+"""Drawing of a swarm and a round, used by the environments' ``render`` and by the figures of the replay.
 
-Matplotlib is an extra (``pip install 'usnet[render]'``) and is imported only when something is drawn. Nothing global of
-it is touched: no pyplot, no ``rcParams``.
+Matplotlib is an optional dependency (``pip install 'usnet[render]'``), imported when a figure is drawn. Its global
+state (pyplot, ``rcParams``) is not changed.
 """
 
 from __future__ import annotations
@@ -26,31 +26,31 @@ __all__ = [
     "cluster_colors",
     "draw_legend",
     "draw_round",
-    "last_seen",
+    "last_seen_position",
     "new_figure",
     "round_frame",
     "round_marks",
 ]
 
-# Paul Tol's "muted" scheme (colour-blind safe) without its grey; clusters beyond it repeat colours with other markers.
+# Paul Tol's "muted" scheme (colour-blind safe) without its grey. Further clusters reuse colours with other markers.
 CLUSTER_COLORS = ("#332288", "#88CCEE", "#44AA99", "#999933", "#DDCC77", "#CC6677", "#AA4499", "#117733", "#882255")
-NOBODY = "#9A9A9A"  # UAVs without a head: decoys, orphans of the last head, the destroyed
-HIT, REDUNDANT, MISSED = "#009E73", "#D55E00", "#000000"  # also told apart by shape: circle, square, dashes
-HEAD_MARK, FOLLOWER_MARK, LINK_MARK = "head", "follower (colour: its head)", "link to its head"
-DECOY_MARK, DESTROYED_MARK = "decoy: leads nobody", "destroyed earlier"
-HIT_MARK, REDUNDANT_MARK, MISSED_MARK = "named: a head, hit", "named: redundant", "head not named"
+NO_CLUSTER_COLOR = "#9A9A9A"  # UAVs without a head: decoys, destroyed UAVs, and followers if no head is left
+HIT, REDUNDANT, MISSED = "#009E73", "#D55E00", "#000000"  # their shapes differ too: circle, square, dashed circle
+HEAD_MARK, FOLLOWER_MARK, LINK_MARK = "head", "follower (colour = cluster)", "link from follower to head"
+DECOY_MARK, DESTROYED_MARK = "decoy: has no followers", "destroyed earlier"
+HIT_MARK, REDUNDANT_MARK, MISSED_MARK = "candidate: hit", "candidate: redundant", "head, not a candidate"
 _DASHES = (0, (2, 1.2))
 _MARKERS = "o^sD"
-_TRACK_PARTS = 6  # pieces of a track, from faint to strong
-_TRACK_SAMPLES = 49  # a track is thinned to as many points; a picture shows no more
+_TRACK_PARTS = 6  # number of segments of a track, from faint to strong
+_TRACK_SAMPLES = 49  # maximum number of points of a track; more would not be visible
 
 
 class MissingExtraError(ImportError):
-    """An optional package is not installed; the message says which command installs it."""
+    """An optional package is not installed; the message gives the command that installs it."""
 
 
 def new_figure(width: float, height: float, dpi: float = 100) -> Figure:
-    """An empty figure of its own, drawn by Agg, outside of pyplot.
+    """Create an empty figure with the Agg canvas, without pyplot.
 
     Args:
         width: inches.
@@ -70,15 +70,15 @@ def new_figure(width: float, height: float, dpi: float = 100) -> Figure:
     return figure
 
 
-def last_seen(position: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Where each UAV was seen last in a window.
+def last_seen_position(position: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """The position at which each UAV was last detected in a window.
 
     Args:
         position: ``(T_ob + 1, N, 3)`` metres.
         seen: ``(T_ob + 1, N)`` bool.
 
     Returns:
-        ``(N, 3)`` metres; NaN for a UAV that was never seen.
+        ``(N, 3)`` metres; NaN for a UAV that was never detected.
     """
     when = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
     place = position[when, np.arange(position.shape[1])]
@@ -86,21 +86,21 @@ def last_seen(position: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray
 
 
 def cluster_colors(head: NDArray[np.bool_], leader: NDArray[np.int64]) -> tuple[NDArray[np.str_], NDArray[np.int64]]:
-    """A colour and a marker for every UAV by the head it follows; they stay the same in all rounds of an episode.
+    """The colour and the marker of every UAV by its head.
 
     Args:
         head: ``(N,)`` bool, H_0.
-        leader: ``(N,)`` int64, the head that each UAV follows; a head's own index, -1: nobody.
+        leader: ``(N,)`` int64, the head of each UAV; a head's own index; -1: no head.
 
     Returns:
-        ``(N,)`` hexadecimal colours, and ``(N,)`` int64 numbers of markers (0 for the first nine clusters).
+        ``(N,)`` hexadecimal colours, and ``(N,)`` int64 marker numbers (0 for the first nine clusters).
     """
     cluster = np.asarray(np.where((leader >= 0) & head[leader], np.cumsum(head)[leader] - 1, -1))
-    colors = np.where(cluster >= 0, np.array(CLUSTER_COLORS)[cluster % len(CLUSTER_COLORS)], NOBODY)
+    colors = np.where(cluster >= 0, np.array(CLUSTER_COLORS)[cluster % len(CLUSTER_COLORS)], NO_CLUSTER_COLOR)
     return colors, np.maximum(cluster, 0) // len(CLUSTER_COLORS) % len(_MARKERS)
 
 
-def _tracks(axes: Axes, position: NDArray[np.float32], seen: NDArray[np.bool_], colors: NDArray[np.str_]) -> None:
+def _draw_tracks(axes: Axes, position: NDArray[np.float32], seen: NDArray[np.bool_], colors: NDArray[np.str_]) -> None:
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgb
 
@@ -116,7 +116,7 @@ def _tracks(axes: Axes, position: NDArray[np.float32], seen: NDArray[np.bool_], 
         )
 
 
-def _links(
+def _draw_links(
     axes: Axes,
     place: NDArray[np.float32],
     linked: NDArray[np.bool_],
@@ -129,8 +129,8 @@ def _links(
     axes.add_collection(LineCollection(list(ends), colors=colors[linked], alpha=0.28, linewidths=0.7, zorder=1))
 
 
-def _dots(axes: Axes, place: NDArray[np.float32], who: NDArray[np.bool_], **style: Any) -> None:
-    axes.scatter(place[who, 0], place[who, 1], **style)
+def _draw_points(axes: Axes, place: NDArray[np.float32], chosen: NDArray[np.bool_], **style: Any) -> None:
+    axes.scatter(place[chosen, 0], place[chosen, 1], **style)
 
 
 def round_marks(
@@ -142,43 +142,43 @@ def round_marks(
     candidates: NDArray[np.bool_] | None = None,
     destroyed_at: NDArray[np.float32] | None = None,
 ) -> dict[str, NDArray[np.bool_]]:
-    """Which UAVs carry which mark in a picture of a round, by the words of the legend.
+    """The mask of UAVs for each mark in the picture of a round. The keys are the texts of the legend.
 
     Args:
-        place: ``(N, 3)`` metres, NaN for UAVs that are not shown.
+        place: ``(N, 3)`` metres, positions; NaN for UAVs that are not drawn.
         alive: ``(N,)`` bool, before the candidates are destroyed.
         head: ``(N,)`` bool, H_0.
-        leader: ``(N,)`` int64.
+        leader: ``(N,)`` int64, as in :func:`cluster_colors`.
         decoy: ``(N,)`` bool.
-        candidates: ``(N,)`` bool, or ``None``: nobody has answered yet.
-        destroyed_at: ``(N, 3)`` metres, NaN where unknown, or ``None``: not shown.
+        candidates: ``(N,)`` bool, or ``None`` before the first answer.
+        destroyed_at: ``(N, 3)`` metres, positions of destroyed UAVs, NaN if unknown; ``None``: not drawn.
 
     Returns:
         ``(N,)`` bool for every mark.
     """
     shown = np.isfinite(place[:, 0])
     target = head & alive
-    nobody = np.zeros_like(alive)
-    gone = nobody if destroyed_at is None else ~alive & np.isfinite(destroyed_at[:, 0])
+    none = np.zeros_like(alive)
+    gone = none if destroyed_at is None else ~alive & np.isfinite(destroyed_at[:, 0])
     follower = shown & ~head & ~decoy
     return {
         HEAD_MARK: shown & head,
         FOLLOWER_MARK: follower,
         LINK_MARK: follower & (leader >= 0) & shown[leader],
         DECOY_MARK: shown & decoy,
-        HIT_MARK: nobody if candidates is None else candidates & target,
-        REDUNDANT_MARK: nobody if candidates is None else candidates & ~target,
-        MISSED_MARK: nobody if candidates is None else ~candidates & target,
+        HIT_MARK: none if candidates is None else candidates & target,
+        REDUNDANT_MARK: none if candidates is None else candidates & ~target,
+        MISSED_MARK: none if candidates is None else ~candidates & target,
         DESTROYED_MARK: gone,
     }
 
 
 def draw_legend(axes: Axes, labels: Mapping[str, str]) -> None:
-    """Explain marks at the right of ``axes``.
+    """Draw a legend at the right of ``axes``.
 
     Args:
-        axes: where.
-        labels: the words beside each mark of :func:`round_marks` that is to be explained.
+        axes: the axes.
+        labels: the text for each mark of :func:`round_marks` that the legend shows.
     """
     from matplotlib.lines import Line2D
 
@@ -194,7 +194,7 @@ def draw_legend(axes: Axes, labels: Mapping[str, str]) -> None:
         HIT_MARK: point(markeredgecolor=HIT, **ring),
         REDUNDANT_MARK: point(markeredgecolor=REDUNDANT, **ring | {"marker": "s", "markersize": 12}),
         MISSED_MARK: Line2D([], [], color=MISSED, linestyle=_DASHES, linewidth=1.6),
-        DESTROYED_MARK: point(marker="x", color=NOBODY, markersize=7, markeredgewidth=1.6),
+        DESTROYED_MARK: point(marker="x", color=NO_CLUSTER_COLOR, markersize=7, markeredgewidth=1.6),
     }
     axes.legend(
         [keys[mark] for mark in labels],
@@ -207,7 +207,7 @@ def draw_legend(axes: Axes, labels: Mapping[str, str]) -> None:
     )
 
 
-def _frame(axes: Axes, place: NDArray[np.float32], title: str) -> None:
+def _set_up_axes(axes: Axes, place: NDArray[np.float32], title: str) -> None:
     known = place[np.isfinite(place[:, 0]), :2]
     low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.ones(2))
     middle, half = (low + high) / 2, 0.56 * max(float((high - low).max()), 1.0)
@@ -239,24 +239,24 @@ def draw_round(
     title: str = "",
     legend: bool = True,
 ) -> Figure:
-    """A window from above, who truly follows whom in it, and what a detector named.
+    """Draw a window from above with the true clusters and the detector's candidates.
 
-    Tracks fade into the past; UAVs stand where they were seen last, coloured by their true cluster and linked to their
-    head. Candidates are marked: a green circle for a hit, a red square for a redundant one; a dashed circle is a head
-    that was missed.
+    Tracks fade into the past. A UAV is drawn at its last detected position, in the colour of its true cluster and with
+    a line to its head. A green circle marks a hit, a red square a redundant candidate, and a dashed circle a head that
+    is not a candidate.
 
     Args:
         position: ``(T_ob + 1, N, 3)`` metres.
         seen: ``(T_ob + 1, N)`` bool.
         alive: ``(N,)`` bool, before the candidates are destroyed.
         head: ``(N,)`` bool, H_0.
-        leader: ``(N,)`` int64, whom each UAV follows; a head's or decoy's own index, -1: nobody.
+        leader: ``(N,)`` int64, the head of each UAV; a head's or decoy's own index; -1: no head.
         decoy: ``(N,)`` bool.
-        candidates: ``(N,)`` bool, or ``None``: nobody has answered yet.
-        destroyed_at: ``(N, 3)`` metres, where destroyed UAVs were seen last (NaN: unknown), or ``None``: not shown.
-        axes: draw here, instead of in a figure of its own.
-        title: stands above the picture.
-        legend: explain the marks at the right.
+        candidates: ``(N,)`` bool, or ``None`` before the first answer.
+        destroyed_at: ``(N, 3)`` metres, last positions of destroyed UAVs (NaN: unknown); ``None``: not drawn.
+        axes: the axes to draw on; ``None``: a new figure.
+        title: the title above the picture.
+        legend: whether to draw a legend on the right.
 
     Returns:
         The figure.
@@ -266,33 +266,39 @@ def draw_round(
     """
     if axes is None:
         axes = new_figure(9.6, 7.2).add_axes((0.07, 0.08, 0.66, 0.86) if legend else (0.09, 0.08, 0.88, 0.86))
-    place = last_seen(position, seen & alive)
+    place = last_seen_position(position, seen & alive)
     marks = round_marks(place, alive, head, leader, decoy, candidates, destroyed_at)
     shown = np.isfinite(place[:, 0])
     colors, marker = cluster_colors(head, leader)
-    _links(axes, place, marks[LINK_MARK], leader, colors)
-    _tracks(axes, position[:, shown], (seen & alive)[:, shown], colors[shown])
+    _draw_links(axes, place, marks[LINK_MARK], leader, colors)
+    _draw_tracks(axes, position[:, shown], (seen & alive)[:, shown], colors[shown])
 
     for number, shape in enumerate(_MARKERS):
-        who = marks[FOLLOWER_MARK] & (marker == number)
-        _dots(axes, place, who, s=22, c=colors[who], marker=shape, edgecolors="white", linewidths=0.4, zorder=3)
+        chosen = marks[FOLLOWER_MARK] & (marker == number)
+        _draw_points(
+            axes, place, chosen, s=22, c=colors[chosen], marker=shape, edgecolors="white", linewidths=0.4, zorder=3
+        )
     stars, decoys = marks[HEAD_MARK], marks[DECOY_MARK]
-    _dots(axes, place, stars, s=210, c=colors[stars], marker="*", edgecolors="black", linewidths=0.8, zorder=5)
-    for number, shape in enumerate(_MARKERS[1:], start=1):  # heads that share a colour carry their followers' shape
-        _dots(axes, place, stars & (marker == number), s=22, c="white", marker=shape, linewidths=0, zorder=5.5)
-    _dots(axes, place, decoys, s=46, c="white", marker="D", edgecolors="black", linewidths=1, zorder=4)
+    _draw_points(axes, place, stars, s=210, c=colors[stars], marker="*", edgecolors="black", linewidths=0.8, zorder=5)
+    for number, shape in enumerate(_MARKERS[1:], start=1):  # heads with the same colour have their followers' marker
+        _draw_points(axes, place, stars & (marker == number), s=22, c="white", marker=shape, linewidths=0, zorder=5.5)
+    _draw_points(axes, place, decoys, s=46, c="white", marker="D", edgecolors="black", linewidths=1, zorder=4)
 
     everywhere = place
     if destroyed_at is not None:
         everywhere = np.asarray(np.where(marks[DESTROYED_MARK][:, None], destroyed_at, place))
-        _dots(axes, everywhere, marks[DESTROYED_MARK], s=34, c=NOBODY, marker="x", linewidths=1.5, zorder=2.5)
+        _draw_points(
+            axes, everywhere, marks[DESTROYED_MARK], s=34, c=NO_CLUSTER_COLOR, marker="x", linewidths=1.5, zorder=2.5
+        )
     ring: dict[str, Any] = {"facecolors": "none", "zorder": 6}
-    _dots(axes, everywhere, marks[HIT_MARK], s=400, edgecolors=HIT, linewidths=2.4, **ring)
-    _dots(axes, everywhere, marks[REDUNDANT_MARK], s=130, marker="s", edgecolors=REDUNDANT, linewidths=2, **ring)
-    _dots(axes, everywhere, marks[MISSED_MARK], s=400, edgecolors=MISSED, linewidths=1.6, linestyles=[_DASHES], **ring)
-    _frame(axes, everywhere, title)
+    _draw_points(axes, everywhere, marks[HIT_MARK], s=400, edgecolors=HIT, linewidths=2.4, **ring)
+    _draw_points(axes, everywhere, marks[REDUNDANT_MARK], s=130, marker="s", edgecolors=REDUNDANT, linewidths=2, **ring)
+    _draw_points(
+        axes, everywhere, marks[MISSED_MARK], s=400, edgecolors=MISSED, linewidths=1.6, linestyles=[_DASHES], **ring
+    )
+    _set_up_axes(axes, everywhere, title)
     if legend:
-        counts = {mark: int(who.sum()) for mark, who in marks.items()}
+        counts = {mark: int(chosen.sum()) for mark, chosen in marks.items()}
         draw_legend(axes, {mark: f"{mark} ({count})" for mark, count in counts.items() if count})
     figure: Any = axes.get_figure(root=True)
     return figure
@@ -311,18 +317,18 @@ def round_frame(
     title: str = "",
     size: tuple[int, int] = (960, 720),
 ) -> NDArray[np.uint8]:
-    """:func:`draw_round` as pixels: ``(H, W, 3)`` uint8.
+    """Render :func:`draw_round` to pixels, ``(H, W, 3)`` uint8.
 
     Args:
-        position: as in :func:`draw_round`, and so are the others.
-        seen: see there.
-        alive: see there.
-        head: see there.
-        leader: see there.
-        decoy: see there.
-        candidates: see there.
-        destroyed_at: see there.
-        title: see there.
+        position: as in :func:`draw_round`.
+        seen: as in :func:`draw_round`.
+        alive: as in :func:`draw_round`.
+        head: as in :func:`draw_round`.
+        leader: as in :func:`draw_round`.
+        decoy: as in :func:`draw_round`.
+        candidates: as in :func:`draw_round`.
+        destroyed_at: as in :func:`draw_round`.
+        title: as in :func:`draw_round`.
         size: width and height in pixels.
 
     Raises:

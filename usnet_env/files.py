@@ -1,4 +1,4 @@
-"""Files appear whole or not at all."""
+"""Atomic writing: a file is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ __all__ = ["atomic_write"]
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A place beside ``path`` to write to; it becomes ``path`` when the block ends well, and vanishes otherwise.
+    """Write to a temporary file that replaces ``path`` at the end of the block; an error deletes it instead.
 
     Args:
-        path: the file to make or replace. Missing folders are made.
+        path: the file to create or replace. Missing folders are created.
 
     Yields:
-        The path to write to, in the same folder.
+        The path of the temporary file, in the same folder.
 
     Raises:
-        ArgumentError: the place can't be written to.
+        ArgumentError: the file can't be written.
     """
     final = Path(path)
     aside = final.with_name(f".{final.name}.{uuid4().hex}")
@@ -40,5 +40,5 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
             f"path must be a file that can be written, got {quote(str(final))}: {error.strerror or error}."
         ) from None
     finally:
-        with suppress(OSError):  # usually it has moved to its place
+        with suppress(OSError):  # after success it no longer exists
             aside.unlink()

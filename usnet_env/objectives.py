@@ -1,8 +1,7 @@
-"""The paper's objectives J_s and J_m, and every metric, as pure functions of the truth and the answers.
+"""The paper's objectives J_s and J_m and all metrics, as pure functions of the true heads and the candidates.
 
-Sets of UAVs are boolean masks over the last axis. The functions of one round take any leading axes, ``(..., N)``, and
-work on a batch as on one swarm. Conventions where a ratio has no value: precision of an empty answer is 0, and so are
-recall, F1 and average precision where there is no head.
+A set of UAVs is a boolean mask over the last axis. Functions of one round accept any leading axes, ``(..., N)``, and so
+a batch. An undefined ratio is 0: the precision of an empty set, and recall, F1 and average precision without heads.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ __all__ = [
     "average_precision",
     "exact",
     "f1",
-    "finished",
+    "found_all_heads",
     "head_in_cluster",
     "hits_and_redundant",
     "multi_cluster_objective",
@@ -35,7 +34,7 @@ Ratios = NDArray[np.float64]
 
 
 def _mask(name: str, value: ArrayLike) -> Mask:
-    """``value`` as booleans with at least one axis; refuses anything but 0 and 1."""
+    """Convert ``value`` to booleans with at least one axis; values other than 0 and 1 raise."""
     array = np.asarray(value)
     if array.dtype != bool:
         if array.dtype.kind not in "iuf" or not ((array == 0) | (array == 1)).all():
@@ -47,7 +46,7 @@ def _mask(name: str, value: ArrayLike) -> Mask:
 
 
 def _pair(first_name: str, first: ArrayLike, name: str, value: ArrayLike) -> tuple[Mask, Mask]:
-    """Two masks over the same N UAVs."""
+    """Convert two masks over the same N UAVs."""
     reference, mask = _mask(first_name, first), _mask(name, value)
     if reference.shape[-1] != mask.shape[-1]:
         raise ArgumentError(
@@ -57,15 +56,15 @@ def _pair(first_name: str, first: ArrayLike, name: str, value: ArrayLike) -> tup
 
 
 def _labels(name: str, value: ArrayLike, uavs: int) -> NDArray[np.int64]:
-    """``(N,)`` labels; -1 stands for none."""
+    """Convert ``(N,)`` labels to int64; -1 means no label."""
     labels = np.asarray(value)
     if labels.shape != (uavs,) or labels.dtype.kind not in "iu":
         raise ArgumentError(f"{name} must hold a whole number for each of {uavs} UAVs, got {quote(value)}.")
     return labels.astype(np.int64)
 
 
-def _one_round_each(head: ArrayLike, candidates_per_round: ArrayLike) -> tuple[Mask, Mask]:
-    """Heads ``(N,)`` and candidates ``(R, N)``."""
+def _heads_and_rounds(head: ArrayLike, candidates_per_round: ArrayLike) -> tuple[Mask, Mask]:
+    """Convert heads ``(N,)`` and candidates ``(R, N)``."""
     heads, candidates = _pair("head", head, "candidates_per_round", candidates_per_round)
     if heads.ndim != 1:
         raise ArgumentError(f"head must have shape (N,), got {heads.shape}.")
@@ -83,14 +82,13 @@ def _ratio(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Ratios:
 
 
 def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Counts, Counts]:
-    """How many candidates of a round were heads, and how many were not.
+    """Number of candidates of a round that are living heads (hits), and number of the other candidates (redundant).
 
-    The sets of §II-A: |H_{r-1}∖H_r| and |C_r∖H_{r-1}|. A destroyed UAV is in no H_{r-1}, so naming it again is
-    redundant.
+    These are |H_{r-1}∖H_r| and |C_r∖H_{r-1}| of §II-A. A destroyed UAV is not in H_{r-1}, so it counts as redundant.
 
     Args:
-        head: ``(..., N)`` bool, H_0, the heads of the first round.
-        alive: ``(..., N)`` bool, before this round.
+        head: ``(..., N)`` bool, H_0, the heads at the start.
+        alive: ``(..., N)`` bool, the UAVs alive before this round.
         candidates: ``(..., N)`` bool, C_r.
 
     Returns:
@@ -101,10 +99,10 @@ def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Count
 
 
 def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Ratios:
-    """P1's objective J_s = 1{i_L in C_1} - |C_1|, to be maximised; its best value is 0.
+    """P1's objective J_s = 1{i_L in C_1} - |C_1|, to be maximised; the maximum is 0.
 
-    The formula gives the empty answer 0 as well, the best value. An answer of P1 names at least one UAV, so the empty
-    one scores -1, as a miss does (decision (k) of the paper's silent points).
+    The formula also gives 0 for an empty set of candidates. In P1 at least one candidate is required, so an empty set
+    scores -1, like a miss (decision (k) on docs/game.md).
 
     Args:
         head: ``(..., N)`` bool with one head each.
@@ -114,45 +112,45 @@ def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Ratios:
         J_s, ``(...)`` float64.
 
     Raises:
-        ArgumentError: another number of heads than one, or different numbers of UAVs.
+        ArgumentError: the number of heads is not 1, or the masks have different numbers of UAVs.
     """
-    heads, named = _pair("head", head, "candidates", candidates)
+    heads, chosen = _pair("head", head, "candidates", candidates)
     if (heads.sum(axis=-1) != 1).any():
         raise ArgumentError("head must hold exactly one head in P1, got another number.")
-    count = named.sum(axis=-1)
-    hit = (heads & named).any(axis=-1)
+    count = chosen.sum(axis=-1)
+    hit = (heads & chosen).any(axis=-1)
     return np.asarray(np.where(count > 0, hit.astype(float) - count, -1.0))
 
 
 def precision(head: ArrayLike, candidates: ArrayLike) -> Ratios:
     """Share of the candidates ``(..., N)`` that are heads; 0 without a candidate."""
-    heads, named = _pair("head", head, "candidates", candidates)
-    return _ratio((heads & named).sum(axis=-1), named.sum(axis=-1))
+    heads, chosen = _pair("head", head, "candidates", candidates)
+    return _ratio((heads & chosen).sum(axis=-1), chosen.sum(axis=-1))
 
 
 def recall(head: ArrayLike, candidates: ArrayLike) -> Ratios:
     """Share of the heads ``(..., N)`` that are candidates; 0 without a head."""
-    heads, named = _pair("head", head, "candidates", candidates)
-    return _ratio((heads & named).sum(axis=-1), heads.sum(axis=-1))
+    heads, chosen = _pair("head", head, "candidates", candidates)
+    return _ratio((heads & chosen).sum(axis=-1), heads.sum(axis=-1))
 
 
 def f1(head: ArrayLike, candidates: ArrayLike) -> Ratios:
     """Harmonic mean of precision and recall, 2 |C & H| / (|C| + |H|); 0 where both sets are empty."""
-    heads, named = _pair("head", head, "candidates", candidates)
-    return _ratio(2 * (heads & named).sum(axis=-1), named.sum(axis=-1) + heads.sum(axis=-1))
+    heads, chosen = _pair("head", head, "candidates", candidates)
+    return _ratio(2 * (heads & chosen).sum(axis=-1), chosen.sum(axis=-1) + heads.sum(axis=-1))
 
 
 def exact(head: ArrayLike, candidates: ArrayLike) -> Mask:
-    """Whether the candidates ``(..., N)`` are the heads, no more and no less."""
-    heads, named = _pair("head", head, "candidates", candidates)
-    return np.asarray((heads == named).all(axis=-1))
+    """Whether the set of candidates ``(..., N)`` equals the set of heads."""
+    heads, chosen = _pair("head", head, "candidates", candidates)
+    return np.asarray((heads == chosen).all(axis=-1))
 
 
 # One episode
 
 
 def remaining_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> Mask:
-    """H_0, ..., H_R by H_r = H_{r-1}∖C_r, equation (2).
+    """The remaining heads H_0, ..., H_R by H_r = H_{r-1}∖C_r, equation (2).
 
     Args:
         head: ``(N,)`` bool, H_0.
@@ -161,7 +159,7 @@ def remaining_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> Mask:
     Returns:
         ``(R + 1, N)`` bool.
     """
-    heads, candidates = _one_round_each(head, candidates_per_round)
+    heads, candidates = _heads_and_rounds(head, candidates_per_round)
     hit_so_far = np.logical_or.accumulate(np.vstack([np.zeros_like(heads), candidates]), axis=0)
     return np.asarray(heads & ~hit_so_far)
 
@@ -173,26 +171,26 @@ def rounds_hits_and_redundant(head: ArrayLike, candidates_per_round: ArrayLike) 
 
 
 def redundancy(head: ArrayLike, candidates_per_round: ArrayLike) -> float:
-    """Detection redundancy of §II-A, (1/N) sum_r |C_r∖H_{r-1}|; above 1 where UAVs are named in vain repeatedly."""
+    """Detection redundancy of §II-A, (1/N) sum_r |C_r∖H_{r-1}|; it exceeds 1 if many UAVs are redundant repeatedly."""
     _, redundant = rounds_hits_and_redundant(head, candidates_per_round)
     return float(redundant.sum() / np.shape(head)[-1])
 
 
 def multi_cluster_objective(head: ArrayLike, candidates_per_round: ArrayLike) -> float:
-    """P2's objective J_m = R + (1/N) sum_r |C_r∖H_{r-1}|, to be minimised; its best value is 1.
+    """P2's objective J_m = R + (1/N) sum_r |C_r∖H_{r-1}|, to be minimised; the minimum is 1.
 
     Args:
         head: ``(N,)`` bool, H_0.
-        candidates_per_round: ``(R, N)`` bool, C_1 to C_R; an empty answer is a round.
+        candidates_per_round: ``(R, N)`` bool, C_1 to C_R; an empty set counts as a round.
 
     Returns:
-        J_m of the rounds played, whether or not they found every head (:func:`finished` says so).
+        J_m of these rounds, also if heads are left (see :func:`found_all_heads`).
     """
     return len(np.asarray(candidates_per_round)) + redundancy(head, candidates_per_round)
 
 
-def finished(head: ArrayLike, candidates_per_round: ArrayLike) -> bool:
-    """Whether every head was hit in some round, H_R = {}."""
+def found_all_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> bool:
+    """Whether every head was hit in some round, so that H_R is empty."""
     return not remaining_heads(head, candidates_per_round)[-1].any()
 
 
@@ -204,7 +202,7 @@ def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
 
     Args:
         head: ``(N,)`` bool.
-        scores: ``(N,)``, higher is more head-like; equal scores count as one threshold.
+        scores: ``(N,)``, a higher score means a more likely head; equal scores form one threshold.
 
     Returns:
         A value from 0 to 1; 0 without a head.
@@ -216,41 +214,45 @@ def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
         raise ArgumentError("scores must be finite, got NaN or infinity.")
     if not heads.any():
         return 0.0
-    from sklearn.metrics import average_precision_score  # a second of import that the environments need not pay
+    # Not at the top: this import takes a second, and the environments don't need it.
+    from sklearn.metrics import average_precision_score
 
     return float(average_precision_score(heads, values))
 
 
 def purity(leader: ArrayLike, clusters: ArrayLike) -> float:
-    """Share of the UAVs that are in a cluster most of whose members have the same leader.
+    """Purity of a clustering: share of the UAVs whose leader is the most frequent leader in their cluster.
 
-    The usual purity, (1/n) sum_k max_j |cluster k & class j|, where the class of a UAV is its leader (a head's is
-    itself). The n UAVs are those with a leader; one of them that was put in no cluster counts as wrong.
+    The usual definition, (1/n) sum_k max_j |cluster k & class j|, where the class of a UAV is its leader (a head is its
+    own leader). The n UAVs are those with a leader; a UAV without a cluster counts as wrong.
 
     Args:
-        leader: ``(N,)`` int, index of the head that a UAV follows; a head's own index; -1 leaves the UAV out.
+        leader: ``(N,)`` int, index of the head that a UAV follows; a head's own index; -1: the UAV is not counted.
         clusters: ``(N,)`` int, cluster label; -1: none.
 
     Returns:
-        A value from 0 to 1; 0 where nobody has a leader. It hides the heads: see :func:`head_in_cluster`.
+        A value from 0 to 1; 0 if no UAV has a leader. Purity says little about the heads: see
+        :func:`head_in_cluster`.
     """
     uavs = len(np.asarray(clusters))
-    led, label = _labels("leader", leader, uavs), _labels("clusters", clusters, uavs)
-    counted = led >= 0
+    leaders, label = _labels("leader", leader, uavs), _labels("clusters", clusters, uavs)
+    counted = leaders >= 0
     if not counted.any():
         return 0.0
     most = sum(
-        np.unique(led[counted & (label == k)], return_counts=True)[1].max() for k in np.unique(label[counted]) if k >= 0
+        np.unique(leaders[counted & (label == k)], return_counts=True)[1].max()
+        for k in np.unique(label[counted])
+        if k >= 0
     )
     return float(most / counted.sum())
 
 
 def head_in_cluster(head: ArrayLike, leader: ArrayLike, clusters: ArrayLike) -> float:
-    """Share of the heads that were put in the cluster that holds most of their own followers.
+    """Share of the heads whose cluster is the one that holds most of their followers.
 
-    Purity hides the heads: they are few, and a head that moves ahead of its followers may be put anywhere at little
-    cost. Here only heads count. The cluster "of the followers" is the label that most of them have (-1, no cluster,
-    is no label); where labels tie, each of them is good.
+    Heads are few, so a clustering that puts all heads in wrong clusters still has a high purity. Here only heads
+    count. The cluster of the followers is their most frequent label, without -1; if several labels tie, each of them is
+    accepted.
 
     Args:
         head: ``(N,)`` bool.
@@ -258,16 +260,16 @@ def head_in_cluster(head: ArrayLike, leader: ArrayLike, clusters: ArrayLike) -> 
         clusters: ``(N,)`` int, cluster label; -1: none.
 
     Returns:
-        A value from 0 to 1 over the heads that have a follower; 0 where no head has one.
+        A value from 0 to 1 over the heads with at least one follower; 0 if there is none.
     """
     heads = _mask("head", head)
     uavs = heads.shape[-1]
-    led, label = _labels("leader", leader, uavs), _labels("clusters", clusters, uavs)
-    together = []
-    for chief in np.flatnonzero(heads):
-        followers = (led == chief) & ~heads
+    leaders, label = _labels("leader", leader, uavs), _labels("clusters", clusters, uavs)
+    correct = []
+    for i in np.flatnonzero(heads):
+        followers = (leaders == i) & ~heads
         if not followers.any():
             continue
         values, counts = np.unique(label[followers & (label >= 0)], return_counts=True)
-        together.append(label[chief] in values[counts == counts.max(initial=0)])
-    return float(np.mean(together)) if together else 0.0
+        correct.append(label[i] in values[counts == counts.max(initial=0)])
+    return float(np.mean(correct)) if correct else 0.0

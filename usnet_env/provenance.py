@@ -1,4 +1,4 @@
-"""What a result was made with: versions and the machine, without anybody's name or path."""
+"""The versions and the machine of a result, without names or paths of users."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _PACKAGES = ("usnet", "numpy", "scipy", "scikit-learn", "numba", "gymnasium")
 
 
 def versions(more: Iterable[str] = ()) -> dict[str, str]:
-    """Versions of Python and of the packages that numbers depend on.
+    """Versions of Python and of the packages that results depend on.
 
     Args:
-        more: further packages; those that are not installed are left out.
+        more: names of further packages; packages that are not installed are omitted.
     """
     found = {"python": platform.python_version()}
     for package in (*_PACKAGES, *more):
@@ -31,7 +31,7 @@ def versions(more: Iterable[str] = ()) -> dict[str, str]:
 
 
 def machine() -> dict[str, Any]:
-    """The machine without its name: what seconds depend on."""
+    """The processor, the number of cores and the platform, on which run times depend."""
     return {"cpu": _processor(), "cores": os.cpu_count(), "platform": f"{platform.system()} {platform.machine()}"}
 
 

@@ -1,4 +1,4 @@
-"""The window: what an observer hands to a detector in one round, and nothing else."""
+"""The window: the observation of one round, the only input of a detector."""
 
 from __future__ import annotations
 
@@ -15,7 +15,17 @@ __all__ = ["Window", "frozen_array"]
 
 
 def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
-    """A read-only copy of ``value`` in ``dtype``; refuses another shape (``None``: any length) or non-finite values."""
+    """A read-only copy of ``value`` in ``dtype``.
+
+    Args:
+        name: the argument's name in error messages.
+        value: the array.
+        dtype: the type of the copy.
+        shape: the expected shape; ``None`` for any length of an axis.
+
+    Raises:
+        ArgumentError: another shape, values that are not finite numbers, or not 0 or 1 for ``bool``.
+    """
     takes = "(" + ", ".join("any" if length is None else str(length) for length in shape) + ")"
     try:
         array = np.asarray(value)
@@ -40,19 +50,19 @@ def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | No
 class Window:
     """Positions and velocities of N UAVs at T_ob + 1 sampling instants, with masks.
 
-    All arrays are read-only copies. A sample that is unseen, or of a destroyed UAV, is 0 and masked. Velocity ``t``
-    leads from position ``t`` to ``t + 1`` and counts where :attr:`velocity_seen`. Decision (d) of the paper's silent
-    points: one index convention, used everywhere.
+    All arrays are read-only copies. Samples that were not detected, and samples of destroyed UAVs, are 0 and masked.
+    Velocity ``t`` leads from position ``t`` to position ``t + 1`` (decision (d) on docs/game.md); it is valid where
+    :attr:`velocity_seen` is true.
 
     Args:
         position: ``(T_ob + 1, N, 3)`` float32, metres.
         velocity: ``(T_ob, N, 3)`` float32, metres per step.
         seen: ``(T_ob + 1, N)`` bool, whether the UAV was detected at that instant.
         alive: ``(N,)`` bool, false for destroyed UAVs.
-        round: number of the detection round, from 1.
+        round: number of the detection round; the first round is 1.
 
     Raises:
-        ArgumentError: an array of another shape, with values that are not finite, or a mask that is not 0/1.
+        ArgumentError: an array has another shape or non-finite values, or a mask has values other than 0 and 1.
     """
 
     position: NDArray[np.float32]
@@ -79,7 +89,7 @@ class Window:
 
     @property
     def uavs(self) -> int:
-        """N, destroyed UAVs included."""
+        """N, the number of UAVs, destroyed UAVs included."""
         return int(self.position.shape[1])
 
     @property
@@ -89,18 +99,18 @@ class Window:
 
     @property
     def velocity_seen(self) -> NDArray[np.bool_]:
-        """``(T_ob, N)`` bool: both ends of the velocity were seen, and the UAV is alive."""
+        """``(T_ob, N)`` bool: the UAV is alive and was detected at both ends of the step."""
         return self.seen[:-1] & self.seen[1:] & self.alive
 
     @classmethod
     def from_observation(cls, observation: Mapping[str, Any]) -> Window:
-        """The window in an observation of the environments: the detector's only door to an env.
+        """Make the window of an observation. A detector gets all its information about an environment this way.
 
         Args:
             observation: a mapping with the keys ``position, velocity, seen, alive, round``.
 
         Raises:
-            ArgumentError: a key is missing, or its value is refused.
+            ArgumentError: a key is missing or has an invalid value.
         """
         keys = ("position", "velocity", "seen", "alive", "round")
         if not isinstance(observation, Mapping) or any(key not in observation for key in keys):

@@ -1,8 +1,10 @@
 """The single environments, found through the registry and driven as Gymnasium code drives them."""
 
 import copy
+import inspect
 import json
 import pickle
+import re
 import warnings
 
 import gymnasium as gym
@@ -14,7 +16,13 @@ from hypothesis import strategies as st
 
 import usnet_env
 from usnet_env import ArgumentError, Window
-from usnet_env.envs import ENVIRONMENTS, MultiDiscreteCandidates, register_environments
+from usnet_env.envs import (
+    ENVIRONMENTS,
+    MultiClusterEnv,
+    MultiDiscreteCandidates,
+    SingleClusterEnv,
+    register_environments,
+)
 
 IDS = sorted(ENVIRONMENTS)
 MULTI = "USNET/MultiCluster-v0"
@@ -127,7 +135,7 @@ def test_the_return_of_p2_is_minus_j_m(seed, share, price):
         remaining -= named
     assert sum(rewards) == pytest.approx(-(len(rounds) + price * redundant / 20), abs=1e-12)
     assert info["J"] == pytest.approx(len(rounds) + redundant / 20, abs=1e-12)  # always at price 1
-    assert info["heads_left"] == len(remaining)
+    assert env.unwrapped.swarm.heads_left == len(remaining)
     assert terminated == (not remaining) == bool(info["success"])
     assert terminated or len(rounds) == 6
 
@@ -239,7 +247,7 @@ def test_rounds_orphans_and_masks():
     action[first] = 1
     observation, _, _, _, info = env.step(action)
     after = env.unwrapped.swarm
-    assert (info["round"], observation["round"][0], info["heads_left"]) == (1, 2, 2)
+    assert (info["round"], observation["round"][0], after.heads_left) == (1, 2, 2)
     assert observation["alive"][first] == 0
     assert not observation["seen"][:, first].any()
     orphans = (swarm.leader == first) & ~swarm.head
@@ -411,7 +419,23 @@ def test_truth_is_in_info_only_on_request():
     _, info = env.reset(seed=0)
     np.testing.assert_array_equal(info["head"], env.unwrapped.swarm.head)
     np.testing.assert_array_equal(info["leader"], env.unwrapped.swarm.leader)
+    assert info["heads_left"] == 3
+    one_head = np.arange(20) == np.flatnonzero(info["head"])[0]
+    *_, info = env.step(one_head)
+    assert (type(info["heads_left"]), info["heads_left"], info["hits"]) == (int, 2, 1)
     check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize(("name", "kind"), [(SINGLE, SingleClusterEnv), (MULTI, MultiClusterEnv)])
+def test_the_docstring_lists_the_keys_of_info(name, kind):
+    table = inspect.getdoc(kind).partition("`info` holds")[2].partition("##")[0]
+    listed = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
+    _, info = gym.make(name).reset(seed=0)
+    assert listed == list(info)
+    assert set(info.values()) == {0}
+    revealed = re.search(r"\| `reveal_truth` .* `info` also holds (.*) \|", inspect.getdoc(kind))[1]
+    _, truth = gym.make(name, reveal_truth=True).reset(seed=0)
+    assert {*info, *re.findall(r"`(\w+)`", revealed)} == set(truth)
 
 
 def test_info_has_the_same_names_in_every_step():

@@ -1,4 +1,4 @@
-"""Nothing but flight tells a head: who sees only indices, masks, dtypes or info finds heads at chance."""
+"""Only the motion shows the heads: indices, masks, dtypes and info carry nothing about them, nor about their number."""
 
 import gymnasium as gym
 import numpy as np
@@ -6,6 +6,8 @@ import pytest
 from scipy.stats import binomtest
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.metrics import roc_auc_score
+
+from usnet_env.envs.wrappers import BoxMasks, MultiDiscreteCandidates
 
 CASES = [
     {"follow": "f1"},
@@ -76,3 +78,75 @@ def test_the_zeros_of_the_destroyed_tell_nothing():
         masked = observation[name][:, action.astype(bool)]
         assert not masked.any()
         assert not np.signbit(masked).any()
+
+
+# --- the number of heads ---------------------------------------------------------------------------------------------
+
+MULTI = "USNET/MultiCluster-v0"
+UAVS = 24
+
+
+def infos_of_single_envs(clusters, wrap=lambda env: env):
+    """``info`` at reset, after a round that names no UAV, and after a round that hits one head."""
+    env = wrap(gym.make(MULTI, clusters=clusters, uavs=UAVS, observation_steps=10))
+    _, first = env.reset(seed=0)
+    *_, empty = env.step(np.zeros(UAVS, np.int8))
+    one_head = np.arange(UAVS) == np.flatnonzero(env.unwrapped.swarm.head)[0]
+    *_, hit = env.step(one_head.astype(np.int8))
+    assert hit["hits"] == 1
+    return [first, empty, hit]
+
+
+def infos_of_vector_envs(clusters):
+    envs = gym.make_vec(MULTI, num_envs=2, clusters=clusters, uavs=UAVS, observation_steps=10)
+    _, first = envs.reset(seed=0)
+    *_, empty = envs.step(np.zeros((2, UAVS), np.int8))
+    head = envs.unwrapped.swarm.head
+    *_, hit = envs.step((head & (head.cumsum(axis=1) == 1)).astype(np.int8))
+    assert hit["hits"].tolist() == [1, 1]
+    return [{name: values.tolist() for name, values in info.items()} for info in (first, empty, hit)]
+
+
+def infos_of_observers(game, clusters):
+    """What ``observer_0`` of a PettingZoo game gets, with every other agent passive."""
+    module = pytest.importorskip(f"usnet_env.multiagent.{game}")
+    env = module.parallel_env(clusters=clusters, uavs=UAVS, observation_steps=10)
+    _, infos = env.reset(seed=0)
+    kept = [infos["observer_0"]]
+    for share in (0, 0, 1):
+        actions = {agent: np.zeros_like(env.action_space(agent).sample()) for agent in env.agents}
+        first_head = np.flatnonzero(env.swarm.head)[0]
+        for agent in env.agents:
+            if agent.startswith("observer"):
+                actions[agent][first_head] = share
+        *_, infos = env.step(actions)
+        kept.append(infos["observer_0"])
+    assert kept[-1]["hits"] == 1
+    return kept
+
+
+GAMES = {
+    "single": infos_of_single_envs,
+    "vector": infos_of_vector_envs,
+    "multi-discrete": lambda clusters: infos_of_single_envs(clusters, MultiDiscreteCandidates),
+    "box masks": lambda clusters: infos_of_single_envs(clusters, BoxMasks),
+    "observers": lambda clusters: infos_of_observers("usnet_observers_v0", clusters),
+    "evasion": lambda clusters: infos_of_observers("usnet_evasion_v0", clusters),
+}
+
+
+@pytest.mark.parametrize("name", GAMES)
+def test_info_does_not_depend_on_the_number_of_heads(name):
+    """The same rounds in swarms of 2 and of 6 clusters: as long as heads are left, ``info`` is the same."""
+    assert GAMES[name](2) == GAMES[name](6)
+
+
+@pytest.mark.parametrize("reveal", [False, True])
+def test_the_heads_left_are_in_info_only_on_request(reveal):
+    env = gym.make(MULTI, clusters=3, uavs=UAVS, observation_steps=10, reveal_truth=reveal)
+    envs = gym.make_vec(MULTI, num_envs=2, clusters=3, uavs=UAVS, observation_steps=10, reveal_truth=reveal)
+    for info in (env.reset(seed=0)[1], env.step(np.zeros(UAVS))[-1]):
+        assert info.get("heads_left") == (3 if reveal else None)
+    for info in (envs.reset(seed=0)[1], envs.step(np.zeros((2, UAVS)))[-1]):
+        assert ("heads_left" in info) == reveal
+        assert not reveal or info["heads_left"].tolist() == [3, 3]

@@ -60,7 +60,7 @@ def test_the_legend_covers_all_panels():
     """Redundant candidates and missed heads are in the first panel only; the legend stands beside the last."""
     panels = draw_episode(small_episode()).axes[:2]
     texts = {text.get_text() for text in panels[-1].get_legend().get_texts()}
-    assert {"named: redundant", "head not named", "destroyed earlier", "decoy: leads nobody"} <= texts
+    assert {"candidate: redundant", "head, not a candidate", "destroyed earlier", "decoy: has no followers"} <= texts
     assert panels[0].get_legend() is None
 
 

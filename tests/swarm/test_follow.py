@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from head_dependence import head_dependence
 
 from usnet_env import ArgumentError, register_follow_strategy
 from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, follow_strategies, start
 from usnet_env.swarm import follow as follow_module
-from usnet_env.swarm.flight import Flight
 from usnet_env.swarm.follow import FollowInputs, Lags, Network, StayInRange, follow_strategy
-from usnet_env.swarm.head_dependence import head_dependence
 from usnet_env.swarm.random_follow import random_follow_strategy
+from usnet_env.swarm.trajectory import TrajectoryBatch
 
 NAMES = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
 
@@ -78,13 +78,13 @@ def test_compiled_flight_equals_the_general_loop(name):
         position = np.zeros((2, memory + steps + 1, 20, 3), np.float32)
         velocity = np.zeros((2, memory + steps, 20, 3), np.float32)
         position[:, : memory + 1], velocity[:, :memory] = state.past_position, state.past_velocity
-        kind = np.full((2, 20), 2, np.int8)
-        np.put_along_axis(kind, state.free, np.int8(1), axis=1)
+        motion = np.full((2, 20), 2, np.int8)
+        np.put_along_axis(motion, state.free, np.int8(1), axis=1)
         for b in range(2):
             free = rng.standard_normal((steps, 3, 3)).astype(np.float32)
             velocity[b, memory:, state.free[b]] = (free / np.linalg.norm(free, axis=-1, keepdims=True)).swapaxes(0, 1)
         noise = rng.standard_normal((2, steps, 20, 3), dtype=np.float32)
-        flights.append(Flight(position, velocity, noise, kind, state.leader, state.parameters))
+        flights.append(TrajectoryBatch(position, velocity, noise, motion, state.leader, state.parameters))
     strategy.fly(flights[0])
     FollowStrategy.fly(strategy, flights[1])
     np.testing.assert_allclose(flights[0].velocity, flights[1].velocity, atol=2e-4)

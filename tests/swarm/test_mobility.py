@@ -142,7 +142,7 @@ def test_a_registered_function_is_used_by_name_and_keeps_its_state(registry):
 def test_bad_mobilities_are_refused(registry):
     with pytest.raises(ArgumentError, match=r"mobility must be one of .*'iids' .*did you mean 'iid'"):
         mobility("iids")
-    with pytest.raises(ArgumentError, match="law must be a Mobility or a function"):
+    with pytest.raises(ArgumentError, match="model must be a Mobility or a function"):
         register_mobility("x", 3)
     with pytest.raises(ArgumentError, match="name must be a new one"):
         register_mobility("iid", lambda *a: None)

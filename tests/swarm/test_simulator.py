@@ -151,7 +151,7 @@ def test_a_swarm_without_heads_does_not_fly_on():
     state = start(config, rngs)
     state = destroy(state, state.head)
     assert (state.leader[0][~state.head[0]] == -1).all()
-    with pytest.raises(ArgumentError, match="state must have a head left"):
+    with pytest.raises(ArgumentError, match="state must have a living head"):
         advance(config, state, rngs)
     with pytest.raises(ArgumentError, match="rngs must hold one generator"):
         advance(config, start(config, rngs), generators([0, 1]))

@@ -1,4 +1,4 @@
-"""The Gymnasium environments: the paper's P1 and P2, single and in batches."""
+"""The Gymnasium environments of the paper's problems P1 and P2, single and vectorised."""
 
 from usnet_env.envs.registration import ENVIRONMENTS, register_environments
 from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv

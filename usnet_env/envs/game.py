@@ -1,4 +1,4 @@
-"""The game of detection rounds, for a batch of B episodes at once; a single env is a batch of one."""
+"""The rules of the detection rounds, for a batch of B games; a single environment is a batch of one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pydantic import Field
 
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.objectives import hits_and_redundant
-from usnet_env.swarm import Sighting, SwarmConfig, SwarmState, advance, destroy, start
+from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
 
 COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 
@@ -21,27 +21,31 @@ __all__ = [
     "COUNTERS",
     "GameState",
     "Rules",
-    "Turn",
+    "StepResult",
     "action_space",
-    "begin",
-    "candidates_from",
+    "initial_info",
     "observation_space",
-    "observe",
-    "opening",
-    "play",
+    "observe_windows",
+    "parse_candidates",
+    "play_round",
+    "start_games",
+    "truth_info",
 ]
 
 Observation = dict[str, NDArray[Any]]
 
 
 class Rules(Config):
-    """What is played and what it costs.
+    """The rules: the problem, its limits and its prices.
 
     Args:
-        problem: ``"P1"`` (one cluster, one round) or ``"P2"`` (rounds until no head is left).
-        max_rounds: R_m, after which P2 is truncated.
-        shot_budget: most candidates of a round; with more, nobody is destroyed. ``None``: no limit.
-        redundancy_price: price of a redundant candidate; 1 is the paper's objective.
+        problem: ``"P1"`` (one cluster, one round) or ``"P2"`` (several clusters, rounds until no head is left).
+        max_rounds: R_m, the number of rounds after which P2 is truncated.
+        shot_budget: maximum number of candidates in a round; a larger set destroys no UAV. ``None``: no limit.
+        redundancy_price: price of a redundant candidate; 1 gives the paper's objective.
+
+    Raises:
+        ArgumentError: a value has the wrong type or is out of range.
     """
 
     problem: Literal["P1", "P2"] = "P2"
@@ -55,11 +59,11 @@ class GameState:
     """B games between two rounds.
 
     Args:
-        swarm: the truth.
-        rounds: ``(B,)`` int64, rounds played.
-        redundant: ``(B,)`` int64, redundant candidates of all rounds.
-        terminated: ``(B,)`` bool, the game has ended by its rules.
-        truncated: ``(B,)`` bool, it was cut off at ``max_rounds``.
+        swarm: the true state of the swarms.
+        rounds: ``(B,)`` int64, number of rounds played.
+        redundant: ``(B,)`` int64, number of redundant candidates in all rounds.
+        terminated: ``(B,)`` bool, whether the game ended by its rules.
+        truncated: ``(B,)`` bool, whether the game was stopped after ``max_rounds``.
     """
 
     swarm: SwarmState
@@ -69,7 +73,7 @@ class GameState:
     truncated: NDArray[np.bool_]
 
     def with_rows(self, episodes: NDArray[np.intp], other: GameState) -> Self:
-        """This batch with some of its games exchanged for those of ``other``."""
+        """A copy of this batch in which ``other`` replaces some games."""
         changed: dict[str, Any] = {"swarm": self.swarm.with_rows(episodes, other.swarm)}
         for name in COUNTERS:
             changed[name] = getattr(self, name).copy()
@@ -78,15 +82,15 @@ class GameState:
 
 
 @dataclass(frozen=True)
-class Turn:
-    """What a round gives back, each ``(B,)``: rewards, and the metrics of ``info`` by name."""
+class StepResult:
+    """The result of a round: ``reward`` ``(B,)`` float64, and the ``metrics`` of ``info`` by name, each ``(B,)``."""
 
     reward: NDArray[np.float64]
     metrics: dict[str, NDArray[Any]]
 
 
 def observation_space(config: SwarmConfig, rules: Rules) -> spaces.Dict:
-    """The observation of one env: finite boxes and masks."""
+    """The observation space of one environment: bounded boxes and masks."""
     instants, uavs = config.observation_steps + 1, config.uavs
     far, fast = config.position_bound(rules.max_rounds), config.velocity_bound()
     return spaces.Dict(
@@ -101,40 +105,49 @@ def observation_space(config: SwarmConfig, rules: Rules) -> spaces.Dict:
 
 
 def action_space(config: SwarmConfig) -> spaces.MultiBinary:
-    """The action of one env: one bit a UAV."""
+    """The action space of one environment: one bit per UAV."""
     return spaces.MultiBinary(config.uavs)
 
 
-def candidates_from(action: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """The action as booleans of that shape; agents send int8, booleans or floats.
+def parse_candidates(action: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Convert an action (integers, booleans or floats) to booleans of the given shape.
 
     Raises:
-        ArgumentError: another shape, or anything but 0 and 1.
+        ArgumentError: the action has another shape or a value other than 0 and 1.
     """
     try:
         values = np.asarray(action)
     except ValueError:
         values = np.empty(0, object)
     if values.shape != shape:
-        raise ArgumentError(f"action must have shape {shape} (one 0 or 1 a UAV), got {quote(action)}.")
+        raise ArgumentError(f"action must have shape {shape} (0 or 1 for each UAV), got {quote(action)}.")
     if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
         raise ArgumentError(f"action must hold only 0 and 1, got {quote(action)}.")
     return values.astype(bool)
 
 
-def begin(config: SwarmConfig, rngs: Sequence[np.random.Generator]) -> GameState:
-    """B new games, one a generator."""
+def start_games(config: SwarmConfig, rngs: Sequence[np.random.Generator]) -> GameState:
+    """Start B games, one per generator."""
     swarm = start(config, rngs)
     zeros = np.zeros(len(rngs), np.int64)
     return GameState(swarm, zeros, zeros.copy(), zeros.astype(bool), zeros.astype(bool))
 
 
-def play(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) -> tuple[GameState, Turn]:
-    """One round: the candidates ``(B, N)`` are destroyed and scored; orphans re-merge."""
+def play_round(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) -> tuple[GameState, StepResult]:
+    """Play one round: score and destroy the candidates; followers of a destroyed head re-merge.
+
+    Args:
+        rules: the rules.
+        state: B games before the round.
+        candidates: ``(B, N)`` bool.
+
+    Returns:
+        The games after the round, and the result of the round.
+    """
     swarm, uavs = state.swarm, candidates.shape[1]
-    named = candidates.sum(axis=1)
+    count = candidates.sum(axis=1)
     budget = uavs if rules.shot_budget is None else rules.shot_budget
-    over_budget = named > budget
+    over_budget = count > budget
     fired = candidates & ~over_budget[:, None]
     hits, redundant = hits_and_redundant(swarm.head, swarm.alive, fired)
     after = destroy(swarm, fired)
@@ -142,9 +155,9 @@ def play(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) -> tuple
     rounds, total = state.rounds + 1, state.redundant + redundant
     price = rules.redundancy_price
     if rules.problem == "P1":
-        # J_s = 1{hit} - |C| splits into what a miss costs and what every candidate beyond one costs.
+        # J_s = 1{hit} - |C| is the sum of the cost of a miss and the cost of every candidate beyond the first.
         shots = fired.sum(axis=1)
-        missed = np.where(shots > 0, hits - 1.0, -1.0)  # decision (k): the empty answer scores -1
+        missed = np.where(shots > 0, hits - 1.0, -1.0)  # decision (k): an empty set scores -1
         extra = -np.maximum(shots - 1, 0.0)
         terms = {"reward_hit": missed, "reward_redundancy": price * extra}
         objective = missed + extra
@@ -159,24 +172,21 @@ def play(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) -> tuple
     metrics = {
         "hits": hits,
         "redundant": redundant,
-        "heads_left": left,
         "round": rounds,
         "success": (left == 0).astype(np.int64),
         "J": objective,
         "over_budget": over_budget.astype(np.int64),
         **terms,
     }
-    return GameState(after, rounds, total, terminated, truncated), Turn(reward, metrics)
+    return GameState(after, rounds, total, terminated, truncated), StepResult(reward, metrics)
 
 
-def opening(rules: Rules, state: GameState) -> dict[str, NDArray[Any]]:
-    """The metrics of ``info`` before the first round: the same names, all at zero but the heads."""
+def initial_info(rules: Rules, state: GameState) -> dict[str, NDArray[Any]]:
+    """The metrics of ``info`` before the first round: the names that :func:`play_round` returns, all zero."""
     count = len(state.rounds)
     first = "reward_hit" if rules.problem == "P1" else "reward_round"
-    whole = {name: np.zeros(count, np.int64) for name in ("hits", "redundant", "heads_left", "round", "success")}
-    whole["heads_left"] = state.swarm.heads_left
     return {
-        **whole,
+        **{name: np.zeros(count, np.int64) for name in ("hits", "redundant", "round", "success")},
         "J": np.zeros(count),
         "over_budget": np.zeros(count, np.int64),
         first: np.zeros(count),
@@ -184,40 +194,62 @@ def opening(rules: Rules, state: GameState) -> dict[str, NDArray[Any]]:
     }
 
 
-def observe(
-    config: SwarmConfig, state: GameState, rngs: Sequence[np.random.Generator]
-) -> tuple[GameState, Observation]:
-    """Fly the next window of every game that has not terminated; the others see an empty one.
+def truth_info(swarm: SwarmState) -> dict[str, NDArray[Any]]:
+    """The entries that ``reveal_truth`` adds to ``info``: the roles, and ``heads_left``, which with ``hits`` gives M.
+
+    Args:
+        swarm: B swarms, or one without the leading axis.
 
     Returns:
-        The games after the flight, and the observation with a leading axis B.
+        ``head``, ``decoy`` ``(B, N)`` int8, ``leader`` ``(B, N)`` int64 and ``heads_left`` ``(B,)`` int64.
     """
-    going = np.flatnonzero(~state.terminated)
-    if len(going) == len(rngs):
-        swarm, sighting = advance(config, state.swarm, rngs)
-        return replace(state, swarm=swarm), _observation(state, sighting)
+    return {
+        "head": swarm.head.astype(np.int8),
+        "decoy": swarm.decoy.astype(np.int8),
+        "leader": swarm.leader,
+        "heads_left": swarm.heads_left,
+    }
+
+
+def observe_windows(
+    config: SwarmConfig, state: GameState, rngs: Sequence[np.random.Generator]
+) -> tuple[GameState, Observation]:
+    """Simulate and observe the next window of every game that has not terminated; other games get an empty window.
+
+    Args:
+        config: the swarm.
+        state: B games.
+        rngs: one generator per game.
+
+    Returns:
+        The games at the end of the window, and the observation with a leading axis B.
+    """
+    running = np.flatnonzero(~state.terminated)
+    if len(running) == len(rngs):
+        swarm, observed = advance(config, state.swarm, rngs)
+        return replace(state, swarm=swarm), _make_observation(state, observed)
     instants, uavs = config.observation_steps + 1, config.uavs
-    whole = Sighting(
+    whole = ObservationBatch(
         position=np.zeros((len(rngs), instants, uavs, 3), np.float32),
         velocity=np.zeros((len(rngs), instants - 1, uavs, 3), np.float32),
         seen=np.zeros((len(rngs), instants, uavs), bool),
         alive=state.swarm.alive,
     )
     swarm = state.swarm
-    if len(going):
-        part, sighting = advance(config, state.swarm.rows(going), [rngs[int(b)] for b in going])
-        swarm = state.swarm.with_rows(going, part)
-        for field in fields(Sighting):
+    if len(running):
+        part, observed = advance(config, state.swarm.rows(running), [rngs[int(b)] for b in running])
+        swarm = state.swarm.with_rows(running, part)
+        for field in fields(ObservationBatch):
             if field.name != "alive":
-                getattr(whole, field.name)[going] = getattr(sighting, field.name)
-    return replace(state, swarm=swarm), _observation(state, whole)
+                getattr(whole, field.name)[running] = getattr(observed, field.name)
+    return replace(state, swarm=swarm), _make_observation(state, whole)
 
 
-def _observation(state: GameState, sighting: Sighting) -> Observation:
+def _make_observation(state: GameState, observed: ObservationBatch) -> Observation:
     return {
-        "position": sighting.position,
-        "velocity": sighting.velocity,
-        "seen": sighting.seen.view(np.int8),
-        "alive": sighting.alive.astype(np.int8),
+        "position": observed.position,
+        "velocity": observed.velocity,
+        "seen": observed.seen.view(np.int8),
+        "alive": observed.alive.astype(np.int8),
         "round": (state.rounds[:, None] + 1).astype(np.float32),
     }

@@ -1,4 +1,4 @@
-"""The registered ids: two environments and some presets of their arguments."""
+"""The registered ids: two environments, and presets of their arguments."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import gymnasium as gym
 
 __all__ = ["ENVIRONMENTS", "register_environments"]
 
-# id -> (class, arguments). Names and numbers only, so that `env.spec.to_json()` says it all.
+# id -> (class, arguments). The arguments are plain names and numbers, so that `env.spec.to_json()` is complete.
 ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "USNET/SingleCluster-v0": ("SingleCluster", {}),
     "USNET/SingleCluster-Decoy-v0": ("SingleCluster", {"followers": 5, "decoys": 1}),
@@ -20,12 +20,12 @@ ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def register_environments() -> None:
-    """Register all ids with Gymnasium; a second call changes nothing."""
-    for name, (kind, arguments) in ENVIRONMENTS.items():
+    """Register all ids with Gymnasium; a second call has no effect."""
+    for name, (problem, arguments) in ENVIRONMENTS.items():
         if name not in gym.registry:
             gym.register(
                 id=name,
-                entry_point=f"usnet_env.envs:{kind}Env",
-                vector_entry_point=f"usnet_env.envs:{kind}VectorEnv",
+                entry_point=f"usnet_env.envs:{problem}Env",
+                vector_entry_point=f"usnet_env.envs:{problem}VectorEnv",
                 kwargs=dict(arguments),
             )

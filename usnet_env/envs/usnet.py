@@ -1,4 +1,4 @@
-"""The two single-agent environments: P1 and P2 of the paper, two sets of arguments over one game."""
+"""The two single-agent environments: the paper's problems P1 and P2, with the same game behind both."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ __all__ = ["MultiClusterEnv", "SingleClusterEnv", "UsnetEnv"]
 Observation = dict[str, NDArray[Any]]
 
 
-class _Face(Config):
-    """The arguments that concern neither the swarm nor the rules."""
+class _OutputOptions(Config):
+    """The arguments about the output of the environment: ``info`` and rendering."""
 
     reveal_truth: bool = False
     render_mode: str | None = None
 
 
-class _Followers(Config):
-    """The size of a single cluster, under the name that :class:`SingleClusterEnv` gives it."""
+class _ClusterSize(Config):
+    """The size of the single cluster of :class:`SingleClusterEnv`."""
 
     followers: Annotated[int, Field(ge=2, le=90_000)]
     decoys: Annotated[int, Field(ge=0, le=9_000)]
 
 
 class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
-    """What both environments share; use :class:`SingleClusterEnv` or :class:`MultiClusterEnv`.
+    """Base class of :class:`SingleClusterEnv` and :class:`MultiClusterEnv`.
 
     Attributes:
-        config: the swarm and how it is observed.
-        rules: what is played and what it costs.
+        config: the swarm and its observer.
+        rules: the problem, its limits and its prices.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}  # type: ignore[misc]
 
     def __init__(self, config: SwarmConfig, rules: game.Rules, reveal_truth: bool, render_mode: str | None) -> None:
-        face = _Face(reveal_truth=reveal_truth, render_mode=render_mode)
-        if face.render_mode not in (None, *self.metadata["render_modes"]):
+        output = _OutputOptions(reveal_truth=reveal_truth, render_mode=render_mode)
+        if output.render_mode not in (None, *self.metadata["render_modes"]):
             raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(render_mode)}.")
         self.config = config
         self.rules = rules
-        self.reveal_truth = face.reveal_truth
-        self.render_mode = face.render_mode
+        self.reveal_truth = output.reveal_truth
+        self.render_mode = output.render_mode
         self.observation_space = game.observation_space(config, rules)  # type: ignore[assignment]  # Dict is invariant
         self.action_space = game.action_space(config)
         self._game: game.GameState | None = None
         self._window: Observation = {}  # the present observation
-        self._decided: tuple[Observation, SwarmState, NDArray[np.bool_]] | None = None  # the round before it
+        self._last_round: tuple[Observation, SwarmState, NDArray[np.bool_]] | None = None  # the round before it
 
     @property
     def problem(self) -> str:
@@ -64,10 +64,10 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     @property
     def swarm(self) -> SwarmState:
-        """The truth about the swarm now, a copy: for referees and pictures, never for a detector."""
-        return self._running().swarm.episode()
+        """A copy of the true state of the swarm, for evaluation and rendering; a detector must not use it."""
+        return self._require_game().swarm.episode()
 
-    def _running(self) -> game.GameState:
+    def _require_game(self) -> game.GameState:
         if self._game is None:
             raise ArgumentError("reset must be called first, got an environment that was never reset.")
         return self._game
@@ -78,16 +78,16 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         """Start an episode and observe its first window.
 
         Args:
-            seed: seeds this env's own generator, 0 included; ``None`` goes on with the present one.
-            options: none are known; ignored.
+            seed: seed of the environment's own generator; ``None`` keeps the present generator.
+            options: ignored.
 
         Returns:
             The observation and ``info``.
         """
         super().reset(seed=seed)
-        state = game.begin(self.config, [self.np_random])
-        metrics = game.opening(self.rules, state)
-        self._decided = None
+        state = game.start_games(self.config, [self.np_random])
+        metrics = game.initial_info(self.rules, state)
+        self._last_round = None
         return self._observe(state), self._info(metrics)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -97,47 +97,47 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             action: ``(N,)`` of 0 and 1, the candidates.
 
         Returns:
-            Observation, reward, terminated, truncated, ``info``. A terminated episode shows an empty window (``seen``
-            is all 0): there is nothing left to find.
+            Observation, reward, terminated, truncated, ``info``. After termination the window is empty (``seen`` is
+            all 0), because no head is left.
 
         Raises:
-            ArgumentError: an action of another shape or with other values, or a step after the end.
+            ArgumentError: the action has another shape or other values, or the episode has ended.
         """
-        before = self._running()
+        before = self._require_game()
         if before.terminated[0] or before.truncated[0]:
             raise ArgumentError("reset must be called first, got a step in an episode that is over.")
-        candidates = game.candidates_from(action, (self.config.uavs,))
-        state, turn = game.play(self.rules, before, candidates[None])
-        self._decided = (self._window, before.swarm, candidates)
+        candidates = game.parse_candidates(action, (self.config.uavs,))
+        state, result = game.play_round(self.rules, before, candidates[None])
+        self._last_round = (self._window, before.swarm, candidates)
         observation = self._observe(state)
         return (
             observation,
-            float(turn.reward[0]),
+            float(result.reward[0]),
             bool(state.terminated[0]),
             bool(state.truncated[0]),
-            self._info(turn.metrics),
+            self._info(result.metrics),
         )
 
     def _observe(self, state: game.GameState) -> Observation:
-        self._game, observation = game.observe(self.config, state, [self.np_random])
+        self._game, observation = game.observe_windows(self.config, state, [self.np_random])
         self._window = {name: values[0] for name, values in observation.items()}
         return copy.deepcopy(self._window)
 
     def _info(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
         info: dict[str, Any] = {name: values[0].item() for name, values in metrics.items()}
         if self.reveal_truth:
-            swarm = self.swarm
-            info |= {"head": swarm.head.astype(np.int8), "decoy": swarm.decoy.astype(np.int8), "leader": swarm.leader}
+            truth = game.truth_info(self.swarm)
+            info |= {**truth, "heads_left": int(truth["heads_left"])}
         return info
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """``(2 N,)`` booleans for maskable agents: [may be 0, may be 1] of each UAV; no destroyed UAV may be named."""
-        alive = self._running().swarm.alive[0]
+        """``(2 N,)`` bool for maskable agents: for each UAV whether 0 and whether 1 is allowed (1 only if it lives)."""
+        alive = self._require_game().swarm.alive[0]
         return np.stack([np.ones_like(alive), alive], axis=1).reshape(-1)
 
     def get_state(self) -> dict[str, Any]:
-        """Everything that the rest of the episode depends on, as plain arrays and numbers, copied."""
-        state = self._running()
+        """A copy of the complete state of the episode as plain arrays and numbers."""
+        state = self._require_game()
         return {
             "config": self.config.model_dump(),
             "rules": self.rules.model_dump(),
@@ -148,13 +148,16 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         }
 
     def set_state(self, state: dict[str, Any]) -> Observation:
-        """Go back to a state from :meth:`get_state` of an env with the same arguments.
+        """Restore a state from :meth:`get_state` of an environment with the same arguments.
+
+        Args:
+            state: the saved state.
 
         Returns:
-            The observation of that moment.
+            The observation at that moment.
 
         Raises:
-            ArgumentError: a state of an env with other arguments, or no state at all.
+            ArgumentError: the state is of an environment with other arguments, or is not a state.
         """
         here = {"config": self.config.model_dump(), "rules": self.rules.model_dump()}
         if not isinstance(state, dict) or {name: state.get(name) for name in here} != here:
@@ -164,24 +167,27 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         saved = copy.deepcopy(state)
         self._game = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
         self._window = saved["observation"]
-        self._decided = None
+        self._last_round = None
         if self._np_random is None:
             super().reset(seed=0)
         self.np_random.bit_generator.state = saved["generator"]
         return copy.deepcopy(self._window)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The round just decided (before the first: the present window) from above, ``(H, W, 3)`` uint8.
+        """Draw the last round (before the first round: the present window) as seen from above.
 
         Returns:
-            ``None`` unless ``render_mode="rgb_array"``.
+            ``(H, W, 3)`` uint8, or ``None`` unless ``render_mode="rgb_array"``.
+
+        Raises:
+            MissingExtraError: matplotlib is not installed.
         """
         if self.render_mode is None:
             return None
-        from usnet_env.drawing import round_frame  # matplotlib is an extra: only who renders needs it
+        from usnet_env.drawing import round_frame  # not at the top: matplotlib is an optional dependency
 
-        state = self._running()
-        window, swarm, candidates = self._decided or (self._window, state.swarm, None)
+        state = self._require_game()
+        window, swarm, candidates = self._last_round or (self._window, state.swarm, None)
         truth = swarm.episode()
         return round_frame(
             position=window["position"],
@@ -199,12 +205,12 @@ class SingleClusterEnv(UsnetEnv):
     """P1: find the head of one cluster in one round.
 
     ## Description
-    One head flies by itself, ``followers`` UAVs follow it by one unknown follow strategy, and perhaps ``decoys`` fly
-    like heads but lead nobody. The observer sees one window of positions and velocities and names candidates. The
-    episode is one round long (paper §II-B, problem P1).
+    One head moves independently, and `followers` UAVs follow it by an unknown follow strategy. Optional `decoys` move
+    like heads but have no followers. The agent receives one window of positions and velocities and names its
+    candidates for the head. The episode has one round (paper §II-B, problem P1).
 
     ## Action Space
-    `MultiBinary(N)`, N = followers + 1 + decoys: 1 for every candidate. Integers, booleans and floats are taken if
+    `MultiBinary(N)`, N = followers + 1 + decoys: 1 for every candidate. Integers, booleans and floats are accepted if
     they are 0 or 1.
 
     ## Observation Space
@@ -212,45 +218,56 @@ class SingleClusterEnv(UsnetEnv):
 
     | key | shape | dtype | unit | meaning |
     | --- | --- | --- | --- | --- |
-    | `position` | `(T_ob + 1, N, 3)` | float32 | m | where the UAVs were seen at the sampling instants; 0 if unseen |
-    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | velocity between two instants; 0 unless both ends were seen |
-    | `seen` | `(T_ob + 1, N)` | int8 | | 1 where the UAV was detected |
+    | `position` | `(T_ob + 1, N, 3)` | float32 | m | observed positions at the sampling instants; 0 if not detected |
+    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | velocity between two instants; 0 unless detected at both |
+    | `seen` | `(T_ob + 1, N)` | int8 | | 1 if the UAV was detected |
     | `alive` | `(N,)` | int8 | | 1 unless destroyed |
     | `round` | `(1,)` | float32 | | number of the round, from 1 |
 
     ## Rewards
-    J_s = 1{head hit} − |Ĥ_1|: 0 for the head alone, −1 for one wrong candidate. The empty answer scores −1 (decision
-    k: by the formula it would tie with the optimum). In general 1{hit} − 1 − `redundancy_price` · (|Ĥ_1| − 1), which
-    is J_s at price 1. More candidates than `shot_budget` destroy nobody and count as the empty answer.
+    J_s = 1{head hit} − |Ĥ_1|, where Ĥ_1 is the set of candidates: 0 for the head alone, −1 for one wrong candidate.
+    An empty set scores −1 (decision k; the formula would give it 0, the optimum). In general the reward is
+    1{hit} − 1 − `redundancy_price` · (|Ĥ_1| − 1), which is J_s at price 1. A set of more than `shot_budget` candidates
+    destroys no UAV and counts as an empty set.
 
-    `info` holds `hits`, `redundant`, `heads_left`, `round`, `success`, `J` (J_s at price 1), `over_budget` and the
-    reward's terms `reward_hit` and `reward_redundancy`.
+    `info` holds, at every step and all zero at reset:
+
+    | key | meaning |
+    | --- | --- |
+    | `hits` | candidates of the round that are heads |
+    | `redundant` | candidates of the round that are not living heads |
+    | `round` | rounds played |
+    | `success` | 1 if no head is left |
+    | `J` | J_s, at price 1 |
+    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
+    | `reward_hit` | the part of the reward for the hit: 0 if the head is a candidate, else −1 |
+    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
     ## Starting State
-    Roles sit at random indices; the layout is `formation`. The first window starts when everyone has followed for
-    `memory` steps.
+    Roles have random indices; `formation` gives the initial positions. The first window starts after all followers
+    have followed for `memory` steps.
 
     ## Episode End
-    Terminates after the one round. Never truncates.
+    The episode terminates after one round. It is never truncated.
 
     ## Arguments
     | name | default | meaning |
     | --- | --- | --- |
-    | `follow` | `"f1"` | follow strategy: `"f1"` to `"f7"`, a registered one, or `"none"` (control: nobody follows) |
+    | `follow` | `"f1"` | follow strategy: `"f1"` to `"f7"`, a registered name, or `"none"` (control: no UAV follows) |
     | `mobility` | `"iid"` | how heads and decoys move: `iid`, `gauss_markov`, `smooth_turn`, `waypoint`, … |
-    | `formation` | `"uniform"` | `uniform` in 1000 × 1000 × 100 m, or `around` the head |
-    | `followers` | 15 | m, at least 2 |
-    | `observation_steps` | 100 | T_ob, velocity samples |
-    | `memory` | 4 | T_0, steps a follow strategy may look back |
+    | `formation` | `"uniform"` | initial positions: `uniform` in 1000 × 1000 × 100 m, or `around` the head |
+    | `followers` | 15 | m, number of followers, at least 2 |
+    | `observation_steps` | 100 | T_ob, number of velocity samples |
+    | `memory` | 4 | T_0, number of past steps that a follow strategy may use |
     | `sample_every` | 1 | the observer samples every k-th step |
-    | `position_noise` | 0 | standard deviation of observed positions, m |
+    | `position_noise` | 0 | standard deviation of the observed positions, m |
     | `miss_rate` | 0 | probability of a missed detection |
-    | `decoys` | 0 | UAVs that fly like heads and lead nobody |
-    | `head_jitter` | `False` | heads and decoys get the followers' noise |
-    | `follow_seed` | `None` | fixes f7's network; else a new one each episode |
-    | `shot_budget` | `None` | most candidates |
+    | `decoys` | 0 | UAVs that move like heads but have no followers |
+    | `head_jitter` | `False` | add the followers' noise to heads and decoys |
+    | `follow_seed` | `None` | seed of f7's network; `None`: a new network in each episode |
+    | `shot_budget` | `None` | maximum number of candidates |
     | `redundancy_price` | 1 | price of a redundant candidate |
-    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader` |
+    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader`, `heads_left` |
     | `render_mode` | `None` | `"rgb_array"` |
 
     ## Version History
@@ -276,7 +293,7 @@ class SingleClusterEnv(UsnetEnv):
         reveal_truth: bool = False,
         render_mode: str | None = None,
     ) -> None:
-        size = _Followers(followers=followers, decoys=decoys)
+        size = _ClusterSize(followers=followers, decoys=decoys)
         config = SwarmConfig(
             follow=follow,
             mobility=mobility,
@@ -297,67 +314,82 @@ class SingleClusterEnv(UsnetEnv):
 
 
 class MultiClusterEnv(UsnetEnv):
-    """P2: find all heads of a swarm of unknown clusters, in few rounds and with few redundant candidates.
+    """P2: find all heads of a swarm with unknown clusters, in few rounds and with few redundant candidates.
 
     ## Description
-    N UAVs fly in M clusters. Each follower obeys one follow strategy, the same for all and unknown, with respect to
-    its cluster's head. Each round the observer sees a window, names candidates, these are destroyed, orphans re-merge
-    to the nearest remaining head, and after `memory` steps the next window begins (paper §II, problem P2).
+    N UAVs form M clusters. All followers use the same unknown follow strategy with respect to the head of their
+    cluster. In each round the agent receives a window and names its candidates, which are destroyed. Followers of a
+    destroyed head join the nearest remaining head (re-merge), and after `memory` steps the next window begins
+    (paper §II, problem P2).
 
     ## Action Space
-    `MultiBinary(N)`: 1 for every candidate. A destroyed UAV may be named; it counts as redundant. Integers, booleans
-    and floats are taken if they are 0 or 1.
+    `MultiBinary(N)`: 1 for every candidate. A candidate that is already destroyed counts as redundant. Integers,
+    booleans and floats are accepted if they are 0 or 1.
 
     ## Observation Space
     `Dict` of
 
     | key | shape | dtype | unit | meaning |
     | --- | --- | --- | --- | --- |
-    | `position` | `(T_ob + 1, N, 3)` | float32 | m | where the UAVs were seen at the sampling instants; 0 if unseen |
-    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | velocity between two instants; 0 unless both ends were seen |
-    | `seen` | `(T_ob + 1, N)` | int8 | | 1 where the UAV was detected |
-    | `alive` | `(N,)` | int8 | | 1 unless destroyed; indices are kept |
+    | `position` | `(T_ob + 1, N, 3)` | float32 | m | observed positions at the sampling instants; 0 if not detected |
+    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | velocity between two instants; 0 unless detected at both |
+    | `seen` | `(T_ob + 1, N)` | int8 | | 1 if the UAV was detected |
+    | `alive` | `(N,)` | int8 | | 1 unless destroyed; indices never change |
     | `round` | `(1,)` | float32 | | number of the round, from 1 |
 
     ## Rewards
-    −(1 + `redundancy_price` · redundant / N) a round, with redundant = |Ĥ_r ∖ H_{r−1}|. At price 1 the return of an
-    episode is −J_m, J_m = R + (1/N) Σ_r |Ĥ_r ∖ H_{r−1}|. An empty answer is a round. More candidates than
-    `shot_budget` destroy nobody; the round counts and `info["over_budget"]` is 1.
+    −(1 + `redundancy_price` · redundant / N) per round, with redundant = |Ĥ_r ∖ H_{r−1}|, where Ĥ_r are the
+    candidates of round r and H_{r−1} the heads left before it. At price 1 the return of an episode is −J_m,
+    J_m = R + (1/N) Σ_r |Ĥ_r ∖ H_{r−1}|. An empty set counts as a round. A set of more than `shot_budget` candidates
+    destroys no UAV; the round counts and `info["over_budget"]` is 1.
 
-    J_m alone is won by destroying everything (1 + (N − M)/N < 2): look at it beside precision, recall and rounds.
+    To destroy all UAVs in round 1 gives J_m = 1 + (N − M)/N < 2, which beats every answer that needs two rounds
+    (decision l). So report J_m together with precision, recall and rounds.
 
-    `info` holds `hits`, `redundant`, `heads_left`, `round`, `success`, `J` (J_m so far, at price 1), `over_budget`
-    and the reward's terms `reward_round` and `reward_redundancy`.
+    `info` holds, at every step and all zero at reset:
+
+    | key | meaning |
+    | --- | --- |
+    | `hits` | candidates of the round that are heads |
+    | `redundant` | candidates of the round that are not living heads |
+    | `round` | rounds played |
+    | `success` | 1 if no head is left |
+    | `J` | J_m of the rounds played so far, at price 1 |
+    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
+    | `reward_round` | the part of the reward for the round, −1 |
+    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
+
+    As long as heads are left, none of these values depends on M: `heads_left` needs `reveal_truth=True`.
 
     ## Starting State
-    Roles sit at random indices; cluster sizes are `cluster_sizes` or random with at least 2 followers each; the layout
-    is `formation`. The first window starts when everyone has followed for `memory` steps.
+    Roles have random indices. Cluster sizes are `cluster_sizes`, or random with at least 2 followers each; `formation`
+    gives the initial positions. The first window starts after all followers have followed for `memory` steps.
 
     ## Episode End
-    Terminates when no head is left: the environment knows, the observer can't (decision m). The last window is then
-    empty. Truncates after `max_rounds` rounds with a head left.
+    The episode terminates when no head is left; only the environment can know this (decision m). The last window is
+    then empty. The episode is truncated after `max_rounds` rounds if a head is left (decision n).
 
     ## Arguments
     | name | default | meaning |
     | --- | --- | --- |
-    | `follow` | `"f1"` | follow strategy: `"f1"` to `"f7"`, a registered one, or `"none"` (control: nobody follows) |
+    | `follow` | `"f1"` | follow strategy: `"f1"` to `"f7"`, a registered name, or `"none"` (control: no UAV follows) |
     | `mobility` | `"iid"` | how heads and decoys move: `iid`, `gauss_markov`, `smooth_turn`, `waypoint`, … |
-    | `formation` | `"uniform"` | `uniform` in 1000 × 1000 × 100 m, or `around` the heads |
-    | `clusters` | 5 | M |
-    | `uavs` | 82 | N, decoys included |
-    | `cluster_sizes` | `None` | followers of each cluster; they add up to `uavs` − `clusters` − `decoys` |
-    | `observation_steps` | 100 | T_ob, velocity samples a window |
-    | `memory` | 4 | T_0, steps a follow strategy may look back |
+    | `formation` | `"uniform"` | initial positions: `uniform` in 1000 × 1000 × 100 m, or `around` the heads |
+    | `clusters` | 5 | M, number of clusters |
+    | `uavs` | 82 | N, number of UAVs, decoys included |
+    | `cluster_sizes` | `None` | followers of each cluster; their sum is `uavs` − `clusters` − `decoys` |
+    | `observation_steps` | 100 | T_ob, number of velocity samples in a window |
+    | `memory` | 4 | T_0, number of past steps that a follow strategy may use |
     | `sample_every` | 1 | the observer samples every k-th step |
-    | `position_noise` | 0 | standard deviation of observed positions, m |
+    | `position_noise` | 0 | standard deviation of the observed positions, m |
     | `miss_rate` | 0 | probability of a missed detection |
-    | `decoys` | 0 | UAVs that fly like heads and lead nobody |
-    | `head_jitter` | `False` | heads and decoys get the followers' noise |
-    | `follow_seed` | `None` | fixes f7's network; else a new one each episode |
-    | `max_rounds` | 20 | R_m |
-    | `shot_budget` | `None` | most candidates a round |
+    | `decoys` | 0 | UAVs that move like heads but have no followers |
+    | `head_jitter` | `False` | add the followers' noise to heads and decoys |
+    | `follow_seed` | `None` | seed of f7's network; `None`: a new network in each episode |
+    | `max_rounds` | 20 | R_m, maximum number of rounds |
+    | `shot_budget` | `None` | maximum number of candidates in a round |
     | `redundancy_price` | 1 | price of a redundant candidate |
-    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader` |
+    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader`, `heads_left` |
     | `render_mode` | `None` | `"rgb_array"` |
 
     ## Version History
@@ -392,7 +424,7 @@ class MultiClusterEnv(UsnetEnv):
             formation=formation,
             clusters=clusters,
             uavs=uavs,
-            cluster_sizes=cluster_sizes,  # type: ignore[arg-type]  # a list is taken and made a tuple
+            cluster_sizes=cluster_sizes,  # type: ignore[arg-type]  # a list is converted to a tuple
             observation_steps=observation_steps,
             memory=memory,
             sample_every=sample_every,

@@ -1,4 +1,4 @@
-"""The vector environments: B games in one batch, equal to B single envs with the same seeds."""
+"""The vector environments: B games in one batch, equal to B single environments with the same seeds."""
 
 from __future__ import annotations
 
@@ -22,14 +22,17 @@ Observation = dict[str, NDArray[Any]]
 
 
 class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
-    """B games at once; use :class:`SingleClusterVectorEnv` or :class:`MultiClusterVectorEnv`.
+    """Base class of :class:`SingleClusterVectorEnv` and :class:`MultiClusterVectorEnv`: B games in one batch.
 
-    A game that ended is started anew by the next step, whose action for it is ignored
-    (``AutoresetMode.NEXT_STEP``, Gymnasium's default).
+    The step after the end of a game resets this game and ignores its action (``AutoresetMode.NEXT_STEP``, Gymnasium's
+    default).
 
     Args:
         num_envs: B.
-        arguments: those of the single environment; ``render_mode`` is not among them.
+        arguments: the arguments of the single environment except ``render_mode``.
+
+    Raises:
+        ArgumentError: an argument has the wrong type or is out of range.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # type: ignore[misc]
@@ -39,7 +42,9 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise ArgumentError(f"num_envs must be a whole number from 1, got {quote(num_envs)}.")
         if arguments.get("render_mode") is not None:
-            raise ArgumentError("render_mode must be None for a vector env, which draws nothing; use a single env.")
+            raise ArgumentError(
+                "render_mode must be None for a vector environment; use a single environment to render."
+            )
         single = self.single_env(**arguments)
         self.num_envs = int(num_envs)
         self.config, self.rules, self.reveal_truth = single.config, single.rules, single.reveal_truth
@@ -52,10 +57,10 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
 
     @property
     def swarm(self) -> SwarmState:
-        """The truth about the B swarms now, a copy: for referees, never for a detector."""
-        return SwarmState(**self._running().swarm.arrays())
+        """A copy of the true state of the B swarms, for evaluation; a detector must not use it."""
+        return SwarmState(**self._require_game().swarm.arrays())
 
-    def _running(self) -> game.GameState:
+    def _require_game(self) -> game.GameState:
         if self._game is None:
             raise ArgumentError("reset must be called first, got an environment that was never reset.")
         return self._game
@@ -63,12 +68,18 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start B games.
+        """Start B games and observe their first windows.
 
         Args:
-            seed: game b is seeded with ``seed + b``, or with the b-th of a sequence; ``None`` goes on with the
-                present generators.
-            options: none are known; ignored.
+            seed: game b is seeded with ``seed + b``, or with element b of a sequence; ``None`` keeps the present
+                generators.
+            options: ignored.
+
+        Returns:
+            The observations ``(B, ...)`` and ``info`` in Gymnasium's vector form.
+
+        Raises:
+            ArgumentError: another number of seeds than B.
         """
         seeds = [seed + b for b in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
         if seeds is None:
@@ -80,50 +91,55 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
             seeding.np_random(None if one is None else int(one))[0] if fresh or one is not None else self._rngs[b]
             for b, one in enumerate(seeds)
         ]
-        state = game.begin(self.config, self._rngs)
-        metrics = game.opening(self.rules, state)
-        self._game, observation = game.observe(self.config, state, self._rngs)
+        state = game.start_games(self.config, self._rngs)
+        metrics = game.initial_info(self.rules, state)
+        self._game, observation = game.observe_windows(self.config, state, self._rngs)
         return observation, self._infos(metrics)
 
     def step(
         self, actions: Any
     ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """One round of every running game; a game that had ended starts anew instead.
+        """Play one round of every running game; a game that had ended is reset instead.
 
         Args:
-            actions: ``(B, N)`` of 0 and 1.
+            actions: ``(B, N)`` of 0 and 1, the candidates of each game.
+
+        Returns:
+            Observations, rewards, terminated, truncated and ``info``, each with a leading axis B.
+
+        Raises:
+            ArgumentError: actions of another shape or with other values, or no call of :meth:`reset` before.
         """
-        before = self._running()
-        candidates = game.candidates_from(actions, (self.num_envs, self.config.uavs))
+        before = self._require_game()
+        candidates = game.parse_candidates(actions, (self.num_envs, self.config.uavs))
         over = before.terminated | before.truncated
-        state, turn = game.play(self.rules, before, candidates & ~over[:, None])
-        reward, metrics = turn.reward, turn.metrics
+        state, result = game.play_round(self.rules, before, candidates & ~over[:, None])
+        reward, metrics = result.reward, result.metrics
         if over.any():
             ended = np.flatnonzero(over)
-            begun = game.begin(self.config, [self._rngs[b] for b in ended])
+            begun = game.start_games(self.config, [self._rngs[b] for b in ended])
             state = state.with_rows(ended, begun)
             reward[ended] = 0.0
-            for name, values in game.opening(self.rules, begun).items():
+            for name, values in game.initial_info(self.rules, begun).items():
                 metrics[name][ended] = values
-        self._game, observation = game.observe(self.config, state, self._rngs)
+        self._game, observation = game.observe_windows(self.config, state, self._rngs)
         return observation, reward, state.terminated.copy(), state.truncated.copy(), self._infos(metrics)
 
     def _infos(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
-        """``info`` in Gymnasium's vector form: an array a key, and ``_key`` for who has it."""
+        """``info`` in Gymnasium's vector form: one array per key, and the mask ``_key`` of the games that have it."""
         values = dict(metrics)
         if self.reveal_truth:
-            swarm = self.swarm
-            values |= {"head": swarm.head.astype(np.int8), "decoy": swarm.decoy.astype(np.int8), "leader": swarm.leader}
-        everyone = np.ones(self.num_envs, bool)
+            values |= game.truth_info(self.swarm)
+        all_games = np.ones(self.num_envs, bool)
         return {
             key: value
             for name, array in values.items()
-            for key, value in ((name, array), (f"_{name}", everyone.copy()))
+            for key, value in ((name, array), (f"_{name}", all_games.copy()))
         }
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """``(B, 2 N)`` booleans, as those of the single env."""
-        alive = self._running().swarm.alive
+        """``(B, 2 N)`` bool, the masks of :meth:`UsnetEnv.action_masks` of each game."""
+        alive = self._require_game().swarm.alive
         return np.stack([np.ones_like(alive), alive], axis=2).reshape(self.num_envs, -1)
 
 
@@ -134,6 +150,6 @@ class SingleClusterVectorEnv(UsnetVectorEnv):
 
 
 class MultiClusterVectorEnv(UsnetVectorEnv):
-    """B games of :class:`MultiClusterEnv`; made by ``gym.make_vec("usnet_env:USNET/MultiCluster-v0", num_envs=B)``."""
+    """B games of :class:`MultiClusterEnv`; see ``gym.make_vec("usnet_env:USNET/MultiCluster-v0", num_envs=B)``."""
 
     single_env = MultiClusterEnv

@@ -1,4 +1,4 @@
-"""Wrappers for frameworks that need another form of the same action or observation."""
+"""Wrappers for frameworks that need another space for the same action or observation."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["BoxMasks", "MultiDiscreteCandidates", "box_masks"]
 
 
 def box_masks(space: spaces.Space[Any]) -> spaces.Dict:
-    """An observation space whose masks are ``Box(0, 1, …, int8)`` instead of ``MultiBinary``; the values fit both.
+    """The observation space with ``Box(0, 1, …, int8)`` in place of ``MultiBinary``; the same values are valid in both.
 
     Raises:
-        ArgumentError: a space that is no ``Dict``.
+        ArgumentError: the space is not a ``Dict``.
     """
     if not isinstance(space, spaces.Dict):
         raise ArgumentError(f"env must have a Dict observation space, got {quote(space)}.")
@@ -32,13 +32,13 @@ def box_masks(space: spaces.Space[Any]) -> spaces.Dict:
 
 
 class BoxMasks(gym.ObservationWrapper[Any, Any, Any]):
-    """The masks in the observation as ``Box``: TorchRL can't read a ``MultiBinary`` of two dimensions.
+    """Declare the masks in the observation as ``Box``: TorchRL doesn't support a two-dimensional ``MultiBinary``.
 
-    The observation itself is unchanged; :class:`usnet_env.multiagent.wrappers.ParallelBoxMasks` does the same for the
-    games of several agents.
+    The observation itself is unchanged. :class:`usnet_env.multiagent.wrappers.ParallelBoxMasks` does the same for the
+    multi-agent games.
 
     Raises:
-        ArgumentError: an env whose observation is no ``Dict``.
+        ArgumentError: the environment's observation space is not a ``Dict``.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -46,12 +46,16 @@ class BoxMasks(gym.ObservationWrapper[Any, Any, Any]):
         self.observation_space = box_masks(env.observation_space)
 
     def observation(self, observation: Any) -> Any:
-        """The same arrays."""
+        """Return the observation unchanged."""
         return observation
 
 
 class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any]):
-    """The action as ``MultiDiscrete([2] * N)``, which recurrent and RLlib agents want for ``MultiBinary(N)``."""
+    """Declare the action as ``MultiDiscrete([2] * N)`` for agents without ``MultiBinary(N)``, such as RLlib's.
+
+    Raises:
+        ArgumentError: the environment's action space is not ``MultiBinary``.
+    """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         if not isinstance(env.action_space, spaces.MultiBinary):
@@ -60,10 +64,10 @@ class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any]):
         self.action_space = spaces.MultiDiscrete(np.full(env.action_space.shape, 2))
 
     def action(self, action: NDArray[Any]) -> NDArray[Any]:
-        """The same bits."""
+        """Return the action unchanged."""
         return action
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Those of the wrapped env: MultiBinary and MultiDiscrete masks have the same form."""
+        """The masks of the wrapped environment: MultiBinary and MultiDiscrete masks have the same form."""
         masks: NDArray[np.bool_] = self.env.get_wrapper_attr("action_masks")()
         return masks

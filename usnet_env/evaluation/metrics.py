@@ -59,7 +59,7 @@ def episode_metrics(
         "J": objective,
         "rounds": len(fired),
         "redundancy": objectives.redundancy(head, fired),
-        "success": int(objectives.finished(head, fired)),
+        "success": int(objectives.found_all_heads(head, fired)),
         "exact": int(objectives.exact(head, first)),
         "precision_first": float(objectives.precision(head, first)),
         "recall_first": float(objectives.recall(head, first)),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from usnet_env.config import ArgumentError, quote
 from usnet_env.drawing import MissingExtraError
 from usnet_env.envs.game import GameState, Rules
-from usnet_env.swarm import Sighting, SwarmConfig, SwarmState
+from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 
 try:
     from pettingzoo import AECEnv, ParallelEnv
@@ -55,7 +55,7 @@ class Decided:
         over_budget: more candidates than the shot budget: nobody was destroyed.
     """
 
-    sighting: Sighting
+    sighting: ObservationBatch
     truth: SwarmState
     candidates: NDArray[np.bool_]
     scores: NDArray[np.float64]
@@ -120,7 +120,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         self.state_space = spaces.Box(np.append(low, first), np.append(high, last), dtype=np.float32)
         self._rng: np.random.Generator | None = None
         self._game: GameState | None = None
-        self._sighting: Sighting | None = None  # the present window
+        self._sighting: ObservationBatch | None = None  # the present window
         self.decided: Decided | None = None  # the round before it
 
     def observation_space(self, agent: str) -> spaces.Dict:
@@ -215,21 +215,21 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         """Who led whom in the window that ``state`` ends with, a copy without a leading axis."""
         return state.swarm.episode()
 
-    def _window(self) -> Sighting:
+    def _window(self) -> ObservationBatch:
         """The present window; an empty one where none was flown."""
         return self._sighting if self._sighting is not None else self._empty()
 
-    def _empty(self) -> Sighting:
+    def _empty(self) -> ObservationBatch:
         """A window in which nobody is seen."""
         instants, uavs = self.config.observation_steps + 1, self.config.uavs
-        return Sighting(
+        return ObservationBatch(
             position=np.zeros((instants, uavs, 3), np.float32),
             velocity=np.zeros((instants - 1, uavs, 3), np.float32),
             seen=np.zeros((instants, uavs), bool),
             alive=self._running().swarm.alive[0].copy(),
         )
 
-    def _seen_by(self, sighting: Sighting, legal: NDArray[np.bool_]) -> Observation:
+    def _seen_by(self, sighting: ObservationBatch, legal: NDArray[np.bool_]) -> Observation:
         """The observation that a window can be made of, and who may be named; nothing in it is shared."""
         return {
             "position": sighting.position.copy(),

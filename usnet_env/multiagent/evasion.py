@@ -16,10 +16,19 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.swarm import FollowInputs, FollowStrategy, Mobility, Sighting, SwarmConfig, SwarmState, advance, kernels
-from usnet_env.swarm.flight import Flight
+from usnet_env.swarm import (
+    FollowInputs,
+    FollowStrategy,
+    Mobility,
+    ObservationBatch,
+    SwarmConfig,
+    SwarmState,
+    advance,
+    kernels,
+)
 from usnet_env.swarm.mobility import mobility
 from usnet_env.swarm.simulator import JITTER
+from usnet_env.swarm.trajectory import TrajectoryBatch
 
 __all__ = ["Delayed", "Manoeuvres", "Mixed", "Plan", "fly", "followers_of", "handed", "price"]
 
@@ -161,13 +170,13 @@ class Delayed(FollowStrategy):
         """That of the strategy: who follows a ghost sees the ghost's past."""
         return self.strategy.direction(inputs)
 
-    def fly(self, flight: Flight) -> None:
+    def fly(self, flight: TrajectoryBatch) -> None:
         """Fly with ghosts at the end of the list of UAVs; they are gone afterwards."""
         heads = np.flatnonzero(self.delay)
         if not len(heads):
             self.strategy.fly(flight)
             return
-        uavs, many = flight.kind.shape[1], len(heads)
+        uavs, many = flight.motion.shape[1], len(heads)
         widened = [(0, 0), (0, 0), (0, many), (0, 0)]
         position, velocity, noise = (
             np.pad(array, widened) for array in (flight.position, flight.velocity, flight.noise)
@@ -179,8 +188,8 @@ class Delayed(FollowStrategy):
             velocity[:, late:, ghost] = flight.velocity[:, :-late, head]
             leader[leader == head] = ghost
             leader[:, ghost] = ghost
-        kind = np.pad(flight.kind, [(0, 0), (0, many)], constant_values=kernels.FREE)
-        self.strategy.fly(Flight(position, velocity, noise, kind, leader, flight.parameters))
+        kind = np.pad(flight.motion, [(0, 0), (0, many)], constant_values=kernels.FREE)
+        self.strategy.fly(TrajectoryBatch(position, velocity, noise, kind, leader, flight.parameters))
         flight.position[...] = position[:, :, :uavs]
         flight.velocity[...] = velocity[:, :, :uavs]
 
@@ -243,7 +252,7 @@ def fly(
     flown: NDArray[np.int64],
     plan: Plan,
     rngs: Sequence[np.random.Generator],
-) -> tuple[SwarmState, Sighting, NDArray[np.int64]]:
+) -> tuple[SwarmState, ObservationBatch, NDArray[np.int64]]:
     """Fly the next window of a batch of one as its heads planned it; else as :func:`usnet_env.swarm.advance`.
 
     Args:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from usnet_env.config import ArgumentError, Config, quote, unknown_name
-from usnet_env.swarm import Sighting, SwarmConfig
+from usnet_env.swarm import ObservationBatch, SwarmConfig
 from usnet_env.swarm.formation import ARENA
 from usnet_env.swarm.sensing import sense
 
@@ -95,7 +95,7 @@ class Eye:
 
 def observe_from(
     eye: Eye, position: NDArray[np.float32], velocity: NDArray[np.float32], alive: NDArray[np.bool_]
-) -> Sighting:
+) -> ObservationBatch:
     """The window of one observer: what :func:`usnet_env.swarm.sensing.sense` gives, and only what is in range.
 
     Args:
@@ -111,7 +111,7 @@ def observe_from(
     away = np.linalg.norm(position[:: eye.sensor.sample_every] - eye.place, axis=-1)
     seen = sighting.seen[0] & (away <= eye.reach)
     both = seen[1:] & seen[:-1]
-    return Sighting(
+    return ObservationBatch(
         position=np.where(seen[..., None], sighting.position[0], np.float32(0.0)),
         velocity=np.where(both[..., None], sighting.velocity[0], np.float32(0.0)),
         seen=seen,
@@ -119,7 +119,7 @@ def observe_from(
     )
 
 
-def team_sight(sightings: Sequence[Sighting]) -> Sighting:
+def team_sight(sightings: Sequence[ObservationBatch]) -> ObservationBatch:
     """What the observers saw together: for every sample, that of the first observer who has it.
 
     Args:
@@ -136,7 +136,7 @@ def team_sight(sightings: Sequence[Sighting]) -> Sighting:
         both = other.seen[1:] & other.seen[:-1]
         velocity = np.where(moved[..., None], velocity, other.velocity)
         seen, moved = seen | other.seen, moved | both
-    return Sighting(position, velocity, seen, first.alive.copy())
+    return ObservationBatch(position, velocity, seen, first.alive.copy())
 
 
 def _grid(_rng: np.random.Generator, observers: int) -> NDArray[np.float64]:

@@ -22,7 +22,7 @@ from usnet_env.multiagent.base import (
     scalars,
 )
 from usnet_env.multiagent.evasion import Manoeuvres, Plan, fly, followers_of, handed, price
-from usnet_env.swarm import Sighting, SwarmConfig, SwarmState
+from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 
 __all__ = ["env", "parallel_env", "raw_env"]
 
@@ -83,7 +83,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     share that follows, and d decoys handed out: `mobility_price` · s for another mobility, `jitter_price` · s for
     jitter, `decoy_price` · d / N, and `delay_price` · delay · f.
 
-    `info` holds for everybody `hits`, `redundant`, `heads_left`, `round`, `success`, `J`, `over_budget`,
+    `info` holds for everybody `hits`, `redundant`, `round`, `success`, `J`, `over_budget`,
     `reward_round`, `reward_redundancy`, and `price`: one's own for a head, that of all for the observer.
 
     ## Starting State
@@ -208,12 +208,12 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         Returns:
             Observations and infos by agent.
         """
-        self._game = game.begin(self.config, [self._generator(seed)])
+        self._game = game.start_games(self.config, [self._generator(seed)])
         self._flown = np.zeros(self.config.clusters, np.int64)
         self._decoys = np.empty(0, np.intp)
         self._sighting, self.decided = None, None
         self.agents = list(self.possible_agents)
-        metrics = game.opening(self.rules, self._game)
+        metrics = game.initial_info(self.rules, self._game)
         infos = {agent: {**scalars(metrics), "price": 0.0} for agent in self.agents}
         return {agent: self._observation(agent) for agent in self.agents}, infos
 
@@ -232,15 +232,15 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
                 end.
         """
         given = self._checked(actions)
-        named = game.candidates_from(given[OBSERVER], (self.config.uavs,))
+        named = game.parse_candidates(given[OBSERVER], (self.config.uavs,))
         plan = Plan.of(np.stack([self._choice(name, given.get(name)) for name in self.heads]))
         before = self._running()
         opening = self._sighting is None
         if opening:
-            state, metrics = before, game.opening(self.rules, before)
+            state, metrics = before, game.initial_info(self.rules, before)
             reward = 0.0
         else:
-            state, turn = game.play(self.rules, before, named[None])
+            state, turn = game.play_round(self.rules, before, named[None])
             metrics, reward = turn.metrics, float(turn.reward[0])
             self.decided = Decided(
                 sighting=self._window(),
@@ -264,7 +264,9 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         self._decoys = handed(state.swarm, plan)[0]
         swarm, sighting, self._flown = fly(self.config, self.manoeuvres, state.swarm, self._flown, plan, rngs)
         self._game = game.GameState(swarm, state.rounds, state.redundant, state.terminated, state.truncated)
-        self._sighting = Sighting(sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0])
+        self._sighting = ObservationBatch(
+            sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0]
+        )
 
     def _result(self, reward: float, metrics: dict[str, NDArray[Any]], prices: NDArray[np.float64]) -> Step:
         state = self._running()

@@ -23,7 +23,7 @@ from usnet_env.multiagent.base import (
 )
 from usnet_env.multiagent.fusion import fusion as fusion_rule
 from usnet_env.multiagent.sight import Eye, Sight, observe_from, team_sight
-from usnet_env.swarm import Sighting, SwarmConfig
+from usnet_env.swarm import ObservationBatch, SwarmConfig
 
 __all__ = ["env", "parallel_env", "raw_env"]
 
@@ -65,7 +65,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     All observers get the reward of P2 for the fused candidates, −(1 + `redundancy_price` · redundant / N) a round;
     the return at price 1 is −J_m.
 
-    `info` is the same for all: `hits`, `redundant`, `heads_left`, `round`, `success`, `J`, `over_budget`,
+    `info` is the same for all: `hits`, `redundant`, `round`, `success`, `J`, `over_budget`,
     `reward_round`, `reward_redundancy`.
 
     ## Starting State
@@ -172,7 +172,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             },
         )
         self._eyes: list[Eye] = []
-        self._sightings: list[Sighting] = []
+        self._sightings: list[ObservationBatch] = []
         self._messages = np.zeros((observers, size), np.float32)
 
     def reset(
@@ -196,8 +196,8 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         self._messages = np.zeros_like(self._messages)
         self.decided = None
         self.agents = list(self.possible_agents)
-        state = game.begin(self.config, [rng])
-        metrics = game.opening(self.rules, state)
+        state = game.start_games(self.config, [rng])
+        metrics = game.initial_info(self.rules, state)
         self._look(state)
         return self._observations(), {agent: scalars(metrics) for agent in self.agents}
 
@@ -221,7 +221,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         seen = np.stack([sighting.seen.any(axis=0) for sighting in self._sightings])  # the living only
         votes = whole[:, :uavs] * seen
         candidates = self._fused(votes, seen)
-        state, turn = game.play(self.rules, before, candidates[None])
+        state, turn = game.play_round(self.rules, before, candidates[None])
         self.decided = Decided(
             sighting=self._window(),
             truth=self._truth(before),
@@ -247,7 +247,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
 
     def _look(self, state: game.GameState) -> None:
         """Fly the next window and let every observer see its part; nobody sees anything of a game that is over."""
-        self._game, truth = game.observe(self._flight, state, [self._generator(None)])
+        self._game, truth = game.observe_windows(self._flight, state, [self._generator(None)])
         if state.terminated[0]:
             self._sightings = [self._empty() for _ in self._eyes]
         else:
@@ -270,7 +270,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         """The action as numbers from 0 to 1, one a UAV, then the message."""
         length = self.config.uavs + self.sight.message_size
         if self.fusion.vote == "candidates":
-            return game.candidates_from(action, (length,)).astype(np.float64)
+            return game.parse_candidates(action, (length,)).astype(np.float64)
         try:
             values = np.asarray(action)
         except ValueError:

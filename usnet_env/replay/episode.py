@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote
-from usnet_env.drawing import last_seen
+from usnet_env.drawing import last_seen_position
 from usnet_env.files import atomic_write
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.window import frozen_array
@@ -195,7 +195,7 @@ class EpisodeRecord:
         """
         place = np.full((self.uavs, 3), np.nan, np.float32)
         for position, seen in zip(self.position[:number], self.seen[:number], strict=True):
-            place = np.where(np.any(seen, axis=0, keepdims=True).T, last_seen(position, seen), place)
+            place = np.where(np.any(seen, axis=0, keepdims=True).T, last_seen_position(position, seen), place)
         return place
 
     def save(self, path: str | os.PathLike[str]) -> Path:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usnet_env.drawing import HIT, REDUNDANT, draw_legend, draw_round, last_seen, new_figure, round_marks
+from usnet_env.drawing import HIT, REDUNDANT, draw_legend, draw_round, last_seen_position, new_figure, round_marks
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import count, highest_scores, outcome, round_line
@@ -40,8 +40,8 @@ def _draw_scores(axes: Axes, record: EpisodeRecord) -> None:
         axes.bar(rank[who], height[who], width=0.8, color=color, label=label if who.any() else None)
     lift = 0.08 * max(float(np.ptp(np.append(height, 0))), 1e-12)
     for named, color, shape, label in (
-        (record.candidates[0] & head, HIT, "o", "named: a head, hit"),
-        (record.candidates[0] & ~head, REDUNDANT, "s", "named: redundant"),
+        (record.candidates[0] & head, HIT, "o", "candidate: hit"),
+        (record.candidates[0] & ~head, REDUNDANT, "s", "candidate: redundant"),
     ):
         who = named[bars]
         ring: dict[str, Any] = {"facecolors": "none", "edgecolors": color, "linewidths": 1.8}
@@ -100,7 +100,9 @@ def draw_episode(record: EpisodeRecord) -> Figure:
             record.position[r], record.seen[r], *truth, record.candidates[r],
             destroyed_at=gone, axes=axes, title=title, legend=False,
         )  # fmt: skip
-        present = round_marks(last_seen(record.position[r], record.seen[r]), *truth, record.candidates[r], gone)
+        present = round_marks(
+            last_seen_position(record.position[r], record.seen[r]), *truth, record.candidates[r], gone
+        )
         marks |= {mark for mark, who in present.items() if who.any()}
     draw_legend(axes, {mark: mark for mark in present if mark in marks})
     axes = figure.add_axes((0.75 / width, 0.55 / total, (width - 1.1) / width, _SCORES / total))

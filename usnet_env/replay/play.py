@@ -110,7 +110,7 @@ def play(
                 named=int(detection.candidates.sum()),
                 hits=int(info["hits"]),
                 redundant=int(info["redundant"]),
-                heads_left=int(info["heads_left"]),
+                heads_left=int(game.swarm.heads_left),
                 objective=float(info["J"]),
                 over_budget=bool(info["over_budget"]),
                 seconds=seconds,

@@ -15,7 +15,7 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.drawing import NOBODY, MissingExtraError, cluster_colors
+from usnet_env.drawing import NO_CLUSTER_COLOR, MissingExtraError, cluster_colors
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import count, highest_scores, outcome, round_line
@@ -153,7 +153,7 @@ class _Writer:
             self.stream.set_time("round", sequence=r + 1)
             self.stream.set_time("step", sequence=int(self.steps[r, 0]))
             order = highest_scores(record, r + 1)
-            for path, who, color in ((heads, record.head, _HEAD_BAR), (others, ~record.head, NOBODY)):
+            for path, who, color in ((heads, record.head, _HEAD_BAR), (others, ~record.head, NO_CLUSTER_COLOR)):
                 bars = np.where(who[order], record.scores[r, order], 0.0)
                 self.stream.log(path, self.rr.BarChart(bars, color=_rgba(color)))
         self.stream.reset_time()

@@ -1,16 +1,16 @@
-"""The simulated world. It knows nothing of Gymnasium, rewards or detectors."""
+"""The simulated swarm. This package imports neither Gymnasium nor detectors and knows no rewards."""
 
 from usnet_env.swarm.config import SwarmConfig
 from usnet_env.swarm.follow import FollowInputs, FollowStrategy, follow_strategies, register_follow_strategy
 from usnet_env.swarm.mobility import Mobility, mobilities, register_mobility
-from usnet_env.swarm.sensing import Sighting
+from usnet_env.swarm.sensing import ObservationBatch
 from usnet_env.swarm.simulator import SwarmState, advance, destroy, start
 
 __all__ = [
     "FollowInputs",
     "FollowStrategy",
     "Mobility",
-    "Sighting",
+    "ObservationBatch",
     "SwarmConfig",
     "SwarmState",
     "advance",

@@ -1,4 +1,4 @@
-"""What a simulated swarm and its observer are made of, checked in one place."""
+"""The configuration of a simulated swarm and its observer."""
 
 from __future__ import annotations
 
@@ -13,34 +13,35 @@ from usnet_env.swarm.mobility import Mobility, mobility
 
 __all__ = ["SwarmConfig"]
 
-_MOST_SAMPLES = 100_000_000  # (T_ob * sample_every + memory) * N of one window: 2.4 GB of positions and velocities
+_MAX_SAMPLES = 100_000_000  # limit of (T_ob * sample_every + memory) * N: 2.4 GB of positions and velocities
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
 
 
 class SwarmConfig(Config):
-    """A swarm of M clusters and N UAVs, and how it is observed. Lengths in metres, times in steps.
+    """A swarm of M clusters with N UAVs, and its observer. Lengths in metres, times in steps.
 
     Args:
-        follow: follow strategy of all followers: a registered name, a :class:`FollowStrategy`, or ``"none"`` (the
-            followers fly like independent heads: a control).
+        follow: follow strategy of all followers: a registered name, a :class:`FollowStrategy`, or ``"none"`` (a
+            control: all UAVs move independently, like heads).
         mobility: how heads and decoys move: a registered name or a :class:`Mobility`.
-        formation: where the swarm starts: ``"uniform"`` or ``"around"``.
+        formation: initial positions: ``"uniform"`` or ``"around"``.
         clusters: M.
         uavs: N, decoys included.
-        cluster_sizes: m_j, followers of each cluster, at least 2; ``None`` draws them for each episode.
-        observation_steps: T_ob, velocity samples in a window.
-        memory: T_0, steps of the past that a follow strategy may look at, and steps flown between a re-merge and the
-            next window.
+        cluster_sizes: m_j, number of followers of each cluster, at least 2; ``None``: drawn for each episode.
+        observation_steps: T_ob, number of velocity samples in a window.
+        memory: T_0, number of past steps that a follow strategy may use; also the number of unobserved steps between a
+            re-merge and the next window.
         sample_every: the observer samples every k-th step.
         position_noise: standard deviation of the observed positions, per axis.
         miss_rate: probability that a UAV is not detected at a sampling instant.
-        decoys: UAVs that fly like heads, follow nobody and lead nobody.
-        head_jitter: heads and decoys get the followers' noise kappa_n n on top of their mobility.
-        follow_seed: seed of the follow strategy's own draws (f7's network); ``None`` draws them for each episode.
+        decoys: number of UAVs that move like heads but have no followers.
+        head_jitter: add the followers' noise kappa_n n to the motion of heads and decoys.
+        follow_seed: seed of the follow strategy's random parameters (the network of f7); ``None``: drawn for each
+            episode.
 
     Raises:
-        ArgumentError: a value of another type or out of its range, with the name of the argument.
+        ArgumentError: an argument has the wrong type or is out of range.
     """
 
     follow: str | FollowStrategy = "f1"
@@ -72,7 +73,7 @@ class SwarmConfig(Config):
         if self.cluster_sizes is not None:
             if len(self.cluster_sizes) != self.clusters:
                 raise ArgumentError(
-                    f"cluster_sizes must list the followers of each of the {self.clusters} clusters, "
+                    f"cluster_sizes must have one number for each of the {self.clusters} clusters, "
                     f"got {quote(list(self.cluster_sizes))}."
                 )
             if sum(self.cluster_sizes) != followers:
@@ -83,40 +84,41 @@ class SwarmConfig(Config):
         if followers < 2 * self.clusters:
             raise ArgumentError(
                 f"uavs must be at least 3 * clusters + decoys = {3 * self.clusters + self.decoys} "
-                f"(every head has 2 followers or more), got {self.uavs}."
+                f"(every head has at least 2 followers), got {self.uavs}."
             )
-        if (self.steps + self.memory) * self.uavs > _MOST_SAMPLES:
+        if (self.steps + self.memory) * self.uavs > _MAX_SAMPLES:
             raise ArgumentError(
-                f"observation_steps must keep (memory + observation_steps * sample_every) * uavs within "
-                f"{_MOST_SAMPLES}, got {self.observation_steps} with {self.uavs} UAVs, one step in {self.sample_every}."
+                f"observation_steps must keep (memory + observation_steps * sample_every) * uavs at or below "
+                f"{_MAX_SAMPLES}, got {self.observation_steps} with uavs={self.uavs} and "
+                f"sample_every={self.sample_every}."
             )
         return self
 
     @property
     def steps(self) -> int:
-        """Steps flown in one round: ``memory`` unobserved ones, then the window."""
+        """Number of simulated steps in a round: ``memory`` unobserved steps, then the window."""
         return self.memory + self.observation_steps * self.sample_every
 
     @property
     def follow_strategy(self) -> FollowStrategy | None:
-        """The strategy itself; ``None`` for the control ``follow="none"``."""
+        """The follow strategy as an object; ``None`` for the control ``follow="none"``."""
         if isinstance(self.follow, FollowStrategy):
             return self.follow
         return None if self.follow == "none" else follow_strategy(self.follow)
 
     @property
     def head_mobility(self) -> Mobility:
-        """The mobility itself."""
+        """The mobility as an object."""
         return self.mobility if isinstance(self.mobility, Mobility) else mobility(self.mobility)
 
     def position_bound(self, rounds: int) -> float:
-        """A length in metres that no observed coordinate exceeds within ``rounds`` rounds."""
+        """An upper bound in metres of all observed coordinates within ``rounds`` rounds."""
         travelled = self.memory + rounds * self.steps
         return max(ARENA) + AROUND_RADIUS + travelled + NOISE_BOUND * self.position_noise
 
     def velocity_bound(self) -> float:
-        """A speed in metres per step that no observed coordinate exceeds."""
+        """An upper bound in metres per step of all observed velocity coordinates."""
         return 1.001 + 2.0 * NOISE_BOUND * self.position_noise / self.sample_every
 
 
-NOISE_BOUND = 8.0  # observed noise is cut at this many standard deviations (once in 10^15 draws), so bounds are finite
+NOISE_BOUND = 8.0  # observation noise is clipped at 8 standard deviations (one in 10^15 draws), so bounds are finite

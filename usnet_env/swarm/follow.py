@@ -1,8 +1,8 @@
-"""Follow strategies: how every follower's next velocity depends on its head, equation (1) of the paper.
+"""Follow strategies: how a follower's next velocity depends on its head, equation (1) of the paper.
 
-f1 to f7 are those of the paper's Table II. Each has one definition in NumPy (:meth:`FollowStrategy.direction`, which
-is also all that a strategy of one's own needs) and, for the seven, a compiled loop over the whole flight that is
-tested against it.
+f1 to f7 are the strategies of the paper's Table II. Each is defined in NumPy by :meth:`FollowStrategy.direction`; a new
+strategy needs only this method. f1 to f7 also have a compiled loop over the whole window, which is tested against the
+NumPy definition.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.swarm import kernels
-from usnet_env.swarm.flight import Flight
+from usnet_env.swarm.trajectory import TrajectoryBatch
 
 __all__ = [
     "FollowInputs",
@@ -39,14 +39,14 @@ KAPPA_RANGE = 60.0  # kappa_r, metres
 
 @dataclass(frozen=True)
 class FollowInputs:
-    """The arguments of equation (1) for n followers about to choose v_{i,t+1}; newest first along axis 1.
+    """The arguments of equation (1), from which n followers compute v_{i,t+1}. Axis 1 is time, newest first.
 
     Args:
         own_position: ``(n, T_0 + 1, 3)`` metres, P_{i,t+1}: p_{i,t+1}, ..., p_{i,t-T_0+1}.
         head_velocity: ``(n, T_0, 3)`` metres per step, V_{iL,t}: v_{iL,t}, ..., v_{iL,t-T_0+1}.
-        head_position: ``(n, T_0 + 1, 3)`` metres: p_{iL,t+1}, ..., p_{iL,t-T_0+1}. All but the last follow from the
-            last and the velocities; they are here for convenience.
-        parameters: ``(P,)`` what :meth:`FollowStrategy.draw` drew for this episode.
+        head_position: ``(n, T_0 + 1, 3)`` metres: p_{iL,t+1}, ..., p_{iL,t-T_0+1}. Equation (1) has the last of them
+            only; the others follow from it and the velocities.
+        parameters: ``(P,)``, the parameters of this episode from :meth:`FollowStrategy.draw`.
     """
 
     own_position: Array
@@ -56,15 +56,15 @@ class FollowInputs:
 
 
 class FollowStrategy(ABC):
-    """A follow strategy f: the velocity of a follower is norm(direction + kappa_n n), with n ~ N(0, I).
+    """A follow strategy f. A follower's next velocity is norm(direction + kappa_n n), n ~ N(0, I).
 
-    A strategy of one's own subclasses this and defines :meth:`direction`, or is a plain function given to
+    To add a strategy, subclass this and define :meth:`direction`, or pass a function to
     :func:`register_follow_strategy`.
 
     Attributes:
-        equation: how the strategy is written, for lists and pages.
-        lags: how many past head velocities it looks at; an env's ``memory`` T_0 is at least this.
-        noise: kappa_n.
+        equation: the equation as text, for lists and documentation pages.
+        lags: number of past head velocities that the strategy uses; ``memory`` T_0 must be at least this.
+        noise: kappa_n, the scale of the noise.
     """
 
     equation: str = ""
@@ -72,41 +72,41 @@ class FollowStrategy(ABC):
     noise: float = KAPPA_NOISE
 
     def draw(self, rng: np.random.Generator) -> Array:
-        """Parameters ``(P,)`` float32 of one episode; most strategies have none. P is always the same."""
+        """Draw the parameters ``(P,)`` float32 of one episode; P is fixed, and 0 for most strategies."""
         return np.empty(0, np.float32)
 
     @abstractmethod
     def direction(self, inputs: FollowInputs) -> Array:
-        """Direction of flight ``(n, 3)`` before noise and normalisation; row i depends on row i alone."""
+        """Direction of flight ``(n, 3)`` before noise and normalisation; row i depends only on row i of the inputs."""
 
-    def fly(self, flight: Flight) -> None:
-        """Fly all followers: fills ``flight.velocity`` and ``flight.position`` from ``flight.start`` on.
+    def fly(self, trajectories: TrajectoryBatch) -> None:
+        """Simulate all followers: fill ``velocity`` and ``position`` from step ``trajectories.start`` on.
 
-        This is the general loop, one episode and one step at a time; f1 to f7 override it by compiled ones.
+        This is the general loop over episodes and steps; f1 to f7 override it with compiled loops.
         """
-        lags = flight.start
-        for b in range(flight.episodes):
-            position, velocity = flight.position[b], flight.velocity[b]
-            followers = np.flatnonzero(flight.kind[b] == kernels.FOLLOWS)
-            heads = flight.leader[b, followers]
-            for s in range(flight.steps):
+        lags = trajectories.start
+        for b in range(trajectories.episodes):
+            position, velocity = trajectories.position[b], trajectories.velocity[b]
+            followers = np.flatnonzero(trajectories.motion[b] == kernels.FOLLOWS)
+            heads = trajectories.leader[b, followers]
+            for s in range(trajectories.steps):
                 t = lags + s
                 past = slice(t - 1, t - 1 - lags if t > lags else None, -1)
                 past_and_now = slice(t, t - lags - 1 if t > lags else None, -1)
-                wanted = self.direction(
+                direction = self.direction(
                     FollowInputs(
                         own_position=position[past_and_now, followers].swapaxes(0, 1),
                         head_velocity=velocity[past, heads].swapaxes(0, 1),
                         head_position=position[past_and_now, heads].swapaxes(0, 1),
-                        parameters=flight.parameters[b],
+                        parameters=trajectories.parameters[b],
                     )
                 )
-                velocity[t, followers] = _norm(wanted, np.float32(self.noise) * flight.noise[b, s, followers])
+                velocity[t, followers] = _norm(direction, np.float32(self.noise) * trajectories.noise[b, s, followers])
                 position[t + 1] = position[t] + velocity[t]
 
 
 def _norm(direction: Array, noise: Array) -> Array:
-    """norm(direction + noise) of Table II, rows of length 3."""
+    """norm(direction + noise) of Table II for rows of 3 components."""
     total = np.asarray(direction, np.float32) + noise
     length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
     return total / np.maximum(length, np.float32(1e-6))
@@ -114,10 +114,10 @@ def _norm(direction: Array, noise: Array) -> Array:
 
 @dataclass(frozen=True)
 class Lags(FollowStrategy):
-    """f1 to f5: linear or quadratic combination of the head's last velocities (Table II, types 1 to 5).
+    """f1 to f5: sum of the head's last velocities or of their squares (Table II, types 1 to 5).
 
-    v_{i,t+1} = norm(sum_{tau=0}^{lags-1} kappa_tau v_{iL,t-tau} + kappa_n n), with v * v (axis-wise) for v where
-    ``square``.
+    v_{i,t+1} = norm(sum_{tau=0}^{lags-1} kappa_tau v_{iL,t-tau} + kappa_n n), where v * v
+    (axis-wise) replaces v if ``square``.
     """
 
     lags: int = 1
@@ -127,34 +127,34 @@ class Lags(FollowStrategy):
 
     @property
     def equation(self) -> str:  # type: ignore[override]  # follows from the other fields
-        """The row of Table II."""
+        """The equation as in Table II."""
         term = "v_{iL,t-τ} ⊙ v_{iL,t-τ}" if self.square else "v_{iL,t-τ}"
         combination = f"Σ_{{τ=0}}^{{{self.lags - 1}}} κ_τ {term}" if self.lags > 1 else f"κ_0 {term.replace('-τ', '')}"
         return f"v_{{i,t+1}} = norm({combination} + κ_n n)"
 
     def direction(self, inputs: FollowInputs) -> Array:
-        """Sum over the lags."""
+        """The sum over the lags."""
         past = inputs.head_velocity[:, : self.lags]
         return np.float32(self.kappa) * (past * past if self.square else past).sum(axis=1, dtype=np.float32)
 
-    def fly(self, flight: Flight) -> None:
-        """Compiled loop; no step depends on the follower's own past."""
+    def fly(self, trajectories: TrajectoryBatch) -> None:
+        """Compiled loop; positions are integrated afterwards, because no velocity depends on them."""
         kernels.fly_lags(
             np.full(self.lags, self.kappa, np.float32),
             self.square,
             np.float32(self.noise),
-            flight.kind,
-            flight.leader,
-            flight.start,
-            flight.noise,
-            flight.velocity,
+            trajectories.motion,
+            trajectories.leader,
+            trajectories.start,
+            trajectories.noise,
+            trajectories.velocity,
         )
-        kernels.integrate(flight.start, flight.position, flight.velocity)
+        kernels.integrate(trajectories.start, trajectories.position, trajectories.velocity)
 
 
 @dataclass(frozen=True)
 class StayInRange(FollowStrategy):
-    """f6: fly as the head does, and towards it when farther than kappa_r (Table II, type 6)."""
+    """f6: the head's velocity, plus a pull towards the head beyond the distance kappa_r (Table II, type 6)."""
 
     equation: str = (
         "v_{i,t+1} = norm(κ_0 v_{iL,t} + κ_n n + 1{‖p_{iL,t} − p_{i,t}‖ > κ_r} κ_p (p_{iL,t} − p_{i,t}) / ‖·‖)"
@@ -166,37 +166,38 @@ class StayInRange(FollowStrategy):
     noise: float = KAPPA_NOISE
 
     def direction(self, inputs: FollowInputs) -> Array:
-        """Head velocity plus the unit vector towards the head where it is out of reach."""
+        """Head velocity, plus ``pull`` times the unit vector towards the head if it is farther than ``reach``."""
         gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
         distance = np.sqrt((gap * gap).sum(axis=-1, keepdims=True, dtype=np.float32))
         pull = np.where(distance > np.float32(self.reach), np.float32(self.pull), np.float32(0.0))
         towards = gap * (pull / np.maximum(distance, np.float32(1e-6)))
         return np.float32(self.kappa) * inputs.head_velocity[:, 0] + towards
 
-    def fly(self, flight: Flight) -> None:
-        """Compiled loop; positions move on within it."""
+    def fly(self, trajectories: TrajectoryBatch) -> None:
+        """Compiled loop, which also integrates the positions."""
         kernels.fly_range(
             np.float32(self.kappa),
             np.float32(self.pull),
             np.float32(self.reach),
             np.float32(self.noise),
-            flight.kind,
-            flight.leader,
-            flight.start,
-            flight.noise,
-            flight.position,
-            flight.velocity,
+            trajectories.motion,
+            trajectories.leader,
+            trajectories.start,
+            trajectories.noise,
+            trajectories.position,
+            trajectories.velocity,
         )
 
 
 @dataclass(frozen=True)
 class Network(FollowStrategy):
-    """f7: a random tanh network with the inputs of equation (1) (Table II, type 7; decision (c)).
+    """f7: a random tanh network of the inputs of equation (1) (Table II, type 7; decision (c) on docs/game.md).
 
-    v_{i,t+1} = norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n). One hidden layer of 16 units; the weights are
-    drawn for each episode. The positions enter as (p_{i,t+1} - p_{iL,t-3}) / ``position_scale`` and as their own
-    differences, a linear map of P_{i,t+1} that the first layer undoes: raw metres would saturate every unit and hide
-    the head. The gains give the head's velocities the largest share of a hidden unit's input.
+    v_{i,t+1} = norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n). It has one hidden layer of 16 units;
+    the weights are drawn for each episode. The positions enter as (p_{i,t+1} - p_{iL,t-3}) / ``position_scale`` and as
+    differences of consecutive own positions. Both are linear maps of the paper's inputs. Raw metres would saturate
+    every unit, and the output would not depend on the head. The gains give the head's velocities the largest weight
+    among the inputs of a hidden unit.
     """
 
     equation: str = "v_{i,t+1} = norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + κ_n n)"
@@ -208,7 +209,7 @@ class Network(FollowStrategy):
     position_gain: float = 0.15
 
     def draw(self, rng: np.random.Generator) -> Array:
-        """Weights, biases and read-out of one network."""
+        """Draw the weights, biases and output weights of one network."""
         own, head = 3 * kernels.MLP_LAGS, 3 * kernels.MLP_LAGS
         gains = np.repeat([self.position_gain, self.own_gain, self.head_gain], [3, own, head])
         weights = gains[:, None] * rng.standard_normal((kernels.MLP_INPUTS, kernels.MLP_HIDDEN))
@@ -217,7 +218,7 @@ class Network(FollowStrategy):
         return np.concatenate([weights.ravel(), bias, readout.ravel()]).astype(np.float32)
 
     def direction(self, inputs: FollowInputs) -> Array:
-        """The network's output."""
+        """The output of the network."""
         n, lags, units = len(inputs.own_position), kernels.MLP_LAGS, kernels.MLP_HIDDEN
         inner = kernels.MLP_INPUTS * units
         weights = inputs.parameters[:inner].reshape(kernels.MLP_INPUTS, units)
@@ -231,24 +232,24 @@ class Network(FollowStrategy):
         output: Array = np.tanh(features @ weights + bias) @ readout
         return output
 
-    def fly(self, flight: Flight) -> None:
-        """Compiled loop."""
+    def fly(self, trajectories: TrajectoryBatch) -> None:
+        """Compiled loop, which also integrates the positions."""
         kernels.fly_mlp(
-            flight.parameters,
+            trajectories.parameters,
             np.float32(self.position_scale),
             np.float32(self.noise),
-            flight.kind,
-            flight.leader,
-            flight.start,
-            flight.noise,
-            flight.position,
-            flight.velocity,
+            trajectories.motion,
+            trajectories.leader,
+            trajectories.start,
+            trajectories.noise,
+            trajectories.position,
+            trajectories.velocity,
         )
 
 
 @dataclass(frozen=True)
 class FollowFunction(FollowStrategy):
-    """A plain function as a follow strategy; made by :func:`register_follow_strategy`."""
+    """A follow strategy that calls a function; made by :func:`register_follow_strategy`."""
 
     function: Callable[[FollowInputs], Array]
     lags: int = 4
@@ -256,14 +257,14 @@ class FollowFunction(FollowStrategy):
     equation: str = ""
 
     def direction(self, inputs: FollowInputs) -> Array:
-        """Call the function and check what it gives."""
-        wanted = np.asarray(self.function(inputs), np.float32)
+        """Call the function and check its result."""
+        direction = np.asarray(self.function(inputs), np.float32)
         shape = (len(inputs.own_position), 3)
-        if wanted.shape != shape:
-            raise ArgumentError(f"follow function must return an array of shape {shape}, got {wanted.shape}.")
-        if not np.isfinite(wanted).all():
+        if direction.shape != shape:
+            raise ArgumentError(f"follow function must return an array of shape {shape}, got {direction.shape}.")
+        if not np.isfinite(direction).all():
             raise ArgumentError("follow function must return finite numbers, got NaN or infinity.")
-        return wanted
+        return direction
 
 
 _STRATEGIES: dict[str, FollowStrategy] = {
@@ -286,7 +287,7 @@ def follow_strategy(name: str) -> FollowStrategy:
     """The follow strategy registered under ``name``.
 
     Raises:
-        ArgumentError: no such name.
+        ArgumentError: no strategy has this name.
     """
     if name not in _STRATEGIES:
         raise unknown_name("follow", name, [*_STRATEGIES, "none"])
@@ -301,18 +302,19 @@ def register_follow_strategy(
     noise: float = KAPPA_NOISE,
     equation: str = "",
 ) -> None:
-    """Make a follow strategy of one's own available as ``follow=name``.
+    """Register a follow strategy, so that ``follow=name`` selects it.
 
     Args:
-        name: the name to use; a name that is taken by another strategy is refused.
-        strategy: a :class:`FollowStrategy`, or a function that takes :class:`FollowInputs` of n followers and
-            returns their directions ``(n, 3)``; noise and normalisation are added by the simulator.
-        lags: for a function, how many steps of the past it reads.
+        name: a new name.
+        strategy: a :class:`FollowStrategy`, or a function from :class:`FollowInputs` of n followers to their directions
+            ``(n, 3)``; the simulator adds noise and normalises.
+        lags: for a function, the number of past head velocities that it uses.
         noise: for a function, kappa_n.
-        equation: for a function, how it is written in lists.
+        equation: for a function, its equation as text for lists.
 
     Raises:
-        ArgumentError: the name is taken or not a name, or the strategy is neither of the two.
+        ArgumentError: ``name`` is empty or already registered for another strategy, or another argument has the wrong
+            type.
     """
     if not isinstance(name, str) or not name.strip() or name == "none":
         raise ArgumentError(f"name must be a non-empty name other than 'none', got {quote(name)}.")

@@ -1,4 +1,4 @@
-"""Where a swarm starts and who follows whom: roles, cluster sizes, initial positions; decision (b)."""
+"""The initial swarm: roles, cluster sizes and positions (decision (b) on docs/game.md)."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from usnet_env.config import unknown_name
 __all__ = ["ARENA", "AROUND_RADIUS", "Roles", "draw_roles", "formation", "formations", "random_cluster_sizes"]
 
 ARENA = (1000.0, 1000.0, 100.0)  # metres, the box of the paper's simulations
-AROUND_RADIUS = 60.0  # metres; kappa_r of f6, so that an `around` swarm starts within reach of its heads
+AROUND_RADIUS = 60.0  # metres; equals kappa_r of f6, so that `around` followers start within the range of their head
 
 
 @dataclass(frozen=True)
 class Roles:
-    """Who is what in one swarm of N UAVs.
+    """The role of every UAV in one swarm of N UAVs.
 
     Args:
         head: ``(N,)`` bool, H_0.
@@ -33,7 +33,10 @@ class Roles:
 
 
 def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int) -> NDArray[np.int64]:
-    """Followers of each cluster, m_j >= 2: all ways to split the rest are equally likely (stars and bars)."""
+    """Draw the number of followers of each cluster, ``(clusters,)`` int64, each at least 2.
+
+    The remaining ``followers - 2 * clusters`` are split at random; all splits are equally likely (stars and bars).
+    """
     rest = followers - 2 * clusters
     bars = np.sort(rng.choice(rest + clusters - 1, clusters - 1, replace=False)) if clusters > 1 else np.empty(0, int)
     edges = np.concatenate([[-1], bars, [rest + clusters - 1]])
@@ -43,14 +46,14 @@ def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int
 def draw_roles(
     rng: np.random.Generator, clusters: int, uavs: int, decoys: int, cluster_sizes: tuple[int, ...] | None
 ) -> Roles:
-    """Roles at random indices, so that an index tells nothing.
+    """Draw the roles. Indices are permuted at random, so an index carries no information about the role.
 
     Args:
         rng: the episode's generator.
         clusters: M.
         uavs: N, decoys included.
-        decoys: UAVs that follow nobody and lead nobody.
-        cluster_sizes: m_j, followers of each cluster, or ``None`` for random ones.
+        decoys: number of UAVs that move like heads but have no followers.
+        cluster_sizes: m_j, number of followers of each cluster, or ``None``: drawn at random.
     """
     sizes = (
         np.asarray(cluster_sizes)
@@ -68,12 +71,12 @@ def draw_roles(
 
 
 def _uniform(rng: np.random.Generator, roles: Roles) -> NDArray[np.float64]:
-    """Everyone anywhere in the arena."""
+    """All UAVs uniform in the arena."""
     return rng.uniform(0.0, ARENA, (len(roles.leader), 3))
 
 
 def _around(rng: np.random.Generator, roles: Roles) -> NDArray[np.float64]:
-    """Heads and decoys anywhere in the arena, followers uniform in a ball of 60 m around their head."""
+    """Heads and decoys uniform in the arena, followers uniform in a ball of 60 m around their head."""
     uavs = len(roles.leader)
     position = rng.uniform(0.0, ARENA, (uavs, 3))
     direction = rng.standard_normal((uavs, 3))
@@ -95,10 +98,10 @@ def formations() -> Mapping[str, Callable[[np.random.Generator, Roles], NDArray[
 
 
 def formation(name: str) -> Callable[[np.random.Generator, Roles], NDArray[np.float64]]:
-    """The formation ``(rng, roles) -> (N, 3) metres`` of that name.
+    """The formation called ``name``: a function ``(rng, roles) -> (N, 3)`` positions in metres.
 
     Raises:
-        ArgumentError: no such name.
+        ArgumentError: there is no formation of this name.
     """
     if name not in _FORMATIONS:
         raise unknown_name("formation", name, _FORMATIONS)

@@ -1,9 +1,9 @@
-"""The compiled inner loops of the simulator: velocities of heads and followers, and who re-merges to whom.
+"""The compiled inner loops of the simulator: velocities of heads and followers, and the re-merge.
 
-One loop over episodes holds for one swarm and for a batch, so that episode b of a batch is the single swarm bit for
-bit. Arrays are time-major within an episode: position ``(B, L + S + 1, N, 3)``, velocity ``(B, L + S, N, 3)``, where
-the first L steps are the past that strategies may look back to and S steps are flown now. All is float32 but for
-the mobility state; the arithmetic stays in float32 because every constant is one.
+The same loop over episodes simulates one swarm and a batch, so episode b of a batch equals the single swarm bit for
+bit. Within an episode, time is the first axis: position ``(B, L + S + 1, N, 3)``, velocity ``(B, L + S, N, 3)``. The
+first L steps are the past that a follow strategy may use; the next S steps are simulated by the call. All arrays except
+the mobility state are float32. All constants are float32 too, so that the arithmetic stays in float32.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ __all__ = [
     "remerge",
 ]
 
-DESTROYED, FREE, FOLLOWS = 0, 1, 2  # what moves a UAV in a window
+DESTROYED, FREE, FOLLOWS = 0, 1, 2  # how a UAV moves in a window; a free UAV (head or decoy) follows no UAV
 IID, GAUSS_MARKOV, SMOOTH_TURN, WAYPOINT, LOCAL_WAYPOINT, STRAIGHT = range(6)
-MOBILITY_STATE = 8  # float64 numbers of mobility state per UAV
+MOBILITY_STATE = 8  # number of float64 values in the mobility state of a UAV
 
-# The network of f7: input -> hidden tanh units -> 3, in the order of `mlp_inputs` in follow.py.
+# The network of f7: inputs -> hidden tanh units -> 3 outputs, in the order of `Network.direction` in follow.py.
 MLP_LAGS = 4
 MLP_INPUTS = 3 + 3 * MLP_LAGS + 3 * MLP_LAGS  # relative position, own velocities, head velocities
 MLP_HIDDEN = 16
@@ -53,7 +53,7 @@ _TINY = np.float32(1e-12)
 
 @njit(cache=True, nogil=True)
 def _uniform(z):
-    """The uniform number in (0, 1) with the same rank as the standard normal z."""
+    """Map the standard normal number z to a uniform number in (0, 1) by the normal distribution function."""
     return min(max(0.5 * math.erfc(-z / math.sqrt(2.0)), 1e-12), 1.0 - 1e-12)
 
 
@@ -72,7 +72,7 @@ def _turn_towards(state, x, y, z, limit):
     # The part of the target that is perpendicular to the direction spans the plane of the turn.
     px, py, pz = x - cosine * state[0], y - cosine * state[1], z - cosine * state[2]
     size = math.sqrt(px * px + py * py + pz * pz)
-    if size < 1e-9:  # straight behind: any plane will do
+    if size < 1e-9:  # the target is exactly behind: take any plane that contains the direction
         px, py, pz, size = -state[1], state[0], 0.0, math.hypot(state[0], state[1])
         if size < 1e-9:
             px, py, pz, size = 1.0, 0.0, 0.0, 1.0
@@ -81,37 +81,37 @@ def _turn_towards(state, x, y, z, limit):
 
 
 @njit(cache=True, nogil=True)
-def _new_turn(state, z, rate, tightest):
-    """Draw a turn: its axis (perpendicular to the direction), its angle a step, and how long it holds."""
+def _draw_turn(state, z, rate, max_angle):
+    """Draw a turn: its axis (perpendicular to the direction), its angle per step and its duration in steps."""
     x, y, w = float(z[0]), float(z[1]), float(z[2])
     along = x * state[0] + y * state[1] + w * state[2]
     x, y, w = x - along * state[0], y - along * state[1], w - along * state[2]
     size = math.sqrt(x * x + y * y + w * w) + 1e-12
     state[3], state[4], state[5] = x / size, y / size, w / size
-    # Curvature is exponential, cut at `tightest`; the cut is kept in the draw (inverse of the truncated law).
-    mean = tightest / 3.0
-    state[6] = -mean * math.log(1.0 - _uniform(z[3]) * (1.0 - math.exp(-tightest / mean)))
+    # The angle has an exponential distribution truncated at `max_angle`, drawn by its inverse distribution function.
+    mean = max_angle / 3.0
+    state[6] = -mean * math.log(1.0 - _uniform(z[3]) * (1.0 - math.exp(-max_angle / mean)))
     state[7] = -math.log(_uniform(z[4])) / rate
 
 
 @njit(cache=True, nogil=True)
 def _step_mobility(code, state, z, p, numbers, out):
-    """One step of one free UAV: ``state`` moves on, ``out`` takes the direction of flight (3 float32)."""
+    """One step of one free UAV: update ``state`` and write the direction of flight (3 float32) to ``out``."""
     if code == IID:
         out[0], out[1], out[2] = z[0], z[1], z[2]
         return
     if code == GAUSS_MARKOV:  # state: azimuth, pitch, and their means
-        memory = numbers[0]
-        push = math.sqrt(1.0 - memory * memory)
-        state[0] = memory * state[0] + (1.0 - memory) * state[2] + push * math.sqrt(numbers[1]) * z[0]
-        state[1] = memory * state[1] + (1.0 - memory) * state[3] + push * math.sqrt(numbers[2]) * z[1]
+        keep = numbers[0]  # lag-one autocorrelation
+        push = math.sqrt(1.0 - keep * keep)
+        state[0] = keep * state[0] + (1.0 - keep) * state[2] + push * math.sqrt(numbers[1]) * z[0]
+        state[1] = keep * state[1] + (1.0 - keep) * state[3] + push * math.sqrt(numbers[2]) * z[1]
         out[0] = math.cos(state[0]) * math.cos(state[1])
         out[1] = math.sin(state[0]) * math.cos(state[1])
         out[2] = math.sin(state[1])
         return
-    if code == SMOOTH_TURN:  # state: direction, axis, angle a step, steps left
+    if code == SMOOTH_TURN:  # state: direction, axis, angle per step, remaining steps
         if state[7] <= 0.0:
-            _new_turn(state, z, 1.0 / numbers[0], numbers[1])
+            _draw_turn(state, z, 1.0 / numbers[0], numbers[1])
         c, s = math.cos(state[6]), math.sin(state[6])
         x = c * state[0] + s * (state[4] * state[2] - state[5] * state[1])
         y = c * state[1] + s * (state[5] * state[0] - state[3] * state[2])
@@ -135,16 +135,16 @@ def _step_mobility(code, state, z, p, numbers, out):
 
 @njit(cache=True, nogil=True)
 def fly_free(code, numbers, free, start, normals, jitter, state, position, velocity):
-    """Velocities of the UAVs that fly by themselves, by mobility ``code``; writes ``state`` and ``velocity``.
+    """Velocities of the free UAVs by mobility ``code``; writes ``state`` and ``velocity`` in place.
 
     Args:
-        code: which mobility.
-        numbers: ``(6,)`` float64, its constants.
+        code: the mobility, ``IID`` to ``STRAIGHT``.
+        numbers: ``(6,)`` float64, the constants of the mobility.
         free: ``(B, n)`` int64, indices of the free UAVs.
-        start: index of the first step to fly in ``velocity``.
-        normals: ``(B, S, n, k)`` float32, the mobility's noise.
-        jitter: ``(B, S, N, 3)`` float32, scaled noise added to the unit direction; of length 0 for none.
-        state: ``(B, n, MOBILITY_STATE)`` float64, moved on in place.
+        start: index in ``velocity`` of the first step to simulate.
+        normals: ``(B, S, n, k)`` float32, standard normal numbers for the mobility.
+        jitter: ``(B, S, N, 3)`` float32, scaled noise that is added to the unit direction; length 0: no noise.
+        state: ``(B, n, MOBILITY_STATE)`` float64, updated in place.
         position: ``(B, >= start + 1, N, 3)`` float32, read at ``start``.
         velocity: ``(B, start + S, N, 3)`` float32.
     """
@@ -173,21 +173,21 @@ def fly_free(code, numbers, free, start, normals, jitter, state, position, veloc
 
 
 @njit(cache=True, nogil=True)
-def _members(kind, wanted, into):
-    """Write the indices i with ``kind[i] == wanted`` to ``into``; returns how many there are."""
+def _find_indices(motion, value, into):
+    """Write the indices i with ``motion[i] == value`` to ``into`` and return their number."""
     count = 0
-    for i in range(len(kind)):
-        if kind[i] == wanted:
+    for i in range(len(motion)):
+        if motion[i] == value:
             into[count] = i
             count += 1
     return count
 
 
 @njit(cache=True, nogil=True)
-def fly_lags(kappa, square, noise_scale, kind, leader, start, noise, velocity):
+def fly_lags(kappa, square, noise_scale, motion, leader, start, noise, velocity):
     """f1 to f5: v_{i,t+1} = norm(sum_tau kappa_tau v_{iL,t-tau}^p + kappa_n n), with p = 2 where ``square``.
 
-    Nothing in it depends on the follower's own past, so each head's sum is formed once a step.
+    The sum doesn't depend on the follower, so the loop computes it once per step and head.
     """
     episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
     lags = len(kappa)
@@ -195,8 +195,8 @@ def fly_lags(kappa, square, noise_scale, kind, leader, start, noise, velocity):
     followers = np.empty(uavs, np.int64)
     free = np.empty(uavs, np.int64)
     for b in range(episodes):
-        follower_count = _members(kind[b], FOLLOWS, followers)
-        free_count = _members(kind[b], FREE, free)
+        follower_count = _find_indices(motion[b], FOLLOWS, followers)
+        free_count = _find_indices(motion[b], FREE, free)
         for s in range(steps):
             t = start + s
             for j in range(free_count):
@@ -220,15 +220,15 @@ def fly_lags(kappa, square, noise_scale, kind, leader, start, noise, velocity):
 
 
 @njit(cache=True, nogil=True)
-def fly_range(kappa, pull, reach, noise_scale, kind, leader, start, noise, position, velocity):
+def fly_range(kappa, pull, reach, noise_scale, motion, leader, start, noise, position, velocity):
     """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}.
 
-    Followers look at the positions of one step ago, so the positions of all UAVs move on within the loop.
+    Followers use the positions of the previous step, so the loop also updates the positions of all UAVs.
     """
     episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
     followers = np.empty(uavs, np.int64)
     for b in range(episodes):
-        follower_count = _members(kind[b], FOLLOWS, followers)
+        follower_count = _find_indices(motion[b], FOLLOWS, followers)
         for s in range(steps):
             t = start + s
             for j in range(follower_count):
@@ -253,9 +253,9 @@ def fly_range(kappa, pull, reach, noise_scale, kind, leader, start, noise, posit
 
 @njit(cache=True, nogil=True)
 def _tanh(x):
-    """Hyperbolic tangent in float32 without a library call: (1 - e) / (1 + e) with e = exp(-2|x|) by range reduction.
+    """Hyperbolic tangent in float32 without a library call: (1 - e) / (1 + e), e = exp(-2|x|) by range reduction.
 
-    2^f on [-1/2, 1/2] is a polynomial of degree 6, good to float32 rounding.
+    2^f on [-1/2, 1/2] is approximated by a polynomial of degree 6 with an error below float32 rounding.
     """
     magnitude = min(abs(x), np.float32(9.0))
     y = magnitude * np.float32(-2.8853900817779268)  # -2 / ln 2
@@ -274,10 +274,10 @@ def _tanh(x):
 
 
 @njit(cache=True, nogil=True)
-def fly_mlp(parameters, position_scale, noise_scale, kind, leader, start, noise, position, velocity):
-    """f7: norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n), one network an episode.
+def fly_mlp(parameters, position_scale, noise_scale, motion, leader, start, noise, position, velocity):
+    """f7: norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n), one network per episode.
 
-    The head's share of the hidden layer is the same for all its followers, so it is formed once a step and head.
+    A head's contribution to the hidden layer is the same for all its followers: it is computed once per step and head.
     """
     episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
     followers = np.empty(uavs, np.int64)
@@ -291,8 +291,8 @@ def fly_mlp(parameters, position_scale, noise_scale, kind, leader, start, noise,
         weights = parameters[b, :inner].reshape((MLP_INPUTS, MLP_HIDDEN))
         bias = parameters[b, inner : inner + MLP_HIDDEN]
         readout = parameters[b, inner + MLP_HIDDEN :].reshape((MLP_HIDDEN, 3))
-        follower_count = _members(kind[b], FOLLOWS, followers)
-        free_count = _members(kind[b], FREE, free)
+        follower_count = _find_indices(motion[b], FOLLOWS, followers)
+        free_count = _find_indices(motion[b], FREE, free)
         for s in range(steps):
             t = start + s
             for j in range(free_count):
@@ -337,7 +337,7 @@ def fly_mlp(parameters, position_scale, noise_scale, kind, leader, start, noise,
 
 @njit(cache=True, nogil=True)
 def integrate(start, position, velocity):
-    """p_{t+1} = p_t + v_t from ``start`` on, in place."""
+    """Integrate the velocities, p_{t+1} = p_t + v_t, from ``start`` on, in place."""
     episodes, end, uavs = velocity.shape[0], velocity.shape[1], velocity.shape[2]
     for b in range(episodes):
         for t in range(start, end):
@@ -348,14 +348,14 @@ def integrate(start, position, velocity):
 
 @njit(cache=True, nogil=True)
 def remerge(head, alive, decoy, position, leader):
-    """Every living follower whose head is gone takes the nearest remaining head; -1 where none is left.
+    """Assign every living follower of a destroyed head to the nearest remaining head; -1 if no head remains.
 
     Args:
         head: ``(B, N)`` bool.
         alive: ``(B, N)`` bool.
         decoy: ``(B, N)`` bool.
-        position: ``(B, N, 3)`` float32, where the UAVs are now.
-        leader: ``(B, N)`` int64, rewritten in place.
+        position: ``(B, N, 3)`` float32, metres, the present positions.
+        leader: ``(B, N)`` int64, updated in place.
     """
     episodes, uavs = leader.shape
     heads = np.empty(uavs, np.int64)

@@ -1,6 +1,6 @@
-"""How the UAVs that follow nobody (heads and decoys) move; decision (a) of the paper's silent points.
+"""Mobilities: how heads and decoys move (decision (a) on docs/game.md).
 
-Every mobility flies at 1 m a step, as followers do, so that speed tells nothing.
+All UAVs move 1 m per step, followers included, so speed carries no information about the role.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ State = NDArray[np.float64]
 
 
 class Mobility(ABC):
-    """How UAVs move by themselves. Subclass it, or give a plain function to :func:`register_mobility`.
+    """How heads and decoys move. Subclass it, or pass a function to :func:`register_mobility`.
 
     Attributes:
-        description: one line for lists and pages.
+        description: one line for lists and documentation pages.
     """
 
     description: str = ""
 
     @abstractmethod
     def start(self, rng: np.random.Generator, uavs: int) -> State:
-        """State ``(uavs, MOBILITY_STATE)`` float64 of UAVs that begin to fly, in the law's steady state."""
+        """Draw the initial state ``(uavs, MOBILITY_STATE)`` float64 from the mobility's stationary distribution."""
 
     @abstractmethod
     def fly(
         self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
     ) -> NDArray[np.float32]:
-        """Directions ``(steps, uavs, 3)``, later normalised; moves ``state`` on in place.
+        """Directions of flight ``(steps, uavs, 3)``, which the simulator normalises; updates ``state`` in place.
 
         Args:
             state: ``(uavs, MOBILITY_STATE)`` float64.
-            position: ``(uavs, 3)`` float32, metres, where the UAVs are now.
-            steps: how many steps to fly.
+            position: ``(uavs, 3)`` float32, metres, the present positions.
+            steps: number of steps to simulate.
             rng: the episode's generator.
         """
 
@@ -57,7 +57,14 @@ def _unit_vectors(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class CompiledMobility(Mobility):
-    """A mobility with a compiled step (``kernels.fly_free``): its code, constants and standard normals a step."""
+    """A mobility with a compiled step, ``kernels.fly_free``.
+
+    Args:
+        code: the number of the mobility in ``kernels``.
+        normals: standard normal numbers that a UAV needs per step.
+        numbers: up to 6 constants of the mobility.
+        description: one line for lists and documentation pages.
+    """
 
     code: int
     normals: int
@@ -65,11 +72,11 @@ class CompiledMobility(Mobility):
     description: str = ""
 
     def constants(self) -> NDArray[np.float64]:
-        """``(6,)`` constants for the kernel."""
+        """``(6,)`` float64, the constants for the kernel, padded with zeros."""
         return np.array([*self.numbers, *[0.0] * (6 - len(self.numbers))])
 
     def start(self, rng: np.random.Generator, uavs: int) -> State:
-        """Draw directions, goals and turns."""
+        """Draw directions, waypoints and turns."""
         state = np.zeros((uavs, kernels.MOBILITY_STATE))
         if self.code == kernels.IID:
             return state
@@ -83,13 +90,13 @@ class CompiledMobility(Mobility):
         if self.code == kernels.WAYPOINT:
             state[:, 3:6] = rng.uniform(0.0, ARENA, (uavs, 3))
         elif self.code == kernels.LOCAL_WAYPOINT:
-            state[:, 3:6] = np.nan  # no goal yet: `fly` sets one relative to where the UAV is
+            state[:, 3:6] = np.nan  # no waypoint yet: `fly` draws one relative to the UAV's position
         return state
 
     def fly(
         self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
     ) -> NDArray[np.float32]:
-        """Fly one swarm; the simulator calls the kernel for a whole batch instead."""
+        """Directions for one swarm; for a batch the simulator calls the kernel directly."""
         uavs = len(state)
         velocity = np.zeros((1, steps, uavs, 3), np.float32)
         normals = rng.standard_normal((1, steps, uavs, self.normals), dtype=np.float32)
@@ -103,19 +110,19 @@ class CompiledMobility(Mobility):
 
 @dataclass(frozen=True)
 class MobilityFunction(Mobility):
-    """A plain function as a mobility; made by :func:`register_mobility`."""
+    """A mobility that calls a function; made by :func:`register_mobility`."""
 
     function: Callable[[np.random.Generator, NDArray[np.float32], int, State], NDArray[np.float32]]
     description: str = ""
 
     def start(self, rng: np.random.Generator, uavs: int) -> State:
-        """Zeros: the function fills its state at the first call."""
+        """Zeros: the function sets its own state in its first call."""
         return np.zeros((uavs, kernels.MOBILITY_STATE))
 
     def fly(
         self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
     ) -> NDArray[np.float32]:
-        """Call the function and check what it gives."""
+        """Call the function and check its result."""
         directions = np.asarray(self.function(rng, position, steps, state), np.float32)
         shape = (steps, len(position), 3)
         if directions.shape != shape:
@@ -126,32 +133,32 @@ class MobilityFunction(Mobility):
 
 
 _MOBILITIES: dict[str, Mobility] = {
-    "iid": CompiledMobility(kernels.IID, 3, description="a fresh random direction each step (the paper tier)"),
+    "iid": CompiledMobility(kernels.IID, 3, description="a new random direction at each step (the paper's setting)"),
     "gauss_markov": CompiledMobility(
         kernels.GAUSS_MARKOV,
         2,
         (0.85, 0.2, 0.02),
-        "Gauss-Markov azimuth and pitch about a mean heading; memory 0.85, variances 0.2 and 0.02 rad^2",
+        "Gauss-Markov azimuth and pitch around a mean heading; autocorrelation 0.85, variances 0.2 and 0.02 rad^2",
     ),
     "smooth_turn": CompiledMobility(
         kernels.SMOOTH_TURN,
         5,
         (10.0, 0.6),
-        "turns about random axes, held for exponential times (mean 10 steps), truncated-exponential curvature",
+        "turns about random axes with exponential durations (mean 10 steps) and truncated exponential curvature",
     ),
     "waypoint": CompiledMobility(
         kernels.WAYPOINT,
         3,
         (0.2, 5.0, *ARENA),
-        "random waypoints anywhere in the arena, turns of at most 0.2 rad a step",
+        "random waypoints in the whole arena, turns of at most 0.2 rad per step",
     ),
     "local_waypoint": CompiledMobility(
         kernels.LOCAL_WAYPOINT,
         3,
         (0.5, 2.0, 10.0),
-        "random waypoints about 10 m away on each axis, turns of at most 0.5 rad a step",
+        "random waypoints about 10 m away on each axis, turns of at most 0.5 rad per step",
     ),
-    "straight": CompiledMobility(kernels.STRAIGHT, 1, description="straight ahead in a random direction"),
+    "straight": CompiledMobility(kernels.STRAIGHT, 1, description="a straight line in a random direction"),
 }
 
 
@@ -164,7 +171,7 @@ def mobility(name: str) -> Mobility:
     """The mobility registered under ``name``.
 
     Raises:
-        ArgumentError: no such name.
+        ArgumentError: no mobility has this name.
     """
     if name not in _MOBILITIES:
         raise unknown_name("mobility", name, _MOBILITIES)
@@ -173,27 +180,28 @@ def mobility(name: str) -> Mobility:
 
 def register_mobility(
     name: str,
-    law: Mobility | Callable[[np.random.Generator, NDArray[np.float32], int, State], NDArray[np.float32]],
+    model: Mobility | Callable[[np.random.Generator, NDArray[np.float32], int, State], NDArray[np.float32]],
     *,
     description: str = "",
 ) -> None:
-    """Make a mobility of one's own available as ``mobility=name``.
+    """Register a mobility, so that ``mobility=name`` selects it.
 
     Args:
-        name: the name to use; a name that is taken by another mobility is refused.
-        law: a :class:`Mobility`, or a function ``(rng, position (n, 3), steps, state (n, 8)) -> (steps, n, 3)`` of
-            directions of flight; ``state`` starts as zeros and is the function's to keep between rounds.
-        description: for a function, its line in lists.
+        name: a new name.
+        model: a :class:`Mobility`, or a function ``(rng, position (n, 3), steps, state (n, 8)) -> (steps, n, 3)`` of
+            directions of flight; ``state`` starts as zeros, and the function may change it in place to keep values
+            between rounds.
+        description: for a function, one line for lists.
 
     Raises:
-        ArgumentError: the name is taken or not a name, or the law is neither of the two.
+        ArgumentError: ``name`` is empty or already registered for another mobility, or ``model`` has another type.
     """
     if not isinstance(name, str) or not name.strip():
         raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
-    if not isinstance(law, Mobility):
-        if not callable(law):
-            raise ArgumentError(f"law must be a Mobility or a function, got {quote(law)}.")
-        law = MobilityFunction(law, description)
-    if name in _MOBILITIES and _MOBILITIES[name] != law:
+    if not isinstance(model, Mobility):
+        if not callable(model):
+            raise ArgumentError(f"model must be a Mobility or a function, got {quote(model)}.")
+        model = MobilityFunction(model, description)
+    if name in _MOBILITIES and _MOBILITIES[name] != model:
         raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
-    _MOBILITIES[name] = law
+    _MOBILITIES[name] = model

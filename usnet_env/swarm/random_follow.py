@@ -1,8 +1,8 @@
-"""Random follow strategies for off-line training and held-out tests; the grammar contains none of f1 to f7.
+"""Random follow strategies for off-line training and held-out tests; none of f1 to f7 can be drawn.
 
-A strategy is a sum of one to three terms of the head's past, passed through an output map. Every draw has at least
-one ingredient that no row of Table II has: cubes or signed roots, products of axes, a small network, or a rotation;
-unequal lag weights, saturation and formation offsets come on top.
+A strategy is a sum of one to three terms of the head's past velocities, followed by an output map. Every drawn strategy
+has at least one part that no row of Table II has: a cube, a signed root, a product of axes, a small network or a
+rotation. Lag weights are unequal; saturation and formation offsets are optional.
 """
 
 from __future__ import annotations
@@ -18,20 +18,21 @@ __all__ = ["RandomFollowStrategy", "Term", "random_follow_strategy"]
 
 Array = NDArray[np.float32]
 
-KINDS = ("linear", "cube", "root", "product", "network")
-OUTPUTS = ("none", "rotate", "saturate", "rotate+saturate")
+TERM_KINDS = ("linear", "cube", "root", "product", "network")
+OUTPUT_MAPS = ("none", "rotate", "saturate", "rotate+saturate")
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """One summand: a function of the head's velocity ``lag`` steps back.
+    """One summand: a function of the head's velocity ``lag`` steps ago.
 
     Args:
-        kind: ``linear`` w v, ``cube`` w v^3 (scaled to the size of v), ``root`` w sign(v) sqrt|v|, ``product`` of two
-            axes w (v_y v_z, v_z v_x, v_x v_y), or ``network`` a random tanh layer of v and the velocity a step before.
-        lag: 0 is v_{iL,t}.
+        kind: the function: ``linear`` w v, ``cube`` w v^3 (scaled to the size of v), ``root`` w sign(v) sqrt|v|,
+            ``product`` of two axes w (v_y v_z, v_z v_x, v_x v_y), or ``network``, a random tanh network of v and the
+            velocity one step earlier.
+        lag: steps back in time; 0 is v_{iL,t}.
         weight: w.
-        layer: for ``network``: weights ``(6, 8)`` and ``(8, 3)``.
+        layer: for ``network``, the weights ``(6, 8)`` and ``(8, 3)``.
     """
 
     kind: str
@@ -56,15 +57,15 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class RandomFollowStrategy(FollowStrategy):
-    """A drawn strategy: norm(R g(sum of terms) + offset pull + kappa_n n), with R a rotation and g a saturation.
+    """A random strategy: norm(R g(sum of terms) + pull towards the head + kappa_n n), R a rotation, g a saturation.
 
     Args:
         terms: the summands.
         rotation: ``(3, 3)`` or ``None``.
-        saturation: each axis becomes tanh(s x) / s, or ``None``.
-        offset: metres; the follower is pulled with ``pull`` towards the head plus this offset, or ``None``.
-        pull: weight of that pull.
-        lags: steps of the past that it reads.
+        saturation: s of g(x) = tanh(s x) / s on each axis, or ``None``.
+        offset: ``(3,)`` metres; the follower is pulled towards the head's position plus this offset. ``None``: no pull.
+        pull: weight of the pull.
+        lags: number of past head velocities that the strategy may use.
         noise: kappa_n.
     """
 
@@ -78,7 +79,7 @@ class RandomFollowStrategy(FollowStrategy):
 
     @property
     def equation(self) -> str:  # type: ignore[override]  # follows from the other fields
-        """What was drawn, in words."""
+        """The equation as text, with the names of the output maps."""
         terms = " + ".join(f"{term.weight:.2f}·{term.kind}(v_{{iL,t-{term.lag}}})" for term in self.terms)
         maps = [
             name
@@ -88,7 +89,7 @@ class RandomFollowStrategy(FollowStrategy):
         return f"v_{{i,t+1}} = norm({terms} + κ_n n)" + (f", with {', '.join(maps)}" if maps else "")
 
     def direction(self, inputs: FollowInputs) -> Array:
-        """Sum the terms, map, pull."""
+        """The sum of the terms, saturated and rotated, plus the pull."""
         total = sum((term(inputs.head_velocity) for term in self.terms), np.zeros_like(inputs.own_position[:, 0]))
         if self.saturation is not None:
             total = np.tanh(np.float32(self.saturation) * total) / np.float32(self.saturation)
@@ -101,8 +102,8 @@ class RandomFollowStrategy(FollowStrategy):
         return total
 
 
-def _rotation(rng: np.random.Generator) -> Array:
-    """A rotation by 30 to 150 degrees about a random axis (Rodrigues' formula)."""
+def _draw_rotation(rng: np.random.Generator) -> Array:
+    """Draw a rotation ``(3, 3)`` by 30 to 150 degrees about a random axis (Rodrigues' formula)."""
     axis = rng.standard_normal(3)
     x, y, z = axis / np.linalg.norm(axis)
     angle = rng.uniform(np.pi / 6, 5 * np.pi / 6)
@@ -110,7 +111,7 @@ def _rotation(rng: np.random.Generator) -> Array:
     return (np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross).astype(np.float32)
 
 
-def _term(rng: np.random.Generator, kind: str) -> Term:
+def _draw_term(rng: np.random.Generator, kind: str) -> Term:
     layer = None
     if kind == "network":
         layer = (
@@ -122,25 +123,26 @@ def _term(rng: np.random.Generator, kind: str) -> Term:
 
 
 def random_follow_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
-    """Draw a follow strategy from a grammar that contains none of f1 to f7.
+    """Draw a follow strategy that is none of f1 to f7.
 
     Args:
-        rng: where the draw comes from; the strategy itself is then fixed.
+        rng: generator of the draw; the strategy itself has no further randomness.
 
     Returns:
         A strategy for ``SwarmConfig(follow=strategy)``.
     """
-    kinds = [str(kind) for kind in rng.choice(KINDS, size=int(rng.integers(1, 4)))]
-    terms = [_term(rng, kind) for kind in kinds]
-    output = str(rng.choice(OUTPUTS))
+    kinds = [str(kind) for kind in rng.choice(TERM_KINDS, size=int(rng.integers(1, 4)))]
+    terms = [_draw_term(rng, kind) for kind in kinds]
+    output = str(rng.choice(OUTPUT_MAPS))
     if "rotate" not in output and all(kind == "linear" for kind in kinds):
-        output = "rotate"  # a positive sum of lags, or one hardly saturated, would be f1, f2 or f3 again
+        # Without a rotation, a positive sum of lags (saturated or not) would be close to f1, f2 or f3.
+        output = "rotate"
     offset, pull = None, 0.0
     if rng.random() < 0.25:
         offset, pull = rng.normal(0.0, 30.0, 3).astype(np.float32), float(rng.uniform(0.2, 0.6))
     return RandomFollowStrategy(
         terms=tuple(terms),
-        rotation=_rotation(rng) if "rotate" in output else None,
+        rotation=_draw_rotation(rng) if "rotate" in output else None,
         saturation=float(rng.uniform(1.0, 3.0)) if "saturate" in output else None,
         offset=offset,
         pull=pull,

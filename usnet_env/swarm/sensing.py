@@ -1,4 +1,4 @@
-"""What an observer sees of the truth: sampling, position noise, missed detections."""
+"""The observer's sensor: sampling, position noise and missed detections."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from usnet_env.swarm.config import NOISE_BOUND, SwarmConfig
 
-__all__ = ["Sighting", "sense"]
+__all__ = ["ObservationBatch", "sense"]
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """The windows of B swarms.
+class ObservationBatch:
+    """The observed windows of B swarms.
 
     Args:
-        position: ``(B, T_ob + 1, N, 3)`` float32, metres; 0 where unseen.
-        velocity: ``(B, T_ob, N, 3)`` float32, metres per step; 0 where either end is unseen.
-        seen: ``(B, T_ob + 1, N)`` bool.
-        alive: ``(B, N)`` bool.
+        position: ``(B, T_ob + 1, N, 3)`` float32, metres; 0 where the UAV was not detected.
+        velocity: ``(B, T_ob, N, 3)`` float32, metres per step; 0 unless the UAV was detected at both ends of the step.
+        seen: ``(B, T_ob + 1, N)`` bool, whether the UAV was detected.
+        alive: ``(B, N)`` bool, false for destroyed UAVs.
     """
 
     position: NDArray[np.float32]
@@ -36,18 +36,21 @@ def sense(
     velocity: NDArray[np.float32],
     alive: NDArray[np.bool_],
     rngs: Sequence[np.random.Generator],
-) -> Sighting:
+) -> ObservationBatch:
     """Observe B swarms.
 
-    With every step sampled and no noise, the observed velocity is the true one; else it is the difference of what is
-    seen, over the steps between two samples.
+    If every step is sampled without noise, the observed velocity is the true velocity. Otherwise it is the difference
+    of two observed positions, divided by the number of steps between them.
 
     Args:
-        config: ``sample_every``, ``position_noise`` and ``miss_rate`` of it.
-        position: ``(B, T_ob * k + 1, N, 3)`` float32, the true positions from the window's start on.
-        velocity: ``(B, T_ob * k, N, 3)`` float32, the true velocities.
+        config: the sensor: ``sample_every`` k, ``position_noise`` and ``miss_rate`` are used.
+        position: ``(B, T_ob * k + 1, N, 3)`` float32, metres, the true positions from the start of the window.
+        velocity: ``(B, T_ob * k, N, 3)`` float32, metres per step, the true velocities.
         alive: ``(B, N)`` bool.
-        rngs: each episode's generator.
+        rngs: one generator per episode.
+
+    Returns:
+        The observed windows.
     """
     k = config.sample_every
     differenced = k > 1 or config.position_noise > 0
@@ -69,7 +72,7 @@ def sense(
     if config.miss_rate > 0:
         for row, rng in zip(seen, rngs, strict=True):
             row &= rng.random(row.shape, dtype=np.float32) >= config.miss_rate
-        # Not by a product, which would leave the sign of what was not seen in its zero.
+        # `where` instead of a product: a product with 0 would keep the sign of the hidden value.
         position = np.where(seen[..., None], position, np.float32(0.0))
         velocity = np.where((seen[:, 1:] & seen[:, :-1])[..., None], velocity, np.float32(0.0))
-    return Sighting(position, velocity, seen, alive.copy())
+    return ObservationBatch(position, velocity, seen, alive.copy())

@@ -1,8 +1,8 @@
-"""State and generators in, the next window out: one swarm and a batch of swarms by the same code.
+"""The simulator: pure functions from a state and random generators to the next state and the observed window.
 
-A batch has a leading axis B and one generator an episode. Every draw of an episode comes from its own generator in
-an order that does not depend on the batch, and the compiled loops treat episodes one after the other: episode b of a
-batch is the single swarm with the same seed, bit for bit.
+A batch has a leading axis B and one generator per episode. All random numbers of an episode come from its own
+generator, in an order that does not depend on the batch. So episode b of a batch equals the single swarm with the same
+seed, bit for bit. A free UAV is one that follows no UAV: a head or a decoy, and every UAV with ``follow="none"``.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ from numpy.typing import NDArray
 from usnet_env.config import ArgumentError
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
-from usnet_env.swarm.flight import Flight
 from usnet_env.swarm.formation import draw_roles, formation
 from usnet_env.swarm.mobility import CompiledMobility
-from usnet_env.swarm.sensing import Sighting, sense
+from usnet_env.swarm.sensing import ObservationBatch, sense
+from usnet_env.swarm.trajectory import TrajectoryBatch
 
 __all__ = ["SwarmState", "advance", "destroy", "start"]
 
 Generators = Sequence[np.random.Generator]
 
-_CHUNK_BYTES = 1 << 20  # noise drawn at once: what it is used for should find it in the cache
+_CHUNK_BYTES = 1 << 20  # size of one chunk of noise: small enough to stay in the processor cache until it is used
 
 
 @dataclass(frozen=True)
 class SwarmState:
-    """The truth about B swarms between two rounds; without the leading axis, about one (:meth:`episode`).
+    """The true state of B swarms between two rounds; :meth:`episode` gives one swarm without the leading axis.
 
     Args:
-        head: ``(B, N)`` bool, H_0, whether destroyed since or not.
+        head: ``(B, N)`` bool, H_0, the heads at the start, destroyed or not.
         decoy: ``(B, N)`` bool.
-        alive: ``(B, N)`` bool.
-        leader: ``(B, N)`` int64, whom each follower follows (-1: no head is left); a head's or decoy's own index.
+        alive: ``(B, N)`` bool, false for destroyed UAVs.
+        leader: ``(B, N)`` int64, the head of each follower (-1: no head is left); a head's or decoy's own index.
         past_position: ``(B, T_0 + 1, N, 3)`` float32, metres, oldest first; 0 for destroyed UAVs.
         past_velocity: ``(B, T_0, N, 3)`` float32, metres per step.
-        free: ``(B, n)`` int64, indices of the UAVs that fly by themselves.
-        mobility_state: ``(B, n, MOBILITY_STATE)`` float64.
+        free: ``(B, n)`` int64, indices of the free UAVs.
+        mobility_state: ``(B, n, MOBILITY_STATE)`` float64, the mobility state of the free UAVs.
         parameters: ``(B, P)`` float32, parameters of the follow strategy.
     """
 
@@ -57,7 +57,7 @@ class SwarmState:
 
     @property
     def position(self) -> NDArray[np.float32]:
-        """``(B, N, 3)`` metres, where the UAVs are now."""
+        """``(B, N, 3)`` metres, the present positions."""
         return self.past_position[..., -1, :, :]
 
     @property
@@ -66,7 +66,7 @@ class SwarmState:
         return np.asarray((self.head & self.alive).sum(axis=-1))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Copies of all arrays by name; ``SwarmState(**arrays)`` is the state again."""
+        """Copies of all arrays by name; ``SwarmState(**arrays)`` restores the state."""
         return {field.name: getattr(self, field.name).copy() for field in fields(self)}
 
     def rows(self, episodes: NDArray[np.intp] | slice) -> Self:
@@ -74,24 +74,31 @@ class SwarmState:
         return replace(self, **{field.name: getattr(self, field.name)[episodes] for field in fields(self)})
 
     def with_rows(self, episodes: NDArray[np.intp], other: SwarmState) -> Self:
-        """This batch with some of its episodes exchanged for those of ``other``."""
+        """A copy of this batch in which ``other`` replaces some episodes."""
         arrays = self.arrays()
         for name, array in arrays.items():
             array[episodes] = getattr(other, name)
         return replace(self, **arrays)
 
     def episode(self, b: int = 0) -> SwarmState:
-        """Episode ``b`` alone, copied, without the leading axis."""
+        """A copy of episode ``b`` without the leading axis."""
         return SwarmState(**{field.name: getattr(self, field.name)[b].copy() for field in fields(self)})
 
 
 def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
-    """B new swarms, one a generator; they have flown T_0 steps, so that a past to look back to exists.
+    """Start B swarms, one per generator, and simulate T_0 steps, which are the past of the first round.
 
-    The followers' first T_0 velocities are random unit vectors: nobody has followed yet.
+    In these T_0 steps followers move in random directions: they have no past of their head to follow yet.
+
+    Args:
+        config: the swarm.
+        rngs: one generator per episode.
+
+    Returns:
+        The state after T_0 steps.
     """
     episodes, uavs, memory = len(rngs), config.uavs, config.memory
-    strategy, law, place = config.follow_strategy, config.head_mobility, formation(config.formation)
+    strategy, mobility_model, place = config.follow_strategy, config.head_mobility, formation(config.formation)
     count = uavs if strategy is None else config.clusters + config.decoys
     head, decoy = np.empty((episodes, uavs), bool), np.empty((episodes, uavs), bool)
     leader, free = np.empty((episodes, uavs), np.int64), np.empty((episodes, count), np.int64)
@@ -104,7 +111,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
         head[b], decoy[b], leader[b] = roles.head, roles.decoy, roles.leader
         free[b] = np.arange(uavs) if strategy is None else np.flatnonzero(roles.head | roles.decoy)
         position[b, 0] = place(rng, roles)
-        mobility_state[b] = law.start(rng, count)
+        mobility_state[b] = mobility_model.start(rng, count)
         rng.standard_normal(out=velocity[b], dtype=np.float32)
         if strategy is not None:
             seeded = rng if config.follow_seed is None else np.random.default_rng(config.follow_seed)
@@ -126,7 +133,15 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
 
 
 def destroy(state: SwarmState, candidates: NDArray[np.bool_]) -> SwarmState:
-    """Destroy the candidates ``(B, N)``; orphans re-merge to the nearest remaining head (paper §II-A)."""
+    """Destroy the candidates; followers of a destroyed head join the nearest remaining head (re-merge, paper §II-A).
+
+    Args:
+        state: B swarms.
+        candidates: ``(B, N)`` bool.
+
+    Returns:
+        The state after the re-merge.
+    """
     alive = state.alive & ~candidates
     leader = state.leader.copy()
     position, velocity = state.past_position.copy(), state.past_velocity.copy()
@@ -137,21 +152,24 @@ def destroy(state: SwarmState, candidates: NDArray[np.bool_]) -> SwarmState:
     return replace(state, alive=alive, leader=leader, past_position=position, past_velocity=velocity)
 
 
-def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, Sighting]:
-    """Fly the next round: T_0 unobserved steps after a re-merge, then the window of T_ob samples.
+def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, ObservationBatch]:
+    """Simulate the next round: T_0 unobserved steps, then the observed window of T_ob samples.
 
     Args:
-        config: what the swarms were started with.
-        state: B swarms, each with a head left.
-        rngs: each episode's generator.
+        config: the same configuration as in :func:`start`.
+        state: B swarms, each with at least one living head.
+        rngs: one generator per episode.
 
     Returns:
-        The state at the window's end, and the windows.
+        The state at the end of the window, and the observed windows.
+
+    Raises:
+        ArgumentError: another number of generators than of swarms, or a swarm without a living head.
     """
     if len(rngs) != len(state.alive):
         raise ArgumentError(f"rngs must hold one generator for each of {len(state.alive)} swarms, got {len(rngs)}.")
     if config.follow_strategy is not None and not state.heads_left.all():
-        raise ArgumentError("state must have a head left in every swarm, got one without; the game is over there.")
+        raise ArgumentError("state must have a living head in every swarm, got a swarm without one.")
     episodes, uavs = state.alive.shape
     memory, steps = config.memory, config.steps
     position = np.zeros((episodes, memory + steps + 1, uavs, 3), np.float32)
@@ -159,31 +177,31 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
     position[:, : memory + 1] = state.past_position
     velocity[:, :memory] = state.past_velocity
     mobility_state = state.mobility_state.copy()
-    kind = np.full((episodes, uavs), kernels.FOLLOWS, np.int8)
-    np.put_along_axis(kind, state.free, np.int8(kernels.FREE), axis=1)
-    kind[~state.alive] = kernels.DESTROYED
-    # A destroyed UAV is flown along and wiped: its draws must not depend on who is alive.
+    motion = np.full((episodes, uavs), kernels.FOLLOWS, np.int8)
+    np.put_along_axis(motion, state.free, np.int8(kernels.FREE), axis=1)
+    motion[~state.alive] = kernels.DESTROYED
+    # Random numbers are drawn for destroyed UAVs too, so the draws of the others do not depend on which UAVs live.
     chunk = max(1, _CHUNK_BYTES // (steps * uavs * 12))
     noise = np.empty((min(chunk, episodes), steps, uavs, 3), np.float32)
     for first in range(0, episodes, chunk):
         part = slice(first, min(first + chunk, episodes))
-        _fly(config, state, kind, mobility_state, position, velocity, noise, part, rngs)
+        _fly(config, state, motion, mobility_state, position, velocity, noise, part, rngs)
     end = memory + steps
-    window = 2 * memory  # the past, then the steps between a re-merge and the window
-    sighting = sense(config, position[:, window:], velocity[:, window:], state.alive, rngs)
+    window = 2 * memory  # the window starts after the past and the unobserved steps
+    observed = sense(config, position[:, window:], velocity[:, window:], state.alive, rngs)
     after = replace(
         state,
         past_position=position[:, end - memory :].copy(),
         past_velocity=velocity[:, end - memory :].copy(),
         mobility_state=mobility_state,
     )
-    return after, sighting
+    return after, observed
 
 
 def _fly(
     config: SwarmConfig,
     state: SwarmState,
-    kind: NDArray[np.int8],
+    motion: NDArray[np.int8],
     mobility_state: NDArray[np.float64],
     position: NDArray[np.float32],
     velocity: NDArray[np.float32],
@@ -191,7 +209,7 @@ def _fly(
     part: slice,
     rngs: Generators,
 ) -> None:
-    """Fly the episodes ``part``; writes their rows of the arrays in place."""
+    """Simulate the episodes ``part`` and write their rows of the arrays in place."""
     strategy = config.follow_strategy
     rngs = rngs[part]
     noise = noise[: len(rngs)]
@@ -206,15 +224,17 @@ def _fly(
         config, state.free[part], mobility_state[part], position[part], velocity[part], config.memory, rngs, jitter
     )
     if not state.alive[part].all():
-        # Assigned, not multiplied: the sign of a zero would tell which of the destroyed flew by themselves.
+        # Assignment instead of multiplication: the sign of a zero would show which of the destroyed UAVs were free.
         velocity[part].swapaxes(1, 2)[~state.alive[part], config.memory :] = 0.0
     if strategy is None:
         kernels.integrate(config.memory, position[part], velocity[part])
         return
-    strategy.fly(Flight(position[part], velocity[part], noise, kind[part], state.leader[part], state.parameters[part]))
+    strategy.fly(
+        TrajectoryBatch(position[part], velocity[part], noise, motion[part], state.leader[part], state.parameters[part])
+    )
 
 
-JITTER = 0.05  # kappa_n where no follow strategy names one
+JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no follow strategy to define it
 
 
 def _fly_free(
@@ -227,20 +247,30 @@ def _fly_free(
     rngs: Generators,
     jitter: NDArray[np.float32],
 ) -> None:
-    """Velocities of the free UAVs from step ``first`` to the end of ``velocity``, in place."""
-    law = config.head_mobility
+    """Write the velocities of the free UAVs from step ``first`` to the end of ``velocity`` in place."""
+    mobility_model = config.head_mobility
     episodes, count = free.shape
     steps = velocity.shape[1] - first
-    if isinstance(law, CompiledMobility):
-        normals = np.empty((episodes, steps, count, law.normals), np.float32)
+    if isinstance(mobility_model, CompiledMobility):
+        normals = np.empty((episodes, steps, count, mobility_model.normals), np.float32)
         for row, rng in zip(normals, rngs, strict=True):
             rng.standard_normal(out=row, dtype=np.float32)
-        kernels.fly_free(law.code, law.constants(), free, first, normals, jitter, mobility_state, position, velocity)
+        kernels.fly_free(
+            mobility_model.code,
+            mobility_model.constants(),
+            free,
+            first,
+            normals,
+            jitter,
+            mobility_state,
+            position,
+            velocity,
+        )
         return
     for b, rng in enumerate(rngs):
-        directions = law.fly(mobility_state[b], position[b, first, free[b]], steps, rng).astype(np.float32)
-        for wobble in (0.0, jitter[b][:, free[b]] if len(jitter) else None):
-            if wobble is not None:
-                directions = directions + np.float32(wobble)
+        directions = mobility_model.fly(mobility_state[b], position[b, first, free[b]], steps, rng).astype(np.float32)
+        for added in (0.0, jitter[b][:, free[b]] if len(jitter) else None):
+            if added is not None:
+                directions = directions + np.float32(added)
                 directions = directions / np.sqrt((directions * directions).sum(axis=-1, keepdims=True) + 1e-12)
         velocity[b, first:, free[b]] = directions.swapaxes(0, 1)

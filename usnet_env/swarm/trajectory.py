@@ -1,4 +1,4 @@
-"""The arrays of one window in the making, shared by the parts that fly it."""
+"""The arrays that one call of the simulator fills: past and present motion of a batch of swarms."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Flight"]
+__all__ = ["TrajectoryBatch"]
 
 
 @dataclass(frozen=True)
-class Flight:
-    """B swarms that fly S steps, after a past of L steps; the parts write ``position`` and ``velocity`` in place.
+class TrajectoryBatch:
+    """B swarms with a past of L steps and S steps to simulate; ``position`` and ``velocity`` are filled in place.
 
     Args:
         position: ``(B, L + S + 1, N, 3)`` float32, metres; the first L + 1 instants are given.
-        velocity: ``(B, L + S, N, 3)`` float32, metres per step; the first L, and those of free UAVs, are given.
-        noise: ``(B, S, N, 3)`` float32, the followers' n ~ N(0, I), not yet scaled by kappa_n.
-        kind: ``(B, N)`` int8, what moves each UAV (``kernels.DESTROYED``, ``FREE`` or ``FOLLOWS``).
+        velocity: ``(B, L + S, N, 3)`` float32, metres per step; the first L steps are given, and all steps of the free
+            UAVs (heads and decoys).
+        noise: ``(B, S, N, 3)`` float32, the followers' n ~ N(0, I), before the scaling by kappa_n.
+        motion: ``(B, N)`` int8, how each UAV moves: ``kernels.DESTROYED``, ``FREE`` or ``FOLLOWS``.
         leader: ``(B, N)`` int64, the head of each follower.
         parameters: ``(B, P)`` float32, the follow strategy's parameters of each episode.
     """
@@ -26,7 +27,7 @@ class Flight:
     position: NDArray[np.float32]
     velocity: NDArray[np.float32]
     noise: NDArray[np.float32]
-    kind: NDArray[np.int8]
+    motion: NDArray[np.int8]
     leader: NDArray[np.int64]
     parameters: NDArray[np.float32]
 
@@ -37,10 +38,10 @@ class Flight:
 
     @property
     def steps(self) -> int:
-        """S, steps to fly."""
+        """S, the number of steps to simulate."""
         return int(self.noise.shape[1])
 
     @property
     def start(self) -> int:
-        """L, index of the first step to fly in ``velocity``."""
+        """L, the index in ``velocity`` of the first step to simulate."""
         return int(self.velocity.shape[1] - self.steps)

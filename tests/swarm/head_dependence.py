@@ -1,4 +1,4 @@
-"""Does a follow strategy really follow? How much of a follower's motion its head explains, and its own past does."""
+"""How much of a follower's motion its head explains beyond its own past: a measure of a follow strategy."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["HeadDependence", "head_dependence"]
 
 @dataclass(frozen=True)
 class HeadDependence:
-    """Held-out shares of a follower's velocity variance that can be predicted.
+    """Shares of a follower's velocity variance that can be predicted on held-out steps.
 
     Args:
         with_head: from the head's past and the follower's own.
@@ -30,14 +30,14 @@ class HeadDependence:
 
     @property
     def gain(self) -> float:
-        """What the head adds: near 0 for a strategy that does not look at its head."""
+        """The increase by the head: near 0 for a strategy that does not depend on its head."""
         return self.with_head - self.without_head
 
 
-def _explained(features: NDArray[np.float64], target: NDArray[np.float64]) -> float:
-    """R² on the later third, of the better of a linear model and a forest fitted on the earlier two thirds.
+def _explained_share(features: NDArray[np.float64], target: NDArray[np.float64]) -> float:
+    """R² on the last third of the better of a linear model and a forest, both fitted on the first two thirds.
 
-    R² is against zero, not the mean: a UAV that flies straight is predicted by its own past, and that must show.
+    R² is relative to zero, not to the mean: a straight track must count as predictable from the UAV's own past.
     """
     cut = 2 * len(features) // 3
     models = (RidgeCV(np.logspace(-3, 3, 7)), ExtraTreesRegressor(100, min_samples_leaf=3, random_state=0))
@@ -56,14 +56,15 @@ def head_dependence(
     steps: int = 600,
     followers: int = 4,
 ) -> HeadDependence:
-    """Measure on one cluster how a follower's velocity depends on its head.
+    """Measure how a follower's velocity depends on its head, in one cluster.
 
     Args:
-        follow: the strategy, by name or itself.
-        rng: seeds the flight.
-        mobility: how the head moves; with ``"iid"`` its past says nothing about its future, so any gain is following.
-        steps: length of the flight.
-        followers: followers in the cluster; the mean over them is returned.
+        follow: the strategy, by name or as an object.
+        rng: generator of the simulation.
+        mobility: how the head moves; with ``"iid"`` the head's past does not predict its future, so any gain
+            is due to the follow strategy.
+        steps: number of simulated steps.
+        followers: number of followers; the result is the mean over them.
     """
     config = SwarmConfig(
         follow=follow, mobility=mobility, clusters=1, uavs=followers + 1, observation_steps=steps, formation="uniform"
@@ -81,7 +82,7 @@ def head_dependence(
         target = velocity[lags:, i]
         own = np.concatenate([past[:, i].reshape(len(target), -1), position[lags:-1, i]], axis=1)
         gap = (position[lags:-1, head] - position[lags:-1, i]) / 100.0
-        led = past[:, head].reshape(len(target), -1)
-        scores.append((_explained(np.concatenate([own, led, led**2, gap], axis=1), target), _explained(own, target)))
-    with_head, without_head = np.mean(scores, axis=0)
-    return HeadDependence(float(with_head), float(without_head))
+        from_head = past[:, head].reshape(len(target), -1)
+        with_head = np.concatenate([own, from_head, from_head**2, gap], axis=1)
+        scores.append((_explained_share(with_head, target), _explained_share(own, target)))
+    return HeadDependence(*(float(share) for share in np.mean(scores, axis=0)))
