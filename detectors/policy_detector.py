@@ -87,15 +87,15 @@ class PolicyDetector(Detector):
             self.reset()
         observation = (self.observe or observation_of)(window)
         if callable(getattr(self.policy, "predict", None)):
-            candidates, scores = self._predicted(observation, window)
+            candidates, scores = self._act_by_predict(observation, window)
         elif hasattr(self.policy, "in_keys") and hasattr(self.policy, "out_keys"):
-            candidates, scores = self._acted(observation, window)
+            candidates, scores = self._act_by_tensordict(observation, window)
         else:
-            scores = _per_uav(self._called(_tensors(observation, _device(self.policy))), window.uavs)
+            scores = _to_scores(self._call_policy(_to_tensors(observation, _find_device(self.policy))), window.uavs)
             candidates = scores > self.threshold
         return Detection(candidates=candidates & window.alive, scores=scores)
 
-    def _predicted(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    def _act_by_predict(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
         predict = self.policy.predict
         more: dict[str, Any] = {}
         if "action_masks" in inspect.signature(predict).parameters:
@@ -104,12 +104,12 @@ class PolicyDetector(Detector):
             observation, state=self._state, episode_start=np.array([self._start]), deterministic=True, **more
         )
         self._start = False
-        candidates = _candidates(action, window.uavs)
-        if (scores := self._probabilities(observation, window.uavs)) is None:
+        candidates = _to_candidates(action, window.uavs)
+        if (scores := self._read_probabilities(observation, window.uavs)) is None:
             scores = candidates.astype(np.float64)
         return candidates, scores
 
-    def _probabilities(self, observation: Any, uavs: int) -> NDArray[np.float64] | None:
+    def _read_probabilities(self, observation: Any, uavs: int) -> NDArray[np.float64] | None:
         """Stable-Baselines3's distribution over the action: a probability a UAV, if it is one."""
         policy = self.policy
         ask = getattr(policy, "get_distribution", None)
@@ -130,20 +130,20 @@ class PolicyDetector(Detector):
             probabilities = getattr(inner, "probs", None)
         if probabilities is None or probabilities.numel() != uavs:  # another kind of action: the bits have to serve
             return None
-        return _per_uav(probabilities, uavs)
+        return _to_scores(probabilities, uavs)
 
-    def _acted(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    def _act_by_tensordict(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
         tensordict = import_module("tensordict")  # whoever has such a policy has it
-        asked = tensordict.TensorDict(_tensors(observation, _device(self.policy)), batch_size=[1])
+        asked = tensordict.TensorDict(_to_tensors(observation, _find_device(self.policy)), batch_size=[1])
         with import_module("tensordict.nn").set_interaction_type("deterministic"):
-            given = self._called(asked)
-        candidates = _candidates(_array(given.get("action")), window.uavs)
+            given = self._call_policy(asked)
+        candidates = _to_candidates(_to_array(given.get("action")), window.uavs)
         for key in _SCORES:
             if (found := given.get(key, None)) is not None and found.numel() == window.uavs:
-                return candidates, _per_uav(found, window.uavs)
+                return candidates, _to_scores(found, window.uavs)
         return candidates, candidates.astype(np.float64)
 
-    def _called(self, given: Any) -> Any:
+    def _call_policy(self, given: Any) -> Any:
         """The policy's answer without gradients, with its layers in the mode of use."""
         import torch
 
@@ -176,18 +176,18 @@ class PolicyDetector(Detector):
             raise ArgumentError(f"threshold must be a number, got {quote(self.threshold)}.")
 
 
-def _array(value: Any) -> NDArray[Any]:
+def _to_array(value: Any) -> NDArray[Any]:
     """A tensor or anything like an array as a NumPy array."""
     return np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
 
 
-def _device(policy: Any) -> Any:
+def _find_device(policy: Any) -> Any:
     """Where the weights of a module lie; the CPU for one without any."""
     weight = next(iter(policy.parameters()), None) if hasattr(policy, "parameters") else None
     return "cpu" if weight is None else weight.device
 
 
-def _tensors(observation: Any, device: Any) -> Any:
+def _to_tensors(observation: Any, device: Any) -> Any:
     """An observation (a mapping of arrays, or one array) as tensors with a leading axis of 1."""
     import torch
 
@@ -196,23 +196,23 @@ def _tensors(observation: Any, device: Any) -> Any:
     return torch.as_tensor(np.asarray(observation), device=device)[None]
 
 
-def _per_uav(value: Any, uavs: int) -> NDArray[np.float64]:
+def _to_scores(value: Any, uavs: int) -> NDArray[np.float64]:
     """``(uavs,)`` numbers, with or without axes of length 1."""
-    values = _array(value)
+    values = _to_array(value)
     if values.size != uavs or values.dtype.kind not in "biuf":
         raise ArgumentError(f"policy must give one number for each of {uavs} UAVs, got shape {values.shape}.")
     return values.reshape(uavs).astype(np.float64)
 
 
-def _candidates(action: Any, uavs: int) -> NDArray[np.bool_]:
+def _to_candidates(action: Any, uavs: int) -> NDArray[np.bool_]:
     """An action as candidates: N bits, or the number of one UAV."""
-    values = _array(action)
+    values = _to_array(action)
     if values.size == 1 and uavs > 1 and values.dtype.kind in "iu":
         index = int(values.reshape(()))
         if not 0 <= index < uavs:
             raise ArgumentError(f"policy must name a UAV from 0 to {uavs - 1}, got {index}.")
         return np.arange(uavs) == index
-    bits = _per_uav(values, uavs)
+    bits = _to_scores(values, uavs)
     if not ((bits == 0) | (bits == 1)).all():
         raise ArgumentError(f"policy must give an action of 0 and 1, got {quote(values)}.")
     return bits.astype(bool)

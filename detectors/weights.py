@@ -72,14 +72,14 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, Tensor]:
         raise ArgumentError(
             f"path must be a weights file with its JSON beside it, got {quote(str(path))}: {reason}."
         ) from None
-    return _checked(str(path), data, record)
+    return _verify_arrays(str(path), data, record)
 
 
 def packaged_arrays(package: str, name: str) -> dict[str, Tensor]:
     """The arrays of ``data/<name>.safetensors`` in a package, such as ``"detectors.learned"``."""
     folder = files(package) / "data"
     record = (folder / f"{name}.json").read_text(encoding="utf-8")
-    return _checked(f"{name}.safetensors", (folder / f"{name}.safetensors").read_bytes(), record)
+    return _verify_arrays(f"{name}.safetensors", (folder / f"{name}.safetensors").read_bytes(), record)
 
 
 def packaged_record(package: str, name: str) -> dict[str, Any]:
@@ -88,7 +88,7 @@ def packaged_record(package: str, name: str) -> dict[str, Any]:
     return record
 
 
-def _checked(path: str, data: bytes, record: str) -> dict[str, Tensor]:
+def _verify_arrays(path: str, data: bytes, record: str) -> dict[str, Tensor]:
     try:
         expected = json.loads(record)["sha256"]
     except (ValueError, KeyError, TypeError):

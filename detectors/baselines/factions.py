@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.lagged.selection import centred, ranked
+from detectors.lagged.selection import centre_columns, rank_uavs
 from usnet_env.config import Config
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["Factions", "following_network", "pagerank"]
+__all__ = ["Factions", "build_following_network", "compute_pagerank"]
 
 Floats = NDArray[np.float64]
 
@@ -70,24 +70,24 @@ class Factions(Detector):
         clusters = np.full(window.uavs, -1, np.int64)
         candidates = np.zeros(window.uavs, bool)
         if len(living):
-            network = following_network(
+            network = build_following_network(
                 window.velocity[:, living], window.velocity_seen[:, living], arguments.max_lag, arguments.threshold
             )
-            rank = pagerank(network)
+            rank = compute_pagerank(network)
             scores[living] = rank
             leads = np.flatnonzero((network > 0).any(axis=0) & ~(network > 0).any(axis=1))
-            reached = _reached(network > 0, leads)
+            reached = _find_reachable_leaders(network > 0, leads)
             for label, lead in enumerate(leads):
                 mine = (reached.argmax(axis=1) == label) & reached.any(axis=1)
                 leader[living[mine]] = living[lead]
                 clusters[living[mine]] = label
             candidates[living[leads]] = True
             if not len(leads):
-                candidates[ranked(scores, window.alive, rng)[:1]] = True
+                candidates[rank_uavs(scores, window.alive, rng)[:1]] = True
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader)
 
 
-def following_network(
+def build_following_network(
     velocity: NDArray[np.floating], seen: NDArray[np.bool_], max_lag: int, threshold: float
 ) -> Floats:
     """Weighted followings ``(n, n)``, entry (i, j) > 0: i follows j, with that correlation.
@@ -99,7 +99,7 @@ def following_network(
         threshold: the least correlation.
     """
     steps, uavs = velocity.shape[:2]
-    flight = centred(velocity.astype(np.float64), seen)
+    flight = centre_columns(velocity.astype(np.float64), seen)
     length = np.sqrt((flight**2).sum(axis=(0, 2)))
     flight = (flight / np.where(length > 1e-9, length, np.inf)[:, None]).transpose(1, 0, 2)
     best = np.full((uavs, uavs), -np.inf)
@@ -111,7 +111,7 @@ def following_network(
     return np.where(np.isfinite(ahead), ahead, 0.0)
 
 
-def pagerank(network: Floats) -> Floats:
+def compute_pagerank(network: Floats) -> Floats:
     """PageRank of a network of followings ``(n, n)``: who is followed by those who are followed (Page et al., 1999)."""
     uavs = len(network)
     out = network.sum(axis=1, keepdims=True)
@@ -122,7 +122,7 @@ def pagerank(network: Floats) -> Floats:
     return rank
 
 
-def _reached(follows: NDArray[np.bool_], leads: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _find_reachable_leaders(follows: NDArray[np.bool_], leads: NDArray[np.int64]) -> NDArray[np.bool_]:
     """``(n, leaders)`` whether a path of followings leads from a UAV to a leader; a leader reaches itself."""
     reached = np.zeros((len(follows), len(leads)), bool)
     reached[leads, np.arange(len(leads))] = True

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from detectors.lagged.selection import Evidence, Floats, LaggedArguments, LaggedDetector, centred
+from detectors.lagged.selection import Evidence, Floats, LaggedArguments, LaggedDetector, centre_columns
 
 __all__ = ["Granger", "granger_evidence"]
 
@@ -77,15 +77,18 @@ def granger_evidence(
     if uavs < 2 or rows < 6:
         return None
     flight = velocity.astype(np.float64)
-    target = centred(flight[lags:], seen[lags:]).transpose(1, 0, 2)
+    target = centre_columns(flight[lags:], seen[lags:]).transpose(1, 0, 2)
     past = np.concatenate(
-        [centred(flight[lags - lag : steps - lag], seen[lags - lag : steps - lag]) for lag in range(1, lags + 1)],
+        [
+            centre_columns(flight[lags - lag : steps - lag], seen[lags - lag : steps - lag])
+            for lag in range(1, lags + 1)
+        ],
         axis=2,
     ).transpose(1, 0, 2)
-    theirs = _orthonormal(past)
-    own = _orthonormal(past[:, :, : 3 * own_lags]) if own_lags else np.zeros((uavs, rows, 0))
+    theirs = _orthonormalise_columns(past)
+    own = _orthonormalise_columns(past[:, :, : 3 * own_lags]) if own_lags else np.zeros((uavs, rows, 0))
     pairs, surrogate = (
-        _conditional_share(np.roll(target, shift, axis=1), np.roll(own, shift, axis=1), theirs)
+        _compute_conditional_share(np.roll(target, shift, axis=1), np.roll(own, shift, axis=1), theirs)
         for shift in (0, rows // 2)
     )
     freedom = 3 * lags
@@ -97,7 +100,7 @@ def granger_evidence(
     return Evidence(pairs, surrogate, float(np.sqrt(2.0 * freedom / 3.0) / rows))
 
 
-def _orthonormal(features: Floats) -> Floats:
+def _orthonormalise_columns(features: Floats) -> Floats:
     """Orthonormal columns spanning each ``(rows, p)`` block, but for a little ridge."""
     gram = features.transpose(0, 2, 1) @ features
     width = gram.shape[1]
@@ -106,7 +109,7 @@ def _orthonormal(features: Floats) -> Floats:
     return features @ np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
 
 
-def _conditional_share(target: Floats, own: Floats, theirs: Floats) -> Floats:
+def _compute_conditional_share(target: Floats, own: Floats, theirs: Floats) -> Floats:
     """``(n, n)`` share of the residual on ``own`` that ``theirs`` explain beyond it."""
     uavs, _, width = theirs.shape
     residual = target - own @ (own.transpose(0, 2, 1) @ target)

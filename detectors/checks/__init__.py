@@ -5,7 +5,7 @@
 ``check_estimator`` is to estimators.
 """
 
-from detectors.checks.asking import CheckError
+from detectors.checks.harness import CheckError
 from detectors.checks.run import (
     CHECKS,
     CheckResult,

@@ -10,8 +10,8 @@ from unittest import SkipTest
 
 from sklearn.base import clone
 
-from detectors.checks.asking import SEED, answers, ask, difference, fresh, require
-from detectors.checks.windows import simulated
+from detectors.checks.harness import SEED, compare_detections, copy_detector, play_windows, request_detection, require
+from detectors.checks.windows import simulate_window
 from usnet_env.config import quote
 
 __all__ = ["check_constructor_only_stores", "check_parameters_and_clone", "check_pickling"]
@@ -20,7 +20,7 @@ __all__ = ["check_constructor_only_stores", "check_parameters_and_clone", "check
 def check_constructor_only_stores(detector: Any) -> None:
     """The constructor stores its keyword arguments under their names, untouched, and nothing else."""
     kind = type(detector)
-    given = {name: _Anything() for name in _argument_names(detector)}
+    given = {name: _UnknownValue() for name in _list_argument_names(detector)}
     made = kind(**given)
     stored = dict(vars(made))
     for name, value in given.items():
@@ -33,8 +33,8 @@ def check_constructor_only_stores(detector: Any) -> None:
 
 def check_parameters_and_clone(detector: Any) -> None:
     """``get_params``, ``set_params`` and ``clone`` agree with the constructor; an episode changes no argument."""
-    names = _argument_names(detector)
-    own = fresh(detector)
+    names = _list_argument_names(detector)
+    own = copy_detector(detector)
     params: Mapping[str, Any] = own.get_params(deep=False)
     require(
         sorted(params) == names,
@@ -42,7 +42,7 @@ def check_parameters_and_clone(detector: Any) -> None:
     )
     before = {name: (value, repr(value)) for name, value in params.items()}
     require(own.set_params(**params) is own, "set_params must return the detector.")
-    answers(own, [simulated(), simulated(seed=1, destroyed=3, round=2)])
+    play_windows(own, [simulate_window(), simulate_window(seed=1, destroyed=3, round=2)])
     for name, (value, text) in before.items():
         now = own.get_params(deep=False)[name]
         require(now is value and repr(now) == text, f"reset and detect must leave {name} as it is, got {quote(now)}.")
@@ -53,27 +53,29 @@ def check_parameters_and_clone(detector: Any) -> None:
 
 def check_pickling(detector: Any) -> None:
     """A pickled detector comes back as it was, in mid-episode as well: so it reaches worker processes."""
-    own = fresh(detector)
-    there = _back(own)
+    own = copy_detector(detector)
+    there = _pickle_and_unpickle(own)
     require(type(there) is type(own), f"a pickled detector must come back as it was, got a {type(there).__name__}.")
-    (here,), (same,) = (answers(one, [simulated()]) for one in (own, there))
-    different = difference(here, same)
+    (here,), (same,) = (play_windows(one, [simulate_window()]) for one in (own, there))
+    different = compare_detections(here, same)
     require(not different, f"a pickled detector must answer as the detector does after reset({SEED}): {different}.")
-    both = own, _back(own)
-    different = difference(*(ask(one, simulated(seed=1, destroyed=3, round=2)) for one in both))
+    both = own, _pickle_and_unpickle(own)
+    different = compare_detections(
+        *(request_detection(one, simulate_window(seed=1, destroyed=3, round=2)) for one in both)
+    )
     require(not different, f"a detector that is pickled in mid-episode must go on where it was: {different}.")
 
 
-def _back(detector: Any) -> Any:
+def _pickle_and_unpickle(detector: Any) -> Any:
     """There and back again. What is read is what was written a line before, never a file."""
     return pickle.loads(pickle.dumps(detector))
 
 
-class _Anything:
+class _UnknownValue:
     """An argument that no constructor can know."""
 
 
-def _argument_names(detector: Any) -> list[str]:
+def _list_argument_names(detector: Any) -> list[str]:
     """The constructor's arguments in alphabetical order; skips detectors without scikit-learn's methods."""
     if not callable(getattr(detector, "get_params", None)):
         raise SkipTest("it has no get_params, and is not bound to scikit-learn's rules.")

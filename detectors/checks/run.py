@@ -21,20 +21,20 @@ from detectors.checks.answers import (
     check_smallest_swarm,
 )
 from detectors.checks.arguments import check_constructor_only_stores, check_parameters_and_clone, check_pickling
-from detectors.checks.asking import CheckError
-from detectors.checks.repeatability import (
-    check_episodes_start_afresh,
-    check_permuting_uavs_permutes_the_answer,
-    check_same_seed_same_answer,
-)
-from detectors.checks.surroundings import (
+from detectors.checks.global_state import (
     SECONDS,
     check_global_generators_untouched,
     check_input_unchanged,
     check_process_settings_untouched,
     check_time_budget,
 )
-from detectors.checks.truth import check_no_reach_for_truth, check_truth_nearby_changes_nothing
+from detectors.checks.harness import CheckError
+from detectors.checks.leakage import check_no_reach_for_truth, check_truth_nearby_changes_nothing
+from detectors.checks.repeatability import (
+    check_episodes_start_afresh,
+    check_permuting_uavs_permutes_the_answer,
+    check_same_seed_same_answer,
+)
 from usnet_env.config import ArgumentError, quote, unknown_name
 
 if TYPE_CHECKING:
@@ -137,10 +137,10 @@ def check_detector(
     """
     if on_fail not in ("raise", None):
         raise ArgumentError(f"on_fail must be 'raise' or None, got {quote(on_fail)}.")
-    excuses = _checked_excuses(_checked_detector(detector), expected_failed_checks)
+    excuses = _validate_excuses(_validate_detector(detector), expected_failed_checks)
     results = []
-    for check in _checks(seconds):
-        results.append(_result(check, detector, excuses))
+    for check in _list_checks(seconds):
+        results.append(_run_check(check, detector, excuses))
         if callback is not None:
             callback(results[-1])
     if on_fail == "raise" and any(result.status == "failed" for result in results):
@@ -172,9 +172,9 @@ def parametrize_with_checks(
     cases = []
     for detector in detectors:
         found = expected_failed_checks(detector) if expected_failed_checks is not None else None
-        excuses = _checked_excuses(_checked_detector(detector), found)
-        for check in _checks(seconds):
-            name = _name(check)
+        excuses = _validate_excuses(_validate_detector(detector), found)
+        for check in _list_checks(seconds):
+            name = _get_name(check)
             marks = [pytest.mark.xfail(reason=excuses[name], strict=False)] if name in excuses else []
             # The default representation holds an address, which would differ between pytest-xdist's workers.
             plain = "__repr__" not in {name for kind in type(detector).__mro__[:-1] for name in vars(kind)}
@@ -206,7 +206,7 @@ def exit_status(results: Sequence[CheckResult]) -> int:
     return int(any(result.status == "failed" for result in results))
 
 
-def _checks(seconds: float) -> list[Check]:
+def _list_checks(seconds: float) -> list[Check]:
     """All checks, with the time budget filled in."""
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0:
         raise ArgumentError(f"seconds must be a number above 0, got {quote(seconds)}.")
@@ -214,19 +214,19 @@ def _checks(seconds: float) -> list[Check]:
     return [budget if check is check_time_budget else check for check in CHECKS]
 
 
-def _name(check: Check) -> str:
+def _get_name(check: Check) -> str:
     name: str = (check.func if isinstance(check, functools.partial) else check).__name__
     return name
 
 
-def _checked_detector(detector: Any) -> Any:
+def _validate_detector(detector: Any) -> Any:
     methods = all(callable(getattr(detector, method, None)) for method in ("detect", "reset"))
     if isinstance(detector, type) or not methods:
         raise ArgumentError(f"detector must be an object with detect(window) and reset(seed), got {quote(detector)}.")
     return detector
 
 
-def _checked_excuses(detector: Any, excuses: Mapping[str, str] | None) -> Mapping[str, str]:
+def _validate_excuses(detector: Any, excuses: Mapping[str, str] | None) -> Mapping[str, str]:
     for name, reason in (excuses or {}).items():
         if name not in _NAMES:
             raise unknown_name("expected_failed_checks", name, _NAMES)
@@ -238,8 +238,8 @@ def _checked_excuses(detector: Any, excuses: Mapping[str, str] | None) -> Mappin
     return excuses or {}
 
 
-def _result(check: Check, detector: Any, excuses: Mapping[str, str]) -> CheckResult:
-    name = _name(check)
+def _run_check(check: Check, detector: Any, excuses: Mapping[str, str]) -> CheckResult:
+    name = _get_name(check)
     begin = time.perf_counter()
     error: Exception | None = None
     status: Status = "passed"
@@ -250,13 +250,13 @@ def _result(check: Check, detector: Any, excuses: Mapping[str, str]) -> CheckRes
         status, reason = "skipped", str(skip)
     except Exception as failure:
         error = failure
-        status, reason = "failed", _sentence(failure)
+        status, reason = "failed", _format_failure(failure)
         if name in excuses:
             status, reason = "expected failure", f"{excuses[name]} ({reason})"
     return CheckResult(name, status, reason, time.perf_counter() - begin, error)
 
 
-def _sentence(failure: Exception) -> str:
+def _format_failure(failure: Exception) -> str:
     """A failure on one line: the check's own sentence, or what the detector raised."""
     text = " ".join(str(failure).split())
     return text if isinstance(failure, CheckError) else f"{type(failure).__name__}: {text}".rstrip(": ")

@@ -11,10 +11,16 @@ from numpy.typing import NDArray
 from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.window import Window
 
-__all__ = ["hovering", "permuted", "simulated", "swarm_with_heads", "unseen_in_part"]
+__all__ = [
+    "make_hovering_window",
+    "permute_uavs",
+    "simulate_missing_samples",
+    "simulate_swarm_with_heads",
+    "simulate_window",
+]
 
 
-def simulated(
+def simulate_window(
     clusters: int = 3,
     uavs: int = 14,
     *,
@@ -46,16 +52,16 @@ def simulated(
     return Window(sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0], round)
 
 
-def unseen_in_part(seed: int = 0) -> Window:
+def simulate_missing_samples(seed: int = 0) -> Window:
     """A noisy window in which samples are missing: here and there, one UAV's all, and everybody's at some instants."""
-    window = simulated(seed=seed, miss_rate=0.3, position_noise=0.2, destroyed=2, round=2)
+    window = simulate_window(seed=seed, miss_rate=0.3, position_noise=0.2, destroyed=2, round=2)
     seen = window.seen.copy()
     seen[:, np.flatnonzero(window.alive)[0]] = False
     seen[[0, 20, 21]] = False
-    return _masked(window.position, window.velocity, seen, window.alive, window.round)
+    return _mask_unseen_samples(window.position, window.velocity, seen, window.alive, window.round)
 
 
-def hovering(uavs: int = 8, steps: int = 60, *, together: bool = False, seed: int = 0) -> Window:
+def make_hovering_window(uavs: int = 8, steps: int = 60, *, together: bool = False, seed: int = 0) -> Window:
     """Nobody moves: whoever divides by a spread divides by 0, and whoever is named is named by chance.
 
     Args:
@@ -71,14 +77,14 @@ def hovering(uavs: int = 8, steps: int = 60, *, together: bool = False, seed: in
     )
 
 
-def permuted(window: Window, order: NDArray[np.intp]) -> Window:
+def permute_uavs(window: Window, order: NDArray[np.intp]) -> Window:
     """The same window with UAV ``order[i]`` at index i."""
     return Window(
         window.position[:, order], window.velocity[:, order], window.seen[:, order], window.alive[order], window.round
     )
 
 
-def swarm_with_heads(window: Window, heads: NDArray[np.intp]) -> SwarmState:
+def simulate_swarm_with_heads(window: Window, heads: NDArray[np.intp]) -> SwarmState:
     """The truth of some other swarm of as many UAVs, with its heads at ``heads``."""
     config = SwarmConfig(clusters=1, uavs=window.uavs, observation_steps=window.observation_steps)
     state = start(config, [np.random.default_rng(0)]).episode()
@@ -87,7 +93,7 @@ def swarm_with_heads(window: Window, heads: NDArray[np.intp]) -> SwarmState:
     return replace(state, head=head, leader=np.where(head, np.arange(window.uavs), heads[0]))
 
 
-def _masked(
+def _mask_unseen_samples(
     position: NDArray[np.float32],
     velocity: NDArray[np.float32],
     seen: NDArray[np.bool_],

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from detectors.lagged.selection import Evidence, Floats, LaggedArguments, LaggedDetector, centred
+from detectors.lagged.selection import Evidence, Floats, LaggedArguments, LaggedDetector, centre_columns
 
 __all__ = ["LaggedCorrelation", "correlation_evidence", "lagged_correlation"]
 
@@ -67,7 +67,7 @@ def correlation_evidence(velocity: NDArray[np.floating], seen: NDArray[np.bool_]
     max_lag = min(max_lag, steps - LEAST_ROWS)
     if uavs < 2 or max_lag < 1:
         return None
-    flight = centred(velocity.astype(np.float64), seen)
+    flight = centre_columns(velocity.astype(np.float64), seen)
     length = np.sqrt((flight**2).sum(axis=(0, 2)))
     flight /= np.where(length > 1e-6, length, np.inf)[:, None]
     shifted = np.roll(flight, steps // 2, axis=0)

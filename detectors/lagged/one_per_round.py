@@ -6,7 +6,7 @@ import numpy as np
 
 from detectors.base import Detector
 from detectors.lagged.regression import LaggedRegression
-from detectors.lagged.selection import ranked
+from detectors.lagged.selection import rank_uavs
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -24,5 +24,5 @@ class OnePerRound(Detector):
         whole = LaggedRegression().detect(window)
         rng = getattr(self, "rng", None) or np.random.default_rng()
         candidates = np.zeros(window.uavs, bool)
-        candidates[ranked(whole.scores, window.alive, rng)[:1]] = True
+        candidates[rank_uavs(whole.scores, window.alive, rng)[:1]] = True
         return Detection(candidates=candidates, scores=whole.scores, attention=whole.attention)

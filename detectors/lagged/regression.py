@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from detectors.lagged.selection import Evidence, Floats, LaggedArguments, LaggedDetector, centred
+from detectors.lagged.selection import Evidence, Floats, LaggedArguments, LaggedDetector, centre_columns
 
 __all__ = ["LaggedRegression", "pairwise_r2", "regression_evidence"]
 
@@ -77,7 +77,7 @@ def regression_evidence(
         The evidence, or ``None`` for fewer than 2 UAVs or too short a window.
     """
     steps, uavs = velocity.shape[:2]
-    lags, squares = _affordable(steps, lags, squares)
+    lags, squares = _choose_lags(steps, lags, squares)
     rows = steps - lags
     if uavs < 2 or rows < LEAST_ROWS:
         return None
@@ -91,7 +91,7 @@ def regression_evidence(
     return Evidence(pairs, surrogate, spread)
 
 
-def _affordable(steps: int, lags: int, squares: bool) -> tuple[int, bool]:
+def _choose_lags(steps: int, lags: int, squares: bool) -> tuple[int, bool]:
     """The most lags, and whether squares, that ``steps`` velocities allow at ``ROWS_PER_FEATURE`` samples a feature."""
     for with_squares in (True, False) if squares else (False,):
         for fewer in range(lags, 0, -1):
@@ -130,7 +130,7 @@ def pairwise_r2(
     past = velocity.astype(np.float64)
     steps, uavs = past.shape[:2]
     rows = steps - lags
-    target = centred(past[lags:], seen[lags:])
+    target = centre_columns(past[lags:], seen[lags:])
     total = (target**2).sum(axis=(0, 2))
     moving = total > 1e-12
     target /= np.sqrt(np.where(moving, total, np.inf))[:, None]
@@ -147,10 +147,10 @@ def pairwise_r2(
     for start in range(0, uavs, chunk):
         part = slice(start, start + chunk)
         lagged = [
-            centred(past[lags - lag : steps - lag, part], seen[lags - lag : steps - lag, part])
+            centre_columns(past[lags - lag : steps - lag, part], seen[lags - lag : steps - lag, part])
             for lag in range(1, lags + 1)
         ]
-        whitened, freedom[part] = _whitened(np.concatenate(lagged, axis=2).transpose(1, 0, 2), ridge)
+        whitened, freedom[part] = _whiten_features(np.concatenate(lagged, axis=2).transpose(1, 0, 2), ridge)
         here = len(whitened)
         stacked = whitened.transpose(0, 2, 1).reshape(here * features, rows).astype(np.float32)
         for index, shifted in enumerate(targets):
@@ -161,7 +161,7 @@ def pairwise_r2(
     return np.clip(result, 0.0, 1.0), freedom
 
 
-def _whitened(features: Floats, ridge: float) -> tuple[Floats, Floats]:
+def _whiten_features(features: Floats, ridge: float) -> tuple[Floats, Floats]:
     """Q ``(c, rows, p)``, where ‖Qᵀy‖² is what the ridge on ``features`` (same shape) explains of y; its freedom."""
     gram = features.transpose(0, 2, 1) @ features
     squared, vectors = np.linalg.eigh(gram)

@@ -25,11 +25,11 @@ __all__ = [
     "Evidence",
     "LaggedArguments",
     "LaggedDetector",
-    "centred",
+    "centre_columns",
+    "compute_votes",
     "cover_voters",
     "detection_from_evidence",
-    "ranked",
-    "voters_of",
+    "rank_uavs",
 ]
 
 Floats = NDArray[np.float64]
@@ -39,7 +39,7 @@ LEAST_VOTERS = 1.5  # voters that a head must add: m_j >= 2, less what a noisy s
 _MAD_TO_SPREAD = 1.4826  # median absolute deviation to standard deviation, for a normal variable
 
 
-def centred(values: Floats, seen: NDArray[np.bool_]) -> Floats:
+def centre_columns(values: Floats, seen: NDArray[np.bool_]) -> Floats:
     """``values`` ``(n, N, d)`` less each column's mean over the ``seen`` rows ``(n, N)``; unseen rows are 0."""
     weight = seen[..., None].astype(np.float64)
     mean = (values * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0)
@@ -76,7 +76,7 @@ class Evidence:
         return self.chance + SIGNIFICANT_SPREADS * max(spread, self.spread)
 
 
-def voters_of(evidence: Evidence) -> tuple[NDArray[np.int64], Floats]:
+def compute_votes(evidence: Evidence) -> tuple[NDArray[np.int64], Floats]:
     """Whom every UAV votes for, and with which weight.
 
     A UAV votes for the one with the best evidence; its weight is what that exceeds the best that chance gives, at
@@ -122,7 +122,7 @@ def cover_voters(evidence: Evidence, most: int | None = None) -> list[int]:
     return heads
 
 
-def ranked(scores: Floats, alive: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.int64]:
+def rank_uavs(scores: Floats, alive: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.int64]:
     """Indices of the living UAVs, the highest score first; ties in an order that ``rng`` draws."""
     living = np.flatnonzero(alive)
     order: NDArray[np.int64] = living[np.lexsort((rng.random(len(living)), -scores[living]))]
@@ -159,13 +159,13 @@ def detection_from_evidence(
     weight = np.zeros(uavs)
     found: list[int] = []
     if evidence is not None:
-        chosen, weight[living] = voters_of(evidence)
+        chosen, weight[living] = compute_votes(evidence)
         vote[living] = living[chosen]
         np.add.at(scores, vote[living], weight[living])
         attention[np.ix_(living, living)] = np.maximum(evidence.pairs, 0.0)
         found = cover_voters(evidence, clusters)
 
-    order = ranked(scores, alive, rng)
+    order = rank_uavs(scores, alive, rng)
     heads = living[found] if found else order[:1]
     if clusters is not None and first_round:
         heads = order[:clusters]

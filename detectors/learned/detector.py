@@ -11,8 +11,8 @@ from pydantic import Field
 
 from detectors.base import Detector
 from detectors.follow_mixture.policy import Policy, choose
-from detectors.learned.inputs import inputs_of
-from detectors.learned.network import HeadNetwork, network_of
+from detectors.learned.inputs import make_inputs
+from detectors.learned.network import HeadNetwork, build_network
 from detectors.weights import packaged_arrays, read_arrays
 from usnet_env.config import ArgumentError, Config, unknown_name
 from usnet_env.detection import Detection
@@ -104,11 +104,11 @@ class Learned(Detector):
         leader = np.full(window.uavs, -1, np.int64)
         clusters = np.full(window.uavs, -1, np.int64)
         if len(living):
-            probability[living], following = _asked(self._network, window, living)
+            probability[living], following = _predict_probabilities(self._network, window, living)
             attention[np.ix_(living, living)] = following
             leader[living] = living[following.argmax(axis=1)]
             clusters[living] = np.unique(leader[living], return_inverse=True)[1]
-        candidates = _named(probability, window.alive, arguments, self.rng.random(window.uavs))
+        candidates = _choose_candidates(probability, window.alive, arguments, self.rng.random(window.uavs))
         return Detection(candidates, probability, clusters, leader, attention, {"probability": probability})
 
 
@@ -119,22 +119,22 @@ def load_network(weights: str = "shipped") -> HeadNetwork:
         ArgumentError: the file is missing, broken, or not what the JSON beside it says.
     """
     if weights == "shipped":
-        return network_of("learned.safetensors", packaged_arrays("detectors.learned", "learned"))
-    return network_of(weights, read_arrays(weights))
+        return build_network("learned.safetensors", packaged_arrays("detectors.learned", "learned"))
+    return build_network(weights, read_arrays(weights))
 
 
-def _asked(
+def _predict_probabilities(
     network: HeadNetwork, window: Window, living: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Probabilities ``(n,)`` of being a head, and ``(n, n)`` of UAV i following j, itself meaning nobody."""
     with torch.no_grad():
-        answer = network(*inputs_of(window, living))
+        answer = network(*make_inputs(window, living))
         head = torch.sigmoid(answer.head.double())
         following = torch.softmax(answer.leader.double(), dim=1)
     return head.numpy().round(_DECIMALS), following.numpy()
 
 
-def _named(
+def _choose_candidates(
     probability: NDArray[np.float64], alive: NDArray[np.bool_], arguments: _Arguments, tie: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """The candidates ``(N,)``, living UAVs only."""

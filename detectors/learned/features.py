@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.lagged.selection import centred
+from detectors.lagged.selection import centre_columns
 from usnet_env.window import Window
 
 __all__ = ["LAGS", "PAIR_FEATURES", "pair_features"]
@@ -51,64 +51,64 @@ def pair_features(window: Window, living: NDArray[np.intp]) -> Floats:
         ``(n, n, PAIR_FEATURES)`` float32; the diagonal is 0, and so is what a window is too short for.
     """
     seen = window.velocity_seen[:, living]
-    velocity = _in_own_units(window.velocity[:, living], seen)
+    velocity = _scale_velocity(window.velocity[:, living], seen)
     uavs = len(living)
     values = np.zeros((_STATISTICS, uavs, uavs), np.float32)
     if uavs:
-        values[:] = [*_flight_statistics(velocity, seen), _towards(window, living)]
+        values[:] = [*_compute_flight_statistics(velocity, seen), _compute_direction_cosine(window, living)]
     values[:, np.arange(uavs), np.arange(uavs)] = 0.0
-    return np.concatenate([values, _against_row(values)]).transpose(1, 2, 0)
+    return np.concatenate([values, _standardise_rows(values)]).transpose(1, 2, 0)
 
 
-def _flight_statistics(velocity: Floats, seen: NDArray[np.bool_]) -> Iterator[Floats]:
+def _compute_flight_statistics(velocity: Floats, seen: NDArray[np.bool_]) -> Iterator[Floats]:
     steps = len(velocity)
-    linear = _centred(velocity, seen)
-    quadratic = _centred(_quadratic(velocity), seen)
-    products = _centred(_products(velocity), seen[1:] & seen[:-1])
+    linear = _centre_columns(velocity, seen)
+    quadratic = _centre_columns(_make_quadratic_features(velocity), seen)
+    products = _centre_columns(_make_product_features(velocity), seen[1:] & seen[:-1])
     own = 2 if steps >= _LONG else 1
-    surprise, late = _innovation(linear, own), seen[own:]
+    surprise, late = _compute_innovation(linear, own), seen[own:]
     for target, first, second, third, there in (
         (linear, linear, quadratic, products, seen),
-        (surprise, surprise, _innovation(quadratic, 1), _innovation(products, 1), late),
+        (surprise, surprise, _compute_innovation(quadratic, 1), _compute_innovation(products, 1), late),
     ):
-        unit = _normalised(target)
-        yield _single(first, unit, 0)
-        single = [_single(features, unit, lag) for lag in range(1, LAGS + 1) for features in (first, second)]
-        single += [_single(third, unit, lag) for lag in range(1, _PRODUCT_LAGS + 1)]
+        unit = _normalise_target(target)
+        yield _explain_at_lag(first, unit, 0)
+        single = [_explain_at_lag(features, unit, lag) for lag in range(1, LAGS + 1) for features in (first, second)]
+        single += [_explain_at_lag(third, unit, lag) for lag in range(1, _PRODUCT_LAGS + 1)]
         yield from single
         yield np.max(single, axis=0)
         length = np.sqrt((target**2).sum(axis=2, keepdims=True))
         direction = (target / np.where(length > 1e-9, length, np.inf)).astype(np.float32)
         for lag in range(LAGS + 1):
-            yield _cosine(direction, there, lag)
-    yield from _joint(linear, quadratic, surprise)
+            yield _compute_mean_cosine(direction, there, lag)
+    yield from _explain_jointly(linear, quadratic, surprise)
 
 
-def _in_own_units(velocity: Floats, seen: NDArray[np.bool_]) -> Floats:
+def _scale_velocity(velocity: Floats, seen: NDArray[np.bool_]) -> Floats:
     """``velocity`` ``(T, n, 3)`` in units of the swarm's own root mean square speed; 0 where unseen."""
     squared = (velocity**2).sum(axis=2) * seen
     speed = np.sqrt(squared.sum(dtype=np.float64) / max(int(seen.sum()), 1))
     return np.asarray(velocity * seen[..., None] / (speed if speed > 0 else np.inf), np.float32)
 
 
-def _centred(values: Floats, seen: NDArray[np.bool_]) -> Floats:
-    return centred(values, seen).astype(np.float32)  # type: ignore[arg-type]
+def _centre_columns(values: Floats, seen: NDArray[np.bool_]) -> Floats:
+    return centre_columns(values, seen).astype(np.float32)  # type: ignore[arg-type]
 
 
-def _quadratic(velocity: Floats) -> Floats:
+def _make_quadratic_features(velocity: Floats) -> Floats:
     """``(T, n, 6)``: the products of the axes, weighted so that turning the axes turns this vector."""
     x, y, z = np.moveaxis(velocity, 2, 0)
     mixed = np.float32(np.sqrt(2.0))
     return np.stack([x * x, y * y, z * z, mixed * x * y, mixed * y * z, mixed * z * x], axis=2)
 
 
-def _products(velocity: Floats) -> Floats:
+def _make_product_features(velocity: Floats) -> Floats:
     """``(T - 1, n, 9)``: every axis of a velocity times every axis of the one before."""
     mixed = velocity[1:, :, :, None] * velocity[:-1, :, None, :]
     return mixed.reshape(len(mixed), velocity.shape[1], 9)
 
 
-def _whitened(features: Floats) -> Floats:
+def _whiten_features(features: Floats) -> Floats:
     """Q of the shape of ``features`` ``(n, rows, p)``: |Qᵀ y|² is what a ridge on them explains of y."""
     gram = features.transpose(0, 2, 1) @ features
     size = np.trace(gram, axis1=1, axis2=2) / gram.shape[1]
@@ -118,43 +118,43 @@ def _whitened(features: Floats) -> Floats:
     return np.asarray(features @ root.transpose(0, 2, 1), np.float32)
 
 
-def _innovation(values: Floats, lags: int) -> Floats:
+def _compute_innovation(values: Floats, lags: int) -> Floats:
     """``(T - lags, n, d)``: what a ridge on the own last ``lags`` values leaves of ``values`` ``(T, n, d)``."""
     steps = len(values)
     past = np.concatenate([values[lags - lag : steps - lag] for lag in range(1, lags + 1)], axis=2)
-    white = _whitened(past.transpose(1, 0, 2))
+    white = _whiten_features(past.transpose(1, 0, 2))
     target = values[lags:].transpose(1, 0, 2)
     left = target - white @ (white.transpose(0, 2, 1) @ target)
     return left.transpose(1, 0, 2)
 
 
-def _normalised(target: Floats) -> Floats:
+def _normalise_target(target: Floats) -> Floats:
     """``target`` ``(T, n, 3)`` with a squared sum of 1 for each UAV; 0 for one that never moves."""
     total = (target**2).sum(axis=(0, 2))
     return np.asarray(target / np.sqrt(np.where(total > 1e-9, total, np.inf))[:, None], np.float32)
 
 
-def _explained(features: Floats, target: Floats) -> Floats:
+def _explain_share(features: Floats, target: Floats) -> Floats:
     """Share of ``target`` ``(rows, n, 3)`` that ``features`` ``(rows, n, p)`` explain, less what chance would."""
     rows, uavs, count = features.shape
     if rows < _ROWS_PER_FEATURE * count:
         return np.zeros((uavs, uavs), np.float32)
     total = np.maximum((target**2).sum(axis=(0, 2)), 1e-9)
-    white = _whitened(features.transpose(1, 0, 2))
+    white = _whiten_features(features.transpose(1, 0, 2))
     product = white.transpose(0, 2, 1).reshape(uavs * count, rows) @ target.transpose(0, 2, 1).reshape(rows, -1)
     share = (product**2).reshape(uavs, count * 3, uavs).sum(axis=1).T / total[:, None]
     chance = count / rows
     return np.asarray((share - chance) / (1.0 - chance), np.float32)
 
 
-def _single(features: Floats, target: Floats, lag: int) -> Floats:
+def _explain_at_lag(features: Floats, target: Floats, lag: int) -> Floats:
     """What ``features`` explain of ``target`` ``lag`` steps later; both end at the same time, one may begin earlier."""
     steps = min(len(features), len(target))
     features, target = features[len(features) - steps :], target[len(target) - steps :]
-    return _explained(features[: steps - lag], target[lag:])
+    return _explain_share(features[: steps - lag], target[lag:])
 
 
-def _cosine(direction: Floats, seen: NDArray[np.bool_], lag: int) -> Floats:
+def _compute_mean_cosine(direction: Floats, seen: NDArray[np.bool_], lag: int) -> Floats:
     """Mean cosine of UAV i's direction and UAV j's ``lag`` steps before; ``direction`` is 0 where unseen."""
     steps, uavs = seen.shape
     if steps - lag < 2:
@@ -165,7 +165,7 @@ def _cosine(direction: Floats, seen: NDArray[np.bool_], lag: int) -> Floats:
     return np.asarray((later @ before.T) / np.maximum(times, 1.0), np.float32)
 
 
-def _joint(linear: Floats, quadratic: Floats, surprise: Floats) -> Iterator[Floats]:
+def _explain_jointly(linear: Floats, quadratic: Floats, surprise: Floats) -> Iterator[Floats]:
     """The regressions on several lags at once: of v_i and e_i, and of both half a window late."""
     steps = len(linear)
     width = _LINEAR + _QUADRATIC
@@ -178,10 +178,10 @@ def _joint(linear: Floats, quadratic: Floats, surprise: Floats) -> Iterator[Floa
         rows = min(len(past), len(target))
         recent = target[len(target) - rows :]
         for shift in (0, rows // 2):
-            yield _explained(past[len(past) - rows :], np.roll(recent, shift, axis=0))
+            yield _explain_share(past[len(past) - rows :], np.roll(recent, shift, axis=0))
 
 
-def _towards(window: Window, living: NDArray[np.intp]) -> Floats:
+def _compute_direction_cosine(window: Window, living: NDArray[np.intp]) -> Floats:
     """Cosine of UAV i's mean velocity and the direction from i's mean position to j's, times i's straightness."""
     seen = window.seen[:, living].astype(np.float32)[..., None]
     place = (window.position[:, living] * seen).sum(axis=0) / np.maximum(seen.sum(axis=0), 1.0)
@@ -196,7 +196,7 @@ def _towards(window: Window, living: NDArray[np.intp]) -> Floats:
     return np.asarray((direction * straight[:, None]).sum(axis=2), np.float32)
 
 
-def _against_row(values: Floats) -> Floats:
+def _standardise_rows(values: Floats) -> Floats:
     """How many spreads each of ``values`` ``(K, n, n)`` lies above the others of its row, the diagonal left out."""
     uavs = values.shape[1]
     others = np.float32(max(uavs - 1, 1))

@@ -13,7 +13,7 @@ from torch import Tensor
 from detectors.learned.features import pair_features
 from usnet_env.window import Window
 
-__all__ = ["Inputs", "inputs_of"]
+__all__ = ["Inputs", "make_inputs"]
 
 
 class Inputs(NamedTuple):
@@ -28,7 +28,7 @@ class Inputs(NamedTuple):
     context: Tensor
 
 
-def inputs_of(window: Window, living: NDArray[np.intp]) -> Inputs:
+def make_inputs(window: Window, living: NDArray[np.intp]) -> Inputs:
     """What the network sees of the ``living`` UAVs ``(n,)`` of a window."""
     missing = 1.0 - float(window.velocity_seen[:, living].mean()) if len(living) else 0.0
     context = [math.log(max(len(living), 1) / 50.0), math.log(window.observation_steps / 100.0), missing]

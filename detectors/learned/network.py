@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from detectors.learned.features import PAIR_FEATURES
 from usnet_env.config import ArgumentError, Config, quote
 
-__all__ = ["Answer", "HeadNetwork", "NetworkSizes", "draw_network", "network_of"]
+__all__ = ["Answer", "HeadNetwork", "NetworkSizes", "build_network", "draw_network"]
 
 _CONTEXT = 3  # what every pair is told about the window: log n, log T_ob, share of missing samples
 
@@ -128,7 +128,7 @@ def draw_network(sizes: NetworkSizes, seed: int) -> HeadNetwork:
         return HeadNetwork(sizes)
 
 
-def network_of(path: str, arrays: Mapping[str, Tensor]) -> HeadNetwork:
+def build_network(path: str, arrays: Mapping[str, Tensor]) -> HeadNetwork:
     """The network with these weights, whose sizes follow from their shapes.
 
     Raises:

@@ -7,7 +7,7 @@ from sklearn.base import clone
 from synthetic_windows import flight, heads_of, window_of
 
 from detectors.lagged import LaggedCorrelation, LaggedRegression, OnePerRound
-from detectors.lagged.selection import Evidence, cover_voters, voters_of
+from detectors.lagged.selection import Evidence, compute_votes, cover_voters
 from usnet_env import ArgumentError, Window
 
 BOTH = [LaggedRegression, LaggedCorrelation]
@@ -148,7 +148,7 @@ def test_a_head_needs_voters_that_no_other_head_explains():
     assert cover_voters(evidence) == [0, 4]
     assert cover_voters(evidence, most=1) == [0]
     assert cover_voters(Evidence(surrogate, surrogate, spread=0.05)) == []
-    vote, weight = voters_of(evidence)
+    vote, weight = compute_votes(evidence)
     assert vote[[1, 3, 6, 8]].tolist() == [0, 2, 4, 7]
     np.testing.assert_allclose(weight[[0, 1, 3, 6]], [0, 0.9, 0.95, 0.7])
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from detectors.checks import CHECKS, check_detector
-from detectors.checks.repeatability import two_sample_p
+from detectors.checks.repeatability import compute_p_value
 
 MISTAKES = [
     ("check_constructor_only_stores", broken.StoresMore(), "got extra as well"),
@@ -116,7 +116,7 @@ def test_it_fails_no_other_check(name, detector, sentence):
 
 def test_two_samples_of_one_distribution_seldom_differ():
     rng = np.random.default_rng(0)
-    values = [two_sample_p(rng.random((8, 20)), rng.random((8, 20))) for _ in range(100)]
+    values = [compute_p_value(rng.random((8, 20)), rng.random((8, 20))) for _ in range(100)]
     assert 0.3 < np.median(values) < 0.7
     assert np.mean(np.array(values) < 0.05) < 0.12
     assert min(values) >= 1 / 2000
@@ -130,12 +130,12 @@ def test_the_p_value_is_that_of_all_relabellings():
     ]
     lengths = np.linalg.norm(means, axis=1)
     exact = np.mean(lengths >= np.linalg.norm(pooled[:4].mean(0) - pooled[4:].mean(0)) - 1e-12)
-    assert two_sample_p(pooled[:4], pooled[4:]) == pytest.approx(exact, abs=4 * np.sqrt(exact * (1 - exact) / 2000))
+    assert compute_p_value(pooled[:4], pooled[4:]) == pytest.approx(exact, abs=4 * np.sqrt(exact * (1 - exact) / 2000))
 
 
 def test_two_samples_of_two_distributions_do():
     rng = np.random.default_rng(0)
-    assert two_sample_p(rng.random((8, 20)), rng.random((8, 20)) + 0.5) == 1 / 2000
+    assert compute_p_value(rng.random((8, 20)), rng.random((8, 20)) + 0.5) == 1 / 2000
     same = np.tile(rng.random(20), (8, 1))
-    assert two_sample_p(same, same) == 1
-    assert two_sample_p(same, same + 1e-3) < 0.002
+    assert compute_p_value(same, same) == 1
+    assert compute_p_value(same, same + 1e-3) < 0.002

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from detectors.checks.windows import simulated
+from detectors.checks.windows import simulate_window
 from detectors.follow_mixture import FollowMixture
 from detectors.follow_mixture.calibration import (
     VERDICTS,
@@ -224,5 +224,5 @@ def test_doubt_stands_for_misses_that_come_together():
 def test_probabilities_of_the_detector_are_calibrated():
     detector = FollowMixture()
     detector.reset(0)
-    probability = detector.detect(simulated(2, 12)).extras["probability"]
+    probability = detector.detect(simulate_window(2, 12)).extras["probability"]
     assert ((probability >= 0) & (probability <= 1)).all()

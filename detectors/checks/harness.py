@@ -13,7 +13,7 @@ from usnet_env.config import quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["CheckError", "answers", "ask", "difference", "fresh", "require"]
+__all__ = ["CheckError", "compare_detections", "copy_detector", "play_windows", "request_detection", "require"]
 
 SEED = 5  # of the detectors' own generators
 
@@ -28,7 +28,7 @@ def require(holds: bool, sentence: str) -> None:
         raise CheckError(sentence)
 
 
-def fresh(detector: Any) -> Any:
+def copy_detector(detector: Any) -> Any:
     """A copy of the detector, with what it has been fitted to, for one check alone.
 
     ``deepcopy``, as ``clone`` forgets what ``fit`` has learned. ``clone`` where a copy is impossible.
@@ -42,12 +42,12 @@ def fresh(detector: Any) -> Any:
             raise CheckError(f"copy.deepcopy must copy the detector, got {type(error).__name__}: {error}") from error
 
 
-def ask(detector: Any, window: Window) -> Detection:
+def request_detection(detector: Any, window: Window) -> Detection:
     """One answer, for all N UAVs of the window."""
-    return checked(detector.detect(window), window)
+    return validate_detection(detector.detect(window), window)
 
 
-def checked(answer: Any, window: Window) -> Detection:
+def validate_detection(answer: Any, window: Window) -> Detection:
     """``answer`` if it is a detection for all N UAVs of the window."""
     if not isinstance(answer, Detection):
         raise CheckError(f"detect must return a usnet_env.Detection, got {quote(answer)}.")
@@ -56,13 +56,13 @@ def checked(answer: Any, window: Window) -> Detection:
     return answer
 
 
-def answers(detector: Any, windows: Sequence[Window], seed: int | None = SEED) -> list[Detection]:
+def play_windows(detector: Any, windows: Sequence[Window], seed: int | None = SEED) -> list[Detection]:
     """An episode: ``reset(seed)``, then the answers to the windows in turn."""
     detector.reset(seed)
-    return [ask(detector, window) for window in windows]
+    return [request_detection(detector, window) for window in windows]
 
 
-def difference(one: Detection, other: Detection) -> str:
+def compare_detections(one: Detection, other: Detection) -> str:
     """Names of the fields in which two detections differ, by bits; an empty text where none does."""
     fields = ("candidates", "scores", "clusters", "leader", "attention")
     pairs = [(name, getattr(one, name), getattr(other, name)) for name in fields]

@@ -12,8 +12,8 @@ import numpy as np
 from sklearn.base import clone
 from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
-from detectors.checks.asking import SEED, answers, fresh, require
-from detectors.checks.windows import simulated
+from detectors.checks.harness import SEED, copy_detector, play_windows, require
+from detectors.checks.windows import simulate_window
 from usnet_env.window import Window
 
 __all__ = [
@@ -23,15 +23,15 @@ __all__ = [
     "check_time_budget",
 ]
 
-_NOBODYS_SEED = 2_718_281_828
+_UNUSUAL_SEED = 2_718_281_828
 SECONDS = 10.0  # a window of the paper's size: N = 82, T_ob = 100
 
 
 def check_input_unchanged(detector: Any) -> None:
     """The window holds the same arrays with the same bits afterwards, still read-only."""
-    window = simulated(miss_rate=0.1, destroyed=2, round=2)
+    window = simulate_window(miss_rate=0.1, destroyed=2, round=2)
     arrays = {name: (value, value.tobytes()) for name, value in vars(window).items() if isinstance(value, np.ndarray)}
-    answers(fresh(detector), [window])
+    play_windows(copy_detector(detector), [window])
     for name, (array, content) in arrays.items():
         same = getattr(window, name) is array and array.tobytes() == content and not array.flags.writeable
         require(same, f"detect must leave the window as it is, got another {name}.")
@@ -42,15 +42,15 @@ def check_global_generators_untouched(detector: Any) -> None:
     """The global generators of Python, NumPy and (if imported) PyTorch are neither seeded nor drawn from."""
     changed = ""
     for _ in range(2):  # the first round may import what the second uses
-        with _generators_elsewhere():
-            changed = changed or _changed(detector, _generators)
+        with _reseed_global_generators():
+            changed = changed or _find_changes(detector, _read_generator_states)
     require(not changed, f"a detector must draw from a generator of its own, got draws or seeds of {changed}.")
 
 
 def check_process_settings_untouched(detector: Any) -> None:
     """Thread counts (BLAS, OpenMP, Numba, PyTorch), NumPy's error handling and PyTorch's defaults stay as they are."""
-    changed = _changed(detector, _settings) or _changed(
-        detector, _settings
+    changed = _find_changes(detector, _read_process_settings) or _find_changes(
+        detector, _read_process_settings
     )  # the first may import what the second uses
     require(not changed, f"a detector must leave the settings of the process alone, got a change of {changed}.")
 
@@ -60,45 +60,45 @@ def check_time_budget(detector: Any, seconds: float = SECONDS) -> None:
 
     The first answer, in which something may be compiled or loaded, does not count.
     """
-    own, window = fresh(detector), simulated(clusters=5, uavs=82, observation_steps=100)
-    answers(own, [window])
+    own, window = copy_detector(detector), simulate_window(clusters=5, uavs=82, observation_steps=100)
+    play_windows(own, [window])
     best = np.inf
     for _ in range(3):  # another process may slow one of them down
         begin = time.perf_counter()
-        answers(own, [window])
+        play_windows(own, [window])
         best = min(best, time.perf_counter() - begin)
         if best <= seconds:
             return
     require(False, f"an answer for 82 UAVs must take at most {seconds:g} s, got {best:.3g} s.")
 
 
-def _changed(detector: Any, state: Callable[[], dict[str, Any]]) -> str:
+def _find_changes(detector: Any, state: Callable[[], dict[str, Any]]) -> str:
     """Names of what differs after a small life of the detector, of what was there before."""
     before = state()
-    _live(detector, [simulated(), simulated(seed=1, destroyed=3, round=2)])
+    _exercise_detector(detector, [simulate_window(), simulate_window(seed=1, destroyed=3, round=2)])
     after = state()
     return ", ".join(name for name in before if after.get(name, before[name]) != before[name])
 
 
-def _live(detector: Any, windows: list[Window]) -> None:
+def _exercise_detector(detector: Any, windows: list[Window]) -> None:
     with suppress(Exception):  # another check tells
         clone(detector)
-    own = fresh(detector)
-    answers(own, windows)
+    own = copy_detector(detector)
+    play_windows(own, windows)
     if callable(getattr(own, "detect_batch", None)):
         own.reset(SEED)
         own.detect_batch(windows)
 
 
 @contextmanager
-def _generators_elsewhere() -> Iterator[None]:
+def _reseed_global_generators() -> Iterator[None]:
     """Every global generator at a place where no seed of a detector's choice puts it; afterwards as it was."""
     numpy, python, torch = sys.modules["numpy.random"], sys.modules["random"], sys.modules.get("torch")
     kept = numpy.get_state(), python.getstate(), torch.get_rng_state() if torch else None
-    numpy.seed(_NOBODYS_SEED)
-    python.seed(_NOBODYS_SEED)
+    numpy.seed(_UNUSUAL_SEED)
+    python.seed(_UNUSUAL_SEED)
     if torch:
-        torch.default_generator.manual_seed(_NOBODYS_SEED)
+        torch.default_generator.manual_seed(_UNUSUAL_SEED)
     try:
         yield
     finally:
@@ -108,7 +108,7 @@ def _generators_elsewhere() -> Iterator[None]:
             torch.set_rng_state(kept[2])
 
 
-def _generators() -> dict[str, Any]:
+def _read_generator_states() -> dict[str, Any]:
     """State of every global generator. By ``sys.modules``: what nobody has imported, nobody has used."""
     kind, keys, *rest = sys.modules["numpy.random"].get_state()
     states: dict[str, Any] = {"numpy.random": (kind, keys.tobytes(), rest), "random": sys.modules["random"].getstate()}
@@ -119,7 +119,7 @@ def _generators() -> dict[str, Any]:
     return states
 
 
-def _settings() -> dict[str, Any]:
+def _read_process_settings() -> dict[str, Any]:
     """Settings of the process; a library that is loaded later brings pools of its own."""
     values: dict[str, Any] = {f"threads of {pool['filepath']}": pool["num_threads"] for pool in threadpool_info()}
     values["numpy.geterr"] = np.geterr()
