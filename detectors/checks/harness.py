@@ -1,4 +1,4 @@
-"""How the checks treat a detector: each works with a copy of its own, asks it for detections and compares them."""
+"""What the checks share: copying a detector, calling it on windows, and comparing detections."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from usnet_env.window import Window
 
 __all__ = ["CheckError", "compare_detections", "copy_detector", "play_windows", "request_detection", "require"]
 
-SEED = 5  # of the detectors' own generators
+SEED = 5  # for the detectors' generators
 
 
 class CheckError(AssertionError):
-    """A detector did not pass a check; the message is one sentence."""
+    """A detector failed a check; the message is one sentence."""
 
 
 def require(holds: bool, sentence: str) -> None:
-    """Raise :class:`CheckError` with that sentence unless it holds."""
+    """Raise :class:`CheckError` with ``sentence`` unless ``holds`` is true."""
     if not holds:
         raise CheckError(sentence)
 
 
 def copy_detector(detector: Any) -> Any:
-    """A copy of the detector, with what it has been fitted to, for one check alone.
+    """Copy the detector and its fitted attributes, so that no check affects another.
 
-    ``deepcopy``, as ``clone`` forgets what ``fit`` has learned. ``clone`` where a copy is impossible.
+    ``deepcopy`` keeps what ``fit`` has learned; ``clone`` does not, and serves only where ``deepcopy`` fails.
     """
     try:
         return copy.deepcopy(detector)
-    except Exception as error:  # a stranger's attribute may refuse to be copied in any way
+    except Exception as error:  # an attribute may refuse to be copied with any exception
         try:
             return clone(detector)
         except Exception:
@@ -43,27 +43,27 @@ def copy_detector(detector: Any) -> Any:
 
 
 def request_detection(detector: Any, window: Window) -> Detection:
-    """One answer, for all N UAVs of the window."""
+    """Call ``detect`` and check that the result covers all N UAVs of the window."""
     return validate_detection(detector.detect(window), window)
 
 
 def validate_detection(answer: Any, window: Window) -> Detection:
-    """``answer`` if it is a detection for all N UAVs of the window."""
+    """Return ``answer`` if it is a detection for all N UAVs of the window; raise :class:`CheckError` otherwise."""
     if not isinstance(answer, Detection):
         raise CheckError(f"detect must return a usnet_env.Detection, got {quote(answer)}.")
     named = len(answer.candidates)
-    require(named == window.uavs, f"detect must answer for all {window.uavs} UAVs, got candidates for {named}.")
+    require(named == window.uavs, f"detect must return candidates for all {window.uavs} UAVs, got {named}.")
     return answer
 
 
 def play_windows(detector: Any, windows: Sequence[Window], seed: int | None = SEED) -> list[Detection]:
-    """An episode: ``reset(seed)``, then the answers to the windows in turn."""
+    """Play an episode: call ``reset(seed)``, then ``detect`` on each window in order."""
     detector.reset(seed)
     return [request_detection(detector, window) for window in windows]
 
 
 def compare_detections(one: Detection, other: Detection) -> str:
-    """Names of the fields in which two detections differ, by bits; an empty text where none does."""
+    """Names of the fields that are not bitwise equal in two detections; empty if they are all equal."""
     fields = ("candidates", "scores", "clusters", "leader", "attention")
     pairs = [(name, getattr(one, name), getattr(other, name)) for name in fields]
     return ", ".join(

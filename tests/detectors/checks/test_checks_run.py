@@ -63,14 +63,14 @@ def test_an_expected_failure_carries_its_reason():
     results = check_detector(broken.FavoursLowIndices(), expected_failed_checks={PERMUTING: REASON})
     expected = by_check(results)[PERMUTING]
     assert expected.status == "expected failure"
-    assert expected.reason.startswith(f"{REASON} (permuted UAVs must get")
+    assert expected.reason.startswith(f"{REASON} (permuting the UAVs must permute")
     assert exit_status(results) == 0
 
 
 def test_an_expected_failure_that_passes_says_so():
     results = check_detector(broken.Good(), expected_failed_checks={PERMUTING: REASON})
     assert by_check(results)[PERMUTING].status == "passed"
-    assert by_check(results)[PERMUTING].reason == f"passed, though expected to fail: {REASON}"
+    assert by_check(results)[PERMUTING].reason == f"passed, but was expected to fail: {REASON}"
 
 
 def test_no_base_class_is_needed():
