@@ -1,4 +1,4 @@
-"""Factions and their leaders from who is ahead of whom (after Amornbunchornvej and Berger-Wolf's mFLICA, 2018)."""
+"""Factions and their leaders from a network of followers (after mFLICA, Amornbunchornvej and Berger-Wolf, 2018)."""
 
 from __future__ import annotations
 
@@ -28,17 +28,18 @@ class _Arguments(Config):
 
 
 class Factions(Detector):
-    """Leaders are those who are followed and follow nobody; a faction is whom a leader can be reached from.
+    """Names the leaders of factions: UAVs that have followers and follow no UAV themselves.
 
-    i follows j if i's flight is most like j's some steps ago and more so than the other way round, with a similarity
-    above ``threshold``. In this network of followings a leader has followers and no one to follow; the faction of a
-    leader is everybody from whom a path leads to it. Leaders are ranked by PageRank. mFLICA measures similarity by
-    dynamic time warping of positions; here delays are constant and short, so that the lagged correlation of velocities
-    measures the same.
+    UAV i follows UAV j if the lagged correlation of i's velocity with j's past is at least ``threshold``, and higher
+    than that of j's velocity with i's past. These relations form a directed network. A leader is a node with incoming
+    but no outgoing edges; its faction consists of all UAVs with a path to it. Leaders are ranked by PageRank.
+
+    mFLICA measures similarity by dynamic time warping of positions. The delays here are short and constant, so the
+    lagged correlation of velocities serves the same purpose.
 
     Args:
-        max_lag: the longest delay in samples, at least 1.
-        threshold: the least correlation of a following, from 0 to 1.
+        max_lag: the largest lag in samples, at least 1.
+        threshold: the smallest correlation that counts as following, from 0 to 1.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
@@ -52,15 +53,15 @@ class Factions(Detector):
         return _Arguments(max_lag=self.max_lag, threshold=self.threshold)
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the generator serves to break ties only."""
+        """Start an episode; the generator only breaks ties."""
         self._arguments()
         super().reset(seed)
 
     def detect(self, window: Window) -> Detection:
-        """Name the leaders of all factions, or the best ranked UAV where there is none.
+        """Name the leaders of all factions, or the UAV with the highest PageRank if there is no leader.
 
         Returns:
-            Candidates, scores (PageRank), clusters (factions; -1: in none) and leader.
+            Candidates, scores (PageRank), clusters (factions; -1: in no faction) and leader (-1: none).
         """
         arguments = self._arguments()
         rng = getattr(self, "rng", None) or np.random.default_rng()
@@ -90,13 +91,13 @@ class Factions(Detector):
 def build_following_network(
     velocity: NDArray[np.floating], seen: NDArray[np.bool_], max_lag: int, threshold: float
 ) -> Floats:
-    """Weighted followings ``(n, n)``, entry (i, j) > 0: i follows j, with that correlation.
+    """Build the network ``(n, n)``; entry (i, j) is the correlation with which i follows j, or 0.
 
     Args:
         velocity: ``(T, n, 3)``.
         seen: ``(T, n)`` bool.
-        max_lag: the longest delay.
-        threshold: the least correlation.
+        max_lag: the largest lag, in samples.
+        threshold: the smallest correlation that counts as following.
     """
     steps, uavs = velocity.shape[:2]
     flight = centre_columns(velocity.astype(np.float64), seen)
@@ -112,7 +113,7 @@ def build_following_network(
 
 
 def compute_pagerank(network: Floats) -> Floats:
-    """PageRank of a network of followings ``(n, n)``: who is followed by those who are followed (Page et al., 1999)."""
+    """Compute the PageRank ``(n,)`` of the nodes of a network ``(n, n)`` (Page et al., 1999)."""
     uavs = len(network)
     out = network.sum(axis=1, keepdims=True)
     step = np.where(out > 0, network / np.where(out > 0, out, 1.0), 1.0 / uavs)
@@ -123,7 +124,7 @@ def compute_pagerank(network: Floats) -> Floats:
 
 
 def _find_reachable_leaders(follows: NDArray[np.bool_], leads: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """``(n, leaders)`` whether a path of followings leads from a UAV to a leader; a leader reaches itself."""
+    """``(n, leaders)``: whether the network has a path from a UAV to a leader; a leader reaches itself."""
     reached = np.zeros((len(follows), len(leads)), bool)
     reached[leads, np.arange(len(leads))] = True
     while True:

@@ -1,8 +1,8 @@
-"""What the network looks at: statistics of every ordered pair of UAVs, all from matrix products.
+"""Inputs of the network: statistics of every ordered pair of UAVs, computed by matrix products.
 
-Entry (i, j) tells how far UAV j's past tells UAV i's present. Every statistic is a share of explained variance or a
-cosine, so that nothing changes when the swarm is turned, moved or measured in other units, and the values of the pairs
-move with the UAVs when these are numbered otherwise.
+Entry (i, j) measures how well UAV j's past predicts UAV i's velocity. Each statistic is a share of explained variance
+or a cosine; so it is invariant under rotation, translation and scaling of the swarm. Permuting the UAVs permutes the
+entries.
 """
 
 from __future__ import annotations
@@ -19,36 +19,42 @@ __all__ = ["LAGS", "PAIR_FEATURES", "pair_features"]
 
 Floats = NDArray[np.float32]
 
-LAGS = 5  # single lags that are looked at; f1 to f7 reach back 4 steps
-_JOINT_LAGS = 4  # of the regressions on several lags at once
-_ROWS_PER_FEATURE = 1.5  # of a regression, as detectors.lagged.regression has measured
+LAGS = 5  # number of single lags; f1 to f7 use at most 4 past steps
+_JOINT_LAGS = 4  # lags of the regressions on several lags together
+_ROWS_PER_FEATURE = 1.5  # least samples per feature of a regression, as in detectors.lagged.regression
 _RIDGE = 1e-3
-_LONG = 20  # velocities from which on a UAV's last two tell its own next one; its last alone below
-_SPREADS = 10.0  # a row's standardised values are cut at this many spreads
+_LONG = 20  # with at least as many velocities, the innovation is taken against two own past velocities, otherwise one
+_SPREADS = 10.0  # standardised values are clipped to this many standard deviations
 
 _PRODUCT_LAGS = 3
 _LINEAR, _QUADRATIC = 3, 6
 _STATISTICS = 2 * (2 * LAGS + 1 + _PRODUCT_LAGS + 1) + 2 * (LAGS + 1) + 4 + 1
-#: values of a pair: each statistic as it is, and against all others in its row
+#: Number of values per pair: each statistic, and its standardised value within its row.
 PAIR_FEATURES = 2 * _STATISTICS
 
 
 def pair_features(window: Window, living: NDArray[np.intp]) -> Floats:
-    """The statistics of all pairs of living UAVs.
+    """Compute the statistics of all ordered pairs of living UAVs.
 
-    For the velocities v and, again, for their innovations e (what a UAV's own last velocities don't tell): the share of
-    UAV i's that a linear map, and a quadratic one, of UAV j's velocity explains, for lags 1 to ``LAGS``, and a map of
-    the products of two successive velocities for lags 1 to 3; the largest of these; the linear one for lag 0; the
-    cosine of both, averaged over time, for lags 0 to ``LAGS``. Then the share that a ridge on up to four lags of v_j,
-    linear and quadratic, explains of v_i and of e_i, and the same with UAV i half a window late, which is what chance
-    gives; last, the cosine of i's mean velocity and the direction to j. Samples that are missing count for nothing.
+    The first statistics are computed for the velocities v and again for their innovations e, the residuals of a
+    regression on a UAV's own past velocities:
+
+    * the share of UAV i's variance that UAV j's velocity explains, by a linear and by a quadratic map, for lags 1 to
+      ``LAGS``, and by products of two successive velocities, for lags 1 to 3;
+    * the largest of these shares;
+    * the share of the linear map at lag 0;
+    * the mean cosine between the two at lags 0 to ``LAGS``.
+
+    Then follow the shares of v_i and of e_i that a ridge on up to four lags of v_j (linear and quadratic) explains, the
+    same shares with UAV i shifted by half a window (their values by chance), and the cosine between i's mean velocity
+    and the direction to j. Missing samples are left out.
 
     Args:
-        window: N UAVs, T_ob velocities.
-        living: ``(n,)`` indices of those to look at.
+        window: a window of N UAVs with T_ob velocities.
+        living: ``(n,)`` indices of the UAVs to use.
 
     Returns:
-        ``(n, n, PAIR_FEATURES)`` float32; the diagonal is 0, and so is what a window is too short for.
+        ``(n, n, PAIR_FEATURES)`` float32. The diagonal is 0, and so is a statistic for which the window is too short.
     """
     seen = window.velocity_seen[:, living]
     velocity = _scale_velocity(window.velocity[:, living], seen)
@@ -85,7 +91,7 @@ def _compute_flight_statistics(velocity: Floats, seen: NDArray[np.bool_]) -> Ite
 
 
 def _scale_velocity(velocity: Floats, seen: NDArray[np.bool_]) -> Floats:
-    """``velocity`` ``(T, n, 3)`` in units of the swarm's own root mean square speed; 0 where unseen."""
+    """Divide ``velocity`` ``(T, n, 3)`` by the swarm's root mean square speed; 0 where unseen."""
     squared = (velocity**2).sum(axis=2) * seen
     speed = np.sqrt(squared.sum(dtype=np.float64) / max(int(seen.sum()), 1))
     return np.asarray(velocity * seen[..., None] / (speed if speed > 0 else np.inf), np.float32)
@@ -96,30 +102,30 @@ def _centre_columns(values: Floats, seen: NDArray[np.bool_]) -> Floats:
 
 
 def _make_quadratic_features(velocity: Floats) -> Floats:
-    """``(T, n, 6)``: the products of the axes, weighted so that turning the axes turns this vector."""
+    """``(T, n, 6)``: the products of the axes, weighted so that a rotation of the axes rotates this vector."""
     x, y, z = np.moveaxis(velocity, 2, 0)
     mixed = np.float32(np.sqrt(2.0))
     return np.stack([x * x, y * y, z * z, mixed * x * y, mixed * y * z, mixed * z * x], axis=2)
 
 
 def _make_product_features(velocity: Floats) -> Floats:
-    """``(T - 1, n, 9)``: every axis of a velocity times every axis of the one before."""
+    """``(T - 1, n, 9)``: the products of each axis of a velocity with each axis of the previous velocity."""
     mixed = velocity[1:, :, :, None] * velocity[:-1, :, None, :]
     return mixed.reshape(len(mixed), velocity.shape[1], 9)
 
 
 def _whiten_features(features: Floats) -> Floats:
-    """Q of the shape of ``features`` ``(n, rows, p)``: |Qᵀ y|² is what a ridge on them explains of y."""
+    """Q of the shape of ``features`` ``(n, rows, p)`` such that a ridge on them explains |Qᵀ y|² of y."""
     gram = features.transpose(0, 2, 1) @ features
     size = np.trace(gram, axis1=1, axis2=2) / gram.shape[1]
-    flat = np.where(size > 1e-9, _RIDGE * size, 1.0)  # a UAV that never moves explains nothing, and divides nothing
+    flat = np.where(size > 1e-9, _RIDGE * size, 1.0)  # avoids a division by 0 for a UAV that never moves
     gram[:, np.arange(gram.shape[1]), np.arange(gram.shape[1])] += flat[:, None]
     root = np.linalg.inv(np.linalg.cholesky(gram))
     return np.asarray(features @ root.transpose(0, 2, 1), np.float32)
 
 
 def _compute_innovation(values: Floats, lags: int) -> Floats:
-    """``(T - lags, n, d)``: what a ridge on the own last ``lags`` values leaves of ``values`` ``(T, n, d)``."""
+    """``(T - lags, n, d)``: residuals of a ridge of ``values`` ``(T, n, d)`` on their last ``lags`` values."""
     steps = len(values)
     past = np.concatenate([values[lags - lag : steps - lag] for lag in range(1, lags + 1)], axis=2)
     white = _whiten_features(past.transpose(1, 0, 2))
@@ -129,13 +135,13 @@ def _compute_innovation(values: Floats, lags: int) -> Floats:
 
 
 def _normalise_target(target: Floats) -> Floats:
-    """``target`` ``(T, n, 3)`` with a squared sum of 1 for each UAV; 0 for one that never moves."""
+    """Scale ``target`` ``(T, n, 3)`` to a squared sum of 1 per UAV; 0 for a UAV that never moves."""
     total = (target**2).sum(axis=(0, 2))
     return np.asarray(target / np.sqrt(np.where(total > 1e-9, total, np.inf))[:, None], np.float32)
 
 
 def _explain_share(features: Floats, target: Floats) -> Floats:
-    """Share of ``target`` ``(rows, n, 3)`` that ``features`` ``(rows, n, p)`` explain, less what chance would."""
+    """Share of ``target`` ``(rows, n, 3)`` that ``features`` ``(rows, n, p)`` explain, corrected for chance."""
     rows, uavs, count = features.shape
     if rows < _ROWS_PER_FEATURE * count:
         return np.zeros((uavs, uavs), np.float32)
@@ -148,14 +154,14 @@ def _explain_share(features: Floats, target: Floats) -> Floats:
 
 
 def _explain_at_lag(features: Floats, target: Floats, lag: int) -> Floats:
-    """What ``features`` explain of ``target`` ``lag`` steps later; both end at the same time, one may begin earlier."""
+    """Share of ``target``, ``lag`` steps later, that ``features`` explain; both series end at the same time."""
     steps = min(len(features), len(target))
     features, target = features[len(features) - steps :], target[len(target) - steps :]
     return _explain_share(features[: steps - lag], target[lag:])
 
 
 def _compute_mean_cosine(direction: Floats, seen: NDArray[np.bool_], lag: int) -> Floats:
-    """Mean cosine of UAV i's direction and UAV j's ``lag`` steps before; ``direction`` is 0 where unseen."""
+    """Mean cosine between UAV i's direction and UAV j's, ``lag`` steps earlier; ``direction`` is 0 where unseen."""
     steps, uavs = seen.shape
     if steps - lag < 2:
         return np.zeros((uavs, uavs), np.float32)
@@ -166,7 +172,7 @@ def _compute_mean_cosine(direction: Floats, seen: NDArray[np.bool_], lag: int) -
 
 
 def _explain_jointly(linear: Floats, quadratic: Floats, surprise: Floats) -> Iterator[Floats]:
-    """The regressions on several lags at once: of v_i and e_i, and of both half a window late."""
+    """Yield the shares by several lags together: of v_i and of e_i, each also shifted by half a window."""
     steps = len(linear)
     width = _LINEAR + _QUADRATIC
     lags = _JOINT_LAGS
@@ -182,7 +188,7 @@ def _explain_jointly(linear: Floats, quadratic: Floats, surprise: Floats) -> Ite
 
 
 def _compute_direction_cosine(window: Window, living: NDArray[np.intp]) -> Floats:
-    """Cosine of UAV i's mean velocity and the direction from i's mean position to j's, times i's straightness."""
+    """Cosine between i's mean velocity and the direction from i to j, times |i's mean velocity| / i's rms speed."""
     seen = window.seen[:, living].astype(np.float32)[..., None]
     place = (window.position[:, living] * seen).sum(axis=0) / np.maximum(seen.sum(axis=0), 1.0)
     moving = window.velocity_seen[:, living].astype(np.float32)[..., None]
@@ -197,7 +203,7 @@ def _compute_direction_cosine(window: Window, living: NDArray[np.intp]) -> Float
 
 
 def _standardise_rows(values: Floats) -> Floats:
-    """How many spreads each of ``values`` ``(K, n, n)`` lies above the others of its row, the diagonal left out."""
+    """Standardise ``values`` ``(K, n, n)`` within each row, without the diagonal."""
     uavs = values.shape[1]
     others = np.float32(max(uavs - 1, 1))
     mean = values.sum(axis=2, keepdims=True) / others  # the diagonal is 0 and adds nothing

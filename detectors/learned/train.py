@@ -1,7 +1,7 @@
-"""Training from nothing: draws swarms with random follow strategies, learns who heads them, and writes the weights.
+"""Trains the network from random weights on simulated swarms with random follow strategies.
 
-Every draw has a seed of its own, from the training's seed and what is drawn, and no swarm is looked at twice. So
-training that was interrupted goes on from its checkpoint to the very result it would have had.
+The seed of each swarm follows from the seed of the training and the number of the swarm, and each swarm is used once.
+So a training that is resumed from its checkpoint gives exactly the result of an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from usnet_env.window import Window
 
 __all__ = ["Example", "HeadTraining", "compute_loss", "draw_example", "draw_swarm", "train_heads"]
 
-_START, _STEP, _HELD_OUT = range(3)  # what a seed is for
+_START, _STEP, _HELD_OUT = range(3)  # purpose of a seed
 _HELD_OUT_SWARMS = 200
 _CHECKPOINT = "checkpoint.safetensors"
 _MOBILITIES = ("iid", "gauss_markov", "smooth_turn", "waypoint", "local_waypoint")
@@ -41,17 +41,17 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class HeadTraining(Config):
-    """Everything that decides the weights.
+    """Settings of the training; together they determine the weights.
 
     Args:
-        steps: of the optimiser.
-        swarms: in each step, every one with a follow strategy of its own.
-        seed: of all draws.
-        width, heads, blocks: see :class:`detectors.learned.network.NetworkSizes`.
-        rate: the highest learning rate of AdamW; it rises over ``warm`` steps and falls along a cosine.
-        warm: steps.
+        steps: the number of steps of the optimiser.
+        swarms: the number of swarms per step, each with its own follow strategy.
+        seed: seed of all random draws.
+        width, attn_heads, blocks: see :class:`detectors.learned.network.NetworkSizes`.
+        rate: the largest learning rate of AdamW; it rises over ``warm`` steps and falls along a cosine.
+        warm: the number of warm-up steps.
         decay: weight decay.
-        leader_weight: of the loss of who follows whom, beside the loss of who heads.
+        leader_weight: weight of the loss of the leaders, relative to the loss of the heads.
         most_uavs: N is drawn between 10 and this.
         most_clusters: M is drawn between 1 and this.
     """
@@ -60,7 +60,7 @@ class HeadTraining(Config):
     swarms: Count = 8
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     width: Annotated[int, Field(ge=4, le=512)] = 32
-    heads: Annotated[int, Field(ge=1, le=32)] = 4
+    attn_heads: Annotated[int, Field(ge=1, le=32)] = 4
     blocks: Annotated[int, Field(ge=1, le=16)] = 3
     rate: Positive = 2e-3
     warm: Count = 100
@@ -70,18 +70,18 @@ class HeadTraining(Config):
     most_clusters: Annotated[int, Field(ge=1, le=100)] = 10
 
     def sizes(self) -> NetworkSizes:
-        """Of the network."""
-        return NetworkSizes(width=self.width, heads=self.heads, blocks=self.blocks)
+        """Return the sizes of the network."""
+        return NetworkSizes(width=self.width, attn_heads=self.attn_heads, blocks=self.blocks)
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A window whose heads are known, of n living UAVs.
+    """A labelled window of n living UAVs.
 
     Args:
-        inputs: what the network sees.
-        head: ``(n,)`` float32, 1 for a living head with a follower.
-        leader: ``(n,)`` int64, whom each UAV follows; its own index for heads and decoys.
+        inputs: the inputs of the network.
+        head: ``(n,)`` float32, 1 for a head with at least one follower.
+        leader: ``(n,)`` int64, the UAV that each UAV follows; its own index for heads and decoys.
     """
 
     inputs: Inputs
@@ -98,7 +98,7 @@ def _draw_log_uniform(rng: np.random.Generator, least: int, most: int) -> int:
 
 
 def draw_swarm(training: HeadTraining, rng: np.random.Generator) -> SwarmConfig:
-    """A swarm and an observer of any kind; the follow strategy is none of f1 to f7."""
+    """Draw the configuration of a swarm and its observer; the follow strategy is none of f1 to f7."""
     uavs = _draw_log_uniform(rng, 10, training.most_uavs)
     clusters = int(rng.integers(1, min(training.most_clusters, uavs // 3) + 1))
     decoys = int(rng.integers(0, min(5, uavs - 3 * clusters) + 1)) if rng.random() < 0.3 else 0
@@ -119,7 +119,7 @@ def draw_swarm(training: HeadTraining, rng: np.random.Generator) -> SwarmConfig:
 
 
 def draw_example(training: HeadTraining, rng: np.random.Generator) -> Example:
-    """One window of a swarm of any kind, in its first round or after some of it was destroyed."""
+    """Draw one labelled window of a swarm, in its first round or after some UAVs were destroyed."""
     config = draw_swarm(training, rng)
     (own,) = rng.spawn(1)
     state = start(config, [own])
@@ -145,7 +145,7 @@ def draw_example(training: HeadTraining, rng: np.random.Generator) -> Example:
 
 
 def compute_loss(answer: Answer, example: Example, leader_weight: float) -> Tensor:
-    """Cross entropy of who heads, per UAV, and of who follows whom."""
+    """Cross entropy of the heads plus ``leader_weight`` times that of the leaders, each averaged over the UAVs."""
     head = torch.nn.functional.binary_cross_entropy_with_logits(answer.head, example.head)
     return head + leader_weight * torch.nn.functional.cross_entropy(answer.leader, example.leader)
 
@@ -164,21 +164,21 @@ def train_heads(
 ) -> Path:
     """Train the network and write its weights.
 
-    Files in ``out``, each appearing whole: ``learned.safetensors`` and ``learned.json``, see :mod:`detectors.weights`;
-    ``losses.csv``, the mean loss of every step's swarms; ``checkpoint.safetensors``.
+    It writes these files to ``out``, each atomically: ``learned.safetensors`` and ``learned.json``, see
+    :mod:`detectors.weights`; ``losses.csv``, the mean loss of each step; ``checkpoint.safetensors``.
 
     Args:
-        out: a folder; made if it is missing.
-        training: what to train; the defaults make the weights that the package ships.
-        progress: called with the steps done and all there are.
-        resume: go on from the checkpoint in ``out``, if there is one; otherwise start again.
-        checkpoint_every: steps between two checkpoints.
+        out: the output folder; created if it is missing.
+        training: the settings; the defaults give the shipped weights.
+        progress: function that is called with the number of finished steps and of all steps.
+        resume: whether to resume from the checkpoint in ``out``, if there is one.
+        checkpoint_every: the number of steps between two checkpoints.
 
     Returns:
-        The weights file.
+        The path of the weights file.
 
     Raises:
-        ArgumentError: an argument is refused, ``out`` can't be written to, or its checkpoint is of another training.
+        ArgumentError: an argument is refused, ``out`` can't be written, or it holds a checkpoint with other settings.
     """
     training = HeadTraining() if training is None else training
     if isinstance(checkpoint_every, bool) or not isinstance(checkpoint_every, int) or checkpoint_every < 1:
@@ -206,7 +206,7 @@ def train_heads(
 
 
 def _run_step(training: HeadTraining, step: int, network: HeadNetwork, optimiser: torch.optim.Optimizer) -> float:
-    """One step of the optimiser on swarms that are drawn for it alone; their mean loss."""
+    """Run one step of the optimiser on newly drawn swarms and return their mean loss."""
     for group in optimiser.param_groups:
         group["lr"] = _compute_learning_rate(training, step)
     optimiser.zero_grad()
@@ -222,7 +222,7 @@ def _run_step(training: HeadTraining, step: int, network: HeadNetwork, optimiser
 
 
 def _evaluate_network(training: HeadTraining, network: HeadNetwork, losses: list[float]) -> dict[str, Any]:
-    """The loss at the beginning and the end, and how well heads are told on swarms that were not trained on."""
+    """Compute the loss at the start and the end of training, and the accuracy on held-out swarms."""
     few = max(1, min(100, len(losses) // 2))
     held_out, exact, right, of = [], 0, 0, 0
     swarms = min(_HELD_OUT_SWARMS, training.steps)
@@ -248,7 +248,7 @@ def _evaluate_network(training: HeadTraining, network: HeadNetwork, losses: list
 
 
 def _encode_training(training: HeadTraining) -> Tensor:
-    """What must be equal for a checkpoint to be gone on from, as bytes."""
+    """Encode the settings as bytes; a checkpoint can only be resumed with equal settings."""
     text = json.dumps(training.model_dump(mode="json"), sort_keys=True)
     return torch.tensor(list(text.encode()), dtype=torch.uint8)
 
@@ -273,7 +273,7 @@ def _read_checkpoint(
     arrays = arrays_of(str(path), path.read_bytes())
     if "losses" not in arrays or not torch.equal(arrays.get("training", torch.empty(0)), _encode_training(training)):
         raise ArgumentError(
-            f"out must hold no checkpoint of another training (train from the start with resume=False, or elsewhere), "
+            f"out must hold no checkpoint of another training (use resume=False or another folder), "
             f"got {quote(str(path))}."
         )
     network.load_state_dict(

@@ -93,7 +93,7 @@ def test_a_number_is_one_candidate(answer):
     assert np.flatnonzero(found.candidates).tolist() == [4]
 
 
-def test_masks_go_to_whoever_takes_them():
+def test_policies_that_take_masks_receive_them():
     alive = np.arange(UAVS) > 3
     np.testing.assert_array_equal(PolicyDetector(Masked(None)).detect(a_window(alive)).candidates, alive)
 
@@ -132,7 +132,7 @@ def test_it_keeps_the_contract_and_answers_swarms_of_any_size():
     check_detector(
         PolicyDetector(Bits(below=2)),
         expected_failed_checks={
-            "check_permuting_uavs_permutes_the_answer": "the policy names the first two, whoever they are",
+            "check_permuting_uavs_permutes_the_answer": "the policy always names the first two UAVs",
         },
     )
     assert "policy" in clone(PolicyDetector(Bits())).get_params()

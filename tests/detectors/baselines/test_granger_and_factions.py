@@ -92,8 +92,8 @@ def test_odd_windows_get_an_answer(kind):
     for steps in (1, 3, 7):
         short = Window(window.position[: steps + 1], window.velocity[:steps], window.seen[: steps + 1], window.alive)
         assert answer(kind(), short).candidates.sum() >= 1
-    nobody = np.zeros_like(window.alive)
-    gone = Window(window.position * 0, window.velocity * 0, window.seen & nobody, nobody)
+    none = np.zeros_like(window.alive)
+    gone = Window(window.position * 0, window.velocity * 0, window.seen & none, none)
     assert not answer(kind(), gone).candidates.any()
 
 

@@ -25,7 +25,7 @@ MISTAKES = [
     ("check_smallest_swarm", broken.NeedsFour(), "too small a swarm"),
     ("check_single_cluster", broken.NeedsTwoClusters(), "clusters must be at least 2"),
     ("check_masked_uavs_are_never_candidates", broken.NamesTheDead(), "must not be a candidate"),
-    ("check_missing_samples", broken.NeedsEverySample(), "nobody was seen"),
+    ("check_missing_samples", broken.NeedsEverySample(), "a UAV was never seen"),
     ("check_scores_are_finite", broken.DividesByTheSpread(), "scores must be finite"),
     ("check_scores_are_finite", broken.ProbabilityAboveOne(), "from 0 to 1"),
     ("check_batch", broken.LosesAWindow(), "must return 4 detections, got 3"),

@@ -29,7 +29,7 @@ from usnet_env.swarm import SwarmConfig
 
 NAMES = [check.__name__ for check in CHECKS]
 PERMUTING = "check_permuting_uavs_permutes_the_answer"
-REASON = "it names the first ones, whoever they are"
+REASON = "it always names the first UAVs"
 
 
 def by_check(results):

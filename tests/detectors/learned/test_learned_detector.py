@@ -15,7 +15,7 @@ from detectors.learned.features import PAIR_FEATURES, pair_features
 from detectors.learned.inputs import make_inputs
 from detectors.learned.network import NetworkSizes, draw_network
 from detectors.learned.train import HeadTraining, draw_example
-from usnet_env import ArgumentError, Window
+from usnet_env import ArgumentError, Window, make_detector
 from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 
@@ -64,8 +64,8 @@ def test_turning_moving_and_measuring_otherwise_changes_no_feature(seed, metres)
         window.seen,
         window.alive,
     )
-    everybody = np.arange(9)
-    np.testing.assert_allclose(pair_features(moved, everybody), pair_features(window, everybody), atol=0.02)
+    uavs = np.arange(9)
+    np.testing.assert_allclose(pair_features(moved, uavs), pair_features(window, uavs), atol=0.02)
 
 
 def test_a_pair_of_head_and_follower_stands_out_in_its_row():
@@ -111,7 +111,7 @@ def test_destroyed_uavs_are_no_candidates_and_change_nothing():
     np.testing.assert_allclose(answer(rest).scores, found.scores[living], atol=1e-5)
 
 
-def test_nobody_alive_gives_nobody():
+def test_no_living_uav_gives_no_candidate():
     window = simulate_window(2, 8)
     dead = Window(np.zeros_like(window.position), np.zeros_like(window.velocity), np.zeros((61, 8)), np.zeros(8))
     assert not answer(dead).candidates.any()
@@ -135,10 +135,26 @@ def test_the_choice_follows_the_probabilities():
     probability = answer(window).extras["probability"]
     for policy in ("threshold", "map"):
         np.testing.assert_array_equal(answer(window, policy=policy).candidates, probability > 0.5)
-    nobody_passes = answer(window, policy="threshold", threshold=1.0)
-    np.testing.assert_array_equal(nobody_passes.candidates, probability == probability.max())
+    none_passes = answer(window, policy="threshold", threshold=1.0)
+    np.testing.assert_array_equal(none_passes.candidates, probability == probability.max())
     dear, cheap = answer(window, round_price=100.0), answer(window, round_price=0.01)
     assert (dear.candidates >= cheap.candidates).all()
+
+
+@pytest.mark.parametrize("policy", ["cost", "map", "threshold"])
+def test_the_policy_is_an_argument_of_the_detector_spec(policy):
+    window = simulate_window(3, 14)
+    detector = make_detector(f"learned(policy='{policy}')")
+    detector.reset(0)
+    assert detector.get_params()["policy"] == policy
+    np.testing.assert_array_equal(detector.detect(window).candidates, answer(window, policy=policy).candidates)
+
+
+def test_the_policies_differ_where_no_uav_follows():
+    window, _ = swarm(SwarmConfig(follow="none", uavs=30, clusters=3), 0)
+    named = {policy: answer(window, policy=policy).candidates.sum() for policy in ("cost", "map")}
+    assert named["map"] == 0  # no UAV is probably a head
+    assert named["cost"] >= 1  # a game only goes on while a head is left
 
 
 def test_it_beats_chance_by_far_on_fresh_random_strategies():
@@ -149,14 +165,8 @@ def test_it_beats_chance_by_far_on_fresh_random_strategies():
         candidates = answer(window, policy="map").candidates
         hits += int((candidates & state.head[0]).sum())
         named, heads = named + int(candidates.sum()), heads + 3
-    assert hits >= 0.8 * heads  # who names 3 of 24 at random hits one in eight
+    assert hits >= 0.8 * heads  # 3 random candidates of 24 hit one head in eight
     assert hits >= 0.8 * named
-
-
-def test_nobody_is_named_where_nobody_follows():
-    window, _ = swarm(SwarmConfig(follow="none", uavs=30, clusters=3), 0)
-    assert not answer(window, policy="map").candidates.any()
-    assert answer(window).candidates.any()  # a game is only over when a head is hit
 
 
 def test_a_detector_in_use_can_be_pickled():
@@ -187,14 +197,14 @@ def test_it_says_what_it_does_not_take(tmp_path):
 
 
 def test_a_network_reads_its_inputs_whatever_the_size():
-    network = draw_network(NetworkSizes(width=8, heads=2, blocks=1), 0)
+    network = draw_network(NetworkSizes(width=8, attn_heads=2, blocks=1), 0)
     for uavs in (3, 30):
         inputs = make_inputs(simulate_window(1, uavs), np.arange(uavs))
         head, leader = network(*inputs)
         assert head.shape == (uavs,)
         assert leader.shape == (uavs, uavs)
-    with pytest.raises(ArgumentError, match=r"heads must divide width \(8\), got 3"):
-        draw_network(NetworkSizes(width=8, heads=3), 0)
+    with pytest.raises(ArgumentError, match=r"attn_heads must divide width \(8\), got 3"):
+        draw_network(NetworkSizes(width=8, attn_heads=3), 0)
     before = torch.random.get_rng_state()
     draw_network(NetworkSizes(), 1)
     assert torch.equal(before, torch.random.get_rng_state())
@@ -208,7 +218,7 @@ def test_drawn_swarms_are_never_of_the_table():
         own = example.leader == torch.arange(living)
         assert example.inputs.features.shape == (living, living, PAIR_FEATURES)
         assert torch.isfinite(example.inputs.features).all()
-        assert not example.head[~own].any()  # a head follows nobody
+        assert not example.head[~own].any()  # a head follows no UAV
         assert set(example.leader[~own].tolist()) == set(torch.nonzero(example.head)[:, 0].tolist())
     assert len({len(example.head) for example in drawn}) > 10
 

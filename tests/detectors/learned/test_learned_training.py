@@ -19,7 +19,16 @@ from detectors.weights import arrays_of, packaged_record, read_arrays, write_wei
 from usnet_env.config import ArgumentError
 from usnet_env.swarm.random_follow import RandomFollowStrategy
 
-SMALL = {"steps": 6, "swarms": 2, "width": 8, "heads": 2, "blocks": 1, "most_uavs": 16, "most_clusters": 2, "warm": 2}
+SMALL = {
+    "steps": 6,
+    "swarms": 2,
+    "width": 8,
+    "attn_heads": 2,
+    "blocks": 1,
+    "most_uavs": 16,
+    "most_clusters": 2,
+    "warm": 2,
+}
 
 
 class Interrupted(Exception):
