@@ -46,11 +46,12 @@ class Learned(Detector):
     Time and memory grow with N²: 0.07 s at N = 82, seconds and more than a gigabyte at N = 1,000.
 
     Args:
-        policy: how candidates are chosen, here and in :class:`detectors.follow_mixture.FollowMixture`.
+        policy: how candidates are chosen. ``"cost"`` and ``"map"`` mean the same as in
+            :class:`detectors.follow_mixture.FollowMixture`.
 
             * ``"cost"`` (default) minimises the expected J_m of P2
               (:func:`detectors.follow_mixture.policy.choose`). A redundant candidate costs 1/N of a round, a missed
-              head costs ``round_price`` rounds; so it also names UAVs that are probably not heads. It names at least
+              head costs ``round_price`` rounds; so it also names doubtful UAVs. It names at least
               one UAV.
             * ``"map"`` minimises the expected number of wrong decisions: it names the UAVs with a probability above
               1/2. It may name no UAV.

@@ -73,8 +73,8 @@ class _Block(nn.Module):
         whole = uav.mean(dim=0, keepdim=True).expand(n, width)
         uav = uav + self.uav(torch.cat([self.uav_norm(uav), chosen, received, whole], dim=1))
         known = self.uav_norm(uav)
-        told = self.row(known)[:, None] + self.column(known)[None]
-        mixed = self.forth(normed) + self.back(normed).transpose(0, 1) + told
+        update = self.row(known)[:, None] + self.column(known)[None]
+        mixed = self.forth(normed) + self.back(normed).transpose(0, 1) + update
         return pair + self.out(nn.functional.gelu(mixed)), uav
 
 
