@@ -1,4 +1,4 @@
-"""Detectors: everything that answers a window with the cluster heads it sees."""
+"""Detectors: each takes a window of an observed swarm and names its cluster heads."""
 
 from detectors.base import Detector, DetectorPolicy
 

@@ -1,4 +1,4 @@
-"""The contract that every detector satisfies, our own and a stranger's alike."""
+"""The interface of all detectors, those of this package and those of plugins."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ __all__ = ["Detector", "DetectorPolicy"]
 
 
 class Detector(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no types
-    """A detector: window in, detection out.
+    """Base class of detectors: :meth:`detect` takes a window and returns a detection.
 
-    Subclass it and write :meth:`detect`; anything with the same methods serves as well. The constructor stores its
-    keyword arguments and nothing else (scikit-learn's rule), which gives ``get_params``, ``set_params`` and
-    ``sklearn.base.clone``. State that lives across the rounds of an episode is made in :meth:`reset`.
+    A subclass defines :meth:`detect`. A class without this base works as well if it has the methods ``reset`` and
+    ``detect``. The constructor stores its keyword arguments and does nothing else (scikit-learn's rule); so
+    ``get_params``, ``set_params`` and ``sklearn.base.clone`` work. State that is kept between the rounds of an episode
+    is created in :meth:`reset`.
 
     Attributes:
         side_by_side: whether :meth:`detect_batch` trains on all windows together, so that an answer depends on the
@@ -30,10 +31,10 @@ class Detector(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no ty
     side_by_side: ClassVar[bool] = False
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode: forget the last one and own a fresh generator ``self.rng``.
+        """Start an episode: clear the state of the previous episode and create the generator ``self.rng``.
 
         Args:
-            seed: seeds the detector's own generator. It is never the environment's seed.
+            seed: seed of ``self.rng``, never that of the environment; ``None`` takes one from the operating system.
         """
         self.rng = np.random.default_rng(seed)
 
@@ -41,28 +42,28 @@ class Detector(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no ty
         """Name the candidates of one round.
 
         Args:
-            window: what the observer saw. Its arrays are read-only.
+            window: the observation of one round. Its arrays are read-only.
 
         Returns:
-            Candidates and scores for all N UAVs; a destroyed UAV is never a candidate.
+            A detection with candidates ``(N,)`` and scores ``(N,)``; a destroyed UAV is never a candidate.
         """
         raise NotImplementedError(f"{type(self).__name__} must define detect(window) -> Detection.")
 
     def detect_batch(self, windows: Sequence[Window]) -> list[Detection]:
-        """Answer several windows; loops over :meth:`detect` unless a detector does better."""
+        """Return the detections for several windows, in order; a subclass may override this loop with a faster one."""
         return [self.detect(window) for window in windows]
 
     def as_policy(self) -> DetectorPolicy:
-        """This detector in the ``predict`` form that reinforcement-learning agents have."""
+        """Return this detector as a policy with Stable-Baselines3's ``predict`` method."""
         return DetectorPolicy(self)
 
 
 class DetectorPolicy:
-    """A detector behind Stable-Baselines3's ``predict``: observation in, action (and no hidden state) out.
+    """A detector with Stable-Baselines3's ``predict`` method, which takes an observation and returns an action.
 
     Args:
-        detector: the detector to ask. It is reset at every episode start.
-        seed: seed of the sequence from which each episode's ``reset`` seed is drawn.
+        detector: the detector to call. It is reset at the start of every episode.
+        seed: seed of the generator that draws the ``reset`` seed of each episode.
     """
 
     def __init__(self, detector: Detector, seed: int | None = None) -> None:
@@ -77,13 +78,13 @@ class DetectorPolicy:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.int8], tuple[NDArray[Any], ...] | None]:
-        """Candidates for one observation.
+        """Return the candidates for one observation as an action.
 
         Args:
             observation: one observation of a USNET environment (a mapping).
-            state: passed through; detectors keep their own.
-            episode_start: true at the first step of an episode; a first call always starts one.
-            deterministic: ignored; a detector's randomness is its own seed's.
+            state: returned unchanged; a detector keeps its state itself.
+            episode_start: true at the first step of an episode. The first call always starts an episode.
+            deterministic: ignored; a detector draws from its own generator.
 
         Returns:
             The action ``(N,)`` int8 and ``state``.

@@ -1,6 +1,6 @@
-"""A policy as a detector: what reinforcement learning has trained plays beside the detectors.
+"""Wraps a policy as a detector, so that agents of reinforcement learning can be evaluated beside detectors.
 
-The other way round, :meth:`detectors.Detector.as_policy` makes a policy of a detector.
+:meth:`detectors.Detector.as_policy` does the opposite: it wraps a detector as a policy.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ __all__ = ["PolicyDetector", "observation_of"]
 
 Observation = dict[str, NDArray[Any]]
 
-_SCORES = ("logits", "probs", "probability", "loc", "scores")  # where TorchRL's actors leave what they act on
+_SCORES = ("logits", "probs", "probability", "loc", "scores")  # keys under which actors of TorchRL store scores
 
 
 def observation_of(window: Window) -> Observation:
-    """The observation of an environment that the window was made from: ``Window.from_observation`` turned round.
+    """Convert a window to the observation of an environment, the inverse of ``Window.from_observation``.
 
     Returns:
         ``position`` ``(T_ob + 1, N, 3)`` and ``velocity`` ``(T_ob, N, 3)`` float32, ``seen`` ``(T_ob + 1, N)`` and
-        ``alive`` ``(N,)`` int8, ``round`` ``(1,)`` float32: copies that may be written into.
+        ``alive`` ``(N,)`` int8, ``round`` ``(1,)`` float32. All arrays are writable copies.
     """
     return {
         "position": window.position.copy(),
@@ -42,31 +42,35 @@ def observation_of(window: Window) -> Observation:
 
 
 class PolicyDetector(Detector):
-    """A policy of Stable-Baselines3 or TorchRL, or a plain PyTorch module, in a detector's form.
+    """A policy of Stable-Baselines3 or TorchRL, or a PyTorch module, as a detector.
 
-    Three forms are told apart by what the policy has:
+    The attributes of the policy decide which of three interfaces is used:
 
-    * ``predict(observation, state, episode_start, deterministic)`` (Stable-Baselines3, and what ``as_policy`` gives):
-      the action's bits are the candidates, or its number the one candidate of a ``Discrete(N)`` action. Scores are
-      the probabilities of the policy's distribution where it has ``get_distribution``, else the bits. Masks go to
-      policies that take ``action_masks``. A state is handed back until the episode ends.
-    * ``in_keys`` and ``out_keys`` (TorchRL): called with a ``TensorDict`` of the observation; ``"action"`` as above,
-      and scores from ``"logits"``, ``"probs"``, ``"probability"``, ``"loc"`` or ``"scores"``.
-    * any other callable, such as a ``torch.nn.Module``: called with the observation as tensors with a leading axis of
-      1, it gives one score a UAV, ``(N,)`` or ``(1, N)``; who scores above ``threshold`` is a candidate.
+    * ``predict(observation, state, episode_start, deterministic)`` (Stable-Baselines3, and ``as_policy``): a binary
+      action ``(N,)`` marks the candidates; an integer action (``Discrete(N)``) is the index of the only candidate.
+      Scores are the probabilities of the policy's distribution if it has ``get_distribution``, and the action
+      otherwise. A policy whose ``predict`` has the argument ``action_masks`` receives the mask of living UAVs. The
+      state that ``predict`` returns is passed to the next call of the episode.
+    * ``in_keys`` and ``out_keys`` (TorchRL): the policy is called with a ``TensorDict`` of the observation. The entry
+      ``"action"`` is read as above; scores come from ``"logits"``, ``"probs"``, ``"probability"``, ``"loc"`` or
+      ``"scores"``.
+    * any other callable, such as a ``torch.nn.Module``: it is called with the observation as tensors with a leading
+      axis of length 1 and returns one score per UAV, ``(N,)`` or ``(1, N)``. UAVs with a score above ``threshold`` are
+      candidates.
 
-    A policy always acts deterministically, as the referee has it. Destroyed UAVs are never candidates.
+    The policy always acts deterministically. Destroyed UAVs are never candidates.
 
     Args:
         policy: the policy. It must not hold an environment: give ``model.policy`` of a Stable-Baselines3 model, not the
             model.
-        observe: makes the policy's observation of a window, for policies that were trained behind wrappers;
-            ``None``: :func:`observation_of`. A function of a module, so that the detector can be pickled.
-        threshold: of the third form; 0 is right for logits, 0.5 for probabilities.
+        observe: function that converts a window to the observation of the policy, for policies that were trained in a
+            wrapped environment; ``None``: :func:`observation_of`. It must be defined at the top level of a module for
+            the detector to be picklable.
+        threshold: threshold on the scores for the third interface: 0 for logits, 0.5 for probabilities.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: the policy has none of the forms, holds an environment,
-            or gives another number of values than UAVs.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: the policy has none of these interfaces, holds an
+            environment, or returns a number of values other than N.
     """
 
     def __init__(self, policy: Any, observe: Callable[[Window], Any] | None = None, threshold: float = 0.0) -> None:
@@ -75,27 +79,27 @@ class PolicyDetector(Detector):
         self.threshold = threshold
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode: a recurrent policy's state is forgotten."""
+        """Start an episode and clear the state of a recurrent policy."""
         self._check_arguments()
         super().reset(seed)
         self._state: Any = None
         self._start = True
 
     def detect(self, window: Window) -> Detection:
-        """The policy's deterministic action on the window."""
+        """Return the policy's deterministic action on the window as a detection."""
         if not hasattr(self, "_start"):
             self.reset()
         observation = (self.observe or observation_of)(window)
         if callable(getattr(self.policy, "predict", None)):
-            candidates, scores = self._predicted(observation, window)
+            candidates, scores = self._act_by_predict(observation, window)
         elif hasattr(self.policy, "in_keys") and hasattr(self.policy, "out_keys"):
-            candidates, scores = self._acted(observation, window)
+            candidates, scores = self._act_by_tensordict(observation, window)
         else:
-            scores = _per_uav(self._called(_tensors(observation, _device(self.policy))), window.uavs)
+            scores = _to_scores(self._call_policy(_to_tensors(observation, _find_device(self.policy))), window.uavs)
             candidates = scores > self.threshold
         return Detection(candidates=candidates & window.alive, scores=scores)
 
-    def _predicted(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    def _act_by_predict(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
         predict = self.policy.predict
         more: dict[str, Any] = {}
         if "action_masks" in inspect.signature(predict).parameters:
@@ -104,18 +108,18 @@ class PolicyDetector(Detector):
             observation, state=self._state, episode_start=np.array([self._start]), deterministic=True, **more
         )
         self._start = False
-        candidates = _candidates(action, window.uavs)
-        if (scores := self._probabilities(observation, window.uavs)) is None:
+        candidates = _to_candidates(action, window.uavs)
+        if (scores := self._read_probabilities(observation, window.uavs)) is None:
             scores = candidates.astype(np.float64)
         return candidates, scores
 
-    def _probabilities(self, observation: Any, uavs: int) -> NDArray[np.float64] | None:
-        """Stable-Baselines3's distribution over the action: a probability a UAV, if it is one."""
+    def _read_probabilities(self, observation: Any, uavs: int) -> NDArray[np.float64] | None:
+        """Probability per UAV from Stable-Baselines3's action distribution; ``None`` if the policy offers none."""
         policy = self.policy
         ask = getattr(policy, "get_distribution", None)
         if not callable(ask) or not hasattr(policy, "obs_to_tensor"):
             return None
-        if "lstm_states" in inspect.signature(ask).parameters:  # a recurrent policy's is not that of one observation
+        if "lstm_states" in inspect.signature(ask).parameters:  # a recurrent policy needs more than one observation
             return None
         import torch
 
@@ -128,23 +132,23 @@ class PolicyDetector(Detector):
             )  # MultiDiscrete([2] * N), and masked bits
         else:
             probabilities = getattr(inner, "probs", None)
-        if probabilities is None or probabilities.numel() != uavs:  # another kind of action: the bits have to serve
+        if probabilities is None or probabilities.numel() != uavs:  # another kind of action space
             return None
-        return _per_uav(probabilities, uavs)
+        return _to_scores(probabilities, uavs)
 
-    def _acted(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-        tensordict = import_module("tensordict")  # whoever has such a policy has it
-        asked = tensordict.TensorDict(_tensors(observation, _device(self.policy)), batch_size=[1])
+    def _act_by_tensordict(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        tensordict = import_module("tensordict")  # installed wherever such a policy exists
+        asked = tensordict.TensorDict(_to_tensors(observation, _find_device(self.policy)), batch_size=[1])
         with import_module("tensordict.nn").set_interaction_type("deterministic"):
-            given = self._called(asked)
-        candidates = _candidates(_array(given.get("action")), window.uavs)
+            given = self._call_policy(asked)
+        candidates = _to_candidates(_to_array(given.get("action")), window.uavs)
         for key in _SCORES:
             if (found := given.get(key, None)) is not None and found.numel() == window.uavs:
-                return candidates, _per_uav(found, window.uavs)
+                return candidates, _to_scores(found, window.uavs)
         return candidates, candidates.astype(np.float64)
 
-    def _called(self, given: Any) -> Any:
-        """The policy's answer without gradients, with its layers in the mode of use."""
+    def _call_policy(self, given: Any) -> Any:
+        """Call the policy without gradients and in evaluation mode; restore the training mode at the end."""
         import torch
 
         policy = self.policy
@@ -162,12 +166,12 @@ class PolicyDetector(Detector):
         policy = self.policy
         if isinstance(policy, type) or not (callable(policy) or callable(getattr(policy, "predict", None))):
             raise ArgumentError(
-                f"policy must have predict(observation, ...), or be a TorchRL or PyTorch module, got {quote(policy)}."
+                f"policy must have predict(observation, ...) or be a TorchRL or PyTorch module, got {quote(policy)}."
             )
         for name in ("env", "_vec_normalize_env"):
             if getattr(policy, name, None) is not None:
                 raise ArgumentError(
-                    f"policy must hold no environment (of a Stable-Baselines3 model give model.policy), got one "
+                    f"policy must hold no environment (pass model.policy, not a Stable-Baselines3 model), got one "
                     f"with {name}."
                 )
         if self.observe is not None and not callable(self.observe):
@@ -176,19 +180,19 @@ class PolicyDetector(Detector):
             raise ArgumentError(f"threshold must be a number, got {quote(self.threshold)}.")
 
 
-def _array(value: Any) -> NDArray[Any]:
-    """A tensor or anything like an array as a NumPy array."""
+def _to_array(value: Any) -> NDArray[Any]:
+    """Convert a tensor or array-like to a NumPy array."""
     return np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
 
 
-def _device(policy: Any) -> Any:
-    """Where the weights of a module lie; the CPU for one without any."""
+def _find_device(policy: Any) -> Any:
+    """Device of a module's parameters; the CPU if it has none."""
     weight = next(iter(policy.parameters()), None) if hasattr(policy, "parameters") else None
     return "cpu" if weight is None else weight.device
 
 
-def _tensors(observation: Any, device: Any) -> Any:
-    """An observation (a mapping of arrays, or one array) as tensors with a leading axis of 1."""
+def _to_tensors(observation: Any, device: Any) -> Any:
+    """Convert an observation (a mapping of arrays, or one array) to tensors with a leading axis of length 1."""
     import torch
 
     if isinstance(observation, dict):
@@ -196,23 +200,23 @@ def _tensors(observation: Any, device: Any) -> Any:
     return torch.as_tensor(np.asarray(observation), device=device)[None]
 
 
-def _per_uav(value: Any, uavs: int) -> NDArray[np.float64]:
-    """``(uavs,)`` numbers, with or without axes of length 1."""
-    values = _array(value)
+def _to_scores(value: Any, uavs: int) -> NDArray[np.float64]:
+    """Convert N numbers, possibly with axes of length 1, to an array ``(N,)``."""
+    values = _to_array(value)
     if values.size != uavs or values.dtype.kind not in "biuf":
         raise ArgumentError(f"policy must give one number for each of {uavs} UAVs, got shape {values.shape}.")
     return values.reshape(uavs).astype(np.float64)
 
 
-def _candidates(action: Any, uavs: int) -> NDArray[np.bool_]:
-    """An action as candidates: N bits, or the number of one UAV."""
-    values = _array(action)
+def _to_candidates(action: Any, uavs: int) -> NDArray[np.bool_]:
+    """Convert an action to candidates ``(N,)``: N zeros and ones, or the index of one UAV."""
+    values = _to_array(action)
     if values.size == 1 and uavs > 1 and values.dtype.kind in "iu":
         index = int(values.reshape(()))
         if not 0 <= index < uavs:
             raise ArgumentError(f"policy must name a UAV from 0 to {uavs - 1}, got {index}.")
         return np.arange(uavs) == index
-    bits = _per_uav(values, uavs)
+    bits = _to_scores(values, uavs)
     if not ((bits == 0) | (bits == 1)).all():
         raise ArgumentError(f"policy must give an action of 0 and 1, got {quote(values)}.")
     return bits.astype(bool)

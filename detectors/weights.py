@@ -1,6 +1,7 @@
-"""Arrays that ship with a detector: safetensors, with a JSON beside them that says how they came about.
+"""Weights that ship with a detector: a safetensors file, and a JSON file that records how they were trained.
 
-Loading reads arrays and JSON and never unpickles. The JSON names the SHA-256 of the arrays; others are refused.
+Loading reads safetensors and JSON and never unpickles. The JSON file holds the SHA-256 of the safetensors file; a
+file with another SHA-256 is refused.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ __all__ = ["arrays_of", "packaged_arrays", "packaged_record", "read_arrays", "wr
 
 
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Tensor]) -> bytes:
-    """Write arrays as safetensors, whole or not at all; the bytes that were written."""
+    """Write arrays to a safetensors file atomically and return the bytes written."""
     data: bytes = save({name: value.detach().contiguous() for name, value in arrays.items()})
     with atomic_write(path) as aside:
         aside.write_bytes(data)
@@ -34,19 +35,19 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Tensor]) -> 
 def write_weights(
     path: str | os.PathLike[str], arrays: Mapping[str, Tensor], training: Mapping[str, Any], metrics: Mapping[str, Any]
 ) -> Path:
-    """Write arrays, and ``path`` with the suffix ``.json`` beside them; both appear whole.
+    """Write arrays to ``path`` and their record to the same name with the suffix ``.json``, each atomically.
 
     Args:
-        path: a name that ends in ``.safetensors``.
-        arrays: by name.
-        training: how they were trained, as JSON takes it.
-        metrics: how well, as JSON takes it.
+        path: a file name that ends in ``.safetensors``.
+        arrays: the arrays by name.
+        training: the settings of the training; must be serialisable as JSON.
+        metrics: the measured quality; must be serialisable as JSON.
 
     Returns:
         ``path``.
 
     Raises:
-        ArgumentError: the path has another suffix or can't be written to.
+        ArgumentError: the path has another suffix or can't be written.
     """
     final = Path(path)
     if final.suffix != ".safetensors":
@@ -59,10 +60,10 @@ def write_weights(
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, Tensor]:
-    """The arrays of a file that :func:`write_weights` wrote.
+    """Read the arrays of a file written by :func:`write_weights`.
 
     Raises:
-        ArgumentError: a file is missing or broken, or the arrays are not those that the JSON names.
+        ArgumentError: a file is missing or broken, or the SHA-256 in the JSON file is not that of the arrays.
     """
     final = Path(path)
     try:
@@ -72,23 +73,23 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, Tensor]:
         raise ArgumentError(
             f"path must be a weights file with its JSON beside it, got {quote(str(path))}: {reason}."
         ) from None
-    return _checked(str(path), data, record)
+    return _verify_arrays(str(path), data, record)
 
 
 def packaged_arrays(package: str, name: str) -> dict[str, Tensor]:
-    """The arrays of ``data/<name>.safetensors`` in a package, such as ``"detectors.learned"``."""
+    """Read the arrays of ``data/<name>.safetensors`` in a package such as ``"detectors.learned"``."""
     folder = files(package) / "data"
     record = (folder / f"{name}.json").read_text(encoding="utf-8")
-    return _checked(f"{name}.safetensors", (folder / f"{name}.safetensors").read_bytes(), record)
+    return _verify_arrays(f"{name}.safetensors", (folder / f"{name}.safetensors").read_bytes(), record)
 
 
 def packaged_record(package: str, name: str) -> dict[str, Any]:
-    """How those arrays were trained, and how well: ``sha256``, ``training``, ``metrics``."""
+    """Read ``data/<name>.json`` in a package, with the keys ``sha256``, ``training`` and ``metrics``."""
     record: dict[str, Any] = json.loads((files(package) / "data" / f"{name}.json").read_text(encoding="utf-8"))
     return record
 
 
-def _checked(path: str, data: bytes, record: str) -> dict[str, Tensor]:
+def _verify_arrays(path: str, data: bytes, record: str) -> dict[str, Tensor]:
     try:
         expected = json.loads(record)["sha256"]
     except (ValueError, KeyError, TypeError):
@@ -103,10 +104,10 @@ def _checked(path: str, data: bytes, record: str) -> dict[str, Tensor]:
 
 
 def arrays_of(path: str, data: bytes) -> dict[str, Tensor]:
-    """The arrays in the bytes of a safetensors file.
+    """Parse the bytes of a safetensors file.
 
     Raises:
-        ArgumentError: the bytes are none; ``path`` is named.
+        ArgumentError: the bytes are not a safetensors file; the message names ``path``.
     """
     try:
         arrays: dict[str, Tensor] = load(data)

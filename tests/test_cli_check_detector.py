@@ -33,7 +33,7 @@ def test_a_good_detector_has_a_table_and_status_0(run):
 def test_a_broken_one_has_status_1_and_a_reason(run):
     status, out, err = run("broken_detectors:FavoursLowIndices(count=3)")
     assert (status, err) == (1, "")
-    assert "permuted UAVs must get the permuted answer" in out
+    assert "permuting the UAVs must permute the detection" in out
     assert f"{len(CHECKS) - 1} passed, 1 failed" in out
 
 
@@ -42,14 +42,14 @@ def test_an_expected_failure_has_its_reason_and_status_0(run):
         "broken_detectors:FavoursLowIndices", "--expect", f"{PERMUTING}=it goes by the index = by habit"
     )
     assert status == 0
-    assert "it goes by the index = by habit (permuted" in out
+    assert "it goes by the index = by habit (permuting" in out
     assert "1 expected failure" in out
 
 
 def test_the_time_budget_is_an_argument(run):
     status, out, _ = run("broken_detectors:Slow", "--seconds", "0.05")
     assert status == 1
-    assert "an answer for 82 UAVs must take at most 0.05 s" in out
+    assert "detect must take at most 0.05 s for 82 UAVs" in out
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Peers by method, re-implemented from their papers: pairwise Granger causality, and factions with their leaders."""
+"""Baselines: the trivial policies, pairwise Granger causality, and factions with their leaders."""
 
 from detectors.baselines.factions import Factions
 from detectors.baselines.granger import Granger

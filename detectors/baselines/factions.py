@@ -1,4 +1,4 @@
-"""Factions and their leaders from who is ahead of whom (after Amornbunchornvej and Berger-Wolf's mFLICA, 2018)."""
+"""Factions and their leaders from a network of followers (after mFLICA, Amornbunchornvej and Berger-Wolf, 2018)."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.lagged.selection import centred, ranked
+from detectors.lagged.selection import centre_columns, rank_uavs
 from usnet_env.config import Config
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["Factions", "following_network", "pagerank"]
+__all__ = ["Factions", "build_following_network", "compute_pagerank"]
 
 Floats = NDArray[np.float64]
 
@@ -28,17 +28,18 @@ class _Arguments(Config):
 
 
 class Factions(Detector):
-    """Leaders are those who are followed and follow nobody; a faction is whom a leader can be reached from.
+    """Names the leaders of factions: UAVs that have followers and follow no UAV themselves.
 
-    i follows j if i's flight is most like j's some steps ago and more so than the other way round, with a similarity
-    above ``threshold``. In this network of followings a leader has followers and no one to follow; the faction of a
-    leader is everybody from whom a path leads to it. Leaders are ranked by PageRank. mFLICA measures similarity by
-    dynamic time warping of positions; here delays are constant and short, so that the lagged correlation of velocities
-    measures the same.
+    UAV i follows UAV j if the lagged correlation of i's velocity with j's past is at least ``threshold``, and higher
+    than that of j's velocity with i's past. These relations form a directed network. A leader is a node with incoming
+    but no outgoing edges; its faction consists of all UAVs with a path to it. Leaders are ranked by PageRank.
+
+    mFLICA measures similarity by dynamic time warping of positions. The delays here are short and constant, so the
+    lagged correlation of velocities serves the same purpose.
 
     Args:
-        max_lag: the longest delay in samples, at least 1.
-        threshold: the least correlation of a following, from 0 to 1.
+        max_lag: the largest lag in samples, at least 1.
+        threshold: the smallest correlation that counts as following, from 0 to 1.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
@@ -52,15 +53,15 @@ class Factions(Detector):
         return _Arguments(max_lag=self.max_lag, threshold=self.threshold)
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the generator serves to break ties only."""
+        """Start an episode; the generator only breaks ties."""
         self._arguments()
         super().reset(seed)
 
     def detect(self, window: Window) -> Detection:
-        """Name the leaders of all factions, or the best ranked UAV where there is none.
+        """Name the leaders of all factions, or the UAV with the highest PageRank if there is no leader.
 
         Returns:
-            Candidates, scores (PageRank), clusters (factions; -1: in none) and leader.
+            Candidates, scores (PageRank), clusters (factions; -1: in no faction) and leader (-1: none).
         """
         arguments = self._arguments()
         rng = getattr(self, "rng", None) or np.random.default_rng()
@@ -70,36 +71,36 @@ class Factions(Detector):
         clusters = np.full(window.uavs, -1, np.int64)
         candidates = np.zeros(window.uavs, bool)
         if len(living):
-            network = following_network(
+            network = build_following_network(
                 window.velocity[:, living], window.velocity_seen[:, living], arguments.max_lag, arguments.threshold
             )
-            rank = pagerank(network)
+            rank = compute_pagerank(network)
             scores[living] = rank
             leads = np.flatnonzero((network > 0).any(axis=0) & ~(network > 0).any(axis=1))
-            reached = _reached(network > 0, leads)
+            reached = _find_reachable_leaders(network > 0, leads)
             for label, lead in enumerate(leads):
                 mine = (reached.argmax(axis=1) == label) & reached.any(axis=1)
                 leader[living[mine]] = living[lead]
                 clusters[living[mine]] = label
             candidates[living[leads]] = True
             if not len(leads):
-                candidates[ranked(scores, window.alive, rng)[:1]] = True
+                candidates[rank_uavs(scores, window.alive, rng)[:1]] = True
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader)
 
 
-def following_network(
+def build_following_network(
     velocity: NDArray[np.floating], seen: NDArray[np.bool_], max_lag: int, threshold: float
 ) -> Floats:
-    """Weighted followings ``(n, n)``, entry (i, j) > 0: i follows j, with that correlation.
+    """Build the network ``(n, n)``; entry (i, j) is the correlation with which i follows j, or 0.
 
     Args:
         velocity: ``(T, n, 3)``.
         seen: ``(T, n)`` bool.
-        max_lag: the longest delay.
-        threshold: the least correlation.
+        max_lag: the largest lag, in samples.
+        threshold: the smallest correlation that counts as following.
     """
     steps, uavs = velocity.shape[:2]
-    flight = centred(velocity.astype(np.float64), seen)
+    flight = centre_columns(velocity.astype(np.float64), seen)
     length = np.sqrt((flight**2).sum(axis=(0, 2)))
     flight = (flight / np.where(length > 1e-9, length, np.inf)[:, None]).transpose(1, 0, 2)
     best = np.full((uavs, uavs), -np.inf)
@@ -111,8 +112,8 @@ def following_network(
     return np.where(np.isfinite(ahead), ahead, 0.0)
 
 
-def pagerank(network: Floats) -> Floats:
-    """PageRank of a network of followings ``(n, n)``: who is followed by those who are followed (Page et al., 1999)."""
+def compute_pagerank(network: Floats) -> Floats:
+    """Compute the PageRank ``(n,)`` of the nodes of a network ``(n, n)`` (Page et al., 1999)."""
     uavs = len(network)
     out = network.sum(axis=1, keepdims=True)
     step = np.where(out > 0, network / np.where(out > 0, out, 1.0), 1.0 / uavs)
@@ -122,8 +123,8 @@ def pagerank(network: Floats) -> Floats:
     return rank
 
 
-def _reached(follows: NDArray[np.bool_], leads: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """``(n, leaders)`` whether a path of followings leads from a UAV to a leader; a leader reaches itself."""
+def _find_reachable_leaders(follows: NDArray[np.bool_], leads: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """``(n, leaders)``: whether the network has a path from a UAV to a leader; a leader reaches itself."""
     reached = np.zeros((len(follows), len(leads)), bool)
     reached[leads, np.arange(len(leads))] = True
     while True:

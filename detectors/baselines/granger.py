@@ -1,4 +1,4 @@
-"""Pairwise Granger causality: does j's past tell i's present better than i's own past alone? (Granger, 1969)."""
+"""Pairwise Granger causality: does j's past improve the prediction of i from i's own past? (Granger, 1969)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from detectors.lagged.selection import Evidence, Floats, LaggedArguments, LaggedDetector, centred
+from detectors.lagged.selection import Evidence, Floats, LaggedArguments, LaggedDetector, centre_columns
 
 __all__ = ["Granger", "granger_evidence"]
 
@@ -23,16 +23,16 @@ class _Arguments(LaggedArguments):
 
 
 class Granger(LaggedDetector):
-    """Granger causality of every pair, conditioned on the follower's own past; votes by the variance it explains.
+    """Votes for heads by pairwise Granger causality.
 
-    For every ordered pair (i, j), v_i(t+1) is regressed on i's own last velocities, and on these and j's last ones.
-    The evidence is the share of the first residual that the second regression explains, adjusted for the numbers
-    fitted. The rest is that of :mod:`detectors.lagged.selection`.
+    For every ordered pair (i, j), v_i(t+1) is regressed on i's own last velocities, and then on these and j's last
+    velocities. The evidence is the share of the first residual's variance that the second regression explains, adjusted
+    for the number of parameters. Votes and heads follow from it by :mod:`detectors.lagged.selection`.
 
     Args:
         clusters: M at the start of the episode, or ``None``; as in :class:`detectors.lagged.LaggedRegression`.
-        lags: past velocities of j, at least 1; fewer in short windows.
-        own_lags: past velocities of i, at least 0.
+        lags: the number of past velocities of j, at least 1; fewer in short windows.
+        own_lags: the number of past velocities of i, at least 0.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
@@ -44,31 +44,31 @@ class Granger(LaggedDetector):
         self.own_lags = own_lags
 
     def check_arguments(self) -> _Arguments:
-        """The arguments, or ``ArgumentError``."""
+        """Return the checked arguments; raises ``ArgumentError``."""
         return _Arguments(clusters=self.clusters, lags=self.lags, own_lags=self.own_lags)
 
     def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
-        """Granger causality of every pair, see :func:`granger_evidence`."""
+        """Compute the Granger causality of every pair, see :func:`granger_evidence`."""
         return granger_evidence(velocity, seen, self.lags, self.own_lags)
 
 
 def granger_evidence(
     velocity: NDArray[np.floating], seen: NDArray[np.bool_], lags: int, own_lags: int
 ) -> Evidence | None:
-    """Adjusted share of i's own-past residual that j's past explains, for every pair, and for shifted followers.
+    """Compute the adjusted share of i's residual that j's past explains, for every pair and for the surrogate.
 
-    By the Frisch-Waugh theorem the second regression explains r' F (F' F)^-1 F' r more, with r the first residual and
-    F j's features less their projection on i's own past: with whitened features Q_j and Q_i this is
-    r' Q_j (I - C C')^-1 Q_j' r with C = Q_j' Q_i, a small system a pair.
+    Let r be the residual of the regression on i's own past, and F the part of j's features that is orthogonal to i's
+    own past. By the Frisch-Waugh theorem, adding j's features explains r' F (F' F)^-1 F' r more. With whitened
+    features Q_j and Q_i this is r' Q_j (I - C C')^-1 Q_j' r with C = Q_j' Q_i, a small linear system per pair.
 
     Args:
         velocity: ``(T_ob, n, 3)``, metres per step.
-        seen: ``(T_ob, n)`` bool; an unseen feature takes its mean, an unseen target does not count.
-        lags: of j.
-        own_lags: of i.
+        seen: ``(T_ob, n)`` bool; an unseen feature is replaced by its mean, an unseen target is left out.
+        lags: the number of past velocities of j.
+        own_lags: the number of past velocities of i.
 
     Returns:
-        The evidence, or ``None`` for fewer than 2 UAVs or too short a window.
+        The evidence; ``None`` for fewer than 2 UAVs or too short a window.
     """
     steps, uavs = velocity.shape[:2]
     lags = min(lags, max(1, int(steps / (1 + 3 * _LEAST_ROWS_PER_FEATURE))))
@@ -77,15 +77,18 @@ def granger_evidence(
     if uavs < 2 or rows < 6:
         return None
     flight = velocity.astype(np.float64)
-    target = centred(flight[lags:], seen[lags:]).transpose(1, 0, 2)
+    target = centre_columns(flight[lags:], seen[lags:]).transpose(1, 0, 2)
     past = np.concatenate(
-        [centred(flight[lags - lag : steps - lag], seen[lags - lag : steps - lag]) for lag in range(1, lags + 1)],
+        [
+            centre_columns(flight[lags - lag : steps - lag], seen[lags - lag : steps - lag])
+            for lag in range(1, lags + 1)
+        ],
         axis=2,
     ).transpose(1, 0, 2)
-    theirs = _orthonormal(past)
-    own = _orthonormal(past[:, :, : 3 * own_lags]) if own_lags else np.zeros((uavs, rows, 0))
+    theirs = _orthonormalise_columns(past)
+    own = _orthonormalise_columns(past[:, :, : 3 * own_lags]) if own_lags else np.zeros((uavs, rows, 0))
     pairs, surrogate = (
-        _conditional_share(np.roll(target, shift, axis=1), np.roll(own, shift, axis=1), theirs)
+        _compute_conditional_share(np.roll(target, shift, axis=1), np.roll(own, shift, axis=1), theirs)
         for shift in (0, rows // 2)
     )
     freedom = 3 * lags
@@ -97,8 +100,8 @@ def granger_evidence(
     return Evidence(pairs, surrogate, float(np.sqrt(2.0 * freedom / 3.0) / rows))
 
 
-def _orthonormal(features: Floats) -> Floats:
-    """Orthonormal columns spanning each ``(rows, p)`` block, but for a little ridge."""
+def _orthonormalise_columns(features: Floats) -> Floats:
+    """Orthonormalise the columns of each ``(rows, p)`` block, up to a small ridge."""
     gram = features.transpose(0, 2, 1) @ features
     width = gram.shape[1]
     power = np.trace(gram, axis1=1, axis2=2) / width
@@ -106,8 +109,8 @@ def _orthonormal(features: Floats) -> Floats:
     return features @ np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
 
 
-def _conditional_share(target: Floats, own: Floats, theirs: Floats) -> Floats:
-    """``(n, n)`` share of the residual on ``own`` that ``theirs`` explain beyond it."""
+def _compute_conditional_share(target: Floats, own: Floats, theirs: Floats) -> Floats:
+    """``(n, n)``: the share of the residual of a regression on ``own`` that ``theirs`` explains."""
     uavs, _, width = theirs.shape
     residual = target - own @ (own.transpose(0, 2, 1) @ target)
     total = (residual**2).sum(axis=(1, 2))

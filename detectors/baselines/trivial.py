@@ -1,7 +1,7 @@
-"""The trivial policies: what an answer is worth that looks at nobody's flight.
+"""Trivial policies, which ignore the motion of the UAVs: a random choice, all UAVs, and no UAV.
 
-They stand beside every published table, as the paper's J_m alone prefers destroying everybody to any detector that
-needs two rounds (decision (l) of the paper's silent points).
+They are part of every published table: under the paper's J_m, destroying all UAVs beats every detector that needs two
+rounds (decision (l) in docs/game.md).
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class _RandomArguments(Config):
 
 
 class RandomDetector(Detector):
-    """Names a few living UAVs at random; the scores are random numbers.
+    """Names ``count`` living UAVs at random; the scores are random numbers.
 
     Args:
-        count: how many UAVs to name in a round, at least 1; all the living ones where fewer live.
+        count: the number of candidates per round, at least 1; all living UAVs if fewer are alive.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`, if ``count`` is not a whole number from 1.
@@ -37,12 +37,12 @@ class RandomDetector(Detector):
         self.count = count
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode with a generator of one's own."""
+        """Start an episode with a new generator."""
         _RandomArguments(count=self.count)
         super().reset(seed)
 
     def detect(self, window: Window) -> Detection:
-        """The living UAVs with the ``count`` highest of N random scores in (0, 1]; a destroyed UAV scores 0."""
+        """Name the living UAVs with the ``count`` highest of N random scores in (0, 1]; a destroyed UAV has score 0."""
         count = _RandomArguments(count=self.count).count
         rng = getattr(self, "rng", None) or np.random.default_rng()
         scores = np.where(window.alive, 1.0 - rng.random(window.uavs), 0.0)
@@ -52,16 +52,16 @@ class RandomDetector(Detector):
 
 
 class DestroyAll(Detector):
-    """Names every living UAV; its J_m is 1 + (N - M) / N, exactly."""
+    """Names every living UAV; its J_m is exactly 1 + (N - M) / N."""
 
     def detect(self, window: Window) -> Detection:
-        """All living UAVs, each with score 1; a destroyed UAV scores 0."""
+        """Name all living UAVs, each with score 1; a destroyed UAV has score 0."""
         return Detection(candidates=window.alive, scores=window.alive.astype(np.float64))
 
 
 class NoCandidates(Detector):
-    """Names nobody, so that rounds pass and every head stays."""
+    """Names no UAV, so that no head is ever destroyed."""
 
     def detect(self, window: Window) -> Detection:
-        """No candidates; every score is 0."""
+        """Return a detection without candidates; every score is 0."""
         return Detection(candidates=np.zeros(window.uavs, bool), scores=np.zeros(window.uavs))

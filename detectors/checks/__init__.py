@@ -1,11 +1,11 @@
-"""Conformance checks: does a detector of one's own keep the contract that every user of detectors relies on?
+"""Conformance checks: does a detector follow the rules of :class:`detectors.Detector`?
 
-``check_detector(detector)`` runs them all, ``@parametrize_with_checks([detector])`` makes one pytest case of each, and
-``usnet check-detector module:Class`` prints them as a table. They are to detectors what scikit-learn's
-``check_estimator`` is to estimators.
+``check_detector(detector)`` runs all checks, ``@parametrize_with_checks([detector])`` makes one pytest case of each
+check, and ``usnet check-detector module:Class`` prints the results as a table. They correspond to scikit-learn's
+``check_estimator``.
 """
 
-from detectors.checks.asking import CheckError
+from detectors.checks.harness import CheckError
 from detectors.checks.run import (
     CHECKS,
     CheckResult,

@@ -1,4 +1,4 @@
-"""Checks of the answers: every swarm gets one, and nobody who is gone is named."""
+"""Checks of the detections: every swarm gets one, and no destroyed UAV is a candidate."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from unittest import SkipTest
 
 import numpy as np
 
-from detectors.checks.asking import SEED, answers, checked, fresh, require
-from detectors.checks.windows import hovering, simulated, unseen_in_part
+from detectors.checks.harness import SEED, copy_detector, play_windows, require, validate_detection
+from detectors.checks.windows import make_hovering_window, simulate_missing_samples, simulate_window
 from usnet_env.config import quote
 from usnet_env.window import Window
 
@@ -27,53 +27,53 @@ SMALLEST, LARGE = 3, 237  # N
 
 
 def check_answers_with_a_detection(detector: Any) -> None:
-    """``detect`` gives a ``Detection`` for all N UAVs, after ``reset(seed)``, ``reset(None)`` and ``reset()``."""
-    own, window = fresh(detector), simulated()
-    answers(own, [window, simulated(seed=1, destroyed=3, round=2)])
-    answers(own, [window], seed=None)
+    """``detect`` returns a ``Detection`` for all N UAVs after ``reset(seed)``, ``reset(None)`` and ``reset()``."""
+    own, window = copy_detector(detector), simulate_window()
+    play_windows(own, [window, simulate_window(seed=1, destroyed=3, round=2)])
+    play_windows(own, [window], seed=None)
     own.reset()
-    checked(own.detect(window), window)
+    validate_detection(own.detect(window), window)
 
 
 def check_smallest_swarm(detector: Any) -> None:
-    """N = 3: a head and two followers."""
-    answers(fresh(detector), [simulated(clusters=1, uavs=SMALLEST)])
+    """``detect`` works for N = 3: a head and two followers."""
+    play_windows(copy_detector(detector), [simulate_window(clusters=1, uavs=SMALLEST)])
 
 
 def check_large_swarm(detector: Any) -> None:
-    """N = 237 in 11 clusters, a number that divides into nothing."""
-    answers(fresh(detector), [simulated(clusters=11, uavs=LARGE)])
+    """``detect`` works for N = 237 in 11 clusters of unequal size."""
+    play_windows(copy_detector(detector), [simulate_window(clusters=11, uavs=LARGE)])
 
 
 def check_single_cluster(detector: Any) -> None:
-    """M = 1, whatever M the detector was told."""
-    answers(fresh(detector), [simulated(clusters=1, uavs=16)])
+    """``detect`` works for M = 1, also if the detector was constructed for another M."""
+    play_windows(copy_detector(detector), [simulate_window(clusters=1, uavs=16)])
 
 
 def check_masked_uavs_are_never_candidates(detector: Any) -> None:
-    """A destroyed UAV is never a candidate, be few or nearly all of them gone."""
+    """A destroyed UAV is never a candidate, whether a few or nearly all UAVs are destroyed."""
     for destroyed in (4, 17):
-        window = simulated(uavs=20, destroyed=destroyed, round=2)
+        window = simulate_window(uavs=20, destroyed=destroyed, round=2)
         for seed in (SEED, SEED + 1, SEED + 2):
-            _only_the_living(fresh(detector), window, seed)
+            _require_living_candidates(copy_detector(detector), window, seed)
 
 
-def _only_the_living(detector: Any, window: Window, seed: int) -> None:
-    (answer,) = answers(detector, [window], seed)
+def _require_living_candidates(detector: Any, window: Window, seed: int) -> None:
+    (answer,) = play_windows(detector, [window], seed)
     dead = np.flatnonzero(answer.candidates & ~window.alive)
-    require(not len(dead), f"a destroyed UAV must not be a candidate, got {quote(dead.tolist())}.")
+    require(not len(dead), f"a destroyed UAV must not be a candidate, got UAVs {quote(dead.tolist())}.")
 
 
 def check_missing_samples(detector: Any) -> None:
-    """An answer where samples are missing: 3 in 10, one UAV's all, and everybody's at some instants."""
-    window = unseen_in_part()
-    _only_the_living(fresh(detector), window, SEED)
+    """``detect`` works where samples are missing: 30 %, all of one UAV, and all UAVs at some steps."""
+    window = simulate_missing_samples()
+    _require_living_candidates(copy_detector(detector), window, SEED)
 
 
 def check_scores_are_finite(detector: Any) -> None:
-    """Scores are finite, and ``extras["probability"]`` lies in [0, 1], where UAVs hover and where they fly."""
-    for window in (simulated(), hovering(), unseen_in_part(seed=1)):
-        (answer,) = answers(fresh(detector), [window])
+    """Scores are finite, and ``extras["probability"]`` lies in [0, 1], for moving and for hovering UAVs."""
+    for window in (simulate_window(), make_hovering_window(), simulate_missing_samples(seed=1)):
+        (answer,) = play_windows(copy_detector(detector), [window])
         require(bool(np.isfinite(answer.scores).all()), "scores must be finite, got NaN or infinity.")
         if "probability" in answer.extras:
             value = np.asarray(answer.extras["probability"])
@@ -84,17 +84,17 @@ def check_scores_are_finite(detector: Any) -> None:
 
 
 def check_batch(detector: Any) -> None:
-    """``detect_batch`` answers every window, in order, for swarms of unequal size, and leaves the list as it is."""
-    own = fresh(detector)
+    """``detect_batch`` returns one detection per window, in order, and leaves the list of windows unchanged."""
+    own = copy_detector(detector)
     if not callable(getattr(own, "detect_batch", None)):
-        raise SkipTest("it has no detect_batch.")
-    windows = [simulated(uavs=uavs, seed=uavs) for uavs in (14, 11, 14, 9)]
+        raise SkipTest("it has no method detect_batch.")
+    windows = [simulate_window(uavs=uavs, seed=uavs) for uavs in (14, 11, 14, 9)]
     given = list(windows)
     own.reset(SEED)
     batch = own.detect_batch(given)
     require(isinstance(batch, list), f"detect_batch must return a list, got {quote(batch)}.")
-    require(len(batch) == len(windows), f"detect_batch must give {len(windows)} answers, got {len(batch)}.")
+    require(len(batch) == len(windows), f"detect_batch must return {len(windows)} detections, got {len(batch)}.")
     for answer, window in zip(batch, windows, strict=True):
-        checked(answer, window)
+        validate_detection(answer, window)
     unchanged = len(given) == len(windows) and all(a is b for a, b in zip(given, windows, strict=True))
-    require(unchanged, "detect_batch must leave the list of windows as it is.")
+    require(unchanged, "detect_batch must leave the list of windows unchanged.")

@@ -1,4 +1,4 @@
-"""Checks of the constructor, of scikit-learn's parameters, and of pickling."""
+"""Checks of the constructor, of scikit-learn's parameter methods, and of pickling."""
 
 from __future__ import annotations
 
@@ -10,73 +10,84 @@ from unittest import SkipTest
 
 from sklearn.base import clone
 
-from detectors.checks.asking import SEED, answers, ask, difference, fresh, require
-from detectors.checks.windows import simulated
+from detectors.checks.harness import compare_detections, copy_detector, play_windows, request_detection, require
+from detectors.checks.windows import simulate_window
 from usnet_env.config import quote
 
 __all__ = ["check_constructor_only_stores", "check_parameters_and_clone", "check_pickling"]
 
 
 def check_constructor_only_stores(detector: Any) -> None:
-    """The constructor stores its keyword arguments under their names, untouched, and nothing else."""
+    """The constructor stores its keyword arguments unchanged under their names, and stores nothing else."""
     kind = type(detector)
-    given = {name: _Anything() for name in _argument_names(detector)}
+    given = {name: _UnknownValue() for name in _list_argument_names(detector)}
     made = kind(**given)
     stored = dict(vars(made))
     for name, value in given.items():
         require(
             stored.pop(name, None) is value,
-            f"the constructor must store {name} as self.{name} and leave it as it is; checks belong in reset.",
+            f"the constructor must store {name} unchanged as self.{name}; reset is the place to check it.",
         )
-    require(not stored, f"the constructor must store its arguments only, got {', '.join(sorted(stored))} as well.")
+    require(
+        not stored,
+        f"the constructor must store its arguments only, also got {', '.join(sorted(stored))}.",
+    )
 
 
 def check_parameters_and_clone(detector: Any) -> None:
-    """``get_params``, ``set_params`` and ``clone`` agree with the constructor; an episode changes no argument."""
-    names = _argument_names(detector)
-    own = fresh(detector)
+    """``get_params``, ``set_params`` and ``clone`` match the constructor; an episode changes no argument."""
+    names = _list_argument_names(detector)
+    own = copy_detector(detector)
     params: Mapping[str, Any] = own.get_params(deep=False)
     require(
         sorted(params) == names,
-        f"get_params must give {', '.join(names) or 'nothing'}, got {quote(sorted(params))}.",
+        f"get_params must return {', '.join(names) or 'no argument'}, got {quote(sorted(params))}.",
     )
     before = {name: (value, repr(value)) for name, value in params.items()}
     require(own.set_params(**params) is own, "set_params must return the detector.")
-    answers(own, [simulated(), simulated(seed=1, destroyed=3, round=2)])
+    play_windows(own, [simulate_window(), simulate_window(seed=1, destroyed=3, round=2)])
     for name, (value, text) in before.items():
         now = own.get_params(deep=False)[name]
-        require(now is value and repr(now) == text, f"reset and detect must leave {name} as it is, got {quote(now)}.")
+        require(
+            now is value and repr(now) == text,
+            f"an episode must leave the argument {name} unchanged, got {quote(now)}.",
+        )
     twin = clone(own)
-    require(type(twin) is type(own), f"clone must give a {type(own).__name__}, got {type(twin).__name__}.")
-    require(sorted(twin.get_params(deep=False)) == names, "clone must have the same arguments.")
+    require(type(twin) is type(own), f"clone must return a {type(own).__name__}, got a {type(twin).__name__}.")
+    require(sorted(twin.get_params(deep=False)) == names, "clone must return a detector with the same arguments.")
 
 
 def check_pickling(detector: Any) -> None:
-    """A pickled detector comes back as it was, in mid-episode as well: so it reaches worker processes."""
-    own = fresh(detector)
-    there = _back(own)
-    require(type(there) is type(own), f"a pickled detector must come back as it was, got a {type(there).__name__}.")
-    (here,), (same,) = (answers(one, [simulated()]) for one in (own, there))
-    different = difference(here, same)
-    require(not different, f"a pickled detector must answer as the detector does after reset({SEED}): {different}.")
-    both = own, _back(own)
-    different = difference(*(ask(one, simulated(seed=1, destroyed=3, round=2)) for one in both))
-    require(not different, f"a detector that is pickled in mid-episode must go on where it was: {different}.")
+    """Pickling preserves the detector, also within an episode; worker processes receive it in this way."""
+    own = copy_detector(detector)
+    there = _pickle_and_unpickle(own)
+    require(type(there) is type(own), f"unpickling must return a {type(own).__name__}, got a {type(there).__name__}.")
+    (here,), (same,) = (play_windows(one, [simulate_window()]) for one in (own, there))
+    different = compare_detections(here, same)
+    require(
+        not different,
+        f"an unpickled detector must give the same detection, got another {different}.",
+    )
+    both = own, _pickle_and_unpickle(own)
+    different = compare_detections(
+        *(request_detection(one, simulate_window(seed=1, destroyed=3, round=2)) for one in both)
+    )
+    require(not different, f"a detector that is pickled within an episode must continue it, got another {different}.")
 
 
-def _back(detector: Any) -> Any:
-    """There and back again. What is read is what was written a line before, never a file."""
+def _pickle_and_unpickle(detector: Any) -> Any:
+    """Pickle and unpickle; the bytes never come from a file."""
     return pickle.loads(pickle.dumps(detector))
 
 
-class _Anything:
-    """An argument that no constructor can know."""
+class _UnknownValue:
+    """The type of an argument that no constructor can interpret."""
 
 
-def _argument_names(detector: Any) -> list[str]:
-    """The constructor's arguments in alphabetical order; skips detectors without scikit-learn's methods."""
+def _list_argument_names(detector: Any) -> list[str]:
+    """The constructor's argument names in alphabetical order; skips detectors without scikit-learn's methods."""
     if not callable(getattr(detector, "get_params", None)):
-        raise SkipTest("it has no get_params, and is not bound to scikit-learn's rules.")
+        raise SkipTest("it has no method get_params, so scikit-learn's rules do not apply.")
     kind = type(detector)
     if kind.__init__ is object.__init__:
         return []

@@ -1,4 +1,4 @@
-"""The windows that detectors are checked with: simulated swarms, and some that no detector can read anything from."""
+"""The windows that the checks use: simulated swarms, and swarms that carry no information about their heads."""
 
 from __future__ import annotations
 
@@ -11,10 +11,16 @@ from numpy.typing import NDArray
 from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
 from usnet_env.window import Window
 
-__all__ = ["hovering", "permuted", "simulated", "swarm_with_heads", "unseen_in_part"]
+__all__ = [
+    "make_hovering_window",
+    "permute_uavs",
+    "simulate_missing_samples",
+    "simulate_swarm_with_heads",
+    "simulate_window",
+]
 
 
-def simulated(
+def simulate_window(
     clusters: int = 3,
     uavs: int = 14,
     *,
@@ -24,16 +30,16 @@ def simulated(
     round: int = 1,
     **config: Any,
 ) -> Window:
-    """A window of a simulated swarm.
+    """Simulate a swarm and return one window.
 
     Args:
-        clusters: M.
+        clusters: M, the number of clusters.
         uavs: N, at least 3 M.
-        seed: of the swarm.
-        destroyed: how many UAVs are gone, heads among them, as far as 1 head and 2 more UAVs are left.
+        seed: seed of the swarm.
+        destroyed: number of destroyed UAVs, heads included, at most N - 3; one head always survives.
         observation_steps: T_ob.
         round: number of the round.
-        config: more of :class:`usnet_env.swarm.SwarmConfig`.
+        config: further arguments of :class:`usnet_env.swarm.SwarmConfig`.
     """
     swarm = SwarmConfig(clusters=clusters, uavs=uavs, observation_steps=observation_steps, **config)
     rng = np.random.default_rng(seed)
@@ -46,23 +52,23 @@ def simulated(
     return Window(sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0], round)
 
 
-def unseen_in_part(seed: int = 0) -> Window:
-    """A noisy window in which samples are missing: here and there, one UAV's all, and everybody's at some instants."""
-    window = simulated(seed=seed, miss_rate=0.3, position_noise=0.2, destroyed=2, round=2)
+def simulate_missing_samples(seed: int = 0) -> Window:
+    """Simulate a noisy window with missing samples: single ones, all of one UAV, and all UAVs at some steps."""
+    window = simulate_window(seed=seed, miss_rate=0.3, position_noise=0.2, destroyed=2, round=2)
     seen = window.seen.copy()
     seen[:, np.flatnonzero(window.alive)[0]] = False
     seen[[0, 20, 21]] = False
-    return _masked(window.position, window.velocity, seen, window.alive, window.round)
+    return _mask_unseen_samples(window.position, window.velocity, seen, window.alive, window.round)
 
 
-def hovering(uavs: int = 8, steps: int = 60, *, together: bool = False, seed: int = 0) -> Window:
-    """Nobody moves: whoever divides by a spread divides by 0, and whoever is named is named by chance.
+def make_hovering_window(uavs: int = 8, steps: int = 60, *, together: bool = False, seed: int = 0) -> Window:
+    """Make a window in which no UAV moves, so that every spread is 0 and no UAV looks like a head.
 
     Args:
         uavs: N.
         steps: T_ob.
-        together: all at one point, so that only their indices tell them apart.
-        seed: of the places.
+        together: whether all UAVs are at one point and differ in their indices only.
+        seed: seed of the positions.
     """
     place = np.random.default_rng(seed).uniform(0, 100, (1 if together else uavs, 3))
     position = np.broadcast_to(place.astype(np.float32), (steps + 1, uavs, 3))
@@ -71,15 +77,15 @@ def hovering(uavs: int = 8, steps: int = 60, *, together: bool = False, seed: in
     )
 
 
-def permuted(window: Window, order: NDArray[np.intp]) -> Window:
-    """The same window with UAV ``order[i]`` at index i."""
+def permute_uavs(window: Window, order: NDArray[np.intp]) -> Window:
+    """Return the window with UAV ``order[i]`` at index i."""
     return Window(
         window.position[:, order], window.velocity[:, order], window.seen[:, order], window.alive[order], window.round
     )
 
 
-def swarm_with_heads(window: Window, heads: NDArray[np.intp]) -> SwarmState:
-    """The truth of some other swarm of as many UAVs, with its heads at ``heads``."""
+def simulate_swarm_with_heads(window: Window, heads: NDArray[np.intp]) -> SwarmState:
+    """Make the state of another swarm with the window's N, and with heads at the indices ``heads``."""
     config = SwarmConfig(clusters=1, uavs=window.uavs, observation_steps=window.observation_steps)
     state = start(config, [np.random.default_rng(0)]).episode()
     head = np.zeros(window.uavs, bool)
@@ -87,13 +93,13 @@ def swarm_with_heads(window: Window, heads: NDArray[np.intp]) -> SwarmState:
     return replace(state, head=head, leader=np.where(head, np.arange(window.uavs), heads[0]))
 
 
-def _masked(
+def _mask_unseen_samples(
     position: NDArray[np.float32],
     velocity: NDArray[np.float32],
     seen: NDArray[np.bool_],
     alive: NDArray[np.bool_],
     round: int,
 ) -> Window:
-    """A window whose unseen samples are 0, as the environments have it."""
+    """Make a window with zeros for unseen samples, as in the environments."""
     both = seen[1:] & seen[:-1]
     return Window(np.where(seen[..., None], position, 0), np.where(both[..., None], velocity, 0), seen, alive, round)

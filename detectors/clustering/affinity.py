@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from detectors.lagged.correlation import lagged_correlation
-from detectors.lagged.selection import centred
+from detectors.lagged.selection import centre_columns
 from usnet_env.config import ArgumentError
 from usnet_env.window import frozen_array
 
@@ -32,7 +32,7 @@ def lag_correlation(series: Floats, max_lag: int, surrogate: bool = False) -> Fl
         ``(n, n)`` symmetric, from -1 to 1; 1 on the diagonal if it is no surrogate. A series that never changes
         correlates with none.
     """
-    flight = centred(series.swapaxes(0, 1), np.ones(series.shape[1::-1], bool))
+    flight = centre_columns(series.swapaxes(0, 1), np.ones(series.shape[1::-1], bool))
     length = np.sqrt((flight**2).sum(axis=(0, 2)))
     flight /= np.where(length > 1e-9, length, np.inf)[:, None]
     steps, uavs = flight.shape[:2]

@@ -1,4 +1,4 @@
-"""Follow-mixture: one shared follow strategy, heads and assignment fitted together."""
+"""Follow-mixture: fits one shared follow strategy, the heads and the assignment of followers together."""
 
 from detectors.follow_mixture.detector import FollowMixture
 

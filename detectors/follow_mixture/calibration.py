@@ -1,9 +1,9 @@
-"""From what an explanation says to probabilities: shares of heads that were counted off line, on random strategies.
+"""Converts the result of a fit to calibrated probabilities of being a head.
 
-The numbers lie in ``data/calibration.json``; :mod:`detectors.follow_mixture.train` makes them. A mixture puts every UAV
-into one of a few kinds, whose shares of heads were counted. Flocks give a posterior, whose log-odds are scaled and
-shifted (Platt), by how many of the explanation's heads passed their gates: nothing else tells as well how far it can be
-believed.
+The parameters are in ``data/calibration.json``; :mod:`detectors.follow_mixture.train` estimates them off line on random
+strategies. A mixture fit puts each UAV into one of a few categories; its probability is the share of heads in the
+category. A flock fit gives a posterior; its log-odds are scaled and shifted (Platt scaling). Which curve applies
+depends on how many heads of the fit passed their test, the best indicator of its reliability.
 """
 
 from __future__ import annotations
@@ -40,24 +40,25 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-#: Phases of flights told the heads. Or how many of an explanation's heads passed: all, some, none; or nobody was named.
+#: Reliability classes of a flock fit: heads from cross-spectral phases; all, some or none of the heads passed their
+#: test; or no head was found.
 VERDICTS = ("phases", "firm", "partly", "weak", "nobody")
 
-MOST_ODDS = 14.0  # a posterior's log-odds say nothing more beyond this
+MOST_ODDS = 14.0  # the log-odds of a posterior are clipped at this value
 
 Share = Annotated[float, Field(gt=0, lt=1)]
 
 
 class Rates(Config):
-    """Share of heads among UAVs of each kind, see :data:`detectors.follow_mixture.explanation.KINDS`.
+    """Share of true heads in each category, see :data:`detectors.follow_mixture.explanation.KINDS`.
 
     Args:
-        passed: heads of a mixture whose gate passed.
-        failed: whose gate failed.
-        follower: who follows one.
-        stray: one of few that are left over beside a strategy that misfits, and nobody could follow it.
-        missing: left over beside one, otherwise.
-        alone: left over beside one that holds.
+        passed: heads of a mixture that passed their test.
+        failed: heads of a mixture that failed their test.
+        follower: followers.
+        stray: unassigned UAVs that can't have followers, where few are unassigned and the strategy misfits.
+        missing: the other unassigned UAVs where the strategy misfits.
+        alone: unassigned UAVs where the strategy fits.
     """
 
     passed: Share
@@ -69,13 +70,13 @@ class Rates(Config):
 
 
 class Curve(Config):
-    """sigmoid(slope * log-odds + offset), which rises.
+    """The increasing map sigmoid(slope * log-odds + offset).
 
     Args:
-        slope: positive.
-        offset: of the log-odds.
-        left: added to the log-odds of those whom the explanation leaves over.
-        trust: that the explanation is right as a whole. Else every UAV is as likely a head as any other.
+        slope: the slope, positive.
+        offset: added to the log-odds.
+        left: added to the log-odds of unassigned UAVs.
+        trust: the probability that the fit is right as a whole. If it is wrong, all UAVs are equally likely heads.
     """
 
     slope: Annotated[float, Field(gt=0)]
@@ -84,13 +85,13 @@ class Curve(Config):
     trust: Annotated[float, Field(gt=0, le=1)] = 1.0
 
     def __call__(self, probability: Floats, left: NDArray[np.bool_] | bool = False) -> Floats:
-        """The map, elementwise, of probabilities from 0 to 1; ``trust`` is not in it."""
+        """Apply the map to probabilities from 0 to 1, without ``trust``."""
         shift = self.offset + self.left * np.asarray(left, np.float64)
         return np.asarray(expit(self.slope * log_odds(probability) + shift), np.float64)
 
 
 class Curves(Config):
-    """A curve for every verdict, see :data:`VERDICTS`."""
+    """One curve per reliability class, see :data:`VERDICTS`."""
 
     phases: Curve
     firm: Curve
@@ -100,11 +101,11 @@ class Curves(Config):
 
 
 class Belief(Config):
-    """For both ways of explaining a swarm.
+    """The parameters for both kinds of fit.
 
     Args:
-        rates: of a mixture.
-        curves: of flocks.
+        rates: for mixture fits.
+        curves: for flock fits.
     """
 
     rates: Rates
@@ -112,11 +113,11 @@ class Belief(Config):
 
 
 class Calibration(Config):
-    """What an explanation's words are worth.
+    """The parameters of the calibration.
 
     Args:
-        probability: of being a head.
-        given: of being a head given that somebody leads, and how far the explanation can be trusted as a whole.
+        probability: for the probability of being a head.
+        given: for the same probability, conditional on the presence of a head, with the trust in the whole fit.
     """
 
     probability: Belief
@@ -124,12 +125,12 @@ class Calibration(Config):
 
 
 def log_odds(probability: Floats) -> Floats:
-    """Log-odds, at most :data:`MOST_ODDS` either way."""
+    """Log-odds, clipped at plus and minus :data:`MOST_ODDS`."""
     return np.asarray(np.clip(logit(np.clip(probability, 0.0, 1.0)), -MOST_ODDS, MOST_ODDS), np.float64)
 
 
 def verdict(found: Explanation) -> str:
-    """One of :data:`VERDICTS`."""
+    """The reliability class of a flock fit, one of :data:`VERDICTS`."""
     if found.by_phases:
         return "phases"
     if not len(found.passed):
@@ -138,15 +139,15 @@ def verdict(found: Explanation) -> str:
 
 
 def calibrated(found: Explanation, calibration: Calibration | None = None) -> tuple[Floats, Floats, float]:
-    """Probabilities of n UAVs.
+    """Compute calibrated probabilities of n UAVs.
 
     Args:
-        found: the explanation.
-        calibration: by default the one that ships.
+        found: the result of a fit.
+        calibration: the parameters; by default those of the package.
 
     Returns:
-        ``(n,)`` of being a head; ``(n,)`` of being a head if somebody leads and the explanation is right as a whole;
-        and the probability that it is wrong.
+        ``(n,)`` probabilities of being a head; ``(n,)`` the same if there is a head and the fit is right as a whole;
+        and the probability that the fit is wrong.
     """
     calibration = shipped_calibration() if calibration is None else calibration
     if found.kind is not None:
@@ -164,13 +165,13 @@ def calibrated(found: Explanation, calibration: Calibration | None = None) -> tu
 
 @cache
 def shipped_calibration() -> Calibration:
-    """The calibration in the package."""
+    """Read the calibration of the package."""
     source = files("detectors.follow_mixture") / "data" / "calibration.json"
     return _parsed(source.read_text(encoding="utf-8"), source.name)
 
 
 def read_calibration(path: str | os.PathLike[str]) -> Calibration:
-    """The calibration in a file that ``usnet train follow-mixture`` wrote.
+    """Read a calibration file written by ``usnet train follow-mixture``.
 
     Raises:
         ArgumentError: the file is missing, or holds something else.

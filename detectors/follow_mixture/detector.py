@@ -1,4 +1,4 @@
-"""The follow-mixture detector: every follower obeys one strategy with respect to one of M heads; find all of it."""
+"""The follow-mixture detector: all followers use one strategy, each with one of M heads; it estimates all of this."""
 
 from __future__ import annotations
 
@@ -28,22 +28,28 @@ class _Arguments(Policy):
 
 
 class FollowMixture(Detector):
-    """All heads of an unknown swarm at once: a mixture over heads with one follow strategy that all followers share.
+    """Finds all heads by a mixture model over heads with one follow strategy that all followers share.
 
-    Pairwise evidence gives a first assignment; then the shared strategy, the heads, their number and who follows whom
-    are fitted to each other, in classes of strategies of growing power; a time-shift surrogate gates every head; the
-    probabilities that remain are played by the expected cost of the objective. See the page on the method.
+    Pairwise evidence gives a first assignment. Then the shared strategy, the heads, their number and the assignment are
+    fitted alternately, in increasingly rich classes of strategies. A test against time-shift surrogates is applied to
+    each head. The result is a probability of each UAV of being a head, from which the policy chooses the candidates.
+    docs/follow_mixture.md describes the method.
 
     Args:
-        clusters: an upper bound on the number of heads, or ``None``; the number is found from the data.
-        memory: how many past velocities of a head may matter, at least 1.
-        policy: ``"cost"``: the candidates that cost least, at least one; ``"map"``: those more likely heads than not,
-            perhaps nobody.
-        objective: ``"P2"`` or ``"P1"``.
-        shot_budget: the most candidates of a round, or ``None``.
-        redundancy_price: of a redundant candidate.
-        round_price: what one more round of P2 costs; ``None``: 1 where the swarm is explained, N / 4 where
-            nobody seems to follow anybody and heads could only be guessed.
+        clusters: an upper bound on the number of heads, or ``None``; the number is estimated.
+        memory: the number of past velocities of a head that the strategy may use, at least 1.
+        policy: how candidates are chosen from the probabilities.
+
+            * ``"cost"`` (default) minimises the expected J_m (J_s for ``objective="P1"``). A missed head costs another
+              round and a redundant candidate only 1/N of a round; so it also names doubtful UAVs. Where the detector
+              believes that no UAV follows, it therefore names all UAVs. It names at least one UAV.
+            * ``"map"`` names only probable heads: the UAVs with a probability of being a head above 1/2. It may name
+              no UAV.
+        objective: ``"P2"`` (destroy all heads in few rounds) or ``"P1"`` (name the single head in one round).
+        shot_budget: the largest number of candidates per round, or ``None``.
+        redundancy_price: the cost of a redundant candidate, in units of the objective (1/N of a round in P2).
+        round_price: the cost of one more round of P2. ``None``: 1 if the fit explains the swarm, and N / 4 if no UAV
+            seems to follow another one, so that heads could only be guessed.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
@@ -71,7 +77,7 @@ class FollowMixture(Detector):
         return _Arguments(**self.get_params())
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the generator serves to break ties only.
+        """Start an episode; the generator breaks ties and draws samples of large swarms.
 
         Raises:
             ArgumentError: an argument of the constructor is refused.
@@ -80,13 +86,14 @@ class FollowMixture(Detector):
         super().reset(seed)
 
     def detect(self, window: Window) -> Detection:
-        """Explain one window.
+        """Name the heads of one window.
 
         Returns:
             Candidates by the policy, scores (log-odds of being a head), clusters and leader; in ``extras``:
-            ``probability`` ``(N,)``, ``strategy`` (class, lag profile, spread of the noise), ``explained`` ``(N,)``
-            (share of each UAV's surprise that its head explains), ``gain`` ``(N,)`` in nats, ``heads`` (indices) and
-            ``gate`` (one sentence each), ``nats`` (what the whole explanation gains, after prices).
+            ``probability`` ``(N,)``; ``strategy`` (class, lag profile, noise); ``explained`` ``(N,)``, the share of
+            each UAV's innovation that its head explains; ``gain`` ``(N,)``, the log-likelihood gained by its head, in
+            nats; ``heads`` (indices) and ``gate`` (one sentence per head); ``nats``, the penalised log-likelihood gain
+            of the whole fit.
 
         Raises:
             ArgumentError: an argument of the constructor is refused, or ``clusters`` exceeds the window's N.
@@ -106,7 +113,7 @@ class FollowMixture(Detector):
         clusters = np.full(window.uavs, -1, np.int64)
         gain, share = np.zeros(window.uavs), np.zeros(window.uavs)
         extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "gate": [], "nats": 0.0}
-        probability[living] = 1.0 / (len(living) + 1.0)  # as long as nobody seems to follow anybody
+        probability[living] = 1.0 / (len(living) + 1.0)  # if no UAV seems to follow another one
         given, doubt = probability.copy(), 0.0
         if samples is not None:
             found = explain(window, samples, living, most, rng)

@@ -1,4 +1,4 @@
-"""First evidence, before any strategy is known: what j's past explains of i's surprises, for all pairs at once."""
+"""Pairwise screening before a strategy is known: the share of i's innovations that j's past explains, for all pairs."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _CHANCE_VOTERS = 30
 
 @dataclass(frozen=True)
 class FeatureKind:
-    """Which features of a past are tried together: ``lags`` velocities and, where ``squares``, their squares.
+    """A set of features of a past.
 
     Args:
-        lags: how many lags.
-        linear: the velocities themselves.
-        squares: their axis-wise squares.
-        first: the newest lag that is used, from 0.
+        lags: the number of lags.
+        linear: whether to use the velocities.
+        squares: whether to use their axis-wise squares.
+        first: the newest lag, from 0.
     """
 
     lags: int
@@ -39,17 +39,17 @@ class FeatureKind:
 
     @property
     def width(self) -> int:
-        """How many features."""
+        """Number of features."""
         return 3 * self.lags * (int(self.linear) + int(self.squares))
 
     @property
     def name(self) -> str:
-        """How the features are called in reports."""
+        """Name of the features in reports."""
         parts = [name for name in ("linear", "squares") if getattr(self, name)]
         return f"{'+'.join(parts)}({self.first + self.lags})"
 
 
-#: From rich to poor: rich features name the followers of any strategy in reach, poor ones serve short windows.
+#: From rich to poor: rich features cover more strategies, poor ones suit short windows.
 KINDS = (
     FeatureKind(4, True, True),
     FeatureKind(2, True, False),
@@ -62,13 +62,13 @@ KINDS = (
 
 
 def affordable_kinds(rows: int, memory: int) -> list[FeatureKind]:
-    """The kinds that a window of that many rows can feed, the richest first; never empty."""
+    """The feature sets that a window with this many rows allows, the richest first; never empty."""
     kinds = [kind for kind in KINDS if kind.first + kind.lags <= memory and rows >= _ROWS_PER_FEATURE * kind.width]
     return kinds or [FeatureKind(1, True, False)]
 
 
 def _features(samples: Samples, kind: FeatureKind, uavs: slice) -> NDArray[np.float32]:
-    """``(n, R, p)`` of some UAVs, centred features, 0 where unseen; single precision serves for screening."""
+    """``(n, R, p)``: centred features of some UAVs, 0 where unseen; single precision is enough for screening."""
     part = slice(kind.first, kind.first + kind.lags)
     past = samples.lagged[uavs, :, part].reshape(-1, samples.rows, 3 * kind.lags).astype(np.float32)
     stacked = np.concatenate([past] * kind.linear + [past * past] * kind.squares, axis=2)
@@ -89,22 +89,22 @@ def pairwise_gain(
     voters: NDArray[np.int64] | None = None,
     columns: NDArray[np.int64] | None = None,
 ) -> Floats:
-    """Log-likelihood that j's features add to i's own history, for all pairs, by matrix products.
+    """Log-likelihood that j's features add to i's own past, for all pairs, by matrix products.
 
-    With features of j whitened once (X = Q R), the share of i's surprise they explain is |Q' y|²/|y|², for all targets
-    in one product. Against the exact conditional regression it leaves out what j's features share with i's own past,
-    which can only lower the gain.
+    With whitened features Q of j (X = Q R), the explained share of i's innovations y is |Q' y|²/|y|², computed for all
+    targets in one product. Unlike the exact conditional regression, this ignores what j's features share with i's own
+    past, which can only lower the gain.
 
     Args:
-        samples: n UAVs.
-        surprise: ``(n, R, 3)`` what the null leaves of each target.
-        kind: which features.
-        shift: targets are moved circularly by so many rows; other than 0 they are surrogates.
-        voters: ``(v,)`` the UAVs that are asked; all by default.
-        columns: ``(c,)`` about whom they are asked; all by default.
+        samples: samples of n UAVs.
+        surprise: ``(n, R, 3)``, the innovations: the residuals of the null model.
+        kind: the features.
+        shift: circular shift of the targets in rows; surrogates have a shift other than 0.
+        voters: ``(v,)``, the UAVs i; all by default.
+        columns: ``(c,)``, the UAVs j; all by default.
 
     Returns:
-        ``(v, c)``; 0 where a UAV meets itself.
+        ``(v, c)``; 0 for a UAV with itself.
     """
     voters = np.arange(samples.uavs) if voters is None else voters
     return _gains(samples, kind, [(voters, _targets(surprise[voters], shift))], columns)[0]
@@ -113,7 +113,7 @@ def pairwise_gain(
 def gain_and_chance(
     samples: Samples, surprise: Floats, kind: FeatureKind, voters: NDArray[np.int64] | None = None
 ) -> tuple[Floats, float]:
-    """:func:`pairwise_gain`, and the most that some voters gain by anybody at a wrong time, in the median."""
+    """:func:`pairwise_gain`, and the median over some voters of their largest gain in time-shifted data."""
     voters = np.arange(samples.uavs) if voters is None else voters
     some = voters[:: max(1, -(-len(voters) // _CHANCE_VOTERS))]
     asked = [(voters, _targets(surprise[voters], 0)), (some, _targets(surprise[some], samples.rows // 2))]
@@ -122,7 +122,7 @@ def gain_and_chance(
 
 
 def _targets(surprise: Floats, shift: int) -> NDArray[np.float32]:
-    """``(R, 3 v)`` surprises ``(v, R, 3)`` of length 1, moved by ``shift`` rows."""
+    """``(R, 3 v)``: the innovations ``(v, R, 3)``, scaled to length 1 and shifted by ``shift`` rows."""
     total = (surprise**2).sum(axis=(1, 2))
     scaled = surprise / np.sqrt(np.where(total > 1e-12, total, np.inf))[:, None, None]
     axis_major = scaled.transpose(1, 2, 0).astype(np.float32)
@@ -151,14 +151,14 @@ def _gains(
             share[:, part] = product.reshape(len(white), 3 * width, len(voters)).sum(axis=1).T
     gains = []
     for share, (voters, _) in zip(shares, asked, strict=True):
-        gain = -rows * np.log1p(-np.clip(share, 0.0, 1.0 - 1e-6))  # two free dimensions a row, half a logarithm each
+        gain = -rows * np.log1p(-np.clip(share, 0.0, 1.0 - 1e-6))  # two free dimensions per row, half a logarithm each
         gain[voters[:, None] == everybody[None]] = 0.0
         gains.append(gain)
     return gains
 
 
 def whitened(features: NDArray[RealT], ridge: float = _RIDGE) -> NDArray[RealT]:
-    """Orthonormal columns that span those of each ``(R, p)`` block, but for a little ridge."""
+    """Orthonormalise the columns of each ``(R, p)`` block, up to a small ridge."""
     gram = features.transpose(0, 2, 1) @ features
     width = gram.shape[1]
     power = np.trace(gram, axis1=1, axis2=2) / width

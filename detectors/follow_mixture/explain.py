@@ -1,4 +1,4 @@
-"""Who leads whom in one window: the ways to find it, and when each is asked."""
+"""Fits one window: the methods, and the rules that decide which of them is used."""
 
 from __future__ import annotations
 
@@ -33,31 +33,31 @@ from usnet_env.window import Window
 
 __all__ = ["by_everybody", "by_flocks", "explain", "in_doubt"]
 
-_LAGS = 4  # of a head's past for a flock, where the window can feed them
+_LAGS = 4  # lags of a head's past for a flock, if the window is long enough
 _STEPS_A_LAG = 5
-_LONG_ROWS = 60  # from which on twice the lags are looked at where these explain few
+_LONG_ROWS = 60  # number of rows from which twice the lags are tried, if these explain few UAVs
 
 
 def explain(
     window: Window, samples: Samples, living: NDArray[np.int64], most: int | None, rng: np.random.Generator
 ) -> Explanation | None:
-    """Who leads whom: at once where pairwise evidence shows it, else by flocks, else by everybody together.
+    """Fit one window: first from pairwise evidence; if that fails, by flocks; if in doubt, by a joint fit of all UAVs.
 
     Args:
-        window: what was seen.
-        samples: of its living UAVs.
+        window: the window.
+        samples: the samples of its living UAVs.
         living: ``(n,)`` their indices in the window.
         most: the largest number of heads, or ``None``.
         rng: draws the voters of a large swarm.
 
     Returns:
-        ``None`` where nobody seems to follow anybody.
+        ``None`` if no UAV seems to follow another one.
     """
     if samples.uavs > ALL_PAIRS:
         history = own_history(samples)
         return explained_by_mixture(samples, history, sampled_search(samples, history, most, rng))
     seen = evidence_of(samples, most)
-    first, held = at_once(samples, *seen, most) if samples.unit else (None, None)  # one speed: seen without noise
+    first, held = at_once(samples, *seen, most) if samples.unit else (None, None)  # equal speeds: no observation noise
     if first is not None and settles(first):
         return first
     complete = filled(window)
@@ -73,7 +73,7 @@ def explain(
     flocks = flocks_of(flights(rows), spectra)
     found = by_flocks(rows, spectra, flocks, most)
     if found is not None and 2 * (found.leader >= 0).sum() < samples.uavs:
-        # There are flocks, and most of them follow nobody: followers may be late.
+        # There are flocks, but most UAVs are unassigned: lags may be longer.
         longer = flown(complete, samples, living, 2 * lags) if rows.rows >= _LONG_ROWS else None
         late = None if longer is None else by_flocks(longer, spectra, flocks, most)
         if late is not None and late.value > found.value:
@@ -89,19 +89,19 @@ def explain(
 
 
 def evidence_of(samples: Samples, most: int | None) -> tuple[OwnHistory, PairEvidence]:
-    """What the own past of everybody foretells, and what everybody else's adds."""
+    """Fit the null model of all UAVs and the pairwise evidence beyond it."""
     history = own_history(samples)
     return history, pair_evidence(samples, history, most)
 
 
 def flown(window: Window, samples: Samples, living: NDArray[np.int64], lags: int) -> Samples | None:
-    """The samples of a window without gaps. A gap that was filled is flown more slowly; one speed stays one speed."""
+    """Samples of a window with filled gaps. Filled gaps lower the speed, so ``unit`` is taken from ``samples``."""
     rows = samples_of(window, living, lags)
     return None if rows is None else replace(rows, unit=samples.unit)
 
 
 def by_flocks(rows: Samples, spectra: FlightSpectra, flocks: Flocks, most: int | None) -> Explanation | None:
-    """What flocks say: behind noise by the phases of smooth flights, where these tell anything."""
+    """Fit heads of flocks; for smooth, noisy motion by cross-spectral phases, if these are informative."""
     if spectra.noise > PHASES_TELL and np.median(spectra.memory) >= SMOOTH:
         leads = leads_of_flocks(flights(rows), spectra, flocks)
         if leads is not None:
@@ -112,12 +112,12 @@ def by_flocks(rows: Samples, spectra: FlightSpectra, flocks: Flocks, most: int |
 def at_once(
     samples: Samples, history: OwnHistory, evidence: PairEvidence, most: int | None
 ) -> tuple[Explanation | None, Explanation | None]:
-    """What pairwise evidence leads to: a shared strategy, or else a law for each pair, that leaves hardly anybody over.
+    """Fit from pairwise evidence: a shared strategy, or else one regression per pair, with few unassigned UAVs.
 
-    Of smooth flights few moments are independent: there pairs alone say too little.
+    Smooth motion has few independent samples; there a regression per pair is not used.
 
     Returns:
-        The explanation, and one of a shared strategy that nearly holds and leaves some over.
+        The result or ``None``; and the result for a shared strategy that nearly fits but leaves UAVs unassigned.
     """
     mixture = climbed(samples, history, evidence, most)
     held = None
@@ -134,9 +134,9 @@ def at_once(
 
 
 def missed_by_flocks(held: Explanation, found: Explanation) -> Explanation:
-    """A strategy's explanation where flocks lead astray those whom it leaves over: their head may be among them.
+    """Prefer the shared strategy if flocks assign many of its unassigned UAVs: a missed head may be among them.
 
-    Flights that are straight in one direction are one flock, whoever leads them.
+    UAVs that fly straight in one direction form one flock, whichever heads they follow.
     """
     left = held.leader < 0
     left[held.heads] = False
@@ -148,30 +148,30 @@ def missed_by_flocks(held: Explanation, found: Explanation) -> Explanation:
 
 
 def settles(found: Explanation) -> bool:
-    """Whether nobody else need be asked: all share a strategy, or nobody is left over."""
+    """Whether no further method is needed: all followers share a strategy, or no UAV is unassigned."""
     return bool(found.strategy["shared"]) or unled(found) == 0
 
 
 def nearly_all(found: Explanation) -> bool:
-    """Whether hardly anybody is left over."""
+    """Whether very few UAVs are unassigned."""
     return unled(found) <= max(LEAST_VOTERS - 1, LEFT_OUT * len(found.leader))
 
 
 def in_doubt(found: Explanation) -> bool:
-    """Whether flocks left many out, or found no strategy that all share and left somebody out or had a gate fail."""
+    """Whether many UAVs are unassigned, or no strategy is shared and a UAV is unassigned or a head failed its test."""
     sure = found.strategy["shared"] or (unled(found) <= 0 and found.passed.all())
     return not sure or unled(found) > LEFT_OUT * len(found.leader)
 
 
 def followed(found: Explanation) -> NDArray[np.int64]:
-    """``(n,)`` whom each follows, -1 for heads too."""
+    """``(n,)``: the head of each UAV, -1 for none and for heads."""
     leader = found.leader.copy()
     leader[found.heads] = -1
     return leader
 
 
 def unled(found: Explanation) -> int:
-    """How many are neither heads nor follow one."""
+    """Number of unassigned UAVs: neither heads nor followers."""
     return int((found.leader < 0).sum()) - len(found.heads)
 
 
@@ -184,11 +184,11 @@ def by_everybody(
     found: Explanation,
     most: int | None,
 ) -> Explanation | None:
-    """What everybody says together, where flocks ``found`` heads in doubt; ``None`` if that is no better.
+    """Fit all UAVs jointly if the heads ``found`` by flocks are in doubt; ``None`` if that is no better.
 
-    Where delays differ from follower to follower the earlier explain the later as well as their head does. But they fly
-    at once with others who have the same delay, and these follow somebody else. And where no head of flocks passed its
-    gate, it must be shown that anybody is followed.
+    If followers have different delays, an early follower predicts a later one as well as their head does. But an early
+    follower moves simultaneously with others of the same delay, which follow another UAV; so such a head is refused. If
+    no head of flocks passed its test, more than half of the new heads must pass.
     """
     for mixture in climb_together(samples, history, pairs, [followed(found), *starts], most):
         if leads_its_flock(mixture, flocks) or drops(samples, history, mixture, found):
@@ -201,7 +201,7 @@ def by_everybody(
 
 
 def leads_its_flock(mixture: Mixture, flocks: Flocks) -> bool:
-    """Whether a head flies at once with others, most of whom follow somebody else."""
+    """Whether a head is in one flock with other UAVs, most of which follow another head."""
     heads, leader = mixture.heads.heads, mixture.heads.leader
     for head in heads:
         mates = np.setdiff1d(np.flatnonzero(flocks.label == flocks.label[head]), heads)
@@ -211,9 +211,9 @@ def leads_its_flock(mixture: Mixture, flocks: Flocks) -> bool:
 
 
 def drops(samples: Samples, history: OwnHistory, mixture: Mixture, found: Explanation) -> bool:
-    """Whether a head of flocks is dropped that does not fly as those do whom it is put among.
+    """True if a head found by flocks was demoted although its motion does not match its new cluster.
 
-    Where others take the place of some, flocks were wrong about more than these.
+    If the mixture has a head that flocks did not find, the whole flock fit is suspect and the result is False.
     """
     heads, leader = mixture.heads.heads, mixture.heads.leader
     if len(np.setdiff1d(heads, found.heads)):

@@ -1,4 +1,4 @@
-"""An explanation of a swarm, however it was found: who leads, who follows whom, and why one should believe it."""
+"""The result of a fit, independent of the method: heads, leaders, probabilities, and the evidence for each head."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ __all__ = ["KINDS", "Explanation"]
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: What a UAV is in an explanation by a mixture: a head whose gate passed or failed, a follower, or left over. Then it
-#: is alone, like a decoy, beside a strategy that leaves nothing but noise; else one of few whom nobody could follow
-#: (stray), or perhaps a head (missing).
+#: Category of a UAV in a mixture fit: a head that passed or failed its test, a follower, or unassigned. An unassigned
+#: UAV is "alone" (a decoy) if the strategy leaves only noise as residual. Otherwise it is "stray" if few UAVs are
+#: unassigned and it can't have followers, and "missing" (possibly a head) if not.
 KINDS = ("passed", "failed", "follower", "stray", "missing", "alone")
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """What a window says of n UAVs.
+    """The result of a fit for n UAVs.
 
     Args:
-        heads: ``(M,)`` indices, ascending.
-        leader: ``(n,)`` whom each UAV follows, -1 for nobody (heads among them).
-        probability: ``(n,)`` of being a head as flocks say it, before calibration; without meaning where there is a
-            ``kind``.
-        given: ``(n,)`` the same given that somebody leads, as in a game that is not over.
-        gain: ``(n,)`` log-likelihood that each follower gains by its head.
-        explained: ``(n,)`` share of each follower's surprise that its head explains.
-        reasons: one sentence a head: why it passed its gate, or failed.
-        strategy: the strategy found, for people.
-        value: what the whole explanation gains over nobody following anybody, after prices, in nats.
-        kind: ``(n,)`` places in :data:`KINDS` of a mixture; ``None``: flocks said it.
-        passed: ``(M,)`` which heads passed their gate.
-        left: ``(n,)`` who flies like nobody else, is no head and unlike a follower of any; of what flocks say.
-        by_phases: flocks said it by the phases of their flights.
+        heads: ``(M,)`` indices of the heads, ascending.
+        leader: ``(n,)`` the head of each UAV, -1 for none (heads included).
+        probability: ``(n,)`` the probability of being a head from a flock fit, before calibration; unused if ``kind``
+            is given.
+        given: ``(n,)`` the same, conditional on the presence of a head, as in an episode that is not over.
+        gain: ``(n,)`` the log-likelihood that each follower gains by its head.
+        explained: ``(n,)`` the share of each follower's innovation that its head explains.
+        reasons: one sentence per head: why it passed or failed its test.
+        strategy: a readable description of the fitted strategy.
+        value: the penalised log-likelihood gain over the hypothesis that no UAV follows another one, in nats.
+        kind: ``(n,)`` indices in :data:`KINDS` for a mixture fit; ``None`` for a flock fit.
+        passed: ``(M,)`` which heads passed their test.
+        left: ``(n,)`` which UAVs fit into no flock and to no head; for a flock fit.
+        by_phases: whether the flock fit used cross-spectral phases.
     """
 
     heads: Indices
@@ -55,5 +55,5 @@ class Explanation:
     by_phases: bool = False
 
     def __post_init__(self) -> None:
-        if len(self.passed) != len(self.heads):  # how far a posterior is believed rests on it
+        if len(self.passed) != len(self.heads):  # the calibration depends on it
             raise ValueError("passed must say of every head whether it passed.")

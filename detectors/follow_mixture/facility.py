@@ -1,4 +1,4 @@
-"""Heads, their number and who follows whom, together: facility location with a price for every head."""
+"""Selects heads and assigns followers: uncapacitated facility location with a penalty per head."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _ROUNDS = 50
 
 @dataclass(frozen=True, eq=False)
 class Heads:
-    """A set of heads and its followers.
+    """A set of heads with its followers.
 
     Args:
         heads: ``(M,)`` indices, ascending.
-        leader: ``(n,)`` index of the head that each UAV follows, -1 for nobody (heads among them).
-        value: what the set gains over nobody following anybody, after prices.
+        leader: ``(n,)`` index of the head of each UAV, -1 for none (heads included).
+        value: the penalised gain over the hypothesis that no UAV follows another one.
     """
 
     heads: Indices
@@ -39,21 +39,21 @@ def locate_heads(
     start: Indices | None = None,
     votes: Indices | None = None,
 ) -> Heads:
-    """The heads that gain most: greedy additions, then drops and swaps as long as they gain.
+    """Select the heads with the highest value by greedy additions, removals and swaps.
 
-    A UAV follows the head with its highest gain, if that is positive; a head follows nobody, so that what it gained as
-    a follower is lost when it is made a head. A head with fewer than ``LEAST_VOTERS`` followers is dropped.
+    A UAV follows the head with its highest gain if this gain is positive. A head follows no UAV, so selecting it loses
+    its own gain as a follower. Heads with fewer than ``LEAST_VOTERS`` followers are removed.
 
     Args:
-        gain: ``(n, c)`` entry (i, k): log-likelihood that UAV i gains by following UAV ``columns[k]``.
+        gain: ``(n, c)``; entry (i, k) is the log-likelihood that UAV i gains by following UAV ``columns[k]``.
         columns: ``(c,)`` indices of the UAVs that may be heads.
-        price: of one head.
+        price: the penalty of one head.
         most: the largest number of heads, or ``None``.
-        start: heads to begin from.
-        votes: ``(n,)`` how many UAVs each row speaks for; one by default.
+        start: the initial heads.
+        votes: ``(n,)`` the number of UAVs that each row represents; 1 by default.
 
     Returns:
-        The set; empty where no head pays its price.
+        The set of heads; empty if no head gains more than its penalty.
     """
     place = np.full(len(gain), -1)
     place[columns] = np.arange(len(columns))
@@ -82,7 +82,7 @@ def locate_heads(
 
 
 def _followers(positive: Floats, columns: Indices, chosen: list[int]) -> Floats:
-    """``(n,)`` what every UAV gains; 0 for heads."""
+    """``(n,)``: the gain of each UAV; 0 for heads."""
     if not chosen:
         return np.zeros(len(positive))
     gained: Floats = positive[:, chosen].max(axis=1)
@@ -91,7 +91,7 @@ def _followers(positive: Floats, columns: Indices, chosen: list[int]) -> Floats:
 
 
 def _value(positive: Floats, columns: Indices, chosen: list[int], price: float) -> float:
-    # Naming one of |S| heads costs every follower log |S|.
+    # Description length: the choice among |S| heads costs each follower log |S|.
     gained = _followers(positive, columns, chosen)
     naming = np.log(len(chosen)) * np.count_nonzero(gained) if len(chosen) > 1 else 0.0
     return float(gained.sum()) - price * len(chosen) - float(naming)
@@ -145,7 +145,7 @@ def _swap(positive: Floats, columns: Indices, chosen: list[int], price: float, v
 
 
 def _with_enough(positive: Floats, columns: Indices, chosen: list[int], votes: Indices) -> list[int]:
-    """Without heads that hardly anybody follows, the weakest first, as their followers go to others."""
+    """Remove heads with too few followers, the weakest first; their followers move to other heads."""
     while chosen:
         gained = _followers(positive, columns, chosen)
         best = np.asarray(positive[:, chosen]).argmax(axis=1)

@@ -1,4 +1,4 @@
-"""What to believe of heads of flocks: a gate of surrogates for each, and how likely every UAV is a head."""
+"""Tests the heads of flocks against surrogates, and computes each UAV's posterior probability of being a head."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ __all__ = ["explained_by_flocks", "flock_gate", "flock_posterior"]
 
 Floats = NDArray[np.float64]
 
-_TEMPER = 0.7  # rows are not quite independent
-_MEMBER = 3.0  # log-odds by which who flies with others at once is less likely a head, where flight is not smooth
+_TEMPER = 0.7  # tempering, since rows are not independent
+_MEMBER = 3.0  # log-odds by which a member of a flock is less likely a head, if motion is not smooth
 _GONE = 3.0  # log-odds that the head of a flock is in the window
-_TYPICAL = 0.1  # share of what flocks gain by their heads that a head gives at least
-_FAILED = 0.2  # what is left of a head's probability where chance explains as much
-_UNKNOWN = 0.45  # the most likely that somebody is a head by the way of flying alone
-_A_BIT = 1.0  # nats: a follower that is badly predicted gains little by its head, a head loses by another
-_LEAST = 20.0  # nats that a head adds at least
-_LEAST_SHARE = 0.05  # of a swarm that follows, in flocks of two and more
-_LONE_SHARE = 0.2  # of a swarm that follows, where nobody who follows flies as somebody else does: of n² pairs of
-#                    flights a few match by luck
+_TYPICAL = 0.1  # least gain of a flock by a head, as a share of the median over flocks
+_FAILED = 0.2  # factor on the probability of a head that fails its test
+_UNKNOWN = 0.45  # largest probability of being a head if no leader is identified
+_A_BIT = 1.0  # nats: a poorly predicted follower gains little by its head; a head loses more than this by another head
+_LEAST = 20.0  # least contribution of a head, in nats
+_LEAST_SHARE = 0.05  # least share of the swarm that follows, in flocks of two and more UAVs
+_LONE_SHARE = 0.2  # least share of the swarm that follows, if no followers form a flock: a few of n² pairs match by
+#                    chance
 
 
 def flock_gate(watch: Watch, found: FlockHeads) -> Gate:
-    """Judge every head: its flocks' gain against the same with all heads' pasts moved in time."""
+    """Test each head: the gain of its flocks against the gain with the pasts of all heads shifted in time."""
     heads = found.heads
     rows = watch.flight.shape[1]
     count = np.array([np.isin(watch.label, np.flatnonzero(found.head == head)).sum() for head in heads], np.int64)
@@ -46,7 +46,7 @@ def flock_gate(watch: Watch, found: FlockHeads) -> Gate:
 
 
 def _per_head(watch: Watch, found: FlockHeads, followed: NDArray[np.bool_], shift: int) -> Floats:
-    """``(M,)`` what the flocks that follow somebody gain by their best head, by head."""
+    """``(M,)``: the summed gain of the assigned flocks by their best head, per head."""
     heads = found.heads
     predicted = None if found.weights is None else found.shown.predicted(found.weights)
     flocks = np.flatnonzero(followed)
@@ -58,19 +58,20 @@ def _per_head(watch: Watch, found: FlockHeads, followed: NDArray[np.bool_], shif
 
 
 def flock_posterior(watch: Watch, found: FlockHeads | None, memory: float) -> Floats:
-    """``(n,)`` probability of being a head, if every flock of two and more has one, and who flies alone perhaps.
+    """``(n,)``: probability of being a head, if each flock of several UAVs has a head and a single UAV may have one.
 
     Args:
         watch: n UAVs in C flocks.
-        found: evidence of every flock for every UAV; ``None``: there is none.
-        memory: lag-1 autocorrelation of flights. Where it is low a head does not fly at once with its followers.
+        found: the evidence of each flock for each UAV; ``None``: no evidence.
+        memory: lag-1 autocorrelation of the velocities. If it is low, a head is not correlated with its followers at
+            lag 0.
     """
     sizes = np.bincount(watch.label, minlength=watch.flocks)
     alone = sizes[watch.label] == 1
     prior = np.where(alone, 0.0, -_MEMBER if memory < SMOOTH else 0.0)
     gain = np.zeros((watch.flocks, watch.uavs)) if found is None else found.gain
     logits = _TEMPER * gain + prior
-    logits[watch.label[alone], np.flatnonzero(alone)] = -np.inf  # nobody follows itself
+    logits[watch.label[alone], np.flatnonzero(alone)] = -np.inf  # no UAV follows itself
     typical = 0.0
     if found is not None and (found.head[sizes > 1] >= 0).any():
         led = np.flatnonzero((sizes > 1) & (found.head >= 0))
@@ -82,12 +83,12 @@ def flock_posterior(watch: Watch, found: FlockHeads | None, memory: float) -> Fl
     share = np.minimum(weight / (weight.sum(axis=1) + np.exp(nobody - top))[:, None], 1.0 - 1e-6)
     several = 1.0 - np.prod(1.0 - share[sizes > 1], axis=0)
     lonely = np.flatnonzero(alone)
-    share[watch.label[lonely]] *= (1.0 - several[lonely])[:, None]  # a head follows nobody
+    share[watch.label[lonely]] *= (1.0 - several[lonely])[:, None]  # a head follows no UAV
     return np.asarray(1.0 - np.prod(1.0 - share, axis=0))
 
 
 def _left_over(watch: Watch, found: FlockHeads) -> NDArray[np.bool_]:
-    """``(n,)`` who flies like nobody else, is no head, and whose flight no other head explains."""
+    """``(n,)``: which UAVs are in no flock, are no heads, and are not predicted by any head."""
     gain = found.gain[watch.label][:, found.heads].copy()
     gain[found.heads, np.arange(len(found.heads))] = -np.inf
     alone = np.bincount(watch.label, minlength=watch.flocks)[watch.label] == 1
@@ -97,15 +98,15 @@ def _left_over(watch: Watch, found: FlockHeads) -> NDArray[np.bool_]:
 
 
 def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -> Explanation | None:
-    """The explanation that flocks and their heads give.
+    """Convert flocks and their heads to the common result.
 
     Args:
         watch: n UAVs in C flocks.
-        found: their heads, or ``None`` where nobody's past tells a flock's flight.
-        memory: lag-1 autocorrelation of flights.
+        found: their heads; ``None`` if no UAV's past predicts a flock.
+        memory: lag-1 autocorrelation of the velocities.
 
     Returns:
-        ``None`` where nobody flies with anybody and nobody leads.
+        ``None`` if there are neither flocks nor heads.
     """
     unknown = np.minimum(flock_posterior(watch, None, memory), _UNKNOWN)
     if found is None:
@@ -126,9 +127,9 @@ def explained_by_flocks(watch: Watch, found: FlockHeads | None, memory: float) -
     probability = given.copy()
     probability[heads] *= np.where(gate.passed, 1.0, _FAILED)
     trust = float(gate.added[gate.passed].sum()) / max(float(np.maximum(gate.added, 0.0).sum()), 1e-9)
-    if trust < 0.5:  # evidence that chance matches says nothing of others either
+    if trust < 0.5:  # if chance explains as much, the evidence is not reliable for other UAVs either
         probability = np.maximum(probability * trust, unknown)
-        if memory < SMOOTH:  # who flies alone is told by more than chance
+        if memory < SMOOTH:  # single UAVs are candidates for other reasons than chance
             given = np.maximum(given, unknown)
     return Explanation(
         heads=heads,

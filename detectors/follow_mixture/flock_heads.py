@@ -1,9 +1,9 @@
-"""Heads of flocks: whose past adds to what a flock's own past tells of its flight.
+"""Heads of flocks: the UAVs whose past improves the prediction of a flock from the flock's own past.
 
-A flock's mean flight carries little of its members' jitter and of the observer's noise, so that a few flocks say what
-many noisy followers could not. It also settles who leads: a fellow's past is the flock's own past, which the null
-knows, and adds nothing to it; a head's does. When a member is asked whether it leads, its own flight is left out of
-the flock's.
+The mean velocity of a flock contains little of its members' jitter and of the observation noise, so that a few flocks
+are more informative than many noisy followers. It also gives the direction: the past of a fellow member is the flock's
+own past, which the null model contains, and adds nothing; the past of a head does. When a member is tested as head of
+its own flock, it is left out of the mean.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _ROUNDS = 8
-_ROWS_A_LAG = 12  # of one's own past in the null: three numbers each
+_ROWS_A_LAG = 12  # rows per lag of the own past in the null model (three parameters each)
 _RIDGE = 1e-6
 _STARTS = 3
-LONELY = 12.0  # nats that a flight like nobody else's must gain before it is said to follow somebody
-_FAIR = 0.25  # share of a flock's gain that a flight like nobody else's must have to count beside it
-_SOBERED = 8  # candidates of a flock whose gain is looked at moment by moment
-_MOMENT = 6.0  # nats that one moment may add
-_MEDIAN = 2.366  # of a chi-square with three degrees of freedom
-_LEAST_SPREAD = 0.005  # of a flight, in mean speeds
+LONELY = 12.0  # nats that a UAV in no flock must gain to be assigned to a head
+_FAIR = 0.25  # least gain of a UAV in no flock, as a share of the median gain of the flocks
+_SOBERED = 8  # candidates of a flock that are ranked again by the robust gain
+_MOMENT = 6.0  # largest contribution of one sample, in nats
+_MEDIAN = 2.366  # median of a chi-square variable with three degrees of freedom
+_LEAST_SPREAD = 0.005  # least standard deviation of a velocity, in mean speeds
 _NOTHING = 1e-9
-_EXACT = 6  # candidates of a flock whose evidence is computed exactly
-_LEAST_LEFT = 1e-4  # share of a flock's flight that no head explains
+_EXACT = 6  # candidates of a flock with exactly computed evidence
+_LEAST_LEFT = 1e-4  # least residual share of a flock's variance
 
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """The flights of C flocks, and of every UAV's flock without it; all with their own pasts taken out.
+    """Innovations of the mean velocities of C flocks, and of each UAV's flock without this UAV.
 
     Args:
         label: ``(n,)`` the flock of each UAV.
-        flight: ``(C + n, R, 3)`` what a flock's own past leaves of its mean flight; then the same of flocks that lack
-            one member each, 0 where that one was alone.
-        past: ``(C + n, R, z)`` orthonormal columns that span the own pasts and the mean.
+        flight: ``(C + n, R, 3)``: residuals of each flock's mean velocity after regression on its own past; then those
+            of the flocks without one member each, 0 for a flock of one.
+        past: ``(C + n, R, z)``: orthonormal columns that span the own past and the mean.
     """
 
     label: Indices
@@ -57,7 +57,7 @@ class Watch:
 
     @property
     def uavs(self) -> int:
-        """How many UAVs."""
+        """Number of UAVs."""
         return len(self.label)
 
     @property
@@ -67,26 +67,26 @@ class Watch:
 
     @property
     def freedom(self) -> int:
-        """Rows less those that the own past takes."""
+        """Number of rows less the number of columns of the own past."""
         return self.flight.shape[1] - self.past.shape[2]
 
     def watcher(self, flock: int, head: int) -> int:
-        """The row of ``flight`` that tells whether UAV ``head`` leads ``flock``."""
+        """The row of ``flight`` that tests UAV ``head`` as the head of ``flock``."""
         return self.flocks + head if self.label[head] == flock else flock
 
     def by_flock(self, all_of_flocks: Floats, own_of_members: Floats) -> Floats:
-        """``(C, n)`` from ``(C, n)`` of whole flocks and ``(n,)`` of each UAV in its own."""
+        """``(C, n)`` from values ``(C, n)`` of whole flocks and values ``(n,)`` of each UAV for its own flock."""
         result = all_of_flocks.copy()
         result[self.label, np.arange(self.uavs)] = own_of_members
         return result
 
 
 def watch_flocks(samples: Samples, flocks: Flocks) -> Watch:
-    """The flocks of a swarm as voters.
+    """Compute the innovations of the flocks.
 
     Args:
-        samples: n UAVs, as they were seen, nothing missing.
-        flocks: of the same UAVs.
+        samples: samples of n UAVs without missing values.
+        flocks: the flocks of these UAVs.
     """
     member = (flocks.label[None, :] == np.arange(flocks.count)[:, None]).astype(np.float64)
     without = member[flocks.label] - np.eye(samples.uavs)
@@ -101,11 +101,11 @@ def watch_flocks(samples: Samples, flocks: Flocks) -> Watch:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What a class of strategies sees of every UAV's past.
+    """The features of all UAVs in a class of strategies.
 
     Args:
         library: the class.
-        values: ``(n, R, p)``; ``(n, R, p, 3)`` of an isotropic class, whose weights are the same for all axes.
+        values: ``(n, R, p)``; ``(n, R, p, 3)`` for an isotropic class, with the same weights on all axes.
     """
 
     library: Library
@@ -113,17 +113,17 @@ class Shown:
 
     @property
     def numbers(self) -> int:
-        """How many weights a strategy has."""
+        """Number of weights of a strategy."""
         return self.values.shape[2] * (1 if self.library.isotropic else 3)
 
     def predicted(self, weights: Floats) -> Floats:
-        """``(n, R, 3)`` by weights ``(p, 3)``, or ``(p,)`` of an isotropic class."""
+        """Predictions ``(n, R, 3)`` with weights ``(p, 3)``, or ``(p,)`` for an isotropic class."""
         return np.asarray(
             np.moveaxis(self.values, 2, -1) @ weights if self.library.isotropic else self.values @ weights
         )
 
     def one(self, uav: int, past: Floats) -> Floats:
-        """Of one UAV, with an own past ``(R, z)`` taken out: ``(R, p)``, or ``(3 R, p)`` of an isotropic class."""
+        """Features of one UAV after projecting out a past ``(R, z)``: ``(R, p)``, or ``(3 R, p)`` if isotropic."""
         flat = self.values[uav].reshape(len(past), -1)
         flat = flat - past @ (past.T @ flat)
         if not self.library.isotropic:
@@ -138,10 +138,10 @@ class FlockHeads:
     Args:
         head: ``(C,)`` the head of each flock, -1 for none.
         gain: ``(C, n)`` log-likelihood that each flock gains over its own past by following each UAV.
-        shown: the class of the strategy, and what it sees.
-        weights: of the strategy that all share, ``(p, 3)`` or ``(p,)``; ``None``: every pair has its own.
-        chance: what a strategy of one's own explains by chance, left out of ``gain``; 0 for a shared one.
-        value: what all gain after prices.
+        shown: the class of the strategy, with its features.
+        weights: weights of the shared strategy, ``(p, 3)`` or ``(p,)``; ``None``: each pair has its own regression.
+        chance: the gain of a separate regression by chance, already subtracted from ``gain``; 0 for a shared strategy.
+        value: the penalised gain of all flocks.
     """
 
     head: Indices
@@ -158,19 +158,19 @@ class FlockHeads:
 
 
 def shown(samples: Samples, library: Library) -> Shown:
-    """The features of all UAVs; the null has the intercept and the means."""
+    """Compute the features of all UAVs, centred and without the intercept, which the null model contains."""
     values = head_features(samples, library)[0][..., :-1]
     values = values - values.mean(axis=1, keepdims=True)
     if library.isotropic:
         values = values.reshape(*values.shape[:2], -1, 3)
-        if library.squares:  # at one speed they add up to a constant; behind noise the sum is noise alone
+        if library.squares:  # at equal speeds their sum is constant; with noise it holds only noise
             squares = values[:, :, library.lags if library.linear else 0 :]
             squares -= squares.mean(axis=3, keepdims=True)
     return Shown(library, values)
 
 
 def flock_libraries(lags: int) -> list[Library]:
-    """Classes of strategies: functions of a head's past that differ little from flock to flock."""
+    """The classes of strategies: functions of a head's past."""
     linear = [Library(lag, isotropic=same) for same in (False, True) for lag in {lags, 1}]
     squares = [replace(library, linear=False, squares=True) for library in linear]
     mixed = [Library(lags, squares=True), Library(1, squares=True, products=True)]
@@ -181,18 +181,18 @@ def flock_libraries(lags: int) -> list[Library]:
 
 
 def heads_of_flocks(samples: Samples, watch: Watch, most: int | None = None) -> FlockHeads | None:
-    """The heads that explain the flocks best.
+    """Find the heads that explain the flocks best.
 
-    Every class gives a start by itself, in which every pair of a flock and a UAV has a strategy of its own. From the
-    best start, and from the best state after that, all classes are climbed with one strategy for all.
+    In each class, one regression per pair of a flock and a UAV gives a start. From the best starts, and from the best
+    state after these, one shared strategy is fitted in every class.
 
     Args:
-        samples: n UAVs with the pasts that candidates show: as they were seen, or smoothed.
+        samples: samples of n UAVs, whose pasts may be smoothed.
         watch: their flocks.
         most: the largest number of heads.
 
     Returns:
-        ``None`` where no flock seems to follow anybody.
+        ``None`` if no flock seems to follow a UAV.
     """
     classes = [shown(samples, library) for library in flock_libraries(samples.memory)]
     starts = [each_by_itself(watch, some, most) for some in classes if affordable(watch, some)]
@@ -217,16 +217,16 @@ def heads_of_flocks(samples: Samples, watch: Watch, most: int | None = None) -> 
 
 
 def affordable(watch: Watch, some: Shown) -> bool:
-    """Whether there are moments enough for every pair to have a strategy of its own."""
+    """Whether the window is long enough for one regression per pair."""
     return some.numbers <= 2.0 * watch.freedom
 
 
 def each_by_itself(watch: Watch, some: Shown, most: int | None) -> FlockHeads:
-    """Heads by what each UAV's features explain of each flock, with a strategy of its own for every pair.
+    """Find heads with one regression per pair of a flock and a UAV (no pooling).
 
-    All pairs are screened by matrix products that leave out what a UAV's past shares with the flock's own, which can
-    only lower the evidence; the best are computed exactly. The price of so many numbers is what the best UAV explains
-    of a flock that was moved in time.
+    All pairs are screened by matrix products. These ignore what a UAV's past shares with the flock's own past, which
+    can only lower the evidence; the best pairs are computed exactly. The largest gain in time-shifted data is
+    subtracted as the penalty of the many parameters.
     """
     rows, count, uavs = watch.flight.shape[1], watch.flocks, watch.uavs
     power = np.maximum((watch.flight**2).sum(axis=(1, 2)), 1e-12)
@@ -250,7 +250,7 @@ def each_by_itself(watch: Watch, some: Shown, most: int | None) -> FlockHeads:
     evidence = gain(watch.flight)
     best = np.argsort(-evidence, axis=1, kind="stable")[:, :_EXACT]
     evidence -= float(np.median(surrogate.max(axis=1)))
-    # An exact regression has less freedom than the screen, and explains more by chance.
+    # An exact regression has fewer degrees of freedom than the screening, and explains more by chance.
     chance = float(np.median(surrogate.max(axis=1))) + 1.5 * watch.freedom * float(
         np.log((1.0 - width / white.shape[1]) / (1.0 - width / (white.shape[1] - 3.0 * (rows - watch.freedom))))
         if some.library.isotropic
@@ -271,16 +271,17 @@ def each_by_itself(watch: Watch, some: Shown, most: int | None) -> FlockHeads:
 
 
 def in_company(watch: Watch, found: FlockHeads, most: int | None) -> FlockHeads:
-    """The heads by gains of strategies that pairs have of their own, with :func:`lone_votes` for who flies alone."""
+    """Find heads from unpooled gains after reducing those of UAVs in no flock, see :func:`lone_votes`."""
     gain = lone_votes(watch, found.gain)
     head = locate(watch, gain, head_price(watch.uavs), most)
     return replace(found, head=head, gain=gain, value=worth(watch, gain, head))
 
 
 def lone_votes(watch: Watch, gain: Floats) -> Floats:
-    """Gains ``(C, n)`` of strategies of one's own, in which one flight alone has little voice.
+    """Reduce the unpooled gains ``(C, n)`` of UAVs in no flock.
 
-    Who flies alone must gain a fair share of what flocks gain by their heads; where no flock has one, nothing counts.
+    Such a UAV only keeps a gain that is a fair share of what flocks gain by their heads; without such flocks it keeps
+    none.
     """
     alone = np.bincount(watch.label, minlength=watch.flocks) == 1
     best = gain[~alone].max(axis=1, initial=0.0)
@@ -290,7 +291,7 @@ def lone_votes(watch: Watch, gain: Floats) -> Floats:
 
 
 def exact_gain(watch: Watch, some: Shown, flock: int, uav: int) -> float:
-    """Log-likelihood that a UAV's features add to a flock's own past, by a regression on both."""
+    """Log-likelihood that a UAV's features add to a flock's own past, by the exact regression."""
     flight, error = by_regression(watch, some, flock, uav)
     power = float((flight**2).sum())
     if power <= _NOTHING:
@@ -299,7 +300,7 @@ def exact_gain(watch: Watch, some: Shown, flock: int, uav: int) -> float:
 
 
 def by_regression(watch: Watch, some: Shown, flock: int, uav: int) -> tuple[Floats, Floats]:
-    """``(R, 3)`` flight, and what a strategy of the pair's own leaves of it."""
+    """Innovations ``(R, 3)`` of a flock, and their residuals after the regression on a UAV's features."""
     row = watch.watcher(flock, uav)
     seen = some.one(uav, watch.past[row])
     flight = watch.flight[row]
@@ -310,10 +311,10 @@ def by_regression(watch: Watch, some: Shown, flock: int, uav: int) -> tuple[Floa
 
 
 def sober_gain(flight: Floats, error: Floats, freedom: int) -> float:
-    """What an explanation gains when no moment may count for much.
+    """Log-likelihood gain under a Student-t error model, in which no single sample has much weight.
 
-    Rows ``(R, 3)`` are judged by Student's law with four degrees of freedom about a robust spread. Where flight is a
-    few sharp turns between straight lines, a normal law takes one turn soon after another for a thousand nats.
+    Rows ``(R, 3)`` have a t distribution with four degrees of freedom and a robust scale. With a few sharp turns
+    between straight lines, a normal distribution would give a thousand nats for two turns shortly after each other.
     """
 
     def rows(values: Floats) -> Floats:
@@ -325,14 +326,14 @@ def sober_gain(flight: Floats, error: Floats, freedom: int) -> float:
 
 
 def sobered(watch: Watch, found: FlockHeads, most: int | None) -> FlockHeads:
-    """The heads again, by sober gains of every flock's best candidates; who was none is none."""
+    """Rank each flock's best candidates again by the robust gain; no candidates are added."""
     predicted = None if found.weights is None else found.shown.predicted(found.weights)
     gain = np.minimum(found.gain, 0.0)
     for flock in range(watch.flocks):
         for uav in np.union1d(np.argsort(-found.gain[flock], kind="stable")[:_SOBERED], found.heads):
             if found.gain[flock, uav] > 0:
                 gain[flock, uav] = min(pair_gain(watch, found, predicted, flock, int(uav)), found.gain[flock, uav])
-        best = int(gain[flock].argmax())  # a cap on moments must not make near misses of those far behind the best
+        best = int(gain[flock].argmax())  # the cap on samples must not move distant candidates close to the best
         behind = found.gain[flock] - found.gain[flock, best]
         gain[flock] = np.minimum(gain[flock], gain[flock, best] + np.minimum(behind, 0.0))
     if found.weights is None:
@@ -342,7 +343,7 @@ def sobered(watch: Watch, found: FlockHeads, most: int | None) -> FlockHeads:
 
 
 def pair_gain(watch: Watch, found: FlockHeads, predicted: Floats | None, flock: int, uav: int, shift: int = 0) -> float:
-    """Sober gain of a flock by one UAV, whose past may be moved in time; above chance where the pair has its own."""
+    """Robust gain of a flock by one UAV, whose past may be shifted; less ``chance`` if the pair has a regression."""
     if predicted is None:
         moved = found.shown if shift == 0 else Shown(found.shown.library, np.roll(found.shown.values, shift, axis=1))
         flight, error = by_regression(watch, moved, flock, uav)
@@ -354,7 +355,7 @@ def pair_gain(watch: Watch, found: FlockHeads, predicted: Floats | None, flock: 
 
 
 def worth(watch: Watch, gain: Floats, head: Indices) -> float:
-    """What flocks gain by their heads, less the price of naming these."""
+    """The gain of the flocks by their heads, less the penalty of the heads."""
     followed = np.flatnonzero(head >= 0)
     single = np.bincount(watch.label, minlength=watch.flocks)[followed] == 1
     named = LONELY * single.sum() + head_price(watch.uavs) * len(np.unique(head[followed]))
@@ -362,7 +363,7 @@ def worth(watch: Watch, gain: Floats, head: Indices) -> float:
 
 
 def fit_flocks(watch: Watch, some: Shown, head: Indices, most: int | None = None) -> FlockHeads | None:
-    """Climb from the heads ``(C,)`` of the flocks within one class, with one strategy for all."""
+    """Fit one shared strategy and the heads ``(C,)`` of the flocks alternately, within one class."""
     best: FlockHeads | None = None
     spread = np.ones(watch.flocks)
     for turn in range(_ROUNDS):
@@ -381,15 +382,15 @@ def fit_flocks(watch: Watch, some: Shown, head: Indices, most: int | None = None
         if best is not None and value <= best.value + 1e-6:
             break
         best = FlockHeads(head, gain, some, weights, 0.0, value)
-        if turn > 0 and np.array_equal(head, before):  # the first turn knows no spreads yet
+        if turn > 0 and np.array_equal(head, before):  # the first iteration has no estimated spreads
             break
     return best
 
 
 def shared_gain(watch: Watch, predicted: Floats) -> tuple[Floats, Floats]:
-    """``(C, n)`` squared error that predictions ``(n, R, 3)`` leave, and the log-likelihood that they gain.
+    """``(C, n)``: squared error of the predictions ``(n, R, 3)``, and the log-likelihood that they gain.
 
-    Every flock has a spread of its own, which its size and its members' jitter give it.
+    Each flock has its own spread, which depends on its size and its members' jitter.
     """
     own = (watch.flight**2).sum(axis=(1, 2))
     null = watch.by_flock(np.repeat(own[: watch.flocks, None], watch.uavs, axis=1), own[watch.flocks :])
@@ -421,9 +422,9 @@ def fit_weights(watch: Watch, some: Shown, head: Indices, spread: Floats) -> Flo
 
 
 def squared_error(watch: Watch, predicted: Floats) -> Floats:
-    """``(C, n)`` what each UAV's prediction ``(n, R, 3)`` leaves of each flock's flight, own pasts taken out of both.
+    """``(C, n)``: squared error of each UAV's prediction ``(n, R, 3)`` of each flock, after projecting out own pasts.
 
-    With P the projection onto the own past, |(1 - P)(y - f)|² = |y|² - 2 y·f + |f|² - |Q' f|² as y has none of it.
+    With the projection P onto the own past and P y = 0, |(1 - P)(y - f)|² = |y|² - 2 y·f + |f|² - |Q' f|².
     """
     count, flock = watch.flocks, slice(0, watch.flocks)
     whole = predicted.reshape(watch.uavs, -1)
@@ -439,11 +440,11 @@ def squared_error(watch: Watch, predicted: Floats) -> Floats:
 
 
 def locate(watch: Watch, gain: Floats, price: float, most: int | None) -> Indices:
-    """The head ``(C,)`` of each flock, -1 for none; a UAV that flies alone and leads follows nobody."""
+    """The head ``(C,)`` of each flock, -1 for none; a head that is in no flock follows no UAV."""
     sizes = np.bincount(watch.label, minlength=watch.flocks)
     alone = sizes[watch.label] == 1
     gain = np.where(sizes[:, None] == 1, gain - LONELY, gain)
-    # Every candidate needs a row that falls silent when it leads: its own where it is alone, else an empty one.
+    # Each candidate needs a row that is ignored if it is a head: its own if it is in no flock, else an empty one.
     place = np.where(alone, watch.label, watch.flocks + np.arange(watch.uavs))
     rows = np.concatenate([gain, np.zeros((watch.uavs, watch.uavs))])
     votes = np.concatenate([sizes, np.zeros(watch.uavs, np.int64)])

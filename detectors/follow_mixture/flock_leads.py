@@ -1,14 +1,14 @@
-"""Heads of flocks behind noise: to whose flight a flock's flight is the response, frequency by frequency.
+"""Heads of flocks in smooth, noisy motion: cross-spectral estimation of a shared transfer function.
 
-Where flight is smooth and seen with noise, a head's past tells hardly more of a flock's next move than the flock's own
-past does. But a delay shows in the phases of the low frequencies, which noise hardly touches. In Fourier coordinates a
-UAV's flight x, of power P, and a flock's mean flight y that responds to it are jointly normal, independent from
-frequency to frequency, and all flocks share the response g:
+In smooth motion with observation noise, a head's past predicts a flock hardly better than the flock's own past does.
+But a delay shows in the phases at low frequencies, where the noise is small. In Fourier coordinates the velocity x of a
+head, with power P, and the mean velocity y of a flock that follows it are jointly normal and independent between
+frequencies. All flocks share the impulse response g:
 
     var x = P + N,   cov(y, x) = G P,   var y = |G|² P + Q,   G(w) = sum over lags l of g_l exp(-i w l),
 
-with N the observer's noise and Q what is left of it, and of the members' jitter, in the mean. The other hypothesis is
-what flocks are found by: a member flies with its flock at the same time, and who is none flies independently of it.
+with N the observation noise, and Q what the mean over the members leaves of this noise and of their jitter. Under the
+alternative hypothesis a member moves simultaneously with its flock, and another UAV moves independently of it.
 """
 
 from __future__ import annotations
@@ -40,35 +40,35 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
-PHASES_TELL = 0.015  # variance of position noise, relative to the squared speed, from which on moments tell less
+PHASES_TELL = 0.015  # least variance of position noise, relative to the squared speed, for the cross-spectral fit
 _LAGS = 4
 _ROUNDS = 6
-_STEPS = 15  # of an optimiser that starts near
-_WORST = -30.0  # nats by which one flock may speak against a response
+_STEPS = 15  # steps of the optimiser from a good start
+_WORST = -30.0  # lower bound of the log-likelihood gain of one flock, in nats
 _LEAST = 1e-12
-_CLEAR = 20.0  # nats that a head that stands out may count
-_STANDS_OUT = 12.0  # of them on average where the response is true
-_RISE = 8.0  # nats a flock by which it is likelier than the best with time reversed
-_ABSURD = -30.0  # nats of the median flock's best, below which a response is none: both hypotheses are wrong
-_TEMPER = 0.2  # powers are estimated, and flocks no exact sums
-_FAILED = 0.2  # what is left of a head's probability where reversed time explains as much
+_CLEAR = 20.0  # upper bound of the lead of the best UAV over the second, in nats
+_STANDS_OUT = 12.0  # least mean lead for a true response
+_RISE = 8.0  # least gain per flock over the best response in reversed time, in nats
+_ABSURD = -30.0  # least median gain of the flocks, in nats; below it both hypotheses are wrong
+_TEMPER = 0.2  # tempering, since powers are estimated and flocks are no exact sums
+_FAILED = 0.2  # factor on the probability of a head that reversed time explains as well
 
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """What C flocks of two and more and n UAVs show of each other at K frequencies, summed over the axes.
+    """Auto- and cross-periodograms of C flocks (of two or more UAVs) and n UAVs at K frequencies, summed over axes.
 
     Args:
         omega: ``(K,)`` angular frequencies per sample.
-        power: ``(K,)`` P, of a UAV's flight.
-        noise: ``(K,)`` N, of the observer in it.
-        own: ``(C, n, K)`` Q, of the mean flight of a flock without UAV j.
+        power: ``(K,)`` P, the spectrum of a UAV's velocity.
+        noise: ``(K,)`` N, the spectrum of the observation noise in it.
+        own: ``(C, n, K)`` Q, the noise spectrum of the mean velocity of a flock without UAV j.
         stimulus: ``(n, K)`` periodogram of each UAV.
         response: ``(C, n, K)`` periodogram of the flock without UAV j.
         cross: ``(C, n, K)`` cross-periodogram of both, y times the conjugate of x.
-        null: ``(C, n)`` log-likelihood that j is what it was taken for, a fellow or a stranger.
-        edge: variance of what a delay by one sample brings in at one end of the window and loses at the other: the
-            difference of two velocities far apart.
+        null: ``(C, n)`` log-likelihood of the alternative: j is a member of the flock, or independent of it.
+        edge: variance of the error of a circular delay by one sample: the difference of the velocities at the two ends
+            of the window.
     """
 
     omega: Floats
@@ -82,12 +82,12 @@ class Responses:
     edge: float
 
     def given(self, weights: Floats) -> Complex:
-        """``(K,)`` G, by the weights ``(L,)`` of the lags."""
+        """``(K,)``: the transfer function G for the weights ``(L,)`` of the lags."""
         lags = np.arange(1, len(weights) + 1)
         return np.asarray(weights @ np.exp(-1j * lags[:, None] * self.omega))
 
     def gain(self, weights: Floats, flock: Indices, head: Indices) -> Floats:
-        """``(m,)`` log-likelihood that m flocks gain by responding to m UAVs."""
+        """``(m,)``: log-likelihood that m flocks gain by following m UAVs."""
         given = self.given(weights)
         edge = self.edge * float((np.cumsum(weights[::-1]) ** 2).sum())
         whole = np.abs(given) ** 2 * self.power + self.own[flock, head] + edge
@@ -102,19 +102,19 @@ class Responses:
         return np.asarray(density.sum(axis=-1) - self.null[flock, head])
 
     def all_gains(self, weights: Floats) -> Floats:
-        """``(C, n)`` of every flock by every UAV."""
+        """``(C, n)``: the gain of each flock by each UAV."""
         flock, head = np.ogrid[: len(self.null), : self.null.shape[1]]
         return self.gain(weights, flock, head)
 
     def explained(self, weights: Floats, flock: Indices, head: Indices) -> Floats:
-        """``(m,)`` share of m flocks' flights that m UAVs explain, noise and all."""
+        """``(m,)``: share of the variance of m flocks, noise included, that m UAVs explain."""
         seen = self.given(weights) * self.power / (self.power + self.noise)
         cross = 2.0 * (np.conj(seen) * self.cross[flock, head]).real
         left = self.response[flock, head] - cross + np.abs(seen) ** 2 * self.stimulus[head]
         return np.clip(1.0 - left.sum(axis=-1) / self.response[flock, head].sum(axis=-1), 0.0, 1.0)
 
     def reversed(self) -> Responses:
-        """The same with time running backwards: whoever led follows."""
+        """The same in reversed time, in which heads follow their followers."""
         return replace(self, cross=self.cross.conj())
 
 
@@ -124,12 +124,12 @@ def joint_density(
     """Log-density, up to a constant, of two circular complex normal signals on three axes.
 
     Args:
-        stimulus: squared modulus of the one, summed over the axes.
-        response: of the other.
-        cross: the other times the conjugate of the one.
-        first: variance of the one.
-        second: of the other.
-        both: covariance of the other with the one, real or complex.
+        stimulus: squared modulus of the first signal, summed over the axes.
+        response: squared modulus of the second signal.
+        cross: the second signal times the conjugate of the first.
+        first: variance of the first signal.
+        second: variance of the second signal.
+        both: covariance of the second signal with the first, real or complex.
     """
     determinant = np.maximum(first * second - np.abs(both) ** 2, _LEAST)
     square = stimulus * second + response * first - 2.0 * (np.conj(both) * cross).real
@@ -137,14 +137,14 @@ def joint_density(
 
 
 def responses(velocity: Floats, spectra: FlightSpectra, flocks: Flocks) -> Responses:
-    """Periodograms of flocks and of all UAVs.
+    """Compute the periodograms of the flocks and of all UAVs.
 
-    Flight has the swarm's median power and memory: what one window says of one UAV's own is less certain.
+    The spectrum has the swarm's median power and autocorrelation; one window is too short to estimate them per UAV.
 
     Args:
-        velocity: ``(n, T, 3)`` in units of the mean speed, nothing missing.
-        spectra: of the same flights.
-        flocks: of the same UAVs.
+        velocity: ``(n, T, 3)`` in units of the mean speed, without missing values.
+        spectra: the spectra of these velocities.
+        flocks: the flocks of these UAVs.
     """
     uavs, steps = velocity.shape[:2]
     flight = np.fft.rfft(velocity, axis=1, norm="ortho")[:, 1 : (steps + 1) // 2]
@@ -181,13 +181,13 @@ def responses(velocity: Floats, spectra: FlightSpectra, flocks: Flocks) -> Respo
 
 @dataclass(frozen=True, eq=False)
 class Leads:
-    """Heads of flocks by response.
+    """The fitted transfer function and the gains of the flocks.
 
     Args:
-        seen: what it was found in.
+        seen: the periodograms.
         weights: ``(L,)`` g, which all flocks share.
-        gain: ``(C, n)`` log-likelihood that each flock gains by responding to each UAV.
-        chance: ``(C, n)`` the same of the best response with time reversed.
+        gain: ``(C, n)`` log-likelihood that each flock gains by following each UAV.
+        chance: ``(C, n)`` the same for the best fit in reversed time.
     """
 
     seen: Responses
@@ -197,12 +197,12 @@ class Leads:
 
     @property
     def head(self) -> Indices:
-        """``(C,)`` of each flock."""
+        """``(C,)``: the head of each flock."""
         return np.asarray(self.gain.argmax(axis=1))
 
     @property
     def believed(self) -> bool:
-        """Whether heads stand out, and the response is likely, and likelier than where time runs backwards."""
+        """Whether the best UAVs lead clearly, and the fit is likely, and more likely than in reversed time."""
         best = self.gain.max(axis=1)
         rise = best.mean() - self.chance.max(axis=1).mean()
         clear = np.minimum(lead(self.gain), _CLEAR).mean()
@@ -210,21 +210,21 @@ class Leads:
 
 
 def lead(gain: Floats) -> Floats:
-    """``(C,)`` by how much the best UAV of each flock stands out, of gains ``(C, n)``."""
+    """``(C,)``: the difference between the best and the second best of the gains ``(C, n)`` of each flock."""
     ranked = np.partition(gain, -2, axis=1)
     return np.asarray(ranked[:, -1] - ranked[:, -2])
 
 
 def leads_of_flocks(velocity: Floats, spectra: FlightSpectra, flocks: Flocks) -> Leads | None:
-    """The heads to whose flights flocks respond.
+    """Fit heads of flocks by the transfer function.
 
     Args:
-        velocity: ``(n, T, 3)`` in units of the mean speed, nothing missing.
-        spectra: of the same flights.
-        flocks: of the same UAVs.
+        velocity: ``(n, T, 3)`` in units of the mean speed, without missing values.
+        spectra: the spectra of these velocities.
+        flocks: the flocks of these UAVs.
 
     Returns:
-        ``None`` where there are no flocks, or nobody stands out.
+        ``None`` if there are no flocks or no UAV leads clearly.
     """
     if not len(flocks.several) or len(flocks.label) < 3:
         return None
@@ -236,9 +236,9 @@ def leads_of_flocks(velocity: Floats, spectra: FlightSpectra, flocks: Flocks) ->
 
 
 def fit_response(seen: Responses) -> tuple[Floats, Floats]:
-    """The response ``(L,)`` that explains the flocks best, and their gains ``(C, n)``.
+    """Fit the response ``(L,)`` that explains the flocks best; also return their gains ``(C, n)``.
 
-    From each pure delay, and from one against it: heads by the response, the response by the heads, in turn.
+    Heads and response are fitted alternately, starting from each pure delay and from one with a negative sign.
     """
     starts = np.concatenate([np.eye(_LAGS), -np.eye(_LAGS)[:1]])
     found = [climbed(seen, start) for start in starts]
@@ -246,7 +246,7 @@ def fit_response(seen: Responses) -> tuple[Floats, Floats]:
 
 
 def climbed(seen: Responses, weights: Floats) -> tuple[Floats, Floats]:
-    """A response and its gains, from a start."""
+    """Fit a response and its gains from one start."""
     gain, flock = seen.all_gains(weights), np.arange(len(seen.null))
     head = gain.argmax(axis=1)
     for _ in range(_ROUNDS):
@@ -265,7 +265,7 @@ def climbed(seen: Responses, weights: Floats) -> tuple[Floats, Floats]:
 
 
 def explained_by_leads(leads: Leads, flocks: Flocks) -> Explanation:
-    """The explanation that responses give: every flock of two and more has a head."""
+    """Convert the fit to the common result; each flock of two or more UAVs has a head."""
     heads = np.unique(leads.head)
     gate = lead_gate(leads, flocks)
     flock_of = np.full(flocks.count, -1)
@@ -301,7 +301,7 @@ def explained_by_leads(leads: Leads, flocks: Flocks) -> Explanation:
 
 
 def lead_gate(leads: Leads, flocks: Flocks) -> Gate:
-    """Judge every head: by how much its flocks respond to it alone, against what flocks do with time reversed."""
+    """Test each head: the lead over the second best UAV, against the lead in reversed time."""
     _, led = np.unique(leads.head, return_inverse=True)
     count = np.bincount(led, weights=np.bincount(flocks.label)[flocks.several]).astype(np.int64)
     added = np.asarray(np.bincount(led, weights=lead(leads.gain)), np.float64) - head_price(len(flocks.label))

@@ -1,4 +1,4 @@
-"""From a window's flights and flocks to their heads, with or without an observer's noise."""
+"""Finds the heads of the flocks of a window, with or without observation noise."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ Indices = NDArray[np.int64]
 
 
 def flights(samples: Samples) -> Floats:
-    """``(n, T, 3)`` the velocities that samples were cut from, in units of the mean speed; 0 where unseen."""
+    """``(n, T, 3)``: the velocities behind the samples, in units of the mean speed; 0 where unseen."""
     return np.concatenate([samples.lagged[:, 0, ::-1], samples.target], axis=1)
 
 
 def seen_spectra(samples: Samples) -> FlightSpectra:
-    """Spectra of flight and of the observer's noise; who flies at one speed is seen without noise."""
+    """Fit the spectra of motion and observation noise; equal speeds imply that there is no noise."""
     spectra = fit_spectra(flights(samples))
     return replace(spectra, noise=0.0) if samples.unit or spectra.noise < LEAST_NOISE else spectra
 
@@ -41,16 +41,16 @@ def seen_spectra(samples: Samples) -> FlightSpectra:
 def flock_search(
     samples: Samples, spectra: FlightSpectra, flocks: Flocks, most: int | None = None
 ) -> tuple[Watch, FlockHeads | None]:
-    """Flocks as voters, and their heads.
+    """Compute the innovations of the flocks, and find their heads.
 
     Args:
-        samples: n UAVs, nothing missing.
-        spectra: of the same flights; ``noise`` 0 where there is none.
-        flocks: of the same UAVs.
+        samples: samples of n UAVs without missing values.
+        spectra: the spectra of these velocities; ``noise`` is 0 if there is none.
+        flocks: the flocks of these UAVs.
         most: the largest number of heads.
 
     Returns:
-        The flocks, and the heads that explain them best or ``None``.
+        The innovations of the flocks, and the heads that explain them best or ``None``.
     """
     watch = watch_flocks(samples, flocks)
     candidates = samples
@@ -60,7 +60,7 @@ def flock_search(
 
 
 def first_guesses(samples: Samples, watch: Watch, most: int | None = None) -> list[Indices]:
-    """Whom everybody seems to follow, ``(n,)`` each, where every flock may have a strategy of its own."""
+    """Assignments ``(n,)`` with one regression per pair of a flock and a UAV; starts for a joint fit."""
     guesses = []
     for some in (shown(samples, Library(lags)) for lags in {samples.memory, 1}):
         if not affordable(watch, some):

@@ -1,15 +1,15 @@
-"""Flocks: UAVs that do the same at the same time. All followers of one head do, whatever their strategy is.
+"""Flocks: groups of UAVs that move simultaneously, such as the followers of one head (clustering by lag-0 co-movement).
 
-Every UAV's flight is a signal that its flock shares, plus jitter of its own and the observer's noise. In Fourier
-coordinates all three are independent from frequency to frequency, and position noise, whose differences have spectrum
-2 sigma² (1 - cos w), hardly hides the low ones. With the shared signal integrated out, a flock of m with summed
-coordinates S, each of noise N and signal power P times N, has log-likelihood
+The velocity of a UAV is a signal that its flock shares, plus its own jitter and observation noise. In Fourier
+coordinates all three are independent between frequencies. Differences of noisy positions have noise with the spectrum
+2 sigma² (1 - cos w), which is small at low frequencies. With the shared signal integrated out, a flock of m UAVs with
+summed coordinates S, each with noise N and signal power P times N, has the log-likelihood
 
     sum over frequencies and axes of  1/2 |S|² P / (1 + m P) - 1/2 log(1 + m P)
 
-over its members flying alone, with S in units of the square root of N. Flocks merge as long as that sum rises, so that
-their number needs no other rule, and who flies like nobody else stays alone: a head that its followers copy later, a
-decoy.
+relative to independent members, with S in units of the square root of N. Flocks merge as long as the total rises; so no
+other rule for their number is needed. A UAV that moves like no other UAV at the same time remains single: a head, whose
+followers copy it later, or a decoy.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ __all__ = ["Flocks", "flocks_of", "fourier_coordinates"]
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_JITTERS = (0.01, 0.03, 0.1, 0.3)  # share of a flight's power that is its own
+_JITTERS = (0.01, 0.03, 0.1, 0.3)  # share of the power that is a UAV's own jitter
 
 
 @dataclass(frozen=True, eq=False)
 class Flocks:
-    """A partition by simultaneous flight.
+    """A partition of the UAVs by simultaneous motion.
 
     Args:
         label: ``(n,)`` from 0 to the number of flocks less 1, in the order of their first members.
-        jitter: the share of a flight's power that is not its flock's.
+        jitter: the share of a UAV's power that its flock doesn't share.
         value: log-likelihood, up to a constant of the window.
     """
 
@@ -45,17 +45,17 @@ class Flocks:
 
     @property
     def count(self) -> int:
-        """How many flocks, those of one included."""
+        """Number of flocks, including those of one UAV."""
         return int(self.label.max()) + 1
 
     @property
     def several(self) -> Indices:
-        """Labels of the flocks of two and more."""
+        """Labels of the flocks of two or more UAVs."""
         return np.flatnonzero(np.bincount(self.label) > 1)
 
 
 def fourier_coordinates(velocity: Floats) -> tuple[Floats, Floats]:
-    """Orthonormal real coordinates without the mean.
+    """Orthonormal real Fourier coordinates without the mean.
 
     Args:
         velocity: ``(n, T, 3)``.
@@ -74,14 +74,14 @@ def fourier_coordinates(velocity: Floats) -> tuple[Floats, Floats]:
 
 
 def flocks_of(velocity: Floats, spectra: FlightSpectra) -> Flocks:
-    """The flocks of a window.
+    """Find the flocks of a window by greedy merging.
 
     Args:
-        velocity: ``(n, T, 3)`` in units of the mean speed, nothing missing.
-        spectra: of the same flights.
+        velocity: ``(n, T, 3)`` in units of the mean speed, without missing values.
+        spectra: the spectra of these velocities.
 
     Returns:
-        The likeliest partition that greedy merging finds, over a few shares of jitter.
+        The most likely partition over a grid of jitter shares.
     """
     coordinates, omega = fourier_coordinates(velocity)
     power, flight = float(np.median(spectra.power)), spectra.typical(omega)
@@ -97,7 +97,7 @@ def flocks_of(velocity: Floats, spectra: FlightSpectra) -> Flocks:
 
 
 def _worth(total: Floats, size: Floats, ratio: Floats) -> Floats:
-    """``(m,)`` log-likelihood of flocks with sums ``(m, K, 3)`` and ``(m,)`` members, over flying alone."""
+    """``(m,)``: log-likelihood of flocks with sums ``(m, K, 3)`` and ``(m,)`` members, over independent UAVs."""
     spread = 1.0 + size[:, None] * ratio
     return np.asarray(
         0.5 * ((total * total).sum(axis=2) * (ratio / spread)).sum(axis=1) - 1.5 * np.log(spread).sum(axis=1)
@@ -105,7 +105,7 @@ def _worth(total: Floats, size: Floats, ratio: Floats) -> Floats:
 
 
 def _merged(scaled: Floats, ratio: Floats) -> tuple[Indices, float]:
-    """Labels ``(n,)`` and what they are worth, by merging the two flocks that gain most until none gains.
+    """Labels ``(n,)`` and their log-likelihood, by merging the best pair of flocks until no merger gains.
 
     Args:
         scaled: ``(n, K, 3)`` in units of the noise.
@@ -117,7 +117,7 @@ def _merged(scaled: Floats, ratio: Floats) -> tuple[Indices, float]:
     there = np.ones(uavs, bool)
     label = np.arange(uavs)
     value = float(worth.sum())
-    # All pairs of single UAVs at once: |a + b|² = |a|² + |b|² + 2 a·b.
+    # All pairs of single UAVs in one product: |a + b|² = |a|² + |b|² + 2 a·b.
     weight = ratio / (1.0 + 2.0 * ratio)
     heavy = (scaled * np.sqrt(weight)[:, None]).reshape(uavs, -1)
     square = (heavy * heavy).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Why a head passes: what it adds to the explanation, against the same with every follower's flight moved in time."""
+"""Surrogate test of heads: the contribution of a head, against the same in time-shifted data."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ __all__ = ["Gate", "gain_behind", "gate_heads", "judged", "wrong_times"]
 Floats = NDArray[np.float64]
 
 _SHIFTS = 3
-_ASKED = 8  # followers of a head, where the strategy looks at each with each: they speak for the others
-_MARGIN = 3.0  # times the surrogates' spread
-_TIMES = 2.0  # a head that is timed right gains more than this times what one does that is timed wrong
+_ASKED = 8  # sampled followers per head, if the strategy depends on pairs
+_MARGIN = 3.0  # in standard deviations of the surrogates
+_TIMES = 2.0  # least ratio between the contribution of a head and its value by chance
 
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """The heads of a mixture, judged. All arrays are ``(M,)`` in the order of ``mixture.heads.heads``.
+    """Result of the test of M heads. All arrays are ``(M,)`` in the order of ``mixture.heads.heads``.
 
     Args:
-        followers: how many follow each head.
-        added: log-likelihood that the head adds to the explanation without it, less its price.
-        chance: the highest that a surrogate gives, and a margin: the same followers at other times.
-        passed: ``added`` exceeds ``_TIMES`` what chance gives.
+        followers: the number of followers.
+        added: log-likelihood that the head adds, less its penalty.
+        chance: the largest value in the surrogates, plus a margin.
+        passed: whether ``added`` exceeds ``_TIMES`` times ``chance``.
     """
 
     followers: NDArray[np.int64]
@@ -39,7 +39,7 @@ class Gate:
     passed: NDArray[np.bool_]
 
     def reasons(self) -> list[str]:
-        """One sentence a head."""
+        """One sentence per head."""
         words = []
         for count, added, chance, passed in zip(self.followers, self.added, self.chance, self.passed, strict=True):
             verdict = "passed" if passed else "failed"
@@ -48,12 +48,11 @@ class Gate:
 
 
 def gate_heads(samples: Samples, history: OwnHistory, mixture: Mixture) -> Gate:
-    """Judge every head of a mixture.
+    """Test each head of a mixture.
 
-    A surrogate moves the velocities of all heads in time. It keeps the strategy that was fitted, what followers gain by
-    their own pasts and by the places of their heads (tracks that drift are predictable from anywhere), and destroys the
-    following. What its followers still gain by their best head,
-    chosen anew, is chance.
+    A surrogate shifts the velocities of all heads in time. It keeps the fitted strategy and what followers gain by
+    their own pasts and by the positions of their heads, but it destroys the relation between head and follower. What
+    followers still gain by their best head in the surrogate is due to chance.
     """
     heads = mixture.heads.heads
     paired = mixture.strategy.library.paired
@@ -71,7 +70,7 @@ def gate_heads(samples: Samples, history: OwnHistory, mixture: Mixture) -> Gate:
 
 
 def judged(followers: NDArray[np.int64], added: Floats, surrogates: Floats) -> Gate:
-    """The verdict on heads that add ``added`` ``(M,)``, of which chance adds ``surrogates`` ``(S, M)``."""
+    """Compare the contributions ``added`` ``(M,)`` of heads with those in ``surrogates`` ``(S, M)``."""
     chance = np.zeros(len(added))
     if len(surrogates):
         chance = np.maximum(surrogates.max(axis=0), 0.0) + _MARGIN * surrogates.std(axis=0)
@@ -79,20 +78,20 @@ def judged(followers: NDArray[np.int64], added: Floats, surrogates: Floats) -> G
 
 
 def wrong_times(rows: int) -> list[int]:
-    """By how many rows surrogates are moved: far from each other and from 0."""
+    """The shifts of the surrogates in rows, evenly spaced and other than 0."""
     shifts = np.unique(np.linspace(0, rows, _SHIFTS + 2).astype(int)[1:-1])
     return [int(shift) for shift in shifts if shift > 0]
 
 
 def gain_behind(flights: Samples, null: OwnHistory, leaders: Samples, strategy: Strategy) -> Floats:
-    """``(v, M)`` what each of v flights gains by each leader."""
+    """``(v, M)``: the gain of each of v UAVs by each leader."""
     both, law = flights.beside(leaders), null.padded(leaders.uavs)
     heads = np.arange(flights.uavs, both.uavs)
     return gain_matrix(both, law, strategy, heads, np.arange(flights.uavs))
 
 
 def _per_head(gain: Floats) -> Floats:
-    """``(M,)`` what followers gain by their best head over their second best or nobody, by head."""
+    """``(M,)``: the summed gain of followers by their best head over their second best head (or none), per head."""
     gain = np.maximum(gain, 0.0)
     ranked = np.sort(gain, axis=1)
     margin = ranked[:, -1] - (ranked[:, -2] if gain.shape[1] > 1 else 0.0)

@@ -1,4 +1,4 @@
-"""The null: what each UAV's own history says about its next velocity. Who follows must be predicted better than so."""
+"""The null model: predicts each UAV from its own past. The head of a follower must predict it better."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ __all__ = ["OwnHistory", "own_history"]
 Floats = NDArray[np.float64]
 
 _RIDGE = 1e-3
-_ROWS = 2000  # that the law of all is fitted to, which has few numbers
-_WHITE = 0.05  # flights that explain less of themselves than this are white: followers of one head are not independent
+_ROWS = 2000  # rows for the fit of the shared model, which has few parameters
+_WHITE = 0.05  # below this explained share the velocities count as white: followers of one head are not independent
 
 
 @dataclass(frozen=True, eq=False)
 class OwnHistory:
-    """The null of every UAV.
+    """The fitted null model of all UAVs.
 
     Args:
-        log_likelihood: ``(n, R)`` of every seen row, relative to uniform directions (sphere) or up to what the
-            alternatives leave out as well (space: no -|y|²/2s² is left out here); 0 where unseen.
-        surprise: ``(n, R, 3)`` target less its prediction; 0 where unseen.
+        log_likelihood: ``(n, R)``, per seen row, relative to uniform directions (sphere) or up to a constant that the
+            alternatives omit too (space; the term -|y|²/2s² is included); 0 where unseen.
+        surprise: ``(n, R, 3)``, the innovations: target less prediction; 0 where unseen.
         memory: pooled lag-1 autocorrelation of the velocities about their means, from -1 to 1.
     """
 
@@ -35,11 +35,11 @@ class OwnHistory:
     memory: float
 
     def take(self, uavs: NDArray[np.int64]) -> OwnHistory:
-        """The null of some of the UAVs."""
+        """The null model of some of the UAVs."""
         return OwnHistory(self.log_likelihood[uavs], self.surprise[uavs], self.memory)
 
     def padded(self, more: int) -> OwnHistory:
-        """With ``more`` UAVs behind these, of which nothing is asked."""
+        """Append ``more`` UAVs with zeros, which are not used as targets."""
         return OwnHistory(
             np.pad(self.log_likelihood, ((0, more), (0, 0))),
             np.pad(self.surprise, ((0, more), (0, 0), (0, 0))),
@@ -48,10 +48,10 @@ class OwnHistory:
 
 
 def own_history(samples: Samples) -> OwnHistory:
-    """Fit the null: the best of a law that all share, a mean of one's own, and that mean with an autoregression.
+    """Fit the null model: per UAV the best of a shared mean, its own mean, and its own mean with an autoregression.
 
-    The autoregression is shared because a UAV's own would need more numbers than a short window can give, and would
-    take a share of what its head explains.
+    All UAVs share the autoregression. One per UAV would need more parameters than a short window allows, and would
+    absorb a part of what the head explains.
     """
     seen = samples.seen[..., None].astype(np.float64)
     count = np.maximum(seen.sum(axis=1), 1.0)
@@ -88,20 +88,20 @@ def own_history(samples: Samples) -> OwnHistory:
 
 
 def unlike_white(energy: float, surprise: Floats, width: int) -> bool:
-    """Whether the autoregression explains more than it would of white flight."""
+    """Whether the autoregression explains more than it would for white velocities."""
     left = float((surprise**2).sum())
     chance = width / max(surprise.shape[0] * surprise.shape[1], 1)
     return bool(energy > 0 and 1.0 - left / energy > max(_WHITE, 4.0 * chance))
 
 
 def _shared_law(samples: Samples, start: Floats) -> Floats:
-    """``(n, R)`` log-likelihood under one law of one's own past for all: what a shared strategy without heads gives.
+    """``(n, R)``: log-likelihood of a shared regression on the own past, which is a shared strategy without heads.
 
-    So a follow strategy that uses the follower's own past contains its null, and gains by its head alone.
+    A follow strategy that uses the follower's own past thus contains its null model; only its head adds a gain.
 
     Args:
-        samples: n UAVs.
-        start: ``(p, 3)`` coefficients to begin from.
+        samples: samples of n UAVs.
+        start: ``(p, 3)``, the initial coefficients.
     """
     features = np.concatenate(
         [samples.lagged.reshape(samples.uavs, samples.rows, -1), np.ones((samples.uavs, samples.rows, 1))], axis=2
@@ -124,9 +124,9 @@ def _shared_law(samples: Samples, start: Floats) -> Floats:
 
 
 def _log_likelihood(samples: Samples, prediction: Floats, error: Floats, own: bool = True) -> Floats:
-    """``(n, R)`` with one concentration a UAV, less its price as parameters; 0 where unseen.
+    """``(n, R)``: log-likelihood with one concentration per UAV, less the penalty of its parameters; 0 where unseen.
 
-    ``own``: four numbers (mean and spread) were fitted to the UAV itself; else all share one spread, at no price.
+    ``own``: four parameters (mean and spread) were fitted to the UAV; otherwise all share one spread, without penalty.
     """
     seen = samples.seen
     count = np.maximum(seen.sum(axis=1), 1)

@@ -1,10 +1,11 @@
-"""How likely a flight is under a predicted direction: von Mises-Fisher on the sphere, or a normal law in space.
+"""Likelihood of velocities for a predicted direction: von Mises-Fisher on the sphere, or normal in space.
 
-Where everybody flies at one speed a velocity is a point of the sphere, and a normal law in space would count the
-radius, which everybody predicts, as evidence. So unit speeds are judged by the von Mises-Fisher law, whose density
-relative to the uniform one is kappa / sinh(kappa) exp(kappa mu·y). With the raw direction D before norm(·) and raw
-noise of spread sigma per axis, the direction of D + noise spreads by sigma / |D|: a step at which a strategy's terms
-cancel says little, and its kappa is small. ``floor`` is what the class of strategy itself leaves unexplained.
+If all UAVs have the same speed, a velocity is a point on the sphere. A normal distribution in space would count the
+radius, which every model predicts, as evidence. So equal speeds use the von Mises-Fisher distribution, with the density
+kappa / sinh(kappa) exp(kappa mu·y) relative to the uniform one. Let D be the direction before norm(·), and sigma the
+standard deviation of the noise per axis. Then the direction of D + noise has the standard deviation sigma / |D|: if the
+terms of a strategy cancel, kappa is small and the step carries little information. ``floor`` is the error of the class
+of strategies itself.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ RealT = TypeVar("RealT", np.float32, np.float64)
 _FLOORS = (0.0, 0.25, 1.0)  # floor as a multiple of the spread
 _LEAST_SPREAD = 5e-3
 _RIDGE = 1e-7
-_NOISE_ROWS = 400  # and more are not needed for two numbers
+_NOISE_ROWS = 400  # enough rows to fit two parameters
 _FIXED_POINTS = 12
-_MORE_POINTS = 5  # from where these led already
+_MORE_POINTS = 5  # iterations from a good start
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What a prediction leaves open.
+    """The error distribution of a prediction.
 
     Args:
         spread: sigma, per axis, relative to the root mean square of |D| (sphere) or to the mean speed (space).
@@ -92,7 +93,7 @@ def flight_likelihood(direction: NDArray[RealT], flight: NDArray[RealT], noise: 
 
 
 def fit_noise(square: Floats, along: Floats, weight: Floats, error: float, unit: bool) -> Noise:
-    """The noise that makes the flights likeliest.
+    """Fit the noise by maximum likelihood.
 
     Args:
         square: ``(rows,)`` |D|².
@@ -131,18 +132,18 @@ def fit_directions(
     isotropic: bool = False,
     start: Floats | None = None,
 ) -> tuple[Floats, Noise]:
-    """Coefficients ``(p, 3)`` of a linear law of flight and what it leaves open.
+    """Fit the coefficients ``(p, 3)`` of a linear model of the direction, and its noise.
 
     norm(.) is undone by the fixed point D = argmin sum |D - |D| y|^2, whose residual is the raw noise across y.
 
     Args:
         features: ``(rows, p)``.
         total: ``(rows, 3)`` sum of the flights y that share a row.
-        weight: ``(rows,)`` how many share it.
-        unit: the flights are directions.
-        energy: summed squares of all flights; ``None`` where every row has one flight.
-        isotropic: the same law on every axis; all features but the last, the intercept, are triples.
-        start: ``(p, 3)`` coefficients to begin from, by default those of a law without norm(.).
+        weight: ``(rows,)`` the number of velocities that share the row.
+        unit: whether the velocities are directions.
+        energy: summed squares of all velocities; ``None`` if each row has one velocity.
+        isotropic: the same coefficients on every axis; all features but the last, the intercept, are triples.
+        start: ``(p, 3)`` initial coefficients, by default those of a model without norm(.).
     """
     coefficients = _solve_direction(features, total, weight, unit, isotropic, start)
     direction = features @ coefficients

@@ -1,4 +1,4 @@
-"""Hard EM: a shared strategy, the heads and who follows whom, each fitted to the others until nothing changes."""
+"""Hard EM: fits the shared strategy, the heads and the assignment alternately until nothing changes."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _ROUNDS = 12
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """A swarm explained.
+    """A fitted swarm.
 
     Args:
         strategy: the shared strategy.
         heads: heads and followers.
-        gain: ``(n, c)`` of following each of ``columns``.
-        columns: ``(c,)`` the candidates that were scored.
-        value: log-likelihood gained over nobody following anybody, less all prices.
+        gain: ``(n, c)``: the gain by following each of ``columns``.
+        columns: ``(c,)``: the scored candidates.
+        value: the penalised log-likelihood gain over the hypothesis that no UAV follows another one.
     """
 
     strategy: Strategy
@@ -40,7 +40,7 @@ class Mixture:
 
 
 def head_price(uavs: int) -> float:
-    """To name a head among n UAVs."""
+    """Penalty of one head: the description length log n of its index among n UAVs."""
     return float(np.log(max(uavs, 2)))
 
 
@@ -54,20 +54,20 @@ def fit_mixture(
     first: Strategy | None = None,
     by_head: bool = False,
 ) -> Mixture | None:
-    """Climb from one assignment.
+    """Fit a mixture by hard EM from one assignment.
 
     Args:
-        samples: n UAVs.
-        history: the null.
-        leader: ``(n,)`` the assignment to begin with.
+        samples: samples of n UAVs.
+        history: the null model.
+        leader: ``(n,)`` the initial assignment.
         library: the class of strategies.
         columns: candidates for heads.
         most: the largest number of heads.
-        first: the strategy that fits ``leader``, where it is known.
-        by_head: strategies are fitted with the same say for every head.
+        first: the strategy fitted to ``leader``, if it is known.
+        by_head: whether all heads have equal weight in the fit of the strategy.
 
     Returns:
-        The best state on the way, or ``None`` where no strategy can be fitted.
+        The best state; ``None`` if no strategy can be fitted.
     """
     best: Mixture | None = None
     for _ in range(_ROUNDS):

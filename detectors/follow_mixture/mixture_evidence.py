@@ -1,4 +1,4 @@
-"""What to believe of a mixture: a gate of surrogates for each head, what every UAV is, and the strategy in words."""
+"""Converts a mixture to the common result: tests its heads, puts UAVs into categories, describes the strategy."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-_LOST = 0.5  # of what a head gives its follower, that it may lose behind another and still be thought to follow it
-_MOMENTS_A_NUMBER = 2  # of the heads together, for each of the strategy's on an axis
+_LOST = 0.5  # share of its gain that a follower may lose under another head that could be its own
+_MOMENTS_A_NUMBER = 2  # least number of samples of all heads together per parameter and axis
 
 
 def explained_by_mixture(samples: Samples, history: OwnHistory, mixture: Mixture | None) -> Explanation | None:
-    """The explanation that a mixture gives."""
+    """Convert a mixture to the common result."""
     if mixture is None or not len(mixture.heads.heads):
         return None
     gate = gate_heads(samples, history, mixture)
@@ -52,26 +52,26 @@ def explained_by_mixture(samples: Samples, history: OwnHistory, mixture: Mixture
 
 
 def _tested(samples: Samples, mixture: Mixture) -> bool:
-    """Whether heads were seen long enough for a strategy not to fit whatever they did."""
+    """Whether there are enough samples of the heads to rule out that the strategy fits any motion."""
     return len(mixture.heads.heads) * samples.rows >= _MOMENTS_A_NUMBER * len(mixture.strategy.coefficients)
 
 
 def _kinds(mixture: Mixture, gate: Gate, holds: bool, tested: bool) -> Indices:
-    """``(n,)`` places in :data:`KINDS`, by whether the strategy leaves nothing but noise, and could have left more."""
+    """``(n,)``: indices in :data:`KINDS`, by whether the strategy fits and whether the fit is conclusive."""
     left = mixture.heads.leader < 0
     left[mixture.heads.heads] = False
     kind = np.where(left, KINDS.index("alone" if holds and tested else "missing"), KINDS.index("follower"))
     if tested and not holds and left.sum() <= LEAST_VOTERS:
-        # A head that is missed leaves its followers over too.
+        # The followers of a missed head are unassigned too.
         kind[left & ~could_lead(mixture)] = KINDS.index("stray")
     kind[mixture.heads.heads] = np.where(gate.passed, KINDS.index("passed"), KINDS.index("failed"))
     return kind
 
 
 def could_lead(mixture: Mixture) -> NDArray[np.bool_]:
-    """``(n,)`` who might lead two followers of others: these would not lose much more by it than their heads give them.
+    """``(n,)``: which UAVs could lead two followers of other heads without a large loss of their gains.
 
-    True for whoever was no candidate, as that is not known.
+    True for UAVs that were no candidates, whose gains are unknown.
     """
     could = np.ones(len(mixture.heads.leader), bool)
     followers = np.flatnonzero(mixture.heads.leader >= 0)
@@ -84,7 +84,7 @@ def could_lead(mixture: Mixture) -> NDArray[np.bool_]:
 
 
 def _explained(samples: Samples, history: OwnHistory, followers: Indices, predicted: Floats, valid: Mask) -> Floats:
-    """``(n,)`` share of each follower's surprise that its head explains; 0 for all others."""
+    """``(n,)``: share of each follower's innovation that its head explains; 0 for other UAVs."""
     share = np.zeros(samples.uavs)
     if samples.unit:
         predicted = predicted / np.maximum(np.sqrt((predicted**2).sum(axis=2, keepdims=True)), 1e-12)
@@ -96,7 +96,7 @@ def _explained(samples: Samples, history: OwnHistory, followers: Indices, predic
 
 
 def _lag_profile(mixture: Mixture) -> Floats:
-    """``(L,)`` share of each lag in the squared weights of the head's velocities and their functions."""
+    """``(L,)``: share of each lag in the squared weights of the head's velocities and their functions."""
     library = mixture.strategy.library
     groups = int(library.linear) + int(library.squares) + int(library.products)
     weights = mixture.strategy.coefficients[-1 - 3 * library.lags * groups : -1]
@@ -105,7 +105,7 @@ def _lag_profile(mixture: Mixture) -> Floats:
 
 
 def _described(mixture: Mixture, samples: Samples) -> dict[str, Any]:
-    """The strategy found, for people."""
+    """A readable description of the strategy."""
     strategy = mixture.strategy
     library = strategy.library
     return {

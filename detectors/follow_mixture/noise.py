@@ -1,9 +1,9 @@
-"""Noise of the observer: how large it is, and pasts smoothed behind it.
+"""Observation noise: estimates its variance, and smooths the pasts of candidates.
 
-Velocities that are differences of noisy positions carry noise of spectrum 2 sigma² (1 - cos w): hardly any at low
-frequencies, four times sigma² at the highest. A regression on them is attenuated. So the past of a candidate is
-replaced by its expectation given what was seen of it (Wiener's smoother): the error of such a regressor is uncorrelated
-with it (Berkson's case), and least squares stay unbiased.
+Velocities are differences of noisy positions; their noise has the spectrum 2 sigma² (1 - cos w), which is small at low
+frequencies and four times sigma² at the highest. It attenuates a regression on them. So the past of a candidate is
+replaced by its conditional expectation given the observations (Wiener smoothing). The error of this regressor is
+uncorrelated with it (Berkson errors), so that least squares remain unbiased.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ __all__ = ["LEAST_NOISE", "SMOOTH", "FlightSpectra", "fit_spectra", "smoothed_pa
 
 Floats = NDArray[np.float64]
 
-LEAST_NOISE = 0.004  # variance of position noise per axis, relative to the squared speed, below which it is none
-SMOOTH = 0.55  # lag-1 autocorrelation from which on a head flies at once with its followers, nearly
+LEAST_NOISE = 0.004  # smaller variances of position noise per axis, relative to the squared speed, count as 0
+SMOOTH = 0.55  # from this lag-1 autocorrelation on, head and followers are also correlated at lag 0
 _MEMORIES = np.concatenate([np.linspace(0.0, 0.9, 7), [0.95, 0.98]])
 _POWERS = np.exp(np.linspace(np.log(0.005), np.log(2.0), 16))  # of the mean periodogram
 _NOISES = np.concatenate([[1e-4], np.exp(np.linspace(np.log(0.005), 0.0, 24))])
-_NOTHING = 1e-12  # of the square of the mean speed: who flies straight and is seen without noise has no spectrum
+_NOTHING = 1e-12  # least scale, in squared mean speeds: straight motion without noise has no spectrum
 
 
 @dataclass(frozen=True, eq=False)
 class FlightSpectra:
-    """Flights as AR(1) about a mean, each its own, seen with one position noise; per axis, in units of mean speed.
+    """AR(1) models of the velocities, one per UAV, with one common position noise; per axis, in units of mean speed.
 
     Args:
         power: ``(n,)`` variance of each UAV's velocity about its mean.
@@ -42,7 +42,7 @@ class FlightSpectra:
     noise: float
 
     def typical(self, omega: Floats) -> Floats:
-        """Spectrum ``(K,)`` at angular frequencies of a flight of median power and memory."""
+        """Spectrum ``(K,)`` at angular frequencies, for the median power and autocorrelation."""
         memory = float(np.median(self.memory))
         shape = (1.0 - memory**2) / (1.0 - 2.0 * memory * np.cos(omega) + memory**2)
         return np.asarray(float(np.median(self.power)) * shape)
@@ -54,7 +54,7 @@ class FlightSpectra:
         return np.asarray(self.power[:, None, None] * decay[:, apart])
 
     def seen(self, steps: int) -> Floats:
-        """Covariance ``(steps, steps)`` of the noise in the seen velocities."""
+        """Covariance ``(steps, steps)`` of the noise in the observed velocities."""
         return self.noise * (2.0 * np.eye(steps) - np.eye(steps, k=1) - np.eye(steps, k=-1))
 
 
@@ -84,18 +84,18 @@ def fit_spectra(velocity: Floats) -> FlightSpectra:
 
 
 def smoothed_pasts(samples: Samples, velocity: Floats, spectra: FlightSpectra) -> Floats:
-    """What is expected of every UAV's past velocities, given all that was seen of it before the row's time.
+    """Expectation of each UAV's past velocities, given its observations before the row's time.
 
-    "Before" matters: behind noise, a fellow follower smoothed with its future tells a follower's flight better than
-    their head does.
+    Only earlier observations are used: with noise, a fellow follower smoothed with its future would predict a follower
+    better than their head does.
 
     Args:
-        samples: nothing missing.
-        velocity: ``(n, T, 3)`` the velocities that they were cut from, in the same unit.
-        spectra: of the same flights.
+        samples: samples without missing values.
+        velocity: ``(n, T, 3)``, the velocities behind the samples, in the same unit.
+        spectra: the spectra of these velocities.
 
     Returns:
-        ``(n, R, L, 3)``, in the place of ``samples.lagged``.
+        ``(n, R, L, 3)``, to replace ``samples.lagged``.
     """
     steps, memory = velocity.shape[1], samples.memory
     flight, noise = spectra.flight(steps), spectra.seen(steps)

@@ -1,4 +1,4 @@
-"""Who follows whom by pairwise evidence alone: every pair has a law of its own, as where no strategy is shared."""
+"""Assigns followers by one regression per pair of UAVs, without a shared strategy."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ __all__ = ["PairEvidence", "explained_by_pairs", "flies_with", "fly_alone", "led
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_BY_CHANCE = 0.99  # quantile of the best of some heads at wrong times
-_TIMES, _LEAST_TIMES = 9, 4  # at which laws foretell: one is right
+_BY_CHANCE = 0.99  # quantile of the best gain over the heads in time-shifted data
+_TIMES, _LEAST_TIMES = 9, 4  # number of time shifts, 0 included; least number of them
 _JOININGS = 4
-_FELLOWS = 0.6  # correlation of two who fly at once because they follow the same head with the same delay
-_CHANCE = 5.0  # times the standard deviation of the correlation of strangers
+_FELLOWS = 0.6  # lag-0 correlation of two followers of one head with the same delay
+_CHANCE = 5.0  # in standard deviations of the correlation of independent UAVs
 
 
 @dataclass(frozen=True, eq=False)
 class PairEvidence:
-    """What everybody's past says of everybody's next velocity.
+    """How well each UAV's past predicts each other UAV's next velocity.
 
     Args:
-        kind: by which features.
-        gain: ``(n, n)`` entry (i, j): log-likelihood that j's past adds to i's own history.
-        chance: the most that somebody gains by anybody at a wrong time, in the median.
-        leader: ``(n,)`` whom each seems to follow, -1 for nobody.
+        kind: the features.
+        gain: ``(n, n)``; entry (i, j) is the log-likelihood that j's past adds to i's own past.
+        chance: the median of a UAV's largest gain in time-shifted data.
+        leader: ``(n,)``, the assignment that follows, -1 for none.
     """
 
     kind: FeatureKind
@@ -46,21 +46,21 @@ class PairEvidence:
 
     @property
     def heads(self) -> Indices:
-        """``(M,)`` who seems to be followed, ascending."""
+        """``(M,)``: the UAVs with followers, ascending."""
         return np.unique(self.leader[self.leader >= 0])
 
     @property
     def above_chance(self) -> Floats:
-        """``(n, n)``."""
+        """``(n, n)``: the gain less its value by chance."""
         return self.gain - self.chance
 
 
 def pair_evidence(
     samples: Samples, history: OwnHistory, most: int | None = None, kind: FeatureKind | None = None
 ) -> PairEvidence:
-    """The evidence by some features, the richest that the window can feed by default, and the heads that it names.
+    """Compute the evidence and the heads, at most ``most``, that follow from it.
 
-    These are ``most`` at most.
+    The default features are the richest that the length of the window allows.
     """
     kind = kind or affordable_kinds(samples.rows, samples.memory)[0]
     gain, chance = gain_and_chance(samples, history.surprise, kind)
@@ -69,7 +69,7 @@ def pair_evidence(
 
 
 def plain_evidence(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: int | None = None) -> PairEvidence:
-    """The evidence by as many lags without squares, if it is the stronger: half the features gain less by chance."""
+    """Evidence from the same lags without squares, if it is stronger: half the features gain less by chance."""
     if not pairs.kind.squares:
         return pairs
     plain = pair_evidence(samples, history, most, replace(pairs.kind, squares=False))
@@ -77,10 +77,10 @@ def plain_evidence(samples: Samples, history: OwnHistory, pairs: PairEvidence, m
 
 
 def led_by(samples: Samples, history: OwnHistory, pairs: PairEvidence, heads: Indices) -> tuple[Indices, list[Floats]]:
-    """Whom everybody follows of some heads, ``(n,)``: -1 for heads, and for who gains no more than at wrong times.
+    """Assign UAVs to given heads; -1 for heads and for UAVs with no higher gain than in time-shifted data.
 
     Returns:
-        The leaders; and the gains ``(n, M)`` at some wrong times.
+        The leaders ``(n,)``; and the gains ``(n, M)`` at several time shifts.
     """
     gain = pairs.gain[:, heads]
     others = np.setdiff1d(np.arange(samples.uavs), heads)
@@ -95,9 +95,9 @@ def led_by(samples: Samples, history: OwnHistory, pairs: PairEvidence, heads: In
 
 
 def led_by_laws(samples: Samples, history: OwnHistory, heads: Indices, leader: Indices) -> Indices:
-    """Whom those follow as well whom :func:`led_by` leaves over, ``(n,)``: by laws that followers of one head share.
+    """Assign the remaining UAVs with one regression per head, fitted on its confident followers.
 
-    A law that the surest followers show has no number to fit to the others, so that less is enough to show in these.
+    The regression has no parameter to fit to the remaining UAVs; so weaker evidence is significant for them.
     """
     for _ in range(_JOININGS):
         before, leader = leader, joined(samples, history, heads, leader)
@@ -107,10 +107,10 @@ def led_by_laws(samples: Samples, history: OwnHistory, heads: Indices, leader: I
 
 
 def joined(samples: Samples, history: OwnHistory, heads: Indices, leader: Indices) -> Indices:
-    """``leader``, and those left over whom the law of the head that likes them best foretells better than chance.
+    """Add the unassigned UAVs that the regression of their best head predicts better than by chance.
 
-    A law foretells where its followers fly to in the mean, at any time. What counts is how much more it foretells at
-    the right time than at wrong ones; and how much that can be by chance, the wrong times tell of each other.
+    A regression also predicts the mean velocity of its followers, at any time shift. So the score is the gain at
+    shift 0 less the mean gain at other shifts. Its distribution by chance is that of the other shifts among themselves.
     """
     left = np.setdiff1d(np.flatnonzero(leader < 0), heads)
     shifts = np.unique(np.linspace(0, samples.rows, _TIMES + 1).astype(int)[:-1])
@@ -138,11 +138,11 @@ def joined(samples: Samples, history: OwnHistory, heads: Indices, leader: Indice
 
 
 def fly_alone(samples: Samples, history: OwnHistory, heads: Indices, leader: Indices) -> bool:
-    """Whether no head flies at once with others, its own followers or anybody's, beyond what their own pasts foretell.
+    """Whether no head is coupled at lag 0 with other UAVs, after removing what their own pasts predict.
 
-    Where delays differ from follower to follower the earlier explain the later as well as their head does. But such a
-    one has fellows: those with the same delay, who follow somebody else. And who is taken for the head of its fellows
-    flies at once with them; a head flies before them.
+    If followers have different delays, an early follower predicts a later one as well as their head does. But an early
+    follower is correlated at lag 0 with followers of the same delay, which are assigned to another head. A follower
+    that is taken for the head of its fellow followers is correlated with them at lag 0; a true head leads them.
     """
     together = simultaneous(samples, history, heads) > max(_FELLOWS, _CHANCE / np.sqrt(3.0 * samples.rows))
     behind = leader[None] == heads[:, None]
@@ -151,7 +151,7 @@ def fly_alone(samples: Samples, history: OwnHistory, heads: Indices, leader: Ind
 
 
 def flies_with(samples: Samples, history: OwnHistory, uav: int, others: Indices) -> bool:
-    """Whether most of the others fly at once with a UAV more than strangers do."""
+    """Whether the median lag-0 correlation of a UAV with the others is significant."""
     if not len(others):
         return False
     together = simultaneous(samples, history, np.array([uav]))[0, others]
@@ -159,7 +159,7 @@ def flies_with(samples: Samples, history: OwnHistory, uav: int, others: Indices)
 
 
 def simultaneous(samples: Samples, history: OwnHistory, uavs: Indices) -> Floats:
-    """``(k, n)`` correlation of what the own pasts of some, and of everybody, do not foretell; 0 with oneself."""
+    """``(k, n)``: lag-0 correlation of the innovations of ``uavs`` with those of all UAVs; 0 on the diagonal."""
     surprise = history.surprise.reshape(samples.uavs, -1)
     surprise = surprise / np.maximum(np.sqrt(np.vecdot(surprise, surprise)), 1e-12)[:, None]
     correlation = surprise[uavs] @ surprise.T
@@ -168,10 +168,10 @@ def simultaneous(samples: Samples, history: OwnHistory, uavs: Indices) -> Floats
 
 
 def explained_by_pairs(samples: Samples, history: OwnHistory, pairs: PairEvidence) -> Explanation | None:
-    """The explanation that pairs give, if all its heads pass their gates and fly alone.
+    """Fit by pairwise regressions; ``None`` unless all heads pass their tests and have no coupling at lag 0.
 
-    A head adds what its followers gain over what they usually gain at wrong times, by whom of the heads they gain most
-    by then.
+    The contribution of a head is the gain of its followers, less the mean gain of the same followers by their best head
+    in time-shifted data.
     """
     heads = pairs.heads
     if not len(heads):

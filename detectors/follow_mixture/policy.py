@@ -1,4 +1,4 @@
-"""From head probabilities to candidates: the set that costs least under the objective that is played."""
+"""Chooses candidates from the probabilities of being a head, for one of the objectives P1 and P2."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ __all__ = ["Policy", "choose"]
 Floats = NDArray[np.float64]
 
 
-_GUESS = 0.2  # nobody is more likely a head than this: rounds of guessing lie ahead
+_GUESS = 0.2  # if no probability reaches this value, heads can only be guessed
 
 
 class Policy(Config):
-    """What is played and how candidates follow from probabilities.
+    """The objective, and the rule that chooses candidates.
 
     Args:
-        policy: ``"cost"`` names the set that costs least and so at least one UAV, as a game only goes on while a head
-            is left; ``"map"`` names those who are more likely heads than not, and may name nobody.
-        objective: ``"P2"`` (all heads, few rounds) or ``"P1"`` (the one head, one round).
-        shot_budget: the most candidates of a round; ``None``: no limit.
-        redundancy_price: of a redundant candidate, in the objective's own unit (1/N of a round in P2).
-        round_price: what one more round is expected to cost: V of P2. ``None``: 1 where the swarm is explained, and
-            N / 4, the rounds of guessing, where nobody seems to follow anybody.
+        policy: ``"cost"`` names the set with the least expected cost, and at least one UAV, since an episode only
+            continues while a head is alive; ``"map"`` names the UAVs with a probability above 1/2, possibly none.
+        objective: ``"P2"`` (all heads, few rounds) or ``"P1"`` (one head, one round).
+        shot_budget: the largest number of candidates per round; ``None``: no limit.
+        redundancy_price: the cost of a redundant candidate, in units of the objective (1/N of a round in P2).
+        round_price: the expected cost of one more round in P2. ``None``: 1 if a UAV is a probable head, and N / 4, the
+            number of rounds that guessing takes, if no UAV seems to follow another one.
     """
 
     policy: Literal["cost", "map"] = "cost"
@@ -41,22 +41,22 @@ class Policy(Config):
 def choose(
     probability: Floats, alive: NDArray[np.bool_], policy: Policy, tie: Floats, doubt: float = 0.0
 ) -> NDArray[np.bool_]:
-    """The candidates.
+    """Choose the candidates.
 
-    P2: every further round costs ``round_price`` and every redundant candidate ``redundancy_price`` / N. A head that
-    is not named costs a round, unless another one that is missed costs it anyway: with the most probable named first,
-    naming k costs (1 - prod of (1 - p) over the rest) rounds and the sum of (1 - p) over the named. The k with the
-    least expected cost is exact where heads are independent. Mistakes are not: an explanation that is wrong misses
-    many heads at once. So with probability ``doubt`` it counts as wrong, and every UAV as likely a head as any other.
+    P2: another round costs ``round_price`` and a redundant candidate ``redundancy_price`` / N. Another round is needed
+    if at least one head is missed. So naming the k most probable UAVs has the expected cost (1 - prod of (1 - p) over
+    the other UAVs) rounds plus the sum of (1 - p) over the named ones, and the best k is exact if the events are
+    independent. They are not if the fit is wrong: then many heads are missed together. With probability ``doubt`` the
+    fit is taken as wrong, and then all UAVs are equally likely heads.
 
-    P1: one head; naming k > 1 costs ``redundancy_price`` (k - 1) for certain, and finds it with their summed p.
+    P1: there is one head; naming k > 1 UAVs costs ``redundancy_price`` (k - 1) and hits it with the sum of their p.
 
     Args:
-        probability: ``(N,)`` of being a head, if the explanation is right.
+        probability: ``(N,)``, the probability of being a head if the fit is right.
         alive: ``(N,)`` bool.
-        policy: what is played.
+        policy: the objective and the rule.
         tie: ``(N,)`` random numbers that order equal probabilities.
-        doubt: probability that the explanation is wrong, from 0 to 1.
+        doubt: the probability that the fit is wrong, from 0 to 1.
 
     Returns:
         ``(N,)`` bool, living UAVs only.
@@ -91,5 +91,5 @@ def choose(
 
 
 def _no_head_after(p: Floats) -> Floats:
-    """``(n,)`` the chance that none of those behind each place is a head."""
+    """``(n,)``: the probability that no UAV after each place in the order is a head."""
     return np.append(np.cumprod((1.0 - p)[::-1])[::-1][1:], 1.0)

@@ -1,4 +1,4 @@
-"""One window as the samples of a regression: what each UAV flies at t, and what every UAV's past shows before t."""
+"""Converts a window to the samples of a regression: the velocity of each UAV at t, and its past before t."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ __all__ = ["Samples", "filled", "samples_of", "stride"]
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_EACH = ("target", "seen", "lagged", "lag_seen", "position", "position_seen")  # arrays with a row a UAV
-_UNIT_SPREAD = 0.02  # speeds that differ by less than this share of their mean are one speed
+_EACH = ("target", "seen", "lagged", "lag_seen", "position", "position_seen")  # arrays with one row per UAV
+_UNIT_SPREAD = 0.02  # speeds with a smaller relative standard deviation count as equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Samples:
 
     @property
     def uavs(self) -> int:
-        """How many UAVs."""
+        """Number of UAVs."""
         return int(self.target.shape[0])
 
     @property
@@ -61,34 +61,34 @@ class Samples:
 
     @property
     def complete(self) -> bool:
-        """Nothing is missing."""
+        """Whether no sample is missing."""
         return bool(self.seen.all() and self.lag_seen.all())
 
     def take(self, uavs: NDArray[np.int64]) -> Samples:
-        """Some of the UAVs."""
+        """The samples of some of the UAVs."""
         some: dict[str, Any] = {name: getattr(self, name)[uavs] for name in _EACH}
         return replace(self, **some)
 
     def beside(self, others: Samples) -> Samples:
-        """These UAVs, then the others."""
+        """The samples of these UAVs, then of the others."""
         both: dict[str, Any] = {name: np.concatenate([getattr(self, name), getattr(others, name)]) for name in _EACH}
         return replace(self, **both)
 
     def moved(self, shift: int) -> Samples:
-        """With all pasts moved by ``shift`` rows (circularly)."""
+        """The samples with all pasts shifted circularly by ``shift`` rows."""
         return replace(self, lagged=np.roll(self.lagged, shift, axis=1), lag_seen=np.roll(self.lag_seen, shift, axis=1))
 
 
 def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Samples | None:
-    """The samples of the living UAVs.
+    """Make the samples of the living UAVs.
 
     Args:
-        window: what was seen.
-        living: ``(n,)`` indices.
-        memory: L, shortened where the window has fewer than L + 4 velocities.
+        window: the window.
+        living: ``(n,)`` indices of the living UAVs.
+        memory: L, smaller if the window has fewer than L + 4 velocities.
 
     Returns:
-        ``None`` for fewer than 2 UAVs, fewer than 5 velocities, or where nothing moves.
+        ``None`` for fewer than 2 UAVs, fewer than 5 velocities, or if no UAV moves.
     """
     steps = window.observation_steps
     memory = min(memory, steps - 4)
@@ -120,9 +120,9 @@ def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Sample
 
 
 def stride(observations: int, most: int, rows: int) -> int:
-    """The step with which at most ``most`` of the observations are met, and those at all rows of a window alike.
+    """The step of a subsample of at most ``most`` observations that covers all rows of a window evenly.
 
-    Observations follow each other UAV by UAV: a step that shares a factor with the rows would meet some rows only.
+    Observations are ordered by UAV: a step with a common factor with the number of rows would omit rows.
     """
     every = max(1, -(-observations // most))
     while gcd(every, rows) > 1:
@@ -131,7 +131,7 @@ def stride(observations: int, most: int, rows: int) -> int:
 
 
 def filled(window: Window) -> Window:
-    """The window with missed samples of the living filled in: straight flight at one speed across every gap."""
+    """Fill in the missing samples of living UAVs by linear interpolation of the positions."""
     missed = ~window.seen & window.alive
     if not missed.any():
         return window

@@ -1,4 +1,4 @@
-"""Swarms too large for all pairs: some UAVs are asked, few are candidates, and who stays unexplained is asked next."""
+"""Fits swarms that are too large for all pairs: by random voters and few candidates, then by the unassigned UAVs."""
 
 from __future__ import annotations
 
@@ -22,40 +22,40 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-ALL_PAIRS = 500  # UAVs up to which every pair is looked at
+ALL_PAIRS = 500  # largest number of UAVs for which all pairs are used
 _VOTERS = 300
-_ASKED = 600  # of those who are left, at once: a round costs all pasts, however few are asked
+_ASKED = 600  # unassigned UAVs that vote per round; the cost of a round hardly depends on their number
 _CANDIDATES = 150
 _ROUNDS = 30
 _CHUNK = 1000
-_ACCOUNTED = 0.9  # share of a swarm that the strategy of a few agreeing voters must account for,
-_HALF = 0.5  # or where it leaves nothing but noise: the others may be decoys
+_ACCOUNTED = 0.9  # share of a swarm that the strategy of a few agreeing voters must assign,
+_HALF = 0.5  # or this share if only noise is left: the other UAVs may be decoys
 
 
 def sampled_search(samples: Samples, history: OwnHistory, most: int | None, rng: np.random.Generator) -> Mixture | None:
-    """The best explanation of a large swarm.
+    """Fit a large swarm.
 
-    1. ``_VOTERS`` random UAVs are asked about everybody. Those of them who name the same UAV as others do show the
-       strategy: with many heads a random follower is often the only one of its head that was asked, and can't.
-    2. The strategy and its heads explain everybody else, or not. Some of those who are left are asked about everybody
-       under the strategy found, which adds heads; until nobody new is explained.
-    3. Where that leaves many unexplained, the voters and the ``_CANDIDATES`` with the most evidence make a small swarm,
-       which is explained as any other, and step 2 follows from there.
+    1. ``_VOTERS`` random UAVs vote for their head among all UAVs. The voters that share their vote with another one
+       determine the strategy. (With many heads, a voter is often the only follower of its head in the sample.)
+    2. The strategy and its heads assign the other UAVs. Some of the unassigned UAVs vote among all UAVs under this
+       strategy, which adds heads; this is repeated until no head is added.
+    3. If many UAVs are unassigned, the voters and the ``_CANDIDATES`` UAVs with the most evidence are fitted as a small
+       swarm, and step 2 is repeated from the result.
 
     Args:
-        samples: n UAVs.
-        history: the null.
+        samples: samples of n UAVs.
+        history: the null model.
         most: the largest number of heads.
         rng: draws the voters.
 
     Returns:
-        A mixture of all n, scored for its heads alone; ``None`` where nobody seems to follow anybody.
+        A mixture of all n UAVs, scored for its heads only; ``None`` if no UAV seems to follow another one.
     """
     voters = np.sort(rng.choice(samples.uavs, min(_VOTERS, samples.uavs), replace=False))
     kind = affordable_kinds(samples.rows, samples.memory)[0]
     observed, chance = gain_and_chance(samples, history.surprise, kind, voters)
     evidence = observed - chance
-    agreeing = _agreeing(evidence - 0.5 * chance, voters)  # one that agrees by chance asks for a richer class
+    agreeing = _agreeing(evidence - 0.5 * chance, voters)  # a voter that agrees by chance would require a richer class
     best: Mixture | None = None
     if len(agreeing):
         found = _at_once(samples.take(agreeing), history.take(agreeing), most)
@@ -74,11 +74,11 @@ def sampled_search(samples: Samples, history: OwnHistory, most: int | None, rng:
 
 
 def _agreeing(evidence: Floats, voters: Indices) -> Indices:
-    """Voters who name a UAV that others name too, and whom they name: indices, ascending.
+    """Indices, ascending, of the voters that share their vote with another voter, and of the UAVs they vote for.
 
     Args:
-        evidence: ``(v, n)`` above what a voter must be sure by.
-        voters: ``(v,)``.
+        evidence: ``(v, n)``, the evidence less the threshold of a significant vote.
+        voters: ``(v,)``, indices of the voters.
     """
     named = evidence.argmax(axis=1)
     sure = evidence[np.arange(len(voters)), named] > 0
@@ -88,7 +88,7 @@ def _agreeing(evidence: Floats, voters: Indices) -> Indices:
 
 
 def _at_once(samples: Samples, history: OwnHistory, most: int | None) -> Mixture | None:
-    """The quick explanation of voters who agree; whether it leaves few unexplained shows later, in the whole swarm."""
+    """Fit the agreeing voters by the first search; the number of unassigned UAVs is tested later on the whole swarm."""
     pairs = pair_evidence(samples, history, most)
     found = shortcut(samples, history, pairs, most) if len(pairs.heads) else None
     if found is None or not len(found.heads.heads):
@@ -97,7 +97,7 @@ def _at_once(samples: Samples, history: OwnHistory, most: int | None) -> Mixture
 
 
 def _explained(samples: Samples, history: OwnHistory, most: int | None) -> Mixture | None:
-    """The explanation of a small swarm: the quick way, else by flocks."""
+    """Fit a small swarm by the first search, or else by flocks."""
     found = quick(samples, history, pair_evidence(samples, history, most), most)
     if found is not None:
         return found
@@ -117,7 +117,7 @@ def _spread(
     most: int | None,
     rng: np.random.Generator,
 ) -> Mixture:
-    """All heads that a strategy finds, from some on, and who follows them; the strategy is fitted to voters anew."""
+    """Add heads under a strategy, assign all UAVs, and fit the strategy to the voters again."""
     price = head_price(samples.uavs)
     everybody = np.arange(samples.uavs)
     gain = _gain(samples, history, strategy, heads, everybody)
@@ -129,7 +129,7 @@ def _spread(
         whom = gain_matrix(samples, history, strategy, everybody, asked)
         named = whom.argmax(axis=1)
         new = np.setdiff1d(named[whom[np.arange(len(asked)), named] > 0.0], heads)
-        # Everybody who is left votes, so that one follower of a head is enough to find it.
+        # All unassigned UAVs vote, so that one sampled follower is enough to find a head.
         new = new[pruned(_gain(samples, history, strategy, new, left), new, left, price)]
         if not len(new):
             break
@@ -147,7 +147,7 @@ def _spread(
 
 
 def _kept(strategy: Strategy, gain: Floats, heads: Indices, price: float, most: int | None) -> Mixture:
-    """The mixture of all UAVs with those of ``heads`` that are worth their price."""
+    """The mixture of all UAVs with those of ``heads`` that gain more than their penalty."""
     kept = np.flatnonzero(pruned(gain, heads, np.arange(len(gain)), price, most))
     kept = kept[np.argsort(heads[kept])]
     final = _heads(gain[:, kept], heads[kept], price)
@@ -155,7 +155,7 @@ def _kept(strategy: Strategy, gain: Floats, heads: Indices, price: float, most: 
 
 
 def _gain(samples: Samples, history: OwnHistory, strategy: Strategy, heads: Indices, voters: Indices) -> Floats:
-    """``(v, M)`` of following each head, a thousand UAVs at a time."""
+    """``(v, M)``: the gain by following each head, computed in chunks of voters."""
     gain = np.empty((len(voters), len(heads)))
     if len(heads):
         for first in range(0, len(voters), _CHUNK):
@@ -165,19 +165,19 @@ def _gain(samples: Samples, history: OwnHistory, strategy: Strategy, heads: Indi
 
 
 def pruned(gain: Floats, columns: Indices, rows: Indices, price: float, most: int | None = None) -> Mask:
-    """Which of many candidates to keep: the least worthy is dropped as long as that gains.
+    """Backward elimination of candidates: drop the least valuable one as long as the value rises.
 
-    The value is that of ``locate_heads``, whose additions and swaps would look at every pair of columns.
+    The value is that of ``locate_heads``; additions and swaps would cost too much for many candidates.
 
     Args:
-        gain: ``(v, c)`` of following each candidate; 0 where a UAV meets itself.
-        columns: ``(c,)`` the candidates, indices of UAVs, none twice.
-        rows: ``(v,)`` the UAVs that vote, ascending. A candidate among them has no vote while it is kept.
-        price: of one head.
-        most: the largest number that is kept.
+        gain: ``(v, c)``, the gain by following each candidate; 0 for a UAV with itself.
+        columns: ``(c,)``, indices of the candidates, without repetition.
+        rows: ``(v,)``, indices of the voters, ascending. A candidate among them has no vote while it is kept.
+        price: the penalty of one head.
+        most: the largest number of kept candidates.
 
     Returns:
-        ``(c,)`` bool; those kept have ``LEAST_VOTERS`` followers or more.
+        ``(c,)`` bool; each kept candidate has at least ``LEAST_VOTERS`` followers.
     """
     kept = np.ones(len(columns), bool)
     if not len(columns) or not len(rows):
@@ -193,7 +193,7 @@ def pruned(gain: Floats, columns: Indices, rows: Indices, price: float, most: in
         count = np.bincount(first[follows], minlength=len(columns))
         lost = np.bincount(first[follows], weights=(best - second)[follows], minlength=len(columns))
         stay = np.bincount(first[follows & (second > 0.0)], minlength=len(columns))
-        returns = np.where(votes_too, best[place], 0.0)  # what it gains as a follower once it is no head
+        returns = np.where(votes_too, best[place], 0.0)  # its gain as a follower if it is no head
         fewer = follows.sum() - count + stay + (returns > 0.0)
         names = np.log(heads) * follows.sum() - np.log(max(heads - 1, 1)) * fewer
         rise = np.where(kept, price - lost + returns + names, -np.inf)
@@ -213,7 +213,7 @@ def pruned(gain: Floats, columns: Indices, rows: Indices, price: float, most: in
 
 
 def _two_best(gain: Floats, kept: Mask) -> tuple[Indices, Floats, Floats]:
-    """Column of each row's highest gain, and its two highest, 0 at least; all ``(v,)``."""
+    """Column of each row's highest gain, and its two highest gains, clipped at 0; all ``(v,)``."""
     columns = np.flatnonzero(kept)
     if not len(columns) or not len(gain):
         return np.zeros(len(gain), np.int64), np.zeros(len(gain)), np.zeros(len(gain))
@@ -226,7 +226,7 @@ def _two_best(gain: Floats, kept: Mask) -> tuple[Indices, Floats, Floats]:
 
 
 def _heads(gain: Floats, heads: Indices, price: float) -> Heads:
-    """Heads ``(M,)`` and the followers that ``gain`` ``(n, M)`` gives them."""
+    """Assign followers to the heads ``(M,)`` by ``gain`` ``(n, M)``."""
     leader = np.full(len(gain), -1, np.int64)
     if not len(heads):
         return Heads(heads, leader, 0.0)
@@ -238,7 +238,7 @@ def _heads(gain: Floats, heads: Indices, price: float) -> Heads:
 
 
 def _accounted(mixture: Mixture) -> float:
-    """Share of the UAVs that are heads or follow one."""
+    """Share of the UAVs that are heads or followers."""
     return ((mixture.heads.leader >= 0).sum() + len(mixture.heads.heads)) / len(mixture.heads.leader)
 
 

@@ -1,4 +1,4 @@
-"""The quick way: pairwise evidence, and the class of strategies that the misfit of a first fit asks for."""
+"""The first search: starts from pairwise evidence; the lack of fit of a first fit selects the class of strategies."""
 
 from __future__ import annotations
 
@@ -39,24 +39,24 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-MISFIT = 1.35  # ratios above this ask for a richer class; a class that holds gives 1 within 0.1 or so
-_NEARLY = 5.0  # a misfit with which somebody whom nobody explains is alone, perhaps, and not led by what was not fitted
-_SHARED = 1.9  # the same of what followers of one head share
-EXPLAINED = 0.4  # share of the UAVs that a first assignment accounts for where it is worth climbing from
+MISFIT = 1.35  # a lack-of-fit ratio above this requires a richer class; a class that fits gives about 1 ± 0.1
+_NEARLY = 5.0  # below this lack-of-fit ratio an unassigned UAV is a decoy, not evidence against the model
+_SHARED = 1.9  # the same for the part that followers of one head share
+EXPLAINED = 0.4  # share of the UAVs that a first assignment must cover to be used as a start
 _SETTLING = 6
-LEFT_OUT = 0.05  # share of a swarm that one who explains everybody may leave out
-_AGAIN = 3  # times that everybody is assigned anew, where many were left out
-_REACHES, _NEAREST = 200, 16  # distances tried at once; followers nearest to their heads on which they are tried
+LEFT_OUT = 0.05  # share of a swarm that may be unassigned in a fit that explains the whole swarm
+_AGAIN = 3  # repetitions of the assignment, if many UAVs are unassigned
+_REACHES, _NEAREST = 200, 16  # number of distances to try; number of followers, nearest to their heads
 _RIDGE = 1e-9
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """What a shared strategy leaves over, as ratios that are 1 where it holds.
+    """Lack of fit of a shared strategy, as two ratios that are 1 if it fits.
 
     Args:
-        follower: of the part of each follower's residuals that lasts: something depends on the follower.
-        head: of the part that followers of one head share: something of the head's past is not in the class.
+        follower: for the constant part of each follower's residuals: something depends on the follower.
+        head: for the part that followers of one head share: the class lacks a function of the head's past.
     """
 
     follower: float
@@ -69,20 +69,20 @@ class Misfit:
 
     @property
     def nearly_holds(self) -> bool:
-        """Whether somebody whom the strategy does not explain may be thought to follow nobody."""
+        """Whether a UAV that the strategy does not explain may be taken as a UAV without a head."""
         return self.follower <= _NEARLY and self.head <= _SHARED
 
 
 def misfit(
     samples: Samples, strategy: Strategy, leader: Indices, predicted: tuple[Floats, Mask] | None = None
 ) -> Misfit:
-    """Test a strategy for lack of fit, without a richer one beside it: an analysis of variance.
+    """Test a strategy for lack of fit by an analysis of variance of its residuals.
 
     Args:
-        samples: n UAVs.
-        strategy: fitted.
-        leader: ``(n,)``, -1 for nobody.
-        predicted: :func:`directions` of all followers, where they are known already.
+        samples: samples of n UAVs.
+        strategy: the fitted strategy.
+        leader: ``(n,)``, the head of each UAV, -1 for none.
+        predicted: :func:`directions` of all followers, if they are known already.
     """
     followers = np.flatnonzero(leader >= 0)
     heads, group = np.unique(leader[followers], return_inverse=True)
@@ -111,13 +111,13 @@ def misfit(
 
 
 def quick(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: int | None = None) -> Mixture | None:
-    """The explanation that the richest evidence leads to at once; ``None`` where it does not explain the swarm."""
+    """Fit from the pairwise evidence of the richest features; ``None`` if the result does not explain the swarm."""
     found = climbed(samples, history, pairs, most)
     return found if found is not None and explains(samples, history, found) else None
 
 
 def climbed(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: int | None = None) -> Mixture | None:
-    """The mixture that the richest evidence leads to, whomever it leaves over; ``None`` where it leads to no head."""
+    """Fit from the pairwise evidence of the richest features, with any number unassigned; ``None`` without a head."""
     found = shortcut(samples, history, pairs, most) if len(pairs.heads) else None
     for _ in range(_AGAIN):
         if found is None or not 0 < unexplained(found) <= samples.uavs / 2:
@@ -133,9 +133,10 @@ def climbed(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: in
 
 
 def explains(samples: Samples, history: OwnHistory, found: Mixture) -> bool:
-    """Whether a mixture leaves nobody over, or one beside a strategy that nearly holds, and its heads fly alone.
+    """Whether a mixture explains the swarm.
 
-    Where moments are missing somebody left over was seen too little, perhaps.
+    All UAVs must be assigned, or all but one if the strategy nearly fits and no sample is missing (an unassigned UAV
+    may have been seen too rarely). No head may correlate with other UAVs at lag 0.
     """
     left = unexplained(found)
     if left and (left >= LEAST_VOTERS or not samples.complete):
@@ -146,7 +147,7 @@ def explains(samples: Samples, history: OwnHistory, found: Mixture) -> bool:
 
 
 def with_led(samples: Samples, history: OwnHistory, pairs: PairEvidence, found: Mixture) -> Mixture:
-    """With those whom the strategy does not explain behind the head that pairwise evidence names, if it names one."""
+    """Assign the UAVs that the strategy does not explain by pairwise evidence, if it is significant."""
     named, _ = led_by(samples, history, pairs, found.heads.heads)
     return replace(
         found, heads=replace(found.heads, leader=np.where(found.heads.leader >= 0, found.heads.leader, named))
@@ -154,7 +155,7 @@ def with_led(samples: Samples, history: OwnHistory, pairs: PairEvidence, found: 
 
 
 def shortcut(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: int | None) -> Mixture | None:
-    """Where pairwise evidence assigns nearly everybody, the class that the misfit asks for, from there."""
+    """Fit from the assignment by pairwise evidence, in a class of strategies that the lack of fit selects."""
     heads, leader = pairs.heads, pairs.leader
     if (leader >= 0).sum() < EXPLAINED * (samples.uavs - len(heads)):
         return None
@@ -179,7 +180,7 @@ def shortcut(samples: Samples, history: OwnHistory, pairs: PairEvidence, most: i
 
 
 def settled(samples: Samples, history: OwnHistory, leader: Indices, strategy: Strategy) -> Indices:
-    """Whom everybody follows of the heads of a poor first assignment, each the likeliest, however unlikely."""
+    """Assign all UAVs to the most likely of the heads of a poor first assignment, without a threshold."""
     heads = np.unique(leader[leader >= 0])
     for _ in range(_SETTLING):
         before = leader
@@ -194,10 +195,10 @@ def settled(samples: Samples, history: OwnHistory, leader: Indices, strategy: St
 def again(
     samples: Samples, history: OwnHistory, pairs: PairEvidence, found: Mixture, most: int | None
 ) -> Mixture | None:
-    """A better mixture of those who were left: behind somebody who was no candidate, or a head by another reach.
+    """Fit again with all UAVs as candidates and a new range threshold, since some UAVs are unassigned.
 
-    As they were left for a reach that is off, perhaps, they are put behind whom they are likeliest to follow, or behind
-    the one of the heads found that pairwise evidence names.
+    A wrong range threshold may be the reason. So the unassigned UAVs are first left out, then assigned to the most
+    likely candidate, then to the head that pairwise evidence prefers; the best fit is returned.
     """
     if not found.strategy.library.towards:
         return None
@@ -217,9 +218,10 @@ def again(
 
 
 def within_reach(samples: Samples, leader: Indices, library: Library, start: Strategy | None = None) -> Strategy | None:
-    """The strategy of a class that fits best, with a reach if it is the better for one; ``start``: to begin from.
+    """Fit the strategy of a class, with a range threshold if it improves the fit; ``start`` is the initial strategy.
 
-    A reach shows where somebody crosses it: it is sought among the distances of the followers nearest to their heads.
+    The threshold is visible only if a follower crosses it. So it is searched among the distances of the followers that
+    are nearest to their heads.
     """
     plain = fit_strategy(samples, leader, library, start=start)
     if plain is None:
@@ -231,7 +233,7 @@ def within_reach(samples: Samples, leader: Indices, library: Library, start: Str
     low, high = max(float(distance[near].min()), 1.0), max(float(np.median(distance[near])), 2.0)
     reaches = np.geomspace(low, high, _REACHES)
     explained = explained_by_reach(samples, plain, followers[near], leader[followers[near]], reaches)
-    price = 9.0 * float(np.log(samples.rows * len(near))) * plain.noise.spread**2  # of nine numbers more
+    price = 9.0 * float(np.log(samples.rows * len(near))) * plain.noise.spread**2  # for nine more parameters
     if explained.max() <= price:
         return plain
     reach = float(reaches[explained.argmax()])
@@ -241,11 +243,11 @@ def within_reach(samples: Samples, leader: Indices, library: Library, start: Str
 def explained_by_reach(
     samples: Samples, strategy: Strategy, followers: Indices, heads: Indices, reaches: Floats
 ) -> Floats:
-    """``(K,)`` what the direction to the head beyond each reach explains of what the class leaves without one.
+    """``(K,)``: how much of the residual the direction to the head explains beyond each range threshold.
 
-    Linear regressions that share all but three columns, of flights as long as the strategy says they are before norm.
-    What these three share with the rest and with the flights are sums over the moments beyond a reach: of all sums
-    between two reaches, added up from the farthest.
+    These are linear regressions that share all but three columns; the target has the length that the strategy predicts
+    before norm(·). The cross products of the three columns are sums over the samples beyond a threshold. They are
+    computed between neighbouring thresholds and accumulated from the farthest one.
     """
     plain = replace(strategy.library, reach=0.0)
     unique, group = np.unique(heads, return_inverse=True)
@@ -262,7 +264,7 @@ def explained_by_reach(
     gram = known.T @ known
     gram[np.diag_indices(len(gram))] += _RIDGE * np.trace(gram) / len(gram)
     everything = np.concatenate([known, target, towards], axis=1)
-    among = np.asarray(np.searchsorted(reaches, distance), np.int64)  # how many reaches are nearer
+    among = np.asarray(np.searchsorted(reaches, distance), np.int64)  # number of smaller thresholds
     beyond = np.zeros((len(reaches) + 1, everything.shape[1], 3))
     order = np.argsort(among, kind="stable")
     among, everything, towards = among[order], everything[order], towards[order]
@@ -281,12 +283,12 @@ def explained_by_reach(
 
 
 def led(samples: Samples, history: OwnHistory, leader: Indices, most: int | None = None) -> Mixture | None:
-    """The mixture that explains best who follows whom, where the heads are known.
+    """Fit a mixture from a given assignment, in classes of increasing size, and return the best.
 
     Args:
-        samples: n UAVs.
-        history: the null.
-        leader: ``(n,)`` whom each follows, -1 for nobody.
+        samples: samples of n UAVs.
+        history: the null model.
+        leader: ``(n,)``, the head of each UAV, -1 for none.
         most: the largest number of heads.
     """
     heads = np.unique(leader[leader >= 0])
@@ -305,18 +307,17 @@ def led(samples: Samples, history: OwnHistory, leader: Indices, most: int | None
 def climb_together(
     samples: Samples, history: OwnHistory, pairs: PairEvidence, starts: list[Indices], most: int | None = None
 ) -> list[Mixture]:
-    """Mixtures that leave hardly anybody unexplained, the fewest first, and whose heads fly alone.
+    """Fit mixtures from several starts; return those with few unassigned UAVs and no coupling at lag 0, best first.
 
-    Their strategy looks at the head's place and the follower's own past too. The more of an assignment is right the
-    better it fits, so that a third of it may do. Where the strategy leaves something that all followers of one head
-    share, it is fitted anew with the same say for every head: the heads of many would have it explain what they did by
-    chance, and refuse those of few.
+    The strategy may also use the head's position and the follower's own past. An assignment that is right for a third
+    of the UAVs can suffice as a start. If followers of one head share a residual, the strategy is fitted again with
+    equal weights for all heads; otherwise heads with many followers dominate it.
 
     Args:
-        samples: n UAVs.
-        history: the null.
-        pairs: whom everybody seems to follow by itself: to start from as well.
-        starts: assignments ``(n,)``, -1 for nobody.
+        samples: samples of n UAVs.
+        history: the null model.
+        pairs: the pairwise evidence, which gives further starts.
+        starts: assignments ``(n,)``, -1 for none.
         most: the largest number of heads.
     """
     library, everybody = Library(samples.memory, towards=True, own=True), np.arange(samples.uavs)
@@ -340,15 +341,15 @@ def climb_together(
 
 
 def least_left(mixture: Mixture) -> tuple[int, float]:
-    """What mixtures are ordered by: those first that leave the fewest unexplained, of these the likeliest."""
+    """Sort key of mixtures: fewest unassigned UAVs first, then highest value."""
     return unexplained(mixture), -mixture.value
 
 
 def likely(pairs: PairEvidence, most: int | None) -> Indices:
-    """``(n,)`` whom everybody seems to follow where half of chance is enough."""
+    """``(n,)``: the assignment by pairwise evidence with half of the usual threshold."""
     return locate_heads(pairs.gain - 0.5 * pairs.chance, np.arange(len(pairs.gain)), 0.5 * pairs.chance, most).leader
 
 
 def unexplained(mixture: Mixture) -> int:
-    """How many UAVs are neither heads nor follow one."""
+    """Number of unassigned UAVs: neither heads nor followers."""
     return int((mixture.heads.leader < 0).sum()) - len(mixture.heads.heads)

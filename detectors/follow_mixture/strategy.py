@@ -1,7 +1,7 @@
-"""The shared follow strategy: one linear map of a head's past and place, fitted to all followers at once.
+"""The shared follow strategy: one linear map of a head's past and position, fitted to all followers together.
 
-Followers of one head share its past, so a fit to thousands of flights is a regression on as many rows as the heads
-have. norm(·) is undone by the fixed point D = argmin sum |D - |D| y|², whose residual is the raw noise across y.
+Followers of one head share its past; so the regression only has as many rows as the heads have samples. norm(·) is
+inverted by the fixed point D = argmin sum |D - |D| y|², whose residual is the noise before normalisation, across y.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ Mask = NDArray[np.bool_]
 Pairs = tuple[Floats, Mask]
 
 _CHUNK_ENTRIES = 2_000_000
-_ODD_STEP = float(np.log(0.01))  # log-likelihood of a step that has any direction: a reach that is a little off turns
-#                                  a few by a lot
-PAIRED_ROWS = 1500  # some ten times the numbers that are fitted
+_ODD_STEP = float(np.log(0.01))  # log-likelihood of an outlier of any direction: a slightly wrong range threshold
+#                                  causes a few of them
+PAIRED_ROWS = 1500  # about ten times the number of parameters
 _FAR = 300.0  # metres; keeps offsets near 1
 
 
 @dataclass(frozen=True)
 class Library:
-    """Which features a shared strategy may use: a class of strategies.
+    """A class of strategies, defined by the features that they may use.
 
     Args:
-        lags: how many past velocities of the head.
-        linear: the velocities.
-        squares: their axis-wise squares.
-        products: products of two axes of one velocity.
-        towards: the direction to the head, and the offset to it.
-        own: the follower's own past velocities.
-        isotropic: the same law on every axis.
-        reach: metres; the direction to the head counts apart within and beyond it. 0: the same everywhere.
-        across: products of the last velocity and the one before, axis by axis.
-        turns: the last velocity, the one before and their cross product, times powers of their cosine up to the second.
-            With the same law on every axis: whatever of two velocities turns as they do, to second order.
+        lags: the number of past velocities of the head.
+        linear: use the velocities.
+        squares: use their axis-wise squares.
+        products: use products of two axes of one velocity.
+        towards: use the direction to the head and the offset to it.
+        own: use the follower's own past velocities.
+        isotropic: use the same coefficients on every axis.
+        reach: range threshold in metres; the direction to the head has other coefficients beyond it. 0: no threshold.
+        across: use axis-wise products of the last velocity and the one before.
+        turns: use the last velocity, the one before and their cross product, times powers of their cosine up to the
+            second. With ``isotropic``: all rotation-equivariant functions of two velocities, to second order.
     """
 
     lags: int
@@ -70,7 +70,7 @@ class Library:
 
     @property
     def name(self) -> str:
-        """How the class is called in reports."""
+        """Name of the class in reports."""
         names = ("linear", "squares", "products", "across", "turns", "towards", "own", "isotropic")
         parts = [name for name in names if getattr(self, name)]
         if self.reach:
@@ -79,12 +79,12 @@ class Library:
 
     @property
     def paired(self) -> bool:
-        """Whether predictions depend on the follower too."""
+        """Whether predictions also depend on the follower."""
         return self.towards or self.own
 
     @property
     def extra(self) -> int:
-        """How many features depend on the follower too."""
+        """Number of features that also depend on the follower."""
         return 6 * self.towards + 3 * (self.towards and self.reach > 0) + 3 * self.lags * self.own
 
 
@@ -93,11 +93,11 @@ class Strategy:
     """A fitted shared strategy.
 
     Args:
-        library: its class.
-        coefficients: ``(p, 3)``, the last row the intercept.
-        noise: what it leaves open.
-        parameters: how many numbers were fitted.
-        observations: how many numbers they were fitted to.
+        library: the class of the strategy.
+        coefficients: ``(p, 3)``; the last row is the intercept.
+        noise: the error distribution.
+        parameters: the number of parameters.
+        observations: the number of scalar observations.
     """
 
     library: Library
@@ -108,12 +108,12 @@ class Strategy:
 
     @property
     def price(self) -> float:
-        """Half the logarithm of the observations for every number fitted."""
+        """Penalty: half the logarithm of the number of observations, per parameter (as in the BIC)."""
         return 0.5 * self.parameters * float(np.log(max(self.observations, 2)))
 
 
 def head_features(samples: Samples, library: Library, heads: Indices | slice = slice(None)) -> tuple[Floats, Mask]:
-    """Features of the pasts of some UAVs ``(h, R, p)``, an intercept last, and the rows where all are seen."""
+    """Features of the pasts of some UAVs ``(h, R, p)``, the intercept last, and the rows without missing values."""
     past = samples.lagged[heads, :, : library.lags]
     valid = np.asarray(samples.lag_seen[heads, :, : library.lags].all(axis=2), bool)
     shape = past.shape[:2]
@@ -138,17 +138,17 @@ def head_features(samples: Samples, library: Library, heads: Indices | slice = s
 def pair_features(
     samples: Samples, library: Library, followers: Indices, heads: Indices, rows: Indices | None = None
 ) -> Pairs:
-    """What depends on the follower as well, in single precision.
+    """Features that also depend on the follower, in single precision.
 
     Args:
-        samples: n UAVs.
+        samples: samples of n UAVs.
         library: the class.
         followers: ``(...)`` indices.
         heads: ``(...)`` indices.
         rows: ``(...)`` the row of each; all R rows by default, as a further axis.
 
     Returns:
-        ``(..., p)`` or ``(..., R, p)``, and where it can be known.
+        ``(..., p)`` or ``(..., R, p)``, and a mask of the entries without missing values.
     """
     behind, ahead = ((followers,), (heads,)) if rows is None else ((followers, rows), (heads, rows))
     seen = pairs_seen(samples, library, behind, ahead)
@@ -168,7 +168,7 @@ def pair_features(
 
 
 def pairs_seen(samples: Samples, library: Library, behind: tuple[Indices, ...], ahead: tuple[Indices, ...]) -> Mask:
-    """Where :func:`pair_features` can be known, by indices of followers and heads, with or without rows."""
+    """Mask of the entries of :func:`pair_features` without missing values, by indices of followers and heads."""
     valid = np.ones(samples.position_seen[behind].shape, bool)
     if library.towards:
         valid &= samples.position_seen[ahead] & samples.position_seen[behind]
@@ -180,18 +180,18 @@ def pairs_seen(samples: Samples, library: Library, behind: tuple[Indices, ...], 
 def fit_strategy(
     samples: Samples, leader: Indices, library: Library, start: Strategy | None = None, by_head: bool = False
 ) -> Strategy | None:
-    """The strategy of a class that fits the followers best.
+    """Fit the strategy of a class to the followers.
 
     Args:
-        samples: n UAVs.
-        leader: ``(n,)`` the head that each follows, -1 for none.
+        samples: samples of n UAVs.
+        leader: ``(n,)``, the head of each UAV, -1 for none.
         library: the class.
-        start: of a class that is part of this one, without ``own``: to begin from, which saves time.
-        by_head: every head has the same say, however many follow it. What a class misses is the same for all who
-            follow one head, and would be fitted to the heads of many.
+        start: initial strategy from a subclass without ``own``; it saves time.
+        by_head: whether all heads have equal weight, whatever their number of followers. Followers of one head share
+            the lack of fit; without equal weights the fit adapts to the heads with many followers.
 
     Returns:
-        ``None`` where there are fewer rows than numbers to fit.
+        ``None`` if there are fewer rows than parameters.
     """
     followers = np.flatnonzero(leader >= 0)
     if not len(followers):
@@ -211,7 +211,7 @@ def fit_strategy(
 
 
 def _extended(strategy: Strategy, width: int) -> Floats:
-    """``(width, 3)`` coefficients of a larger class: what depends on the follower stands first, in the same order."""
+    """``(width, 3)``: coefficients in a larger class; features that depend on the follower come first."""
     extra = strategy.library.extra
     coefficients = np.zeros((width, 3))
     coefficients[:extra] = strategy.coefficients[:extra]
@@ -222,7 +222,7 @@ def _extended(strategy: Strategy, width: int) -> Floats:
 def _shared_rows(
     samples: Samples, leader: Indices, followers: Indices, library: Library, by_head: bool
 ) -> tuple[Floats, Floats, Floats, float]:
-    """One row a head and time: features, sum of the followers' flights, how many, and their summed squares."""
+    """One row per head and time: features, sum of the followers' velocities, their number, and their summed squares."""
     heads, group = np.unique(leader[followers], return_inverse=True)
     features, valid = head_features(samples, library, heads)
     member = np.zeros((len(heads), len(followers)))
@@ -239,7 +239,7 @@ def _shared_rows(
 def _paired_rows(
     samples: Samples, leader: Indices, followers: Indices, library: Library, by_head: bool
 ) -> tuple[Floats, Floats, Floats, float]:
-    """One row a follower and time, of many a part."""
+    """One row per follower and time; a subsample if there are many."""
     heads = leader[followers]
     unique, group = np.unique(heads, return_inverse=True)
     shared, valid = head_features(samples, library, unique)
@@ -255,13 +255,13 @@ def _paired_rows(
 
 
 def _say(group: Indices) -> Floats:
-    """``(f,)`` weights by which all groups have the same say, 1 in the mean."""
+    """``(f,)``: weights that give all groups equal weight, with mean 1."""
     say = 1.0 / np.bincount(group)[group]
     return np.asarray(say / say.mean(), np.float64)
 
 
 def directions(samples: Samples, strategy: Strategy, followers: Indices, heads: Indices) -> tuple[Floats, Mask]:
-    """Predicted directions ``(f, R, 3)`` of followers behind one head each, and the rows where they can be known."""
+    """Predicted directions ``(f, R, 3)`` of followers with one head each, and the rows without missing values."""
     unique, group = np.unique(heads, return_inverse=True)
     features, valid = head_features(samples, strategy.library, unique)
     extra = strategy.library.extra
@@ -279,19 +279,19 @@ def gain_matrix(
     columns: Indices,
     voters: Indices | None = None,
 ) -> Floats:
-    """Log-likelihood that each UAV gains over its own history by following each of ``columns``.
+    """Log-likelihood that each UAV gains over its null model by following each of ``columns``.
 
-    A time at which the candidate's past was not seen counts for neither.
+    Rows with a missing past of the candidate are left out of both likelihoods.
 
     Args:
-        samples: n UAVs.
-        history: the null.
-        strategy: fitted.
-        columns: ``(c,)`` indices of candidates.
-        voters: ``(v,)`` indices of the UAVs that are asked; all by default.
+        samples: samples of n UAVs.
+        history: the null model.
+        strategy: the fitted strategy.
+        columns: ``(c,)`` indices of the candidates.
+        voters: ``(v,)`` indices of the voters; all UAVs by default.
 
     Returns:
-        ``(v, c)``; 0 where a UAV meets itself.
+        ``(v, c)``; 0 for a UAV with itself.
     """
     voters = np.arange(samples.uavs) if voters is None else voters
     if strategy.library.paired:
@@ -303,7 +303,7 @@ def gain_matrix(
 
 
 def _null(samples: Samples, history: OwnHistory, strategy: Strategy, voters: Indices) -> Floats:
-    """``(v, R)`` log-likelihood of the null, plus what the natural parameters leave out of y in space."""
+    """``(v, R)``: log-likelihood of the null model, plus the term of y that the natural parameters omit in space."""
     null = history.log_likelihood[voters]
     if not samples.unit:
         null = null + 0.5 * np.vecdot(samples.target[voters], samples.target[voters]) / strategy.noise.spread**2
@@ -331,7 +331,7 @@ def _shared_gain(
 def _paired_gain(
     samples: Samples, history: OwnHistory, strategy: Strategy, columns: Indices, voters: Indices
 ) -> Floats:
-    """Axes of space come first, in single precision: most of a window's time goes here."""
+    """Single precision, with the axes of space first: most of the computing time is spent here."""
     library, extra = strategy.library, strategy.library.extra
     features, valid = head_features(samples, library, columns)
     shared = _axes_first(features @ strategy.coefficients[extra:])
@@ -370,7 +370,7 @@ def _axes_first(flights: Floats) -> NDArray[np.float32]:
 
 
 def _pull(library: Library, toward: NDArray[np.float32], gap: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What the place of a head adds to a direction ``(3, v, c, R)``, for offsets to it of the same shape."""
+    """Contribution of the head's position to a direction ``(3, v, c, R)``, for offsets of the same shape."""
     shape = gap.shape
     distance = np.sqrt(gap[0] * gap[0] + gap[1] * gap[1] + gap[2] * gap[2])
     unit = gap / np.maximum(distance, 1e-6)

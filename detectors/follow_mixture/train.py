@@ -1,7 +1,7 @@
-"""Calibration from nothing: draws swarms with random follow strategies, explains them, and counts who heads them.
+"""Estimates the calibration: fits simulated swarms with random follow strategies and compares with the true heads.
 
-Every swarm has a seed of its own, from the calibration's seed and its number. So an interrupted calibration goes on
-from its rows to the very result it would have had, and one of more swarms begins with the same.
+The seed of each swarm follows from the seed of the calibration and the number of the swarm. So a calibration that is
+resumed gives exactly the result of an uninterrupted one, and a larger one begins with the same swarms.
 """
 
 from __future__ import annotations
@@ -66,25 +66,25 @@ COLUMNS = (
 )  # fmt: skip
 _MOBILITIES = ("iid", "gauss_markov", "smooth_turn", "local_waypoint", "waypoint", "straight")
 _SMOOTH = ("gauss_markov", "smooth_turn", "local_waypoint")
-_MEMORY = 4  # the detector's own default
-_BIN = 0.25  # of log-odds
+_MEMORY = 4  # the detector's default
+_BIN = 0.25  # width of a bin of log-odds
 _BINS = int(2 * MOST_ODDS / _BIN) + 1
 _ODDS = np.tile(np.linspace(-MOST_ODDS, MOST_ODDS, _BINS), 2)
 _LEFT = np.arange(2 * _BINS) >= _BINS
 _EDGES = (0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97, 0.99, 1)
 _ROWS, _FITTED, _RELIABILITY, _IDENTITY = "rows.csv", "calibration.json", "reliability.csv", "rows.json"
-_KEEP_EVERY = 20  # swarms between two times that rows are written
-#: What is known of a curve before any swarm is seen: mean and spread of log slope, offset, what is added for those who
-#: are left over, and log-odds of trust.
+_KEEP_EVERY = 20  # swarms between two writes of the rows
+#: Prior of a curve: mean and standard deviation of the log slope, the offset, the addition for unassigned UAVs, and the
+#: log-odds of trust.
 _PRIOR = np.array([[0.0, 1.0], [0.0, 3.0], [0.0, 3.0], [2.0, 2.0]])
 
 
 class CalibrationTraining(Config):
-    """Everything that decides the calibration, beside the detector itself.
+    """Settings of the calibration; together with the detector they determine the result.
 
     Args:
-        swarms: to explain.
-        seed: of all draws.
+        swarms: the number of swarms.
+        seed: seed of all random draws.
         most_uavs: N is drawn between 20 and this.
         most_clusters: M is drawn between 1 and this.
     """
@@ -100,7 +100,7 @@ def _log_uniform(rng: np.random.Generator, least: int, most: int) -> int:
 
 
 def _linear_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
-    """A random strategy whose terms are all linear: what the quick way may explain, and is rarely drawn."""
+    """Draw a random strategy with linear terms only; these are rare in the grammar and suit the first search."""
     while True:
         drawn = random_follow_strategy(rng)
         if all(term.kind == "linear" for term in drawn.terms):
@@ -108,11 +108,17 @@ def _linear_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
 
 
 def draw_swarm(training: CalibrationTraining, rng: np.random.Generator) -> SwarmConfig:
-    """A swarm and an observer of any kind; the follow strategy is none of f1 to f7."""
+    """Draw the configuration of a swarm and its observer.
+
+    The grammar of the follow strategies contains none of f1 to f7. But in half of the noisy swarms with followers the
+    strategy is linear and the identity replaces its rotation, so that its axes are alike. A strategy with the single
+    term v_t, which would be f1, is drawn again. A sum of two lags can be close to f2: among the 1,500 swarms of the
+    shipped calibration one or two are (number 1457, and less so 895).
+    """
     uavs = _log_uniform(rng, 20, training.most_uavs)
     decoys = int(rng.integers(1, 6)) if rng.random() < 0.3 else 0
     clusters = int(rng.integers(1, min(training.most_clusters, (uavs - decoys) // 3) + 1))
-    kind = rng.random()  # nobody follows in a tenth; terms are linear in another four tenths
+    kind = rng.random()  # no UAV follows in 10 % of the swarms; all terms are linear in another 40 %
     follow = "none" if kind < 0.1 else _linear_strategy(rng) if kind < 0.5 else random_follow_strategy(rng)
     drawn = SwarmConfig(
         follow=follow,
@@ -127,7 +133,7 @@ def draw_swarm(training: CalibrationTraining, rng: np.random.Generator) -> Swarm
         head_jitter=bool(rng.random() < 0.5),
     )
     if drawn.position_noise > 0 and kind >= 0.1 and rng.random() < 0.5:
-        # What phases tell: strategies alike on all axes behind smooth heads, of which few would be drawn otherwise.
+        # Strategies that are equal on all axes, with smooth heads: rare otherwise, and used by the cross-spectral fit.
         alike = _linear_strategy(rng)
         while len(alike.terms) == 1 and alike.terms[0].lag == 0:  # that is f1
             alike = _linear_strategy(rng)
@@ -137,16 +143,16 @@ def draw_swarm(training: CalibrationTraining, rng: np.random.Generator) -> Swarm
 
 
 def draw_window(config: SwarmConfig, rng: np.random.Generator) -> tuple[Window, NDArray[np.bool_], bool]:
-    """A window of a swarm, in a fifth of the cases after some of it was destroyed.
+    """Draw a window of a swarm; in 20 % of the cases some UAVs were destroyed before.
 
     Returns:
-        The window; ``(N,)`` bool, who leads; whether some were destroyed before.
+        The window; ``(N,)`` bool, the living heads; whether some UAVs were destroyed before.
     """
     (own,) = rng.spawn(1)
     state = start(config, [own])
     later = bool(rng.random() < 0.2)
     if later:
-        chance = np.where(state.head, rng.uniform(0.0, 1.0), rng.uniform(0.0, 0.1))  # an earlier round hit heads first
+        chance = np.where(state.head, rng.uniform(0.0, 1.0), rng.uniform(0.0, 0.1))  # earlier rounds hit heads
         gone = rng.random((1, config.uavs)) < chance
         gone[0, rng.choice(np.flatnonzero(state.head[0]))] = False
         gone[0, rng.choice(np.flatnonzero(~state.head[0]), 2, replace=False)] = False
@@ -158,28 +164,28 @@ def draw_window(config: SwarmConfig, rng: np.random.Generator) -> tuple[Window, 
 
 
 def _told(place: NDArray[np.int64], head: NDArray[np.bool_], names: Sequence[Any]) -> str:
-    """``name:uavs:heads`` of every place that somebody has, joined by spaces."""
+    """``name:uavs:heads`` of every place with at least one UAV, joined by spaces."""
     uavs = np.bincount(place, minlength=len(names))
     heads = np.bincount(place[head], minlength=len(names))
     return " ".join(f"{names[k]}:{uavs[k]}:{heads[k]}" for k in np.flatnonzero(uavs).tolist())
 
 
 def _placed(probability: Floats, left: NDArray[np.bool_] | None) -> NDArray[np.int64]:
-    """Bins of log-odds; those who are left over have bins of their own behind the others."""
+    """Bins of log-odds; unassigned UAVs have separate bins after the others."""
     place = np.rint((log_odds(probability) + MOST_ODDS) / _BIN)
     return np.asarray(place if left is None else place + _BINS * left, np.int64)
 
 
 def row_of(training: CalibrationTraining, swarm: int) -> dict[str, str]:
-    """Draw a swarm, explain it, and note what was said of heads and of others, before calibration.
+    """Draw a swarm, fit it, and count heads and other UAVs by uncalibrated result.
 
     Args:
-        training: what is drawn.
-        swarm: its number.
+        training: the settings.
+        swarm: the number of the swarm.
 
     Returns:
-        By :data:`COLUMNS`: ``way`` is ``mixture``, a verdict on flocks, or empty where nothing was said; ``kinds``,
-        ``probability`` and ``given`` are ``kind or bin of log-odds:UAVs:heads among them``.
+        The values by :data:`COLUMNS`: ``way`` is ``mixture``, the reliability class of a flock fit, or empty if there
+        was no result; ``kinds``, ``probability`` and ``given`` hold ``category or bin:UAVs:heads``.
     """
     rng = np.random.default_rng([training.seed, swarm])
     config = draw_swarm(training, rng)
@@ -213,7 +219,7 @@ def _entries(text: str) -> Iterable[tuple[str, int, int]]:
 
 
 def _fitted_rates(rows: Rows) -> Rates:
-    """Shares of heads, each as if one UAV more of its kind had been seen, as likely a head as any UAV here."""
+    """Share of heads per category, with a prior of one more UAV at the overall share of heads."""
     living, leading = (max(sum(int(row[name]) for row in rows), 1) for name in ("living", "heads"))
     counts = {kind: np.array([1.0, min(leading / living, 0.5)]) for kind in KINDS}
     for row in rows:
@@ -223,7 +229,7 @@ def _fitted_rates(rows: Rows) -> Rates:
 
 
 def _counted(rows: Rows, column: str) -> tuple[Floats, Floats]:
-    """UAVs and heads ``(S, 2 bins)`` of every row."""
+    """Counts of UAVs and of heads ``(S, 2 bins)`` of every row."""
     uavs, heads = np.zeros((2, len(rows), 2 * _BINS))
     for number, row in enumerate(rows):
         for place, count, leading in _entries(row[column]):
@@ -232,13 +238,12 @@ def _counted(rows: Rows, column: str) -> tuple[Floats, Floats]:
 
 
 def _fitted_curve(rows: Rows, column: str, whole: bool) -> Curve:
-    """The likeliest curve.
+    """Fit a curve by maximum a posteriori.
 
     Args:
-        rows: of one verdict.
+        rows: the rows of one reliability class.
         column: ``"probability"`` or ``"given"``.
-        whole: heads of a swarm are missed together: an explanation is right, or wrong as a whole. Otherwise every UAV
-            counts for itself.
+        whole: whether a fit is right or wrong for the whole swarm; otherwise UAVs are independent.
     """
     uavs, heads = _counted(rows, column)
     others = uavs - heads
@@ -272,13 +277,13 @@ def _belief(rows: Rows, column: str, whole: bool) -> Belief:
 
 
 def fit_calibration(rows: Rows) -> Calibration:
-    """Fit a calibration to rows of :func:`row_of`; ``given`` to those swarms alone in which somebody leads."""
+    """Fit a calibration to rows of :func:`row_of`; ``given`` is fitted to the swarms with heads only."""
     led = [row for row in rows if row["follows"] == "1"]
     return Calibration(probability=_belief(rows, "probability", False), given=_belief(led, "given", True))
 
 
 def _probabilities(row: Mapping[str, str], belief: Belief | None) -> Iterable[tuple[float, int, int]]:
-    """Probability, UAVs and heads of every kind or bin; ``None``: of flocks, before calibration."""
+    """Probability, UAVs and heads of every category or bin; ``None``: of flock fits, before calibration."""
     if belief is not None:
         for kind, uavs, heads in _entries(row["kinds"]):
             yield getattr(belief.rates, kind), uavs, heads
@@ -289,11 +294,11 @@ def _probabilities(row: Mapping[str, str], belief: Belief | None) -> Iterable[tu
 
 
 def _reliability(rows: Rows) -> tuple[Floats, dict[str, float]]:
-    """Probabilities against what was so, each half of the swarms with the numbers that the other half gave.
+    """Compare probabilities with the truth by two-fold cross-validation.
 
     Returns:
-        ``(bins, 3)`` UAVs, heads and summed probability between the edges; Brier score and log loss, and those of
-        flocks before and after.
+        ``(bins, 3)``: UAVs, heads and summed probability between the edges; Brier score and log loss, also for flock
+        fits before and after calibration.
     """
     table: Floats = np.zeros((len(_EDGES) - 1, 3))
     totals: dict[str, Floats] = {name: np.zeros(3) for name in ("all", "flocks", "flocks before")}
@@ -327,22 +332,22 @@ def train_calibration(
     progress: Callable[[int, int], None] = lambda done, total: None,
     resume: bool = True,
 ) -> Path:
-    """Explain swarms, count, fit, and write the calibration.
+    """Fit swarms, count, estimate the calibration and write it.
 
-    Files in ``out``, each appearing whole: ``calibration.json``, ``rows.csv`` (a row a swarm, see :func:`row_of`, with
-    ``rows.json``, which says what they are rows of) and ``reliability.csv``.
+    It writes these files to ``out``, each atomically: ``calibration.json``, ``rows.csv`` (one row per swarm, see
+    :func:`row_of`), ``rows.json`` (the settings of these rows) and ``reliability.csv``.
 
     Args:
-        out: a folder; made if it is missing.
-        training: what to draw; the defaults make the calibration that the package ships.
-        progress: called with the swarms explained and all there are.
-        resume: go on from the rows in ``out``, if there are some; otherwise start again.
+        out: the output folder; created if it is missing.
+        training: the settings; the defaults give the shipped calibration.
+        progress: function that is called with the number of finished swarms and of all swarms.
+        resume: whether to resume from the rows in ``out``, if there are any.
 
     Returns:
-        The calibration's file.
+        The path of the calibration file.
 
     Raises:
-        ArgumentError: an argument is refused, ``out`` can't be written to, or its rows are of other draws or of
+        ArgumentError: an argument is refused, ``out`` can't be written, or its rows belong to other settings or to
             another version of the detector.
     """
     training = CalibrationTraining() if training is None else training
@@ -388,13 +393,13 @@ def train_calibration(
 
 
 def _identity(training: CalibrationTraining) -> str:
-    """What must be equal for rows to be gone on from: the draws, and the sources of the detector."""
+    """The settings and a hash of the detector's source files; rows can only be resumed if both are equal."""
     sources = sha256()
     package = files("detectors.follow_mixture")
     for source in sorted(
         (entry for entry in package.iterdir() if entry.name.endswith(".py")), key=lambda one: one.name
     ):
-        if source.name not in ("calibration.py", "policy.py"):  # come after what rows hold
+        if source.name not in ("calibration.py", "policy.py"):  # the rows do not depend on these
             sources.update(source.read_bytes())
     draws = training.model_dump(mode="json", exclude={"swarms"})
     return json.dumps({**draws, "detector": sources.hexdigest()}, indent=2) + "\n"
@@ -414,7 +419,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def read_rows(path: str | os.PathLike[str]) -> list[dict[str, str]]:
-    """Rows that :func:`train_calibration` wrote; ``.gz`` is read as well.
+    """Read rows written by :func:`train_calibration`; ``.gz`` files work too.
 
     Raises:
         ArgumentError: the file is missing or holds something else.

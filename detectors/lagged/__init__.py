@@ -1,4 +1,4 @@
-"""Training-free detectors: who flies now as somebody else flew some steps ago?"""
+"""Detectors without training: they measure how well one UAV's past velocities predict another UAV's velocity."""
 
 from detectors.lagged.correlation import LaggedCorrelation
 from detectors.lagged.one_per_round import OnePerRound

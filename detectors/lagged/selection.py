@@ -1,9 +1,9 @@
-"""From pairwise evidence to heads: votes, the number of heads, and who follows whom.
+"""Derives heads from pairwise evidence: votes, the number of heads, and the head of each follower.
 
-Every lagged detector measures an evidence matrix, entry (i, j): how well UAV j's past tells UAV i's present, and the
-same matrix for a *time-shift surrogate* in which UAV i is moved by half a window against all others. The surrogate
-keeps each UAV's own statistics (its autocorrelation above all) and destroys every following; it says how high the best
-of N columns rises by chance, with no model of flight.
+Each lagged detector computes an evidence matrix: entry (i, j) measures how well UAV j's past predicts UAV i's velocity.
+It computes the same matrix for a *time-shift surrogate*, in which UAV i is shifted in time by half a window against all
+other UAVs. The surrogate keeps the statistics of each UAV, such as its autocorrelation, but no UAV follows another one
+in it. Its row maxima estimate, without a model of the motion, how high the best of N entries rises by chance.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ __all__ = [
     "Evidence",
     "LaggedArguments",
     "LaggedDetector",
-    "centred",
+    "centre_columns",
+    "compute_votes",
     "cover_voters",
     "detection_from_evidence",
-    "ranked",
-    "voters_of",
+    "rank_uavs",
 ]
 
 Floats = NDArray[np.float64]
 
-SIGNIFICANT_SPREADS = 3.0  # a voter is significant this many robust spreads above the surrogate's median best
-LEAST_VOTERS = 1.5  # voters that a head must add: m_j >= 2, less what a noisy second follower may fall short of
+SIGNIFICANT_SPREADS = 3.0  # robust standard deviations between the surrogate's median row maximum and the threshold
+LEAST_VOTERS = 1.5  # voters that a head must add: m_j >= 2 followers, of which a noisy one may count for half
 _MAD_TO_SPREAD = 1.4826  # median absolute deviation to standard deviation, for a normal variable
 
 
-def centred(values: Floats, seen: NDArray[np.bool_]) -> Floats:
-    """``values`` ``(n, N, d)`` less each column's mean over the ``seen`` rows ``(n, N)``; unseen rows are 0."""
+def centre_columns(values: Floats, seen: NDArray[np.bool_]) -> Floats:
+    """Subtract the mean over the ``seen`` rows ``(n, N)`` from ``values`` ``(n, N, d)``; unseen rows become 0."""
     weight = seen[..., None].astype(np.float64)
     mean = (values * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0)
     moved: Floats = (values - mean) * weight
@@ -52,11 +52,11 @@ class Evidence:
     """Pairwise evidence among the n living UAVs.
 
     Args:
-        pairs: ``(n, n)``, entry (i, j): evidence that i follows j; about 0 or below where it doesn't. The diagonal
-            is -inf.
-        surrogate: ``(n, n)``, the same for the time-shifted voters.
-        spread: the smallest standard deviation that a chance entry can be trusted to have, so that a surrogate of
-            very few UAVs is not taken as exact.
+        pairs: ``(n, n)``; entry (i, j) is the evidence that i follows j, about 0 or below if it doesn't. The
+            diagonal is -inf.
+        surrogate: ``(n, n)``, the same with the voters (rows) shifted in time.
+        spread: lower bound of the standard deviation of an entry by chance; the surrogate of very few UAVs would
+            underestimate it.
     """
 
     pairs: Floats
@@ -65,22 +65,22 @@ class Evidence:
 
     @property
     def chance(self) -> float:
-        """The best evidence that a UAV that follows nobody has: the median over the surrogate's rows."""
+        """Expected row maximum of a UAV that follows no UAV: the median of the surrogate's row maxima."""
         return float(np.median(self.surrogate.max(axis=1)))
 
     @property
     def threshold(self) -> float:
-        """Evidence above this makes a voter significant."""
+        """A voter is significant if its row maximum is above this value."""
         best = self.surrogate.max(axis=1)
         spread = _MAD_TO_SPREAD * float(np.median(np.abs(best - self.chance)))
         return self.chance + SIGNIFICANT_SPREADS * max(spread, self.spread)
 
 
-def voters_of(evidence: Evidence) -> tuple[NDArray[np.int64], Floats]:
-    """Whom every UAV votes for, and with which weight.
+def compute_votes(evidence: Evidence) -> tuple[NDArray[np.int64], Floats]:
+    """Compute the vote of each UAV and its weight.
 
-    A UAV votes for the one with the best evidence; its weight is what that exceeds the best that chance gives, at
-    least 0. So a head's own stray vote, the best of n chance entries, counts for next to nothing.
+    A UAV votes for the UAV with the highest evidence in its row. The weight is the difference between this evidence and
+    its value by chance, at least 0. So the vote of a head, which follows no UAV, has nearly no weight.
 
     Returns:
         ``(n,)`` int64 votes and ``(n,)`` float64 weights.
@@ -91,19 +91,19 @@ def voters_of(evidence: Evidence) -> tuple[NDArray[np.int64], Floats]:
 
 
 def cover_voters(evidence: Evidence, most: int | None = None) -> list[int]:
-    """Heads and their number where M is unknown: a greedy cover of the significant voters.
+    """Choose heads for unknown M by a greedy cover of the significant voters.
 
-    A significant voter is explained by head j to the share of its best evidence, counted from the threshold, that j
-    gives it. The head that adds the most explained voters is named, again and again, as long as it adds at least
-    ``LEAST_VOTERS``. So a follower that happens to vote for a fellow follower doesn't make a head of it, since its
-    true head explains it nearly as well.
+    Let e_ij be the evidence above the threshold. Head j explains the share e_ij / max_k e_ik of a significant voter i;
+    several heads explain the largest of their shares. The algorithm repeatedly adds the head that raises the sum of
+    these shares the most, as long as it raises it by at least ``LEAST_VOTERS``. A follower that votes for another
+    follower of the same head doesn't add a head, since the true head explains it nearly as well.
 
     Args:
-        evidence: of the n living UAVs.
-        most: the highest number of heads to name; ``None``: no limit.
+        evidence: the evidence among the n living UAVs.
+        most: the largest number of heads; ``None``: no limit.
 
     Returns:
-        Indices of the heads, the best first; empty where nobody follows anybody.
+        Indices of the heads in the order of choice; empty if no UAV follows another one.
     """
     threshold = evidence.threshold
     above = np.maximum(evidence.pairs - threshold, 0.0)
@@ -122,8 +122,8 @@ def cover_voters(evidence: Evidence, most: int | None = None) -> list[int]:
     return heads
 
 
-def ranked(scores: Floats, alive: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.int64]:
-    """Indices of the living UAVs, the highest score first; ties in an order that ``rng`` draws."""
+def rank_uavs(scores: Floats, alive: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.int64]:
+    """Sort the indices of the living UAVs by decreasing score; ``rng`` breaks ties."""
     living = np.flatnonzero(alive)
     order: NDArray[np.int64] = living[np.lexsort((rng.random(len(living)), -scores[living]))]
     return order
@@ -136,20 +136,20 @@ def detection_from_evidence(
     first_round: bool,
     rng: np.random.Generator,
 ) -> Detection:
-    """The detection that follows from pairwise evidence.
+    """Derive a detection from pairwise evidence.
 
     Args:
-        evidence: among the living UAVs in index order; ``None``: the window is too short for any.
+        evidence: the evidence among the living UAVs in index order; ``None``: the window is too short.
         alive: ``(N,)`` bool.
-        clusters: M, the number of heads at the start of the episode, or ``None`` where it is unknown.
-        first_round: whether all M heads must still be there.
-        rng: breaks ties, so that they don't favour low indices.
+        clusters: M, the number of heads at the start of the episode, or ``None`` if it is unknown.
+        first_round: whether this is round 1, in which all M heads are alive.
+        rng: breaks ties, so that low indices have no advantage.
 
     Returns:
-        Candidates: the ``clusters`` best scores in the first round; otherwise the heads of :func:`cover_voters` (at
-        most ``clusters``), or the best score alone where that names nobody. At least one, if anybody lives. Scores are
-        the summed weights of the votes; the clusters are numbered in the order of the heads' indices; attention is the
-        evidence, at least 0.
+        Candidates: in the first round the UAVs with the ``clusters`` highest scores; otherwise the heads of
+        :func:`cover_voters` (at most ``clusters``), or the UAV with the highest score if there are none. There is at
+        least one candidate if a UAV is alive. A score is the sum of the weights of a UAV's votes; clusters are numbered
+        in the order of the heads' indices; attention is the evidence, clipped at 0.
     """
     uavs = len(alive)
     living = np.flatnonzero(alive)
@@ -159,13 +159,13 @@ def detection_from_evidence(
     weight = np.zeros(uavs)
     found: list[int] = []
     if evidence is not None:
-        chosen, weight[living] = voters_of(evidence)
+        chosen, weight[living] = compute_votes(evidence)
         vote[living] = living[chosen]
         np.add.at(scores, vote[living], weight[living])
         attention[np.ix_(living, living)] = np.maximum(evidence.pairs, 0.0)
         found = cover_voters(evidence, clusters)
 
-    order = ranked(scores, alive, rng)
+    order = rank_uavs(scores, alive, rng)
     heads = living[found] if found else order[:1]
     if clusters is not None and first_round:
         heads = order[:clusters]
@@ -195,30 +195,29 @@ def detection_from_evidence(
 
 
 class LaggedArguments(Config):
-    """The arguments that all lagged detectors have, checked."""
+    """The checked arguments that all lagged detectors share."""
 
     clusters: Annotated[int, Field(ge=1)] | None
 
 
 class LaggedDetector(Detector):
-    """A detector that is a measure of pairwise evidence; votes, heads and clusters follow from it here.
+    """Base class of detectors that measure pairwise evidence; it derives votes, heads and clusters from the evidence.
 
-    A subclass stores its arguments, ``clusters`` among them, and defines :meth:`check_arguments` and
-    :meth:`evidence`.
+    A subclass stores its arguments, including ``clusters``, and defines :meth:`check_arguments` and :meth:`evidence`.
     """
 
     clusters: int | None
 
     @abstractmethod
     def check_arguments(self) -> Any:
-        """The arguments as a :class:`LaggedArguments`, or ``ArgumentError``."""
+        """Return the arguments as a :class:`LaggedArguments`; raises ``ArgumentError``."""
 
     @abstractmethod
     def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
-        """Evidence among n UAVs from ``velocity`` ``(T_ob, n, 3)`` and ``seen`` ``(T_ob, n)``; ``None``: none."""
+        """Compute the evidence from ``velocity`` ``(T_ob, n, 3)`` and ``seen`` ``(T_ob, n)``; ``None``: no evidence."""
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the generator serves to break ties only.
+        """Start an episode; the generator only breaks ties.
 
         Raises:
             ArgumentError: an argument of the constructor is refused.
@@ -230,10 +229,10 @@ class LaggedDetector(Detector):
         """Name the heads of one window.
 
         Returns:
-            Candidates (at least one, if anybody lives), scores (summed votes), clusters, leader, attention (the
-            evidence, at least 0) and in ``extras``: ``vote`` and ``weight`` ``(N,)`` of every UAV, ``threshold``, the
-            evidence above which a vote is significant, and ``heads_found``, how many heads the rule for an unknown
-            number found (0: nobody seems to follow anybody).
+            Candidates (at least one if a UAV is alive), scores (sums of weighted votes), clusters, leader, attention
+            (the evidence, clipped at 0) and in ``extras``: ``vote`` and ``weight`` ``(N,)``, the vote of each UAV and
+            its weight; ``threshold``, above which a vote is significant; ``heads_found``, the number of heads that the
+            rule for unknown M found (0: no UAV seems to follow another one).
 
         Raises:
             ArgumentError: an argument of the constructor is refused, or ``clusters`` exceeds the window's N.

@@ -1,4 +1,4 @@
-"""A learned head detector: attention over UAVs, trained on simulated swarms with random follow strategies."""
+"""A learned detector: an attention network, trained on simulated swarms with random follow strategies."""
 
 from detectors.learned.detector import Learned
 

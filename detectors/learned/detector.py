@@ -1,4 +1,4 @@
-"""The learned detector: a network that was shown who heads many simulated swarms; the labelled upper reference."""
+"""The learned detector: a network that was trained on simulated swarms with known heads."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pydantic import Field
 
 from detectors.base import Detector
 from detectors.follow_mixture.policy import Policy, choose
-from detectors.learned.inputs import inputs_of
-from detectors.learned.network import HeadNetwork, network_of
+from detectors.learned.inputs import make_inputs
+from detectors.learned.network import HeadNetwork, build_network
 from detectors.weights import packaged_arrays, read_arrays
 from usnet_env.config import ArgumentError, Config, unknown_name
 from usnet_env.detection import Detection
@@ -20,8 +20,8 @@ from usnet_env.window import Window
 
 __all__ = ["MOST_UAVS", "POLICIES", "Learned", "load_network"]
 
-MOST_UAVS = 1500  # memory grows with their square: 3.5 GB here, and half a minute
-_DECIMALS = 6  # of a probability; what differs less is a tie, not the rounding of sums in another order
+MOST_UAVS = 1500  # memory grows with the square: 3.5 GB and half a minute at this number
+_DECIMALS = 6  # of a probability: smaller differences are rounding errors, and count as ties
 
 
 POLICIES = ("cost", "threshold", "map")
@@ -35,23 +35,31 @@ class _Arguments(Config):
 
 
 class Learned(Detector):
-    """Heads named by a permutation-equivariant network that was trained with labels, on random follow strategies.
+    """Names heads by a permutation-equivariant network, trained with labels on random follow strategies.
 
-    Every ordered pair of UAVs gets statistics of how far the one's past tells the other's present
-    (:mod:`detectors.learned.features`); attention over UAVs makes of them a probability of being a head for each
-    (:mod:`detectors.learned.network`). The strategies that it was trained on hold none of f1 to f7. No other detector
-    here was told who the heads are: it stands beside them as the reference of what labels are worth.
+    Statistics of every ordered pair of UAVs measure how well the past of one predicts the velocity of the other
+    (:mod:`detectors.learned.features`). A network with attention over UAVs computes from them the probability of each
+    UAV of being a head (:mod:`detectors.learned.network`), and the policy chooses candidates from the probabilities.
+    None of f1 to f7 is among the strategies of the training. The training uses the true heads of the simulated swarms;
+    so the detector serves as a reference for what labels are worth.
 
     Time and memory grow with N²: 0.07 s at N = 82, seconds and more than a gigabyte at N = 1,000.
 
     Args:
-        policy: ``"cost"``: the candidates that cost least under P2, expected by the probabilities
-            (:func:`detectors.follow_mixture.policy.choose`), at least one; ``"threshold"``: those whose probability is
-            above ``threshold``, and the most probable UAV where nobody's is; ``"map"``: those who are more likely heads
-            than not, perhaps nobody.
-        threshold: from 0 to 1; plays a part in ``"threshold"`` only.
-        round_price: what one more round is expected to cost, in rounds; plays a part in ``"cost"`` only.
-        weights: ``"shipped"``, or a weights file of :func:`detectors.learned.train.train_heads`.
+        policy: how candidates are chosen. ``"cost"`` and ``"map"`` mean the same as in
+            :class:`detectors.follow_mixture.FollowMixture`.
+
+            * ``"cost"`` (default) minimises the expected J_m of P2
+              (:func:`detectors.follow_mixture.policy.choose`). A redundant candidate costs 1/N of a round, a missed
+              head costs ``round_price`` rounds; so it also names doubtful UAVs. It names at least
+              one UAV.
+            * ``"map"`` minimises the expected number of wrong decisions: it names the UAVs with a probability above
+              1/2. It may name no UAV.
+            * ``"threshold"`` names the UAVs with a probability above ``threshold``, or the most probable UAV if there
+              are none.
+        threshold: from 0 to 1; used by ``"threshold"`` only.
+        round_price: the expected cost of one more round, in rounds, above 0; used by ``"cost"`` only.
+        weights: ``"shipped"``, or the path of a weights file of :func:`detectors.learned.train.train_heads`.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the weights file is missing,
@@ -73,7 +81,7 @@ class Learned(Detector):
         return arguments
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the generator serves to break ties only.
+        """Start an episode and load the network; the generator only breaks ties.
 
         Raises:
             ArgumentError: an argument of the constructor is refused.
@@ -85,12 +93,12 @@ class Learned(Detector):
         """Name the heads of one window.
 
         Returns:
-            Candidates; scores, the probabilities of being a head; ``leader``, whom each UAV most probably follows (a
-            head and a UAV that follows nobody: itself; -1: destroyed) and ``clusters``, one for each leader;
-            attention, the probability that UAV i follows j; in ``extras`` ``probability`` ``(N,)``.
+            Candidates; scores, the probabilities of being a head; ``leader``, the UAV that each UAV most probably
+            follows (its own index: it follows no UAV; -1: destroyed); ``clusters``, one per leader; attention, the
+            probability that UAV i follows UAV j; in ``extras`` ``probability`` ``(N,)``, equal to the scores.
 
         Raises:
-            ArgumentError: an argument of the constructor is refused, or more than ``MOST_UAVS`` live.
+            ArgumentError: an argument of the constructor is refused, or more than ``MOST_UAVS`` UAVs are alive.
         """
         arguments = self._arguments()
         if not hasattr(self, "_network"):
@@ -104,40 +112,40 @@ class Learned(Detector):
         leader = np.full(window.uavs, -1, np.int64)
         clusters = np.full(window.uavs, -1, np.int64)
         if len(living):
-            probability[living], following = _asked(self._network, window, living)
+            probability[living], following = _predict_probabilities(self._network, window, living)
             attention[np.ix_(living, living)] = following
             leader[living] = living[following.argmax(axis=1)]
             clusters[living] = np.unique(leader[living], return_inverse=True)[1]
-        candidates = _named(probability, window.alive, arguments, self.rng.random(window.uavs))
+        candidates = _choose_candidates(probability, window.alive, arguments, self.rng.random(window.uavs))
         return Detection(candidates, probability, clusters, leader, attention, {"probability": probability})
 
 
 def load_network(weights: str = "shipped") -> HeadNetwork:
-    """The network with the shipped weights or those of a file, in the mode of use.
+    """Load the network with the shipped weights or those of a file, in evaluation mode.
 
     Raises:
         ArgumentError: the file is missing, broken, or not what the JSON beside it says.
     """
     if weights == "shipped":
-        return network_of("learned.safetensors", packaged_arrays("detectors.learned", "learned"))
-    return network_of(weights, read_arrays(weights))
+        return build_network("learned.safetensors", packaged_arrays("detectors.learned", "learned"))
+    return build_network(weights, read_arrays(weights))
 
 
-def _asked(
+def _predict_probabilities(
     network: HeadNetwork, window: Window, living: NDArray[np.intp]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Probabilities ``(n,)`` of being a head, and ``(n, n)`` of UAV i following j, itself meaning nobody."""
+    """Probabilities ``(n,)`` of being a head, and ``(n, n)`` that UAV i follows UAV j; j = i means no UAV."""
     with torch.no_grad():
-        answer = network(*inputs_of(window, living))
+        answer = network(*make_inputs(window, living))
         head = torch.sigmoid(answer.head.double())
         following = torch.softmax(answer.leader.double(), dim=1)
     return head.numpy().round(_DECIMALS), following.numpy()
 
 
-def _named(
+def _choose_candidates(
     probability: NDArray[np.float64], alive: NDArray[np.bool_], arguments: _Arguments, tie: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """The candidates ``(N,)``, living UAVs only."""
+    """Choose the candidates ``(N,)`` among the living UAVs by the policy."""
     if arguments.policy == "cost":
         return choose(probability, alive, Policy(round_price=arguments.round_price), tie)
     if arguments.policy == "map":

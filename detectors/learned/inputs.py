@@ -1,4 +1,4 @@
-"""From a window to what the network takes."""
+"""Converts a window to the inputs of the network."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from torch import Tensor
 from detectors.learned.features import pair_features
 from usnet_env.window import Window
 
-__all__ = ["Inputs", "inputs_of"]
+__all__ = ["Inputs", "make_inputs"]
 
 
 class Inputs(NamedTuple):
-    """Arguments of :class:`detectors.learned.network.HeadNetwork` for n UAVs.
+    """Inputs of :class:`detectors.learned.network.HeadNetwork` for n UAVs.
 
     Args:
-        features: ``(n, n, PAIR_FEATURES)``.
-        context: ``(3,)``: log n, log T_ob and the share of missing samples, each of order 1.
+        features: ``(n, n, PAIR_FEATURES)``, see :func:`detectors.learned.features.pair_features`.
+        context: ``(3,)``: log(n / 50), log(T_ob / 100) and the share of missing samples.
     """
 
     features: Tensor
     context: Tensor
 
 
-def inputs_of(window: Window, living: NDArray[np.intp]) -> Inputs:
-    """What the network sees of the ``living`` UAVs ``(n,)`` of a window."""
+def make_inputs(window: Window, living: NDArray[np.intp]) -> Inputs:
+    """Make the inputs for the UAVs with the indices ``living`` ``(n,)`` of a window."""
     missing = 1.0 - float(window.velocity_seen[:, living].mean()) if len(living) else 0.0
     context = [math.log(max(len(living), 1) / 50.0), math.log(window.observation_steps / 100.0), missing]
     return Inputs(torch.from_numpy(pair_features(window, living)), torch.tensor(context))

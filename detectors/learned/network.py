@@ -1,4 +1,4 @@
-"""The network: attention of every UAV over all others, from pair statistics to heads; equivariant under permutation."""
+"""The network: computes heads from pair statistics by attention over UAVs; equivariant under permutation."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from torch import Tensor, nn
 from detectors.learned.features import PAIR_FEATURES
 from usnet_env.config import ArgumentError, Config, quote
 
-__all__ = ["Answer", "HeadNetwork", "NetworkSizes", "draw_network", "network_of"]
+__all__ = ["Answer", "HeadNetwork", "NetworkSizes", "build_network", "draw_network"]
 
-_CONTEXT = 3  # what every pair is told about the window: log n, log T_ob, share of missing samples
+_CONTEXT = 3  # values that describe the window: log n, log T_ob, share of missing samples
 
 
 class NetworkSizes(Config):
     """Sizes of a :class:`HeadNetwork`.
 
     Args:
-        width: numbers of a pair and of a UAV.
-        heads: of attention.
-        blocks: rounds of exchange between pairs and UAVs.
+        width: length of the vector of a pair and of a UAV.
+        attn_heads: the number of attention heads; must divide ``width``.
+        blocks: the number of blocks, each of which updates UAVs and pairs.
     """
 
     width: Annotated[int, Field(ge=4, le=512)] = 32
-    heads: Annotated[int, Field(ge=1, le=32)] = 4
+    attn_heads: Annotated[int, Field(ge=1, le=32)] = 4
     blocks: Annotated[int, Field(ge=1, le=16)] = 3
 
 
 class Answer(NamedTuple):
-    """What the network says of n UAVs.
+    """Output of the network for n UAVs.
 
     Args:
         head: ``(n,)`` logits of being a head.
-        leader: ``(n, n)`` logits; row i: whom UAV i follows, itself meaning nobody.
+        leader: ``(n, n)`` logits; entry (i, j): UAV i follows UAV j; entry (i, i): it follows no UAV.
     """
 
     head: Tensor
@@ -44,13 +44,13 @@ class Answer(NamedTuple):
 
 
 class _Block(nn.Module):
-    """One exchange: every UAV attends to the others, is told who attends to it, and its pairs are told in turn."""
+    """One update: each UAV attends to all UAVs and receives the attention of all; then the pairs are updated."""
 
     def __init__(self, sizes: NetworkSizes) -> None:
         super().__init__()
-        width, heads = sizes.width, sizes.heads
+        width = sizes.width
         self.pair_norm = nn.LayerNorm(width)
-        self.attention = nn.Linear(width, heads)
+        self.attention = nn.Linear(width, sizes.attn_heads)
         self.value = nn.Linear(width, width)
         self.uav = nn.Sequential(nn.Linear(4 * width, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
         self.uav_norm = nn.LayerNorm(width)
@@ -61,38 +61,39 @@ class _Block(nn.Module):
         self.out = nn.Linear(width, width)
 
     def forward(self, pair: Tensor, uav: Tensor) -> tuple[Tensor, Tensor]:
-        """``pair`` ``(n, n, w)`` and ``uav`` ``(n, w)``, both moved on."""
+        """Return the updated ``pair`` ``(n, n, w)`` and ``uav`` ``(n, w)``."""
         n, width = uav.shape
         normed = self.pair_norm(pair)
         attention = torch.softmax(self.attention(normed), dim=1)
         value = self.value(normed).reshape(n, n, attention.shape[2], -1)
         given = attention[..., None] * value
         chosen = given.sum(dim=1).reshape(n, width)
-        received = given.sum(dim=0).reshape(n, width)  # grows with the followers: its logarithm enters
+        received = given.sum(dim=0).reshape(n, width)  # grows with the number of followers, hence the logarithm
         received = torch.sign(received) * torch.log1p(received.abs())
         whole = uav.mean(dim=0, keepdim=True).expand(n, width)
         uav = uav + self.uav(torch.cat([self.uav_norm(uav), chosen, received, whole], dim=1))
         known = self.uav_norm(uav)
-        told = self.row(known)[:, None] + self.column(known)[None]
-        mixed = self.forth(normed) + self.back(normed).transpose(0, 1) + told
+        update = self.row(known)[:, None] + self.column(known)[None]
+        mixed = self.forth(normed) + self.back(normed).transpose(0, 1) + update
         return pair + self.out(nn.functional.gelu(mixed)), uav
 
 
 class HeadNetwork(nn.Module):
-    """Pair statistics in, head and leader logits out, for any number of UAVs.
+    """Computes head and leader logits from pair statistics, for any number of UAVs.
 
-    Pairs (i, j) carry vectors, UAVs carry vectors. In each block UAV i attends to all j by what pair (i, j) knows; j
-    sums up who attends to it, i whom it attends to; and pair (i, j) is told of pair (j, i), of i and of j. All weights
-    are shared by all UAVs, so that numbering the UAVs otherwise only numbers the answer otherwise.
+    Each UAV and each pair (i, j) has a feature vector. In each block the vectors of the pairs (i, j) give UAV i's
+    attention over all UAVs j. UAV i sums the values of the pairs (i, j), to which it attends, and of the pairs (j, i),
+    which attend to it. Then the vector of pair (i, j) is updated from those of pair (j, i), UAV i and UAV j. All UAVs
+    share all weights; so a permutation of the UAVs permutes the output.
 
     Args:
-        sizes: width, heads and blocks.
+        sizes: width, number of attention heads and number of blocks.
     """
 
     def __init__(self, sizes: NetworkSizes) -> None:
         super().__init__()
-        if sizes.width % sizes.heads:
-            raise ArgumentError(f"heads must divide width ({sizes.width}), got {sizes.heads}.")
+        if sizes.width % sizes.attn_heads:
+            raise ArgumentError(f"attn_heads must divide width ({sizes.width}), got {sizes.attn_heads}.")
         width = sizes.width
         self.sizes = sizes
         self.forth = nn.Linear(PAIR_FEATURES, width)
@@ -105,11 +106,11 @@ class HeadNetwork(nn.Module):
         self.head = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), nn.Linear(width, 1))
 
     def forward(self, features: Tensor, context: Tensor) -> Answer:
-        """The answer for n UAVs.
+        """Compute the logits for n UAVs.
 
         Args:
             features: ``(n, n, PAIR_FEATURES)`` of :func:`detectors.learned.features.pair_features`.
-            context: ``(3,)``: log n, log T_ob and the share of missing samples.
+            context: ``(3,)``, see :class:`detectors.learned.inputs.Inputs`.
         """
         n = len(features)
         diagonal = torch.eye(n)[..., None] * self.itself
@@ -122,27 +123,27 @@ class HeadNetwork(nn.Module):
 
 
 def draw_network(sizes: NetworkSizes, seed: int) -> HeadNetwork:
-    """A network with random weights; the global generator is left as it was."""
+    """Make a network with random weights; the global generator stays unchanged."""
     with torch.random.fork_rng(devices=[]):
         torch.random.set_rng_state(torch.Generator().manual_seed(seed).get_state())
         return HeadNetwork(sizes)
 
 
-def network_of(path: str, arrays: Mapping[str, Tensor]) -> HeadNetwork:
-    """The network with these weights, whose sizes follow from their shapes.
+def build_network(path: str, arrays: Mapping[str, Tensor]) -> HeadNetwork:
+    """Build the network with these weights; its sizes follow from their shapes.
 
     Raises:
-        ArgumentError: the arrays are not those of a network, or not finite; ``path`` is named.
+        ArgumentError: the arrays are not those of a network, or not finite; the message names ``path``.
     """
     try:
-        width, heads = len(arrays["itself"]), len(arrays["blocks.0.attention.weight"])
+        width, attn_heads = len(arrays["itself"]), len(arrays["blocks.0.attention.weight"])
         blocks = sum(name.endswith(".attention.weight") for name in arrays)
-        network = draw_network(NetworkSizes(width=width, heads=heads, blocks=blocks), 0)
+        network = draw_network(NetworkSizes(width=width, attn_heads=attn_heads, blocks=blocks), 0)
         network.load_state_dict(dict(arrays))
     except (KeyError, TypeError, RuntimeError, ArgumentError):
         raise ArgumentError(
             f"path must hold the arrays of a head network, got {quote(path)} with {quote(sorted(arrays))}."
         ) from None
     if any(not bool(value.isfinite().all()) for value in arrays.values()):
-        raise ArgumentError(f"path must hold finite arrays, got others in {quote(path)}.")
+        raise ArgumentError(f"path must hold finite arrays, got NaN or infinity in {quote(path)}.")
     return network.eval()

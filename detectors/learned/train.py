@@ -1,7 +1,7 @@
-"""Training from nothing: draws swarms with random follow strategies, learns who heads them, and writes the weights.
+"""Trains the network from random weights on simulated swarms with random follow strategies.
 
-Every draw has a seed of its own, from the training's seed and what is drawn, and no swarm is looked at twice. So
-training that was interrupted goes on from its checkpoint to the very result it would have had.
+The seed of each swarm follows from the seed of the training and the number of the swarm, and each swarm is used once.
+So a training that is resumed from its checkpoint gives exactly the result of an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from detectors.learned.inputs import Inputs, inputs_of
+from detectors.learned.inputs import Inputs, make_inputs
 from detectors.learned.network import Answer, HeadNetwork, NetworkSizes, draw_network
 from detectors.weights import arrays_of, write_arrays, write_weights
 from usnet_env.config import ArgumentError, Config, quote
@@ -29,9 +29,9 @@ from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
 
-__all__ = ["Example", "HeadTraining", "draw_example", "draw_swarm", "loss_of", "train_heads"]
+__all__ = ["Example", "HeadTraining", "compute_loss", "draw_example", "draw_swarm", "train_heads"]
 
-_START, _STEP, _HELD_OUT = range(3)  # what a seed is for
+_START, _STEP, _HELD_OUT = range(3)  # purpose of a seed
 _HELD_OUT_SWARMS = 200
 _CHECKPOINT = "checkpoint.safetensors"
 _MOBILITIES = ("iid", "gauss_markov", "smooth_turn", "waypoint", "local_waypoint")
@@ -41,17 +41,17 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class HeadTraining(Config):
-    """Everything that decides the weights.
+    """Settings of the training; together they determine the weights.
 
     Args:
-        steps: of the optimiser.
-        swarms: in each step, every one with a follow strategy of its own.
-        seed: of all draws.
-        width, heads, blocks: see :class:`detectors.learned.network.NetworkSizes`.
-        rate: the highest learning rate of AdamW; it rises over ``warm`` steps and falls along a cosine.
-        warm: steps.
+        steps: the number of steps of the optimiser.
+        swarms: the number of swarms per step, each with its own follow strategy.
+        seed: seed of all random draws.
+        width, attn_heads, blocks: see :class:`detectors.learned.network.NetworkSizes`.
+        rate: the largest learning rate of AdamW; it rises over ``warm`` steps and falls along a cosine.
+        warm: the number of warm-up steps.
         decay: weight decay.
-        leader_weight: of the loss of who follows whom, beside the loss of who heads.
+        leader_weight: weight of the loss of the leaders, relative to the loss of the heads.
         most_uavs: N is drawn between 10 and this.
         most_clusters: M is drawn between 1 and this.
     """
@@ -60,7 +60,7 @@ class HeadTraining(Config):
     swarms: Count = 8
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     width: Annotated[int, Field(ge=4, le=512)] = 32
-    heads: Annotated[int, Field(ge=1, le=32)] = 4
+    attn_heads: Annotated[int, Field(ge=1, le=32)] = 4
     blocks: Annotated[int, Field(ge=1, le=16)] = 3
     rate: Positive = 2e-3
     warm: Count = 100
@@ -70,18 +70,18 @@ class HeadTraining(Config):
     most_clusters: Annotated[int, Field(ge=1, le=100)] = 10
 
     def sizes(self) -> NetworkSizes:
-        """Of the network."""
-        return NetworkSizes(width=self.width, heads=self.heads, blocks=self.blocks)
+        """Return the sizes of the network."""
+        return NetworkSizes(width=self.width, attn_heads=self.attn_heads, blocks=self.blocks)
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A window whose heads are known, of n living UAVs.
+    """A labelled window of n living UAVs.
 
     Args:
-        inputs: what the network sees.
-        head: ``(n,)`` float32, 1 for a living head with a follower.
-        leader: ``(n,)`` int64, whom each UAV follows; its own index for heads and decoys.
+        inputs: the inputs of the network.
+        head: ``(n,)`` float32, 1 for a head with at least one follower.
+        leader: ``(n,)`` int64, the UAV that each UAV follows; its own index for heads and decoys.
     """
 
     inputs: Inputs
@@ -89,17 +89,17 @@ class Example:
     leader: Tensor
 
 
-def _rng(training: HeadTraining, purpose: int, *numbers: int) -> np.random.Generator:
+def _make_rng(training: HeadTraining, purpose: int, *numbers: int) -> np.random.Generator:
     return np.random.default_rng([training.seed, purpose, *numbers])
 
 
-def _log_uniform(rng: np.random.Generator, least: int, most: int) -> int:
+def _draw_log_uniform(rng: np.random.Generator, least: int, most: int) -> int:
     return round(math.exp(rng.uniform(math.log(least), math.log(most))))
 
 
 def draw_swarm(training: HeadTraining, rng: np.random.Generator) -> SwarmConfig:
-    """A swarm and an observer of any kind; the follow strategy is none of f1 to f7."""
-    uavs = _log_uniform(rng, 10, training.most_uavs)
+    """Draw the configuration of a swarm and its observer; the follow strategy is none of f1 to f7."""
+    uavs = _draw_log_uniform(rng, 10, training.most_uavs)
     clusters = int(rng.integers(1, min(training.most_clusters, uavs // 3) + 1))
     decoys = int(rng.integers(0, min(5, uavs - 3 * clusters) + 1)) if rng.random() < 0.3 else 0
     noisy = rng.random() < 0.1
@@ -109,7 +109,7 @@ def draw_swarm(training: HeadTraining, rng: np.random.Generator) -> SwarmConfig:
         formation=str(rng.choice(["uniform", "around"], p=[0.8, 0.2])),
         clusters=clusters,
         uavs=uavs,
-        observation_steps=100 if rng.random() < 0.6 else _log_uniform(rng, 8, 160),
+        observation_steps=100 if rng.random() < 0.6 else _draw_log_uniform(rng, 8, 160),
         miss_rate=float(rng.uniform(0.0, 0.3)) if rng.random() < 0.2 else 0.0,
         position_noise=float(rng.uniform(0.02, 0.5)) if noisy else 0.0,
         sample_every=2 if rng.random() < 0.05 else 1,
@@ -119,7 +119,7 @@ def draw_swarm(training: HeadTraining, rng: np.random.Generator) -> SwarmConfig:
 
 
 def draw_example(training: HeadTraining, rng: np.random.Generator) -> Example:
-    """One window of a swarm of any kind, in its first round or after some of it was destroyed."""
+    """Draw one labelled window of a swarm, in its first round or after some UAVs were destroyed."""
     config = draw_swarm(training, rng)
     (own,) = rng.spawn(1)
     state = start(config, [own])
@@ -140,17 +140,17 @@ def draw_example(training: HeadTraining, rng: np.random.Generator) -> Example:
     leader = np.where(alone, np.arange(config.uavs), state.leader[0])[living]
     led = np.bincount(leader[~alone[living]], minlength=config.uavs) > 0
     return Example(
-        inputs_of(window, living), torch.from_numpy(led[living].astype(np.float32)), torch.from_numpy(place[leader])
+        make_inputs(window, living), torch.from_numpy(led[living].astype(np.float32)), torch.from_numpy(place[leader])
     )
 
 
-def loss_of(answer: Answer, example: Example, leader_weight: float) -> Tensor:
-    """Cross entropy of who heads, per UAV, and of who follows whom."""
+def compute_loss(answer: Answer, example: Example, leader_weight: float) -> Tensor:
+    """Cross entropy of the heads plus ``leader_weight`` times that of the leaders, each averaged over the UAVs."""
     head = torch.nn.functional.binary_cross_entropy_with_logits(answer.head, example.head)
     return head + leader_weight * torch.nn.functional.cross_entropy(answer.leader, example.leader)
 
 
-def _rate(training: HeadTraining, step: int) -> float:
+def _compute_learning_rate(training: HeadTraining, step: int) -> float:
     rise = min(1.0, (step + 1) / training.warm)
     return training.rate * rise * 0.5 * (1.0 + math.cos(math.pi * step / training.steps))
 
@@ -164,34 +164,34 @@ def train_heads(
 ) -> Path:
     """Train the network and write its weights.
 
-    Files in ``out``, each appearing whole: ``learned.safetensors`` and ``learned.json``, see :mod:`detectors.weights`;
-    ``losses.csv``, the mean loss of every step's swarms; ``checkpoint.safetensors``.
+    It writes these files to ``out``, each atomically: ``learned.safetensors`` and ``learned.json``, see
+    :mod:`detectors.weights`; ``losses.csv``, the mean loss of each step; ``checkpoint.safetensors``.
 
     Args:
-        out: a folder; made if it is missing.
-        training: what to train; the defaults make the weights that the package ships.
-        progress: called with the steps done and all there are.
-        resume: go on from the checkpoint in ``out``, if there is one; otherwise start again.
-        checkpoint_every: steps between two checkpoints.
+        out: the output folder; created if it is missing.
+        training: the settings; the defaults give the shipped weights.
+        progress: function that is called with the number of finished steps and of all steps.
+        resume: whether to resume from the checkpoint in ``out``, if there is one.
+        checkpoint_every: the number of steps between two checkpoints.
 
     Returns:
-        The weights file.
+        The path of the weights file.
 
     Raises:
-        ArgumentError: an argument is refused, ``out`` can't be written to, or its checkpoint is of another training.
+        ArgumentError: an argument is refused, ``out`` can't be written, or it holds a checkpoint with other settings.
     """
     training = HeadTraining() if training is None else training
     if isinstance(checkpoint_every, bool) or not isinstance(checkpoint_every, int) or checkpoint_every < 1:
         raise ArgumentError(f"checkpoint_every must be a whole number from 1, got {quote(checkpoint_every)}.")
     folder = Path(out)
     checkpoint = folder / _CHECKPOINT
-    network = draw_network(training.sizes(), int(_rng(training, _START).integers(2**63)))
+    network = draw_network(training.sizes(), int(_make_rng(training, _START).integers(2**63)))
     optimiser = torch.optim.AdamW(network.parameters(), lr=training.rate, weight_decay=training.decay)
     losses: list[float] = []
     if resume and checkpoint.exists():
         losses = _read_checkpoint(checkpoint, training, network, optimiser)
     while len(losses) < training.steps:
-        losses.append(_step(training, len(losses), network, optimiser))
+        losses.append(_run_step(training, len(losses), network, optimiser))
         progress(len(losses), training.steps)
         if len(losses) % checkpoint_every == 0 or len(losses) == training.steps:
             _write_checkpoint(checkpoint, training, network, optimiser, losses)
@@ -201,19 +201,19 @@ def train_heads(
         writer.writerows((step, round(loss, 6)) for step, loss in enumerate(losses, start=1))
     record = {**training.model_dump(mode="json"), "torch": torch.__version__, "numpy": np.__version__}
     return write_weights(
-        folder / "learned.safetensors", network.state_dict(), record, _metrics(training, network, losses)
+        folder / "learned.safetensors", network.state_dict(), record, _evaluate_network(training, network, losses)
     )
 
 
-def _step(training: HeadTraining, step: int, network: HeadNetwork, optimiser: torch.optim.Optimizer) -> float:
-    """One step of the optimiser on swarms that are drawn for it alone; their mean loss."""
+def _run_step(training: HeadTraining, step: int, network: HeadNetwork, optimiser: torch.optim.Optimizer) -> float:
+    """Run one step of the optimiser on newly drawn swarms and return their mean loss."""
     for group in optimiser.param_groups:
-        group["lr"] = _rate(training, step)
+        group["lr"] = _compute_learning_rate(training, step)
     optimiser.zero_grad()
     total = 0.0
     for number in range(training.swarms):
-        example = draw_example(training, _rng(training, _STEP, step, number))
-        loss = loss_of(network(*example.inputs), example, training.leader_weight) / training.swarms
+        example = draw_example(training, _make_rng(training, _STEP, step, number))
+        loss = compute_loss(network(*example.inputs), example, training.leader_weight) / training.swarms
         loss.backward()  # type: ignore[no-untyped-call]
         total += float(loss.detach())
     torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -221,17 +221,17 @@ def _step(training: HeadTraining, step: int, network: HeadNetwork, optimiser: to
     return total
 
 
-def _metrics(training: HeadTraining, network: HeadNetwork, losses: list[float]) -> dict[str, Any]:
-    """The loss at the beginning and the end, and how well heads are told on swarms that were not trained on."""
+def _evaluate_network(training: HeadTraining, network: HeadNetwork, losses: list[float]) -> dict[str, Any]:
+    """Compute the loss at the start and the end of training, and the accuracy on held-out swarms."""
     few = max(1, min(100, len(losses) // 2))
     held_out, exact, right, of = [], 0, 0, 0
     swarms = min(_HELD_OUT_SWARMS, training.steps)
     network.eval()
     for number in range(swarms):
-        example = draw_example(training, _rng(training, _HELD_OUT, number))
+        example = draw_example(training, _make_rng(training, _HELD_OUT, number))
         with torch.no_grad():
             answer = network(*example.inputs)
-        held_out.append(float(loss_of(answer, example, training.leader_weight)))
+        held_out.append(float(compute_loss(answer, example, training.leader_weight)))
         named = answer.head > 0
         exact += int(torch.equal(named, example.head > 0))
         right += int((answer.leader.argmax(dim=1) == example.leader).sum())
@@ -247,8 +247,8 @@ def _metrics(training: HeadTraining, network: HeadNetwork, losses: list[float]) 
     }
 
 
-def _identity(training: HeadTraining) -> Tensor:
-    """What must be equal for a checkpoint to be gone on from, as bytes."""
+def _encode_training(training: HeadTraining) -> Tensor:
+    """Encode the settings as bytes; a checkpoint can only be resumed with equal settings."""
     text = json.dumps(training.model_dump(mode="json"), sort_keys=True)
     return torch.tensor(list(text.encode()), dtype=torch.uint8)
 
@@ -263,7 +263,7 @@ def _write_checkpoint(
     arrays = {f"network.{name}": value for name, value in network.state_dict().items()}
     for number, state in optimiser.state_dict()["state"].items():
         arrays |= {f"optimiser.{number}.{name}": value for name, value in state.items()}
-    arrays |= {"losses": torch.tensor(losses, dtype=torch.float64), "training": _identity(training)}
+    arrays |= {"losses": torch.tensor(losses, dtype=torch.float64), "training": _encode_training(training)}
     write_arrays(path, arrays)
 
 
@@ -271,9 +271,9 @@ def _read_checkpoint(
     path: Path, training: HeadTraining, network: HeadNetwork, optimiser: torch.optim.Optimizer
 ) -> list[float]:
     arrays = arrays_of(str(path), path.read_bytes())
-    if "losses" not in arrays or not torch.equal(arrays.get("training", torch.empty(0)), _identity(training)):
+    if "losses" not in arrays or not torch.equal(arrays.get("training", torch.empty(0)), _encode_training(training)):
         raise ArgumentError(
-            f"out must hold no checkpoint of another training (train from the start with resume=False, or elsewhere), "
+            f"out must hold no checkpoint of another training (use resume=False or another folder), "
             f"got {quote(str(path))}."
         )
     network.load_state_dict(

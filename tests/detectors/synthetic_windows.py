@@ -1,4 +1,4 @@
-"""Windows made by hand, without the simulator: heads with fresh random directions, and who follows them."""
+"""Windows made by hand, without the simulator: heads with fresh random directions, and their followers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def unit(vectors):
 def flight(rng, sizes=(6, 4, 3), steps=100, kind="f1", noise=0.05):
     """Velocities ``(steps, N, 3)`` and the leader ``(N,)`` of every UAV; heads sit at random indices.
 
-    ``kind``: f1 (last velocity), f4 (squares of the last two) or none (everybody flies like a head).
+    ``kind``: f1 (last velocity), f4 (squares of the last two) or none (all UAVs fly like heads).
     """
     uavs = sum(size + 1 for size in sizes)
     order = rng.permutation(uavs)

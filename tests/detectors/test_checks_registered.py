@@ -1,16 +1,17 @@
-"""Every detector that ships passes the checks that a stranger's has to pass."""
+"""Every detector that ships passes the conformance checks, as a detector of a plugin must."""
 
 import warnings
 from importlib.metadata import distribution
 
 import pytest
 
+from detectors import Detector
 from detectors.checks import check_detector, parametrize_with_checks
 from usnet_env import ArgumentError, make_detector
 
 # Made small where the defaults train for long: what is checked doesn't depend on the number of steps.
 SMALL = {"gassl": "gassl(steps=4, voters=4)", "mc-gassl": "mc-gassl(gate_steps=4, passes=1)"}
-# Reasons why a detector can't pass a check, by its name.
+# Detectors that can't pass a check: by the name of the detector, the check and the reason.
 EXPECTED = {}
 NAMES = sorted(point.name for point in distribution("usnet").entry_points if point.group == "usnet.detectors")
 SECONDS = 60.0  # of a machine that does much else; each detector's own speed is measured by the benchmarks
@@ -26,6 +27,15 @@ def made(name):
             return detector
         except ArgumentError as error:  # its extra is not installed
             pytest.skip(str(error))
+
+
+def test_the_baselines_are_registered():
+    assert {"random", "destroy-all", "none", "lagged-correlation", "lagged-regression", "one-per-round"} <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_registered_detector_is_a_detector(name):
+    assert isinstance(made(name), Detector)
 
 
 @pytest.mark.parametrize("name", NAMES)

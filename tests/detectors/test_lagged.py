@@ -7,7 +7,7 @@ from sklearn.base import clone
 from synthetic_windows import flight, heads_of, window_of
 
 from detectors.lagged import LaggedCorrelation, LaggedRegression, OnePerRound
-from detectors.lagged.selection import Evidence, cover_voters, voters_of
+from detectors.lagged.selection import Evidence, compute_votes, cover_voters
 from usnet_env import ArgumentError, Window
 
 BOTH = [LaggedRegression, LaggedCorrelation]
@@ -48,7 +48,7 @@ def test_regression_finds_the_heads_of_squares_and_correlation_cannot(clusters):
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_finds_no_head_where_nobody_follows_but_names_one(kind):
+def test_finds_no_head_but_names_one_where_no_uav_follows(kind):
     found = 0
     for seed in range(20):
         velocity, _ = flight(np.random.default_rng(seed), sizes=(15, 15, 15), kind="none")
@@ -148,7 +148,7 @@ def test_a_head_needs_voters_that_no_other_head_explains():
     assert cover_voters(evidence) == [0, 4]
     assert cover_voters(evidence, most=1) == [0]
     assert cover_voters(Evidence(surrogate, surrogate, spread=0.05)) == []
-    vote, weight = voters_of(evidence)
+    vote, weight = compute_votes(evidence)
     assert vote[[1, 3, 6, 8]].tolist() == [0, 2, 4, 7]
     np.testing.assert_allclose(weight[[0, 1, 3, 6]], [0, 0.9, 0.95, 0.7])
 
@@ -167,7 +167,7 @@ def test_a_window_too_short_for_evidence_names_one_at_random(kind):
 
 
 @pytest.mark.parametrize("kind", BOTH)
-def test_a_short_window_is_not_explained_by_everybody(kind):
+def test_a_short_window_is_not_explained_by_all_uavs(kind):
     # with 4 lags and squares, 24 features would fit any 20 samples
     velocity, leader = flight(np.random.default_rng(10), steps=20)
     detection = answer(kind(), window_of(velocity))
@@ -202,7 +202,7 @@ def test_the_same_seed_gives_the_same_answer_and_the_window_stays_as_it_was(kind
     velocity, _ = flight(np.random.default_rng(13), kind="none")
     window = window_of(velocity)
     before = [getattr(window, name).copy() for name in ("position", "velocity", "seen", "alive")]
-    state = np.random.get_state()[1].copy()  # noqa: NPY002  # the point is that nobody touches it
+    state = np.random.get_state()[1].copy()  # noqa: NPY002  # no code may change it
     one, two = answer(kind(), window, 4), answer(kind(), window, 4)
     assert np.array_equal(one.candidates, two.candidates)
     assert np.array_equal(one.scores, two.scores)

@@ -93,7 +93,7 @@ def test_a_number_is_one_candidate(answer):
     assert np.flatnonzero(found.candidates).tolist() == [4]
 
 
-def test_masks_go_to_whoever_takes_them():
+def test_policies_that_take_masks_receive_them():
     alive = np.arange(UAVS) > 3
     np.testing.assert_array_equal(PolicyDetector(Masked(None)).detect(a_window(alive)).candidates, alive)
 
@@ -101,9 +101,9 @@ def test_masks_go_to_whoever_takes_them():
 @pytest.mark.parametrize(
     ("policy", "arguments", "sentence"),
     [
-        (None, {}, r"policy must have predict\(observation, \.\.\.\), or be .*, got None"),
+        (None, {}, r"policy must have predict\(observation, \.\.\.\) or be .*, got None"),
         (Bits, {}, "policy must have predict.*got <class"),
-        (SimpleNamespace(predict=max, env=1), {}, r"policy must hold no environment .*give model\.policy.*with env"),
+        (SimpleNamespace(predict=max, env=1), {}, r"policy must hold no environment .*pass model\.policy.*with env"),
         (Bits(), {"observe": 3}, "observe must be a function of a window or None, got 3"),
         (Bits(), {"threshold": "high"}, "threshold must be a number, got 'high'"),
         (One(np.full(UAVS, 0.5)), {}, "must give an action of 0 and 1"),
@@ -132,7 +132,7 @@ def test_it_keeps_the_contract_and_answers_swarms_of_any_size():
     check_detector(
         PolicyDetector(Bits(below=2)),
         expected_failed_checks={
-            "check_permuting_uavs_permutes_the_answer": "the policy names the first two, whoever they are",
+            "check_permuting_uavs_permutes_the_answer": "the policy always names the first two UAVs",
         },
     )
     assert "policy" in clone(PolicyDetector(Bits())).get_params()
@@ -211,7 +211,7 @@ def trained():
 
 
 def test_a_trained_model_gives_its_policy_and_not_itself(trained):
-    with pytest.raises(ArgumentError, match=r"policy must hold no environment .*give model\.policy"):
+    with pytest.raises(ArgumentError, match=r"policy must hold no environment .*pass model\.policy"):
         PolicyDetector(trained).reset(0)
     detector = PolicyDetector(trained.policy)
     window = a_window()

@@ -19,7 +19,7 @@ def test_destroy_all_names_the_living(window):
     assert np.array_equal(DestroyAll().detect(window).candidates, window.alive)
 
 
-def test_no_candidates_names_nobody(window):
+def test_no_candidates_names_no_uav(window):
     assert not NoCandidates().detect(window).candidates.any()
 
 
@@ -34,7 +34,7 @@ def test_random_names_as_many_living_uavs_as_asked_for(window, count):
         assert detection.scores[detection.candidates].min() >= detection.scores[~detection.candidates].max(initial=0)
 
 
-def test_random_names_everybody_equally_often(window):
+def test_random_names_all_uavs_equally_often(window):
     detector = RandomDetector()
     detector.reset(0)
     named = sum(detector.detect(window).candidates.astype(int) for _ in range(3000))

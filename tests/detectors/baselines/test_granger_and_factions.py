@@ -5,7 +5,7 @@ import pytest
 from sklearn.base import clone
 
 from detectors.baselines import Factions, Granger
-from detectors.baselines.factions import following_network, pagerank
+from detectors.baselines.factions import build_following_network, compute_pagerank
 from detectors.baselines.granger import granger_evidence
 from usnet_env import ArgumentError, Window
 from usnet_env.swarm import SwarmConfig, advance, start
@@ -60,7 +60,7 @@ def test_granger_is_the_ratio_of_two_regressions():
 
 def test_followings_have_one_direction():
     window, truth = swarm_window(2, follow="f1")
-    network = following_network(window.velocity, window.velocity_seen, 4, 0.4)
+    network = build_following_network(window.velocity, window.velocity_seen, 4, 0.4)
     assert not ((network > 0) & (network.T > 0)).any()
     followers = np.flatnonzero(~truth.head)
     assert (network[followers, truth.leader[followers]] > 0.9).all()
@@ -69,7 +69,7 @@ def test_followings_have_one_direction():
 def test_pagerank_is_a_distribution_that_favours_the_followed():
     network = np.zeros((5, 5))
     network[[1, 2, 3], 0] = 1.0
-    rank = pagerank(network)
+    rank = compute_pagerank(network)
     assert rank.sum() == pytest.approx(1.0)
     assert rank.argmax() == 0
     np.testing.assert_allclose(rank[1:], rank[1])
@@ -92,8 +92,8 @@ def test_odd_windows_get_an_answer(kind):
     for steps in (1, 3, 7):
         short = Window(window.position[: steps + 1], window.velocity[:steps], window.seen[: steps + 1], window.alive)
         assert answer(kind(), short).candidates.sum() >= 1
-    nobody = np.zeros_like(window.alive)
-    gone = Window(window.position * 0, window.velocity * 0, window.seen & nobody, nobody)
+    none = np.zeros_like(window.alive)
+    gone = Window(window.position * 0, window.velocity * 0, window.seen & none, none)
     assert not answer(kind(), gone).candidates.any()
 
 

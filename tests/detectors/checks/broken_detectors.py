@@ -102,7 +102,7 @@ class NeedsFour(Good):
 
 
 class NeedsTwoClusters(Good):
-    """Stands for whoever cannot count to one: the check of a single cluster has 16 UAVs."""
+    """Stands for detectors that need at least two clusters: the check of a single cluster has 16 UAVs."""
 
     def detect(self, window):
         if window.uavs == 16:
@@ -119,7 +119,7 @@ class NamesTheDead(Good):
 class NeedsEverySample(Good):
     def detect(self, window):
         if not window.seen[:, window.alive].any(axis=1).all():
-            raise ZeroDivisionError("nobody was seen")
+            raise ZeroDivisionError("a UAV was never seen")
         return super().detect(window)
 
 
@@ -279,7 +279,7 @@ class KeepsTheGlobalGenerator(Good):
 
 
 class LooksAtTheCaller(Good):
-    """Searches the frames above for whoever is a head."""
+    """Searches the calling frames for the heads."""
 
     def detect(self, window):
         frame = sys._getframe()

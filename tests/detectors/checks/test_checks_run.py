@@ -22,14 +22,14 @@ from detectors.checks import (
     parametrize_with_checks,
     results_table,
 )
-from detectors.checks.truth import truth_in_reach
-from detectors.checks.windows import hovering, permuted, simulated, unseen_in_part
+from detectors.checks.leakage import find_truth
+from detectors.checks.windows import make_hovering_window, permute_uavs, simulate_missing_samples, simulate_window
 from usnet_env import ArgumentError, Window
 from usnet_env.swarm import SwarmConfig
 
 NAMES = [check.__name__ for check in CHECKS]
 PERMUTING = "check_permuting_uavs_permutes_the_answer"
-REASON = "it names the first ones, whoever they are"
+REASON = "it always names the first UAVs"
 
 
 def by_check(results):
@@ -63,14 +63,14 @@ def test_an_expected_failure_carries_its_reason():
     results = check_detector(broken.FavoursLowIndices(), expected_failed_checks={PERMUTING: REASON})
     expected = by_check(results)[PERMUTING]
     assert expected.status == "expected failure"
-    assert expected.reason.startswith(f"{REASON} (permuted UAVs must get")
+    assert expected.reason.startswith(f"{REASON} (permuting the UAVs must permute")
     assert exit_status(results) == 0
 
 
 def test_an_expected_failure_that_passes_says_so():
     results = check_detector(broken.Good(), expected_failed_checks={PERMUTING: REASON})
     assert by_check(results)[PERMUTING].status == "passed"
-    assert by_check(results)[PERMUTING].reason == f"passed, though expected to fail: {REASON}"
+    assert by_check(results)[PERMUTING].reason == f"passed, but was expected to fail: {REASON}"
 
 
 def test_no_base_class_is_needed():
@@ -82,7 +82,7 @@ def test_no_base_class_is_needed():
 
 def test_what_was_fitted_is_kept_and_the_detector_left_alone():
     with pytest.raises(AttributeError, match="weights_"):
-        clone(broken.Fitted().fit()).scores(simulated())
+        clone(broken.Fitted().fit()).scores(simulate_window())
     detector = broken.Fitted().fit()
     before = dict(vars(detector))
     check_detector(detector)
@@ -154,21 +154,21 @@ def test_the_table_has_a_row_a_check():
 
 
 def test_the_windows_are_what_they_are_called():
-    window = simulated(clusters=2, uavs=20, destroyed=50, round=3, miss_rate=0.2)
+    window = simulate_window(clusters=2, uavs=20, destroyed=50, round=3, miss_rate=0.2)
     assert (window.uavs, window.alive.sum(), window.round) == (20, 3, 3)
-    partly = unseen_in_part()
+    partly = simulate_missing_samples()
     assert not partly.seen[20].any()
     assert not partly.velocity[~partly.velocity_seen].any()
     assert not partly.position[~partly.seen].any()
     assert (~partly.seen.any(axis=0) & partly.alive).sum() == 1
-    assert not np.diff(hovering().position, axis=0).any()
-    assert not np.ptp(hovering(together=True).position, axis=1).any()
+    assert not np.diff(make_hovering_window().position, axis=0).any()
+    assert not np.ptp(make_hovering_window(together=True).position, axis=1).any()
 
 
 def test_a_permuted_window_is_the_same_swarm_in_another_order():
-    window = unseen_in_part()
+    window = simulate_missing_samples()
     order = np.random.default_rng(0).permutation(window.uavs)
-    turned = permuted(window, order)
+    turned = permute_uavs(window, order)
     for name in ("position", "velocity", "seen"):
         np.testing.assert_array_equal(getattr(turned, name), getattr(window, name)[:, order])
     np.testing.assert_array_equal(turned.alive, window.alive[order])
@@ -236,23 +236,23 @@ def test_truth_is_found_however_it_is_wrapped(names):
     held, innocent = config, "config"
     for name in names:
         held, innocent = WRAPPERS[name](held), WRAPPERS[name](innocent)
-    assert truth_in_reach(held, "it").endswith(", a usnet_env.swarm.config.SwarmConfig")
-    assert truth_in_reach(held, "it").startswith("it")
-    assert truth_in_reach(innocent, "it") == ""
+    assert find_truth(held, "it").endswith(", a usnet_env.swarm.config.SwarmConfig")
+    assert find_truth(held, "it").startswith("it")
+    assert find_truth(innocent, "it") == ""
 
 
 def test_a_ring_is_walked_once():
     ring = [0]
     ring.append({"ring": ring})
-    assert truth_in_reach(ring, "it") == ""
+    assert find_truth(ring, "it") == ""
     ring.append(SwarmConfig())
-    assert truth_in_reach(ring[1], "it").startswith("it['ring'][2], a ")
+    assert find_truth(ring[1], "it").startswith("it['ring'][2], a ")
 
 
 def test_nothing_is_in_reach_of_a_window_from_an_environment():
     env = gym.make("USNET/MultiCluster-v0")
     observation, _ = env.reset(seed=0)
-    assert truth_in_reach(Window.from_observation(observation), "window") == ""
-    assert truth_in_reach(env.reset, "it").endswith(", a gymnasium.wrappers.common.OrderEnforcing")
+    assert find_truth(Window.from_observation(observation), "window") == ""
+    assert find_truth(env.reset, "it").endswith(", a gymnasium.wrappers.common.OrderEnforcing")
     for held in (env, env.unwrapped, env.unwrapped.swarm, functools.partial(env.step)):
-        assert truth_in_reach(held, "it")
+        assert find_truth(held, "it")

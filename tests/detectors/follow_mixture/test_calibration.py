@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from detectors.checks.windows import simulated
+from detectors.checks.windows import simulate_window
 from detectors.follow_mixture import FollowMixture
 from detectors.follow_mixture.calibration import (
     VERDICTS,
@@ -32,6 +32,7 @@ from detectors.follow_mixture.train import (
     train_calibration,
 )
 from usnet_env.config import ArgumentError
+from usnet_env.swarm.follow import FollowInputs, follow_strategy
 from usnet_env.swarm.random_follow import RandomFollowStrategy
 
 SHIPPED = files("detectors.follow_mixture") / "data" / "calibration.json"
@@ -184,6 +185,27 @@ def test_swarms_are_of_every_kind_and_follow_no_strategy_of_the_paper():
         assert 0 < sum(bool(getattr(config, name)) for config in drawn) < 300
 
 
+def test_the_calibration_never_draws_f1():
+    """Strategies that are alike on all axes have no rotation, which is what keeps the others apart from f1."""
+    rng = np.random.default_rng(0)
+    head_velocity = rng.standard_normal((50, 4, 3)).astype(np.float32)
+    head_velocity /= np.linalg.norm(head_velocity, axis=-1, keepdims=True)
+    positions = rng.uniform(0, 500, (2, 50, 5, 3)).astype(np.float32)
+    inputs = FollowInputs(positions[0], head_velocity, positions[1], np.empty(0, np.float32))
+    f1 = follow_strategy("f1").direction(inputs)
+    alike, nearest = 0, -1.0
+    for swarm in range(400):  # the first swarms of the calibration that ships
+        follow = draw_swarm(CalibrationTraining(), np.random.default_rng([0, swarm])).follow
+        if follow == "none":
+            continue
+        wanted = follow.direction(inputs)
+        lengths = np.linalg.norm(wanted, axis=1) * np.linalg.norm(f1, axis=1)
+        nearest = max(nearest, float(np.mean((wanted * f1).sum(axis=1) / lengths)))
+        alike += follow.rotation is not None and np.array_equal(follow.rotation, np.eye(3))
+    assert alike > 20
+    assert nearest < 0.995  # the mean cosine of two strategies that the grammar's own test takes for different
+
+
 def row(swarm, way, follows=1, **entries):
     entries = {"living": "20", "heads": "2", "kinds": "", "probability": "", "given": ""} | entries
     return dict.fromkeys(COLUMNS, "") | {"swarm": str(swarm), "way": way, "follows": str(follows)} | entries
@@ -224,5 +246,5 @@ def test_doubt_stands_for_misses_that_come_together():
 def test_probabilities_of_the_detector_are_calibrated():
     detector = FollowMixture()
     detector.reset(0)
-    probability = detector.detect(simulated(2, 12)).extras["probability"]
+    probability = detector.detect(simulate_window(2, 12)).extras["probability"]
     assert ((probability >= 0) & (probability <= 1)).all()

@@ -8,14 +8,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detectors.checks.windows import hovering, permuted, simulated, unseen_in_part
+from detectors.checks.windows import make_hovering_window, permute_uavs, simulate_missing_samples, simulate_window
 from detectors.learned import Learned
 from detectors.learned.detector import MOST_UAVS, load_network
 from detectors.learned.features import PAIR_FEATURES, pair_features
-from detectors.learned.inputs import inputs_of
+from detectors.learned.inputs import make_inputs
 from detectors.learned.network import NetworkSizes, draw_network
 from detectors.learned.train import HeadTraining, draw_example
-from usnet_env import ArgumentError, Window
+from usnet_env import ArgumentError, Window, make_detector
 from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 
@@ -42,11 +42,11 @@ def answer(window, seed=0, **arguments):
     seed=st.integers(0, 1000),
 )
 def test_numbering_the_uavs_otherwise_numbers_the_answer_otherwise(uavs, steps, destroyed, miss_rate, seed):
-    window = simulated(
+    window = simulate_window(
         2, uavs, seed=seed, destroyed=destroyed, observation_steps=steps, miss_rate=miss_rate, mobility="gauss_markov"
     )
     order = np.random.default_rng(seed).permutation(uavs)
-    here, there = answer(window), answer(permuted(window, order))
+    here, there = answer(window), answer(permute_uavs(window, order))
     np.testing.assert_allclose(there.scores, here.scores[order], atol=1e-4)
     np.testing.assert_allclose(there.attention, here.attention[np.ix_(order, order)], atol=1e-4)
     np.testing.assert_array_equal(there.leader < 0, here.leader[order] < 0)
@@ -56,7 +56,7 @@ def test_numbering_the_uavs_otherwise_numbers_the_answer_otherwise(uavs, steps, 
 @given(seed=st.integers(0, 1000), metres=st.floats(0.1, 10.0))
 def test_turning_moving_and_measuring_otherwise_changes_no_feature(seed, metres):
     rng = np.random.default_rng(seed)
-    window = simulated(2, 9, seed=seed, mobility="smooth_turn", head_jitter=True)
+    window = simulate_window(2, 9, seed=seed, mobility="smooth_turn", head_jitter=True)
     turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     moved = Window(
         metres * (window.position @ turn + rng.normal(0, 100, 3)),
@@ -64,8 +64,8 @@ def test_turning_moving_and_measuring_otherwise_changes_no_feature(seed, metres)
         window.seen,
         window.alive,
     )
-    everybody = np.arange(9)
-    np.testing.assert_allclose(pair_features(moved, everybody), pair_features(window, everybody), atol=0.02)
+    uavs = np.arange(9)
+    np.testing.assert_allclose(pair_features(moved, uavs), pair_features(window, uavs), atol=0.02)
 
 
 def test_a_pair_of_head_and_follower_stands_out_in_its_row():
@@ -81,7 +81,10 @@ def test_a_pair_of_head_and_follower_stands_out_in_its_row():
     assert copied[followers].max(axis=1).min() > 0.8
 
 
-@pytest.mark.parametrize("window", [hovering(), hovering(together=True), unseen_in_part(), simulated(1, 3)])
+@pytest.mark.parametrize(
+    "window",
+    [make_hovering_window(), make_hovering_window(together=True), simulate_missing_samples(), simulate_window(1, 3)],
+)
 def test_odd_windows_get_finite_answers_with_a_candidate(window):
     found = answer(window)
     assert np.isfinite(found.scores).all()
@@ -90,13 +93,13 @@ def test_odd_windows_get_finite_answers_with_a_candidate(window):
 
 @pytest.mark.parametrize("steps", [1, 2, 3, 5, 8])
 def test_short_windows_are_answered(steps):
-    window = simulated(2, 8, observation_steps=steps)
+    window = simulate_window(2, 8, observation_steps=steps)
     assert np.isfinite(pair_features(window, np.arange(8))).all()
     assert answer(window).candidates.any()
 
 
 def test_destroyed_uavs_are_no_candidates_and_change_nothing():
-    window = simulated(3, 14, destroyed=5)
+    window = simulate_window(3, 14, destroyed=5)
     found = answer(window, policy="threshold", threshold=0.0)
     np.testing.assert_array_equal(found.candidates, window.alive)
     assert not found.scores[~window.alive].any()
@@ -108,14 +111,14 @@ def test_destroyed_uavs_are_no_candidates_and_change_nothing():
     np.testing.assert_allclose(answer(rest).scores, found.scores[living], atol=1e-5)
 
 
-def test_nobody_alive_gives_nobody():
-    window = simulated(2, 8)
+def test_no_living_uav_gives_no_candidate():
+    window = simulate_window(2, 8)
     dead = Window(np.zeros_like(window.position), np.zeros_like(window.velocity), np.zeros((61, 8)), np.zeros(8))
     assert not answer(dead).candidates.any()
 
 
 def test_same_seed_same_answer_and_ties_are_drawn():
-    window = hovering(together=True)
+    window = make_hovering_window(together=True)
     first, again = answer(window, seed=5), answer(window, seed=5)
     np.testing.assert_array_equal(first.candidates, again.candidates)
     np.testing.assert_array_equal(first.scores, again.scores)
@@ -128,14 +131,30 @@ def test_same_seed_same_answer_and_ties_are_drawn():
 
 
 def test_the_choice_follows_the_probabilities():
-    window = simulated(3, 14)
+    window = simulate_window(3, 14)
     probability = answer(window).extras["probability"]
     for policy in ("threshold", "map"):
         np.testing.assert_array_equal(answer(window, policy=policy).candidates, probability > 0.5)
-    nobody_passes = answer(window, policy="threshold", threshold=1.0)
-    np.testing.assert_array_equal(nobody_passes.candidates, probability == probability.max())
+    none_passes = answer(window, policy="threshold", threshold=1.0)
+    np.testing.assert_array_equal(none_passes.candidates, probability == probability.max())
     dear, cheap = answer(window, round_price=100.0), answer(window, round_price=0.01)
     assert (dear.candidates >= cheap.candidates).all()
+
+
+@pytest.mark.parametrize("policy", ["cost", "map", "threshold"])
+def test_the_policy_is_an_argument_of_the_detector_spec(policy):
+    window = simulate_window(3, 14)
+    detector = make_detector(f"learned(policy='{policy}')")
+    detector.reset(0)
+    assert detector.get_params()["policy"] == policy
+    np.testing.assert_array_equal(detector.detect(window).candidates, answer(window, policy=policy).candidates)
+
+
+def test_the_policies_differ_where_no_uav_follows():
+    window, _ = swarm(SwarmConfig(follow="none", uavs=30, clusters=3), 0)
+    named = {policy: answer(window, policy=policy).candidates.sum() for policy in ("cost", "map")}
+    assert named["map"] == 0  # no UAV is probably a head
+    assert named["cost"] >= 1  # a game only goes on while a head is left
 
 
 def test_it_beats_chance_by_far_on_fresh_random_strategies():
@@ -146,18 +165,12 @@ def test_it_beats_chance_by_far_on_fresh_random_strategies():
         candidates = answer(window, policy="map").candidates
         hits += int((candidates & state.head[0]).sum())
         named, heads = named + int(candidates.sum()), heads + 3
-    assert hits >= 0.8 * heads  # who names 3 of 24 at random hits one in eight
+    assert hits >= 0.8 * heads  # 3 random candidates of 24 hit one head in eight
     assert hits >= 0.8 * named
 
 
-def test_nobody_is_named_where_nobody_follows():
-    window, _ = swarm(SwarmConfig(follow="none", uavs=30, clusters=3), 0)
-    assert not answer(window, policy="map").candidates.any()
-    assert answer(window).candidates.any()  # a game is only over when a head is hit
-
-
 def test_a_detector_in_use_can_be_pickled():
-    window = simulated(2, 9)
+    window = simulate_window(2, 9)
     detector = Learned()
     detector.reset(1)
     copy = pickle.loads(pickle.dumps(detector))
@@ -175,7 +188,7 @@ def test_it_says_what_it_does_not_take(tmp_path):
         with pytest.raises(ArgumentError, match=text):
             Learned(**arguments).reset(0)
         with pytest.raises(ArgumentError, match=text):
-            Learned(**arguments).detect(simulated(1, 3))
+            Learned(**arguments).detect(simulate_window(1, 3))
     many = MOST_UAVS + 1
     ones = np.ones((2, many))
     crowd = Window(np.zeros((2, many, 3)), np.zeros((1, many, 3)), ones, ones[0])
@@ -184,14 +197,14 @@ def test_it_says_what_it_does_not_take(tmp_path):
 
 
 def test_a_network_reads_its_inputs_whatever_the_size():
-    network = draw_network(NetworkSizes(width=8, heads=2, blocks=1), 0)
+    network = draw_network(NetworkSizes(width=8, attn_heads=2, blocks=1), 0)
     for uavs in (3, 30):
-        inputs = inputs_of(simulated(1, uavs), np.arange(uavs))
+        inputs = make_inputs(simulate_window(1, uavs), np.arange(uavs))
         head, leader = network(*inputs)
         assert head.shape == (uavs,)
         assert leader.shape == (uavs, uavs)
-    with pytest.raises(ArgumentError, match=r"heads must divide width \(8\), got 3"):
-        draw_network(NetworkSizes(width=8, heads=3), 0)
+    with pytest.raises(ArgumentError, match=r"attn_heads must divide width \(8\), got 3"):
+        draw_network(NetworkSizes(width=8, attn_heads=3), 0)
     before = torch.random.get_rng_state()
     draw_network(NetworkSizes(), 1)
     assert torch.equal(before, torch.random.get_rng_state())
@@ -205,7 +218,7 @@ def test_drawn_swarms_are_never_of_the_table():
         own = example.leader == torch.arange(living)
         assert example.inputs.features.shape == (living, living, PAIR_FEATURES)
         assert torch.isfinite(example.inputs.features).all()
-        assert not example.head[~own].any()  # a head follows nobody
+        assert not example.head[~own].any()  # a head follows no UAV
         assert set(example.leader[~own].tolist()) == set(torch.nonzero(example.head)[:, 0].tolist())
     assert len({len(example.head) for example in drawn}) > 10
 

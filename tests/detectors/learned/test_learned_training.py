@@ -10,16 +10,25 @@ import pytest
 import torch
 from safetensors.torch import load, save
 
-from detectors.checks.windows import simulated
+from detectors.checks.windows import simulate_window
 from detectors.learned import Learned
 from detectors.learned.detector import load_network
-from detectors.learned.network import network_of
+from detectors.learned.network import build_network
 from detectors.learned.train import HeadTraining, draw_swarm, train_heads
 from detectors.weights import arrays_of, packaged_record, read_arrays, write_weights
 from usnet_env.config import ArgumentError
 from usnet_env.swarm.random_follow import RandomFollowStrategy
 
-SMALL = {"steps": 6, "swarms": 2, "width": 8, "heads": 2, "blocks": 1, "most_uavs": 16, "most_clusters": 2, "warm": 2}
+SMALL = {
+    "steps": 6,
+    "swarms": 2,
+    "width": 8,
+    "attn_heads": 2,
+    "blocks": 1,
+    "most_uavs": 16,
+    "most_clusters": 2,
+    "warm": 2,
+}
 
 
 class Interrupted(Exception):
@@ -71,7 +80,7 @@ def test_a_short_training_lowers_the_loss_and_writes_what_it_did(tmp_path):
     assert metrics["last_loss"] == pytest.approx(np.mean(losses[-30:]), abs=1e-5)
     assert np.mean(losses[-10:]) < 0.7 * np.mean(losses[:10])
     assert metrics["held_out_loss"] < np.mean(losses[:10])
-    window = simulated(2, 9)
+    window = simulate_window(2, 9)
     detector = Learned(weights=str(path))
     detector.reset(0)
     assert not np.array_equal(detector.detect(window).scores, Learned().detect(window).scores)
@@ -118,10 +127,10 @@ def test_changed_or_foreign_weights_are_refused(tmp_path):
     with pytest.raises(ArgumentError, match="path must be a safetensors file"):
         arrays_of("half", b"half of one")
     with pytest.raises(ArgumentError, match="path must hold the arrays of a head network"):
-        network_of("other", load(save({"w": torch.zeros(3)})))
+        build_network("other", load(save({"w": torch.zeros(3)})))
     broken = {name: torch.full_like(value, torch.nan) for name, value in network.state_dict().items()}
     with pytest.raises(ArgumentError, match="path must hold finite arrays"):
-        network_of("other", broken)
+        build_network("other", broken)
     (tmp_path / "checkpoint.safetensors").write_bytes(b"half of one")
     with pytest.raises(ArgumentError, match="path must be a safetensors file"):
         train_heads(tmp_path, HeadTraining(**SMALL))

@@ -1,4 +1,4 @@
-"""Checks that no truth is in reach: no environment, no swarm, and no generator but the detector's own."""
+"""Checks that no ground truth leaks into a detector through an environment, a swarm or a shared generator."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.checks.asking import answers, difference, fresh, require
-from detectors.checks.windows import simulated, swarm_with_heads
+from detectors.checks.harness import compare_detections, copy_detector, play_windows, require
+from detectors.checks.windows import simulate_swarm_with_heads, simulate_window
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["check_no_reach_for_truth", "check_truth_nearby_changes_nothing", "reached", "truth_in_reach"]
+__all__ = ["check_no_reach_for_truth", "check_truth_nearby_changes_nothing", "find_truth", "walk_references"]
 
 _WORLD = ("usnet_env.swarm", "usnet_env.envs", "usnet_env.multiagent", "usnet_env.evaluation")
 _ENVIRONMENTS = {"Env", "VectorEnv", "VecEnv", "AECEnv", "ParallelEnv", "EnvBase"}
@@ -30,46 +30,48 @@ _GENERATORS = (np.random.Generator, np.random.BitGenerator, sys.modules["numpy.r
 
 
 def check_no_reach_for_truth(detector: Any) -> None:
-    """No environment or swarm can be reached from the window, the detector or its answer; generators are its own.
+    """The window, the detector and its detection hold no reference to an environment, a swarm or a shared generator.
 
-    Walked are attributes, containers, closures and class attributes. A generator that two copies of a detector share,
-    or the global one, is nobody's own.
+    The search follows attributes, containers, closures and class attributes. A generator is shared if two copies of the
+    detector hold it, or if it is a global one.
     """
-    window, later = simulated(), simulated(seed=1, destroyed=3, round=2)
-    own, other = fresh(detector), fresh(detector)
-    given = answers(own, [window, later])
-    answers(other, [window, later])
+    window, later = simulate_window(), simulate_window(seed=1, destroyed=3, round=2)
+    own, other = copy_detector(detector), copy_detector(detector)
+    given = play_windows(own, [window, later])
+    play_windows(other, [window, later])
     for root, name in ((window, "window"), (own, "detector"), (given, "detection")):
-        found = truth_in_reach(root, name)
-        require(not found, f"no truth must be in reach, got {found}.")
-    (path, _), *_ = [*_generators_of(window, "window"), ("", None)]
-    require(not path, f"no generator must be in reach of the window, got one at {path}.")
-    mine = list(_generators_of(own, "detector"))
-    others = {id(thing) for _, thing in _generators_of(other, "detector")} | _global_generators()
+        found = find_truth(root, name)
+        require(not found, f"no reference may lead to an environment or a swarm, got {found}.")
+    (path, _), *_ = [*_find_generators(window, "window"), ("", None)]
+    require(not path, f"the window must hold no generator, got one at {path}.")
+    mine = list(_find_generators(own, "detector"))
+    others = {id(thing) for _, thing in _find_generators(other, "detector")} | _list_global_generators()
     shared = [path for path, thing in mine if id(thing) in others]
-    require(not shared, f"a detector must have a generator of its own, got a shared one at {', '.join(shared[:1])}.")
+    require(
+        not shared, f"each copy of a detector must have its own generator, got a shared one at {''.join(shared[:1])}."
+    )
 
 
 def check_truth_nearby_changes_nothing(detector: Any) -> None:
-    """The answer is the same whatever the truth in the caller's frame says: nobody looks there, or searches memory."""
-    last = simulated().uavs - 1
-    gc.collect()  # whoever searches memory should find the one that lies here
-    given = [_answer_beside(detector, simulated(), np.array(heads)) for heads in ([0, 1], [last - 1, last])]
-    different = difference(*given)
-    require(not different, f"the answer must not depend on a swarm that is somewhere in memory: {different}.")
+    """The detection doesn't depend on a swarm that is in the caller's frame, or anywhere else in memory."""
+    last = simulate_window().uavs - 1
+    gc.collect()  # a detector that searches memory should find the swarm below only
+    given = [_detect_beside_swarm(detector, simulate_window(), np.array(heads)) for heads in ([0, 1], [last - 1, last])]
+    different = compare_detections(*given)
+    require(not different, f"the detection must not depend on a swarm elsewhere in memory, got different {different}.")
 
 
-def _answer_beside(detector: Any, window: Window, heads: NDArray[np.intp]) -> Detection:
-    """An answer, while a swarm with those heads lies in the frame that asks for it."""
-    state = swarm_with_heads(window, heads)
-    (answer,) = answers(fresh(detector), [window])
+def _detect_beside_swarm(detector: Any, window: Window, heads: NDArray[np.intp]) -> Detection:
+    """Call ``detect`` while a swarm with these heads is a local variable of the calling frame."""
+    state = simulate_swarm_with_heads(window, heads)
+    (answer,) = play_windows(copy_detector(detector), [window])
     del state
     return answer
 
 
-def truth_in_reach(root: Any, name: str) -> str:
-    """Where the first environment or part of a simulated swarm is reached from ``root``; empty if there is none."""
-    for path, thing in reached(root, name):
+def find_truth(root: Any, name: str) -> str:
+    """Path from ``root`` to the nearest environment or part of a simulated swarm; empty if there is none."""
+    for path, thing in walk_references(root, name):
         if _is_truth(thing):
             return f"{path}, a {type(thing).__module__}.{type(thing).__qualname__}"
     return ""
@@ -85,14 +87,14 @@ def _is_truth(thing: Any) -> bool:
     return False
 
 
-def _generators_of(root: Any, name: str) -> Iterator[tuple[str, Any]]:
+def _find_generators(root: Any, name: str) -> Iterator[tuple[str, Any]]:
     torch = sys.modules.get("torch")
     kinds = (*_GENERATORS, torch.Generator) if torch is not None else _GENERATORS
-    return ((path, thing) for path, thing in reached(root, name) if isinstance(thing, kinds))
+    return ((path, thing) for path, thing in walk_references(root, name) if isinstance(thing, kinds))
 
 
-def _global_generators() -> set[int]:
-    """Identities of the generators behind the functions of ``random``, ``numpy.random`` and ``torch``."""
+def _list_global_generators() -> set[int]:
+    """``id`` of each generator behind the functions of ``random``, ``numpy.random`` and ``torch``."""
     owners = [getattr(sys.modules["random"], "random", None), getattr(sys.modules["numpy.random"], "random", None)]
     found = {id(owner.__self__) for owner in owners if owner is not None}
     if torch := sys.modules.get("torch"):
@@ -100,29 +102,29 @@ def _global_generators() -> set[int]:
     return found
 
 
-def reached(root: Any, name: str) -> Iterator[tuple[str, Any]]:
-    """Everything that can be reached from ``root`` with the way there, nearest first, each thing once.
+def walk_references(root: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Yield each object that ``root`` refers to, directly or not, with its path; breadth first, each object once.
 
-    Not followed: modules, classes (but their data), and the globals of functions, from where everything is in reach.
+    Modules, the methods of classes and the globals of functions are not followed: they lead to every object.
     """
     seen = {id(root)}
-    alive = [root]  # an identity means nothing once its thing is gone
+    alive = [root]  # keeps the objects alive, so that no id is reused
     waiting = deque([(name, root)])
     while waiting:
         path, thing = waiting.popleft()
         yield path, thing
-        for step, child in _children(thing):
+        for step, child in _list_children(thing):
             if id(child) not in seen and not isinstance(child, _LEAVES):
                 seen.add(id(child))
                 alive.append(child)
                 waiting.append((path + step, child))
 
 
-def _children(thing: Any) -> Iterator[tuple[str, Any]]:
+def _list_children(thing: Any) -> Iterator[tuple[str, Any]]:
     if isinstance(thing, Mapping):
         try:
             yield from ((f"[{key!r}]"[:40], value) for key, value in list(thing.items()))
-        except Exception:  # a stranger's mapping may raise anything
+        except Exception:  # a plugin's mapping may raise any exception
             return
     elif isinstance(thing, list | tuple | set | frozenset | deque):
         yield from ((f"[{number}]", value) for number, value in enumerate(list(thing)))
@@ -146,7 +148,7 @@ def _children(thing: Any) -> Iterator[tuple[str, Any]]:
     elif isinstance(thing, types.GeneratorType) and thing.gi_frame is not None:
         yield ".<locals>", dict(thing.gi_frame.f_locals)
     elif not hasattr(thing, "__dict__"):
-        # Iterators and other things made in C, and slots: what the garbage collector knows of them.
+        # Iterators, other objects made in C, and objects with slots only: ask the garbage collector.
         yield from ((".<held>", child) for child in gc.get_referents(thing))
         return
     yield from ((f".{key}", value) for key, value in list(getattr(thing, "__dict__", {}).items()))
@@ -163,7 +165,7 @@ _HEAP_TYPE = 1 << 9  # Py_TPFLAGS_HEAPTYPE: a class written in Python
 
 
 def _is_data(key: str, value: Any) -> bool:
-    """Whether a class attribute is data rather than a method, a property or a dunder."""
+    """Whether a class attribute is data, not a method, a property or a special name."""
     if isinstance(value, staticmethod | classmethod | types.FunctionType):
         return False
     return not key.startswith("__") and not hasattr(type(value), "__get__")

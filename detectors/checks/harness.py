@@ -1,0 +1,73 @@
+"""What the checks share: copying a detector, calling it on windows, and comparing detections."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from sklearn.base import clone
+
+from usnet_env.config import quote
+from usnet_env.detection import Detection
+from usnet_env.window import Window
+
+__all__ = ["CheckError", "compare_detections", "copy_detector", "play_windows", "request_detection", "require"]
+
+SEED = 5  # for the detectors' generators
+
+
+class CheckError(AssertionError):
+    """A detector failed a check; the message is one sentence."""
+
+
+def require(holds: bool, sentence: str) -> None:
+    """Raise :class:`CheckError` with ``sentence`` unless ``holds`` is true."""
+    if not holds:
+        raise CheckError(sentence)
+
+
+def copy_detector(detector: Any) -> Any:
+    """Copy the detector and its fitted attributes, so that no check affects another.
+
+    ``deepcopy`` keeps what ``fit`` has learned; ``clone`` does not, and serves only where ``deepcopy`` fails.
+    """
+    try:
+        return copy.deepcopy(detector)
+    except Exception as error:  # an attribute may refuse to be copied with any exception
+        try:
+            return clone(detector)
+        except Exception:
+            raise CheckError(f"copy.deepcopy must copy the detector, got {type(error).__name__}: {error}") from error
+
+
+def request_detection(detector: Any, window: Window) -> Detection:
+    """Call ``detect`` and check that the result covers all N UAVs of the window."""
+    return validate_detection(detector.detect(window), window)
+
+
+def validate_detection(answer: Any, window: Window) -> Detection:
+    """Return ``answer`` if it is a detection for all N UAVs of the window; raise :class:`CheckError` otherwise."""
+    if not isinstance(answer, Detection):
+        raise CheckError(f"detect must return a usnet_env.Detection, got {quote(answer)}.")
+    named = len(answer.candidates)
+    require(named == window.uavs, f"detect must return candidates for all {window.uavs} UAVs, got {named}.")
+    return answer
+
+
+def play_windows(detector: Any, windows: Sequence[Window], seed: int | None = SEED) -> list[Detection]:
+    """Play an episode: call ``reset(seed)``, then ``detect`` on each window in order."""
+    detector.reset(seed)
+    return [request_detection(detector, window) for window in windows]
+
+
+def compare_detections(one: Detection, other: Detection) -> str:
+    """Names of the fields that are not bitwise equal in two detections; empty if they are all equal."""
+    fields = ("candidates", "scores", "clusters", "leader", "attention")
+    pairs = [(name, getattr(one, name), getattr(other, name)) for name in fields]
+    return ", ".join(
+        name
+        for name, this, that in pairs
+        if (this is None) != (that is None) or (this is not None and not np.array_equal(this, that))
+    )
