@@ -17,7 +17,7 @@ def pooled_within_sum(rows, labels):
     return total
 
 
-def best_within_sum(values, k):
+def lowest_within_sum(values, k):
     """The lowest W_k of values on a line: the best of all ways to cut the sorted values into k intervals."""
     ordered = np.sort(values.ravel())
     best = np.inf

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from gaussian_blobs import blobs
 
 from detectors.clustering import compute_gap_statistic, estimate_count_by_eigengap, gap_statistic
 from detectors.clustering.affinity import normalise_affinity
@@ -12,18 +13,6 @@ from detectors.clustering.max_count import compute_max_count
 
 def count_of(features, rng):
     return compute_gap_statistic(features, rng).count
-
-
-def blobs(rng, clusters, dimensions=2, apart=10.0, each=20):
-    """Gaussian blobs of unit width whose random centres are at least ``apart``."""
-    while True:
-        centres = rng.uniform(-1, 1, (clusters, dimensions)) * apart * clusters ** (1 / dimensions)
-        if (
-            clusters == 1
-            or np.linalg.norm(centres[:, None] - centres + 1e9 * np.eye(clusters)[..., None], axis=2).min() > apart
-        ):
-            break
-    return np.repeat(centres, each, axis=0) + rng.standard_normal((clusters * each, dimensions))
 
 
 @pytest.mark.parametrize("dimensions", [2, 8])
