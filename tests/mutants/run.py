@@ -112,9 +112,12 @@ def run_mutant(mutant: Mutant) -> str:
         environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
         environment |= {"PYTHONPATH": folder, "OMP_NUM_THREADS": "1"}
         environment.pop("NUMBA_CACHE_DIR", None)
-        run = subprocess.run(
-            words, cwd=folder, env=environment, capture_output=True, text=True, timeout=_SECONDS, check=False
-        )
+        try:
+            run = subprocess.run(
+                words, cwd=folder, env=environment, capture_output=True, text=True, timeout=_SECONDS, check=False
+            )
+        except subprocess.TimeoutExpired:
+            raise RuntimeError(f"mutant {mutant.number}: the tests took more than {_SECONDS} seconds.") from None
     if run.returncode == 0:
         return SURVIVES
     failed = re.search(r"^(?:FAILED|ERROR) (\S+::\S+|\S+\.py)", run.stdout, re.MULTILINE)
