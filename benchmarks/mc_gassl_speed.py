@@ -26,9 +26,9 @@ from speed_helpers import seconds as seconds_by
 from speed_helpers import window_of as first_window
 
 import usnet_env
-from detectors.clustering import clusterers, eigengap, gap, make_clusterer
-from detectors.clustering.affinity import affinity_of
-from detectors.clustering.features import features_of
+from detectors.clustering import clusterers, compute_gap_statistic, estimate_count_by_eigengap, make_clusterer
+from detectors.clustering.affinity import compute_affinity
+from detectors.clustering.features import compute_features
 from detectors.gassl.input_pooling import InputPooling
 from detectors.mc_gassl.features import MODES, gru_features
 from detectors.mc_gassl.gru import GruSizes, draw_parameters
@@ -59,16 +59,18 @@ def window_of(uavs: int) -> usnet_env.Window:
 def parts_of(uavs: int) -> dict[str, Callable[[], object]]:
     """What is timed, by name."""
     window, clusters = window_of(uavs), SIZES[uavs]
-    series = features_of("velocities", window, MEMORY)
+    series = compute_features("velocities", window, MEMORY)
     parts: dict[str, Callable[[], object]] = {}
     for name in clusterers():
         count = "own" if name == "hdbscan" else clusters
         clusterer = make_clusterer(name, count=count)
         parts[f"cluster: {name}"] = lambda clusterer=clusterer: clusterer.cluster(window, np.random.default_rng(0))
-    parts["affinity: lag"] = lambda: affinity_of("lag", series, 4)
-    parts["count: gap, scaled"] = lambda: gap(features_of("scaled", window, MEMORY), np.random.default_rng(0))
-    lag = affinity_of("lag", series, 4)
-    parts["count: eigengap"] = lambda: eigengap(lag, np.random.default_rng(0))
+    parts["affinity: lag"] = lambda: compute_affinity("lag", series, 4)
+    parts["count: gap, scaled"] = lambda: compute_gap_statistic(
+        compute_features("scaled", window, MEMORY), np.random.default_rng(0)
+    )
+    lag = compute_affinity("lag", series, 4)
+    parts["count: eigengap"] = lambda: estimate_count_by_eigengap(lag, np.random.default_rng(0))
     parameters = draw_parameters(GruSizes(), torch.Generator().manual_seed(0))
     for mode in MODES:
         parts[f"features: gru, {mode}"] = partial(gru_features, window, parameters, mode)

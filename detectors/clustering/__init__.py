@@ -1,4 +1,4 @@
-"""Which UAVs fly together? Clusterers of a window behind one contract, and the number of clusters."""
+"""Clustering of the UAVs of a window, and estimation of the number of clusters."""
 
 from detectors.clustering.base import (
     Clusterer,
@@ -8,15 +8,16 @@ from detectors.clustering.base import (
     make_clusterer,
     register_clusterer,
 )
-from detectors.clustering.count import Gap, eigengap, gap
+from detectors.clustering.eigengap import estimate_count_by_eigengap
+from detectors.clustering.gap_statistic import GapStatistic, compute_gap_statistic
 from detectors.clustering.partitions import Agglomerative, Hdbscan, KMeans, LeadVotes, Spectral, SymmetricNMF
-from detectors.clustering.snmf import symmetric_nmf
+from detectors.clustering.snmf import factorise_affinity
 
 __all__ = [
     "Agglomerative",
     "Clusterer",
     "Clustering",
-    "Gap",
+    "GapStatistic",
     "Hdbscan",
     "KMeans",
     "LeadVotes",
@@ -24,9 +25,9 @@ __all__ = [
     "Spectral",
     "SymmetricNMF",
     "clusterers",
-    "eigengap",
-    "gap",
+    "compute_gap_statistic",
+    "estimate_count_by_eigengap",
+    "factorise_affinity",
     "make_clusterer",
     "register_clusterer",
-    "symmetric_nmf",
 ]

@@ -1,4 +1,4 @@
-"""How much two UAVs belong together, from 0 to 1, from their features."""
+"""Affinity: the similarity of every two UAVs from 0 to 1, computed from their features."""
 
 from __future__ import annotations
 
@@ -12,25 +12,35 @@ from detectors.lagged.selection import centre_columns
 from usnet_env.config import ArgumentError
 from usnet_env.window import frozen_array
 
-__all__ = ["AFFINITIES", "affinity_of", "cosine", "lag", "lag_correlation", "rbf"]
+__all__ = [
+    "AFFINITIES",
+    "compute_affinity",
+    "compute_cosine_affinity",
+    "compute_lag_affinity",
+    "compute_rbf_affinity",
+    "correlate_over_lags",
+    "normalise_affinity",
+    "regularise_affinity",
+]
 
 Floats = NDArray[np.float64]
 _NEIGHBOURS = 7
-#: From features ``(n, d)`` or ``(n, T, d)`` to ``(n, n)``.
+_REGULARISATION = 0.25  # sum of the weights that regularisation adds to each UAV
+#: A function from features ``(n, d)`` or ``(n, T, d)`` to an affinity ``(n, n)``.
 Affinity = Callable[[Floats], ArrayLike]
 
 
-def lag_correlation(series: Floats, max_lag: int, surrogate: bool = False) -> Floats:
-    """The highest correlation of any two series over all lags from -L to L.
+def correlate_over_lags(series: Floats, max_lag: int, surrogate: bool = False) -> Floats:
+    """Compute the highest correlation of every two series over the lags -L to L.
 
     Args:
-        series: ``(n, T, d)``; the correlation is that of d coordinates taken together, each less its mean.
+        series: ``(n, T, d)``. Each coordinate is centred; the sums run over time and over the d coordinates.
         max_lag: L, in samples, at least 0; at most T - 1 are used.
-        surrogate: correlate each series with the others shifted circularly by T/2: what chance alone gives.
+        surrogate: shift the second series circularly by T/2, which leaves only correlation by chance.
 
     Returns:
-        ``(n, n)`` symmetric, from -1 to 1; 1 on the diagonal if it is no surrogate. A series that never changes
-        correlates with none.
+        ``(n, n)`` symmetric, from -1 to 1, with 1 on the diagonal unless ``surrogate``. The correlation with a
+        constant series is 0.
     """
     flight = centre_columns(series.swapaxes(0, 1), np.ones(series.shape[1::-1], bool))
     length = np.sqrt((flight**2).sum(axis=(0, 2)))
@@ -47,33 +57,45 @@ def lag_correlation(series: Floats, max_lag: int, surrogate: bool = False) -> Fl
     return np.clip(best, -1.0, 1.0)
 
 
-def lag(features: Floats, max_lag: int) -> Floats:
-    """:func:`lag_correlation` above what chance gives, ``(n, n)``.
+def compute_lag_affinity(features: Floats, max_lag: int) -> Floats:
+    """Compute max(0, (ρ - c) / (1 - c)), ``(n, n)``, where ρ is the result of :func:`correlate_over_lags`.
 
-    Chance is the median, over the UAVs, of a UAV's highest correlation with a time-shifted other. It is 0 here, so
-    that many small correlations by chance do not tie a large swarm together, and full correlation is 1.
+    c is the level of chance: the median over the UAVs of the highest correlation of a UAV with another one that is
+    shifted in time. Without it the sum of many small correlations by chance would connect the clusters of a large
+    swarm.
+
+    Args:
+        features: ``(n, T, d)``.
+        max_lag: L, in samples.
+
+    Raises:
+        ArgumentError: the features have no time axis.
     """
     if features.ndim != 3:
         raise ArgumentError(
             f"affinity must be 'rbf', 'cosine' or None for features without a time axis {features.shape}, got 'lag'."
         )
-    by_chance = lag_correlation(features, max_lag, surrogate=True)
+    by_chance = correlate_over_lags(features, max_lag, surrogate=True)
     np.fill_diagonal(by_chance, -1.0)
     chance = float(np.clip(np.median(by_chance.max(axis=1)), 0.0, 0.99))
-    return np.clip((lag_correlation(features, max_lag) - chance) / (1.0 - chance), 0.0, 1.0)
+    return np.clip((correlate_over_lags(features, max_lag) - chance) / (1.0 - chance), 0.0, 1.0)
 
 
-def _in_a_row(features: Floats) -> Floats:
+def _flatten_series(features: Floats) -> Floats:
     return features.reshape(len(features), -1)
 
 
-def rbf(features: Floats, max_lag: int) -> Floats:
-    """exp(-|x_i - x_j|² / (s_i s_j)), where s_i is the distance of i to its 7th neighbour; ``(n, n)``.
+def compute_rbf_affinity(features: Floats, max_lag: int) -> Floats:
+    """Compute exp(-|x_i - x_j|² / (σ_i σ_j)), ``(n, n)``, where σ_i is the distance of i to its 7th neighbour.
 
-    The local scaling of Zelnik-Manor and Perona (NIPS 2004): no width fits all windows, and one that is taken from all
-    distances is that between clusters.
+    This is the local scaling of Zelnik-Manor and Perona (NIPS 2004). A fixed width does not fit all windows, and a
+    width from all distances is dominated by the distances between clusters.
+
+    Args:
+        features: ``(n, d)`` or ``(n, T, d)``.
+        max_lag: not used.
     """
-    flat = _in_a_row(features)
+    flat = _flatten_series(features)
     flat = flat - flat.mean(axis=0)
     length = (flat**2).sum(axis=1)
     squared = np.maximum(length[:, None] + length - 2.0 * flat @ flat.T, 0.0)
@@ -83,9 +105,14 @@ def rbf(features: Floats, max_lag: int) -> Floats:
     return np.asarray(np.exp(-squared / np.maximum(width * width[:, None], 1e-12)))
 
 
-def cosine(features: Floats, max_lag: int) -> Floats:
-    """The cosine between features less their mean over the UAVs, at least 0; ``(n, n)``."""
-    flat = _in_a_row(features)
+def compute_cosine_affinity(features: Floats, max_lag: int) -> Floats:
+    """Compute max(0, cos(x_i - x̄, x_j - x̄)), ``(n, n)``, where x̄ is the mean over the UAVs.
+
+    Args:
+        features: ``(n, d)`` or ``(n, T, d)``.
+        max_lag: not used.
+    """
+    flat = _flatten_series(features)
     flat = flat - flat.mean(axis=0)
     length = np.sqrt((flat**2).sum(axis=1))
     flat /= np.where(length > 1e-9, length, np.inf)[:, None]
@@ -94,24 +121,28 @@ def cosine(features: Floats, max_lag: int) -> Floats:
     return affinity
 
 
-#: the affinities that have a name
-AFFINITIES: dict[str, Callable[[Floats, int], Floats]] = {"lag": lag, "rbf": rbf, "cosine": cosine}
+#: The built-in affinities by name.
+AFFINITIES: dict[str, Callable[[Floats, int], Floats]] = {
+    "lag": compute_lag_affinity,
+    "rbf": compute_rbf_affinity,
+    "cosine": compute_cosine_affinity,
+}
 
 
-def affinity_of(affinity: str | Affinity | None, features: Floats, max_lag: int) -> Floats:
-    """Affinity of n UAVs by name or callable; ``None``: ``lag`` for a series, else ``rbf``.
+def compute_affinity(affinity: str | Affinity | None, features: Floats, max_lag: int) -> Floats:
+    """Compute the affinity of n UAVs by a name or a callable.
 
     Args:
-        affinity: a name of :data:`AFFINITIES`, or a callable.
+        affinity: a name of :data:`AFFINITIES` or a callable; ``None``: ``"lag"`` for a series, else ``"rbf"``.
         features: ``(n, d)`` or ``(n, T, d)``.
-        max_lag: for ``lag``.
+        max_lag: L of ``"lag"``, in samples.
 
     Returns:
         ``(n, n)``, symmetric, from 0 to 1, 1 on the diagonal.
 
     Raises:
-        ArgumentError: ``lag`` of features without a time axis; or a callable gave another shape, what is not finite
-            or not symmetric, or values outside 0 to 1.
+        ArgumentError: ``"lag"`` with features that have no time axis; or a callable returned another shape, values
+            that are not finite or not from 0 to 1, or a matrix that is not symmetric.
     """
     if affinity is None:
         affinity = "lag" if features.ndim == 3 else "rbf"
@@ -120,8 +151,29 @@ def affinity_of(affinity: str | Affinity | None, features: Floats, max_lag: int)
     values = frozen_array("affinity", affinity(features), np.float64, (len(features), len(features))).copy()
     if values.min() < 0.0 or values.max() > 1.0 or not np.allclose(values, values.T):
         raise ArgumentError(
-            "affinity must give a symmetric array with values from 0 to 1, "
+            "affinity must return a symmetric array with values from 0 to 1, "
             f"got values from {values.min():.3g} to {values.max():.3g}."
         )
     np.fill_diagonal(values, 1.0)
     return values
+
+
+def regularise_affinity(affinity: Floats) -> Floats:
+    """Set the diagonal of an affinity to 0 and add the same small weight, 0.25 / n, to all entries, ``(n, n)``.
+
+    The added weight connects the graph and keeps a UAV that is similar to no other UAV from being a cluster of its own
+    (Amini, Chen, Bickel and Levina, Ann. Stat. 41, 2013).
+    """
+    weight = affinity + _REGULARISATION / len(affinity)
+    np.fill_diagonal(weight, _REGULARISATION / len(affinity))
+    return weight
+
+
+def normalise_affinity(affinity: Floats) -> Floats:
+    """Compute D^-1/2 A D^-1/2, ``(n, n)``, of the regularised affinity A with its diagonal matrix of row sums D.
+
+    This is the identity minus the symmetric normalised graph Laplacian.
+    """
+    weight = regularise_affinity(affinity)
+    root = np.sqrt(weight.sum(axis=1))
+    return np.asarray(weight / root / root[:, None])

@@ -1,4 +1,4 @@
-"""The contract that every clusterer of UAVs satisfies, and the registry of their names."""
+"""The base class of the clusterers, their result, and the registry of their names."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 from sklearn.base import BaseEstimator
 
-from detectors.clustering.affinity import AFFINITIES, Affinity, affinity_of
-from detectors.clustering.count import COUNTS, eigengap, gap
-from detectors.clustering.features import FEATURES, Features, features_of
+from detectors.clustering.affinity import AFFINITIES, Affinity, compute_affinity
+from detectors.clustering.eigengap import estimate_count_by_eigengap
+from detectors.clustering.features import FEATURES, Features, compute_features
+from detectors.clustering.gap_statistic import compute_gap_statistic
 from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.window import Window, frozen_array
 
@@ -34,24 +35,25 @@ __all__ = [
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
-OWN = "own"  # count= of a clusterer that finds the number of clusters as it clusters
+COUNTS = ("gap", "gap-one-se", "eigengap")  # the values of count= that estimate the number of clusters beforehand
+OWN = "own"  # the value of count= with which a clusterer finds the number of clusters itself
 
 
 @dataclass(frozen=True, eq=False)
 class Clustering:
-    """Who belongs together, and why. All arrays are read-only copies.
+    """The clusters of one window and what they were computed from. All arrays are read-only copies.
 
     Args:
-        labels: ``(N,)`` int64, 0 to ``count`` - 1 for the living UAVs, -1 for the destroyed.
-        count: number of clusters; 0 where nobody lives.
-        features: ``(N, d)`` or ``(N, T, d)``, what was clustered (0 for the destroyed), or ``None``.
-        affinity: ``(N, N)``, how much any two UAVs belong together, from 0 to 1 (0 for the destroyed), or ``None``
-            where it was not looked at.
-        extras: anything else worth keeping, by name: ``"estimate"``, the number of clusters that was asked for or
-            estimated before clustering.
+        labels: ``(N,)`` int64, 0 to ``count`` - 1 for living UAVs, -1 for destroyed ones.
+        count: the number of clusters; 0 if no UAV is alive.
+        features: ``(N, d)`` or ``(N, T, d)``, the features (0 for destroyed UAVs), or ``None``.
+        affinity: ``(N, N)``, the similarity of every two UAVs from 0 to 1 (0 for destroyed UAVs), or ``None`` if it
+            was not computed.
+        extras: other values by name; ``"estimate"`` is the number of clusters that was given or estimated before
+            clustering.
 
     Raises:
-        ArgumentError: an array of another shape, or labels other than -1 to ``count`` - 1, each used.
+        ArgumentError: an array has another shape, or the labels of living UAVs are not 0 to ``count`` - 1, each used.
     """
 
     labels: Labels
@@ -67,7 +69,8 @@ class Clustering:
         used = np.unique(self.labels)
         if not np.array_equal(used[used != -1], np.arange(self.count)):
             raise ArgumentError(
-                f"labels must be the numbers 0 to count - 1 = {self.count - 1}, each used, and -1, got {quote(used)}."
+                f"labels must use every number from 0 to count - 1 = {self.count - 1} and otherwise be -1, "
+                f"got {quote(used)}."
             )
         if self.features is not None:
             values = np.asarray(self.features)
@@ -79,7 +82,7 @@ class Clustering:
 
 
 class ClustererArguments(Config):
-    """The arguments that all clusterers have, checked."""
+    """The arguments that all clusterers take, checked."""
 
     count: Annotated[int, Field(ge=1)] | str
     features: str | Features
@@ -90,11 +93,11 @@ class ClustererArguments(Config):
 
 @dataclass(frozen=True, eq=False)
 class Living:
-    """What the n living UAVs of a window show; computed when it is asked for.
+    """Features and affinity of the n living UAVs of a window, computed at first use.
 
     Args:
-        window: the whole window.
-        arguments: how to look at it.
+        window: the whole window, with all N UAVs.
+        arguments: the arguments of the clusterer.
     """
 
     window: Window
@@ -102,48 +105,49 @@ class Living:
 
     @cached_property
     def index(self) -> NDArray[np.intp]:
-        """``(n,)`` their indices among the N of the window."""
+        """``(n,)`` indices of the living UAVs among the N UAVs of the window."""
         return np.flatnonzero(self.window.alive)
 
     @cached_property
     def features(self) -> Floats:
-        """``(n, d)``, or a series ``(n, T, d)``."""
-        return features_of(self.arguments.features, self.window, self.arguments.memory)[self.index]
+        """``(n, d)``, or a time series ``(n, T, d)``."""
+        return compute_features(self.arguments.features, self.window, self.arguments.memory)[self.index]
 
     @cached_property
     def flat(self) -> Floats:
-        """``(n, d)``: a series is laid out in a row."""
+        """``(n, d)``, or ``(n, T d)``: a time series is flattened to one row per UAV."""
         return self.features.reshape(len(self.index), -1)
 
     @cached_property
     def affinity(self) -> Floats:
         """``(n, n)`` symmetric, from 0 to 1, 1 on the diagonal."""
-        return affinity_of(self.arguments.affinity, self.features, self.arguments.max_lag)
+        return compute_affinity(self.arguments.affinity, self.features, self.arguments.max_lag)
 
 
 class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no types
-    """Clusters the living UAVs of one window. A subclass writes :meth:`partition`.
+    """Base class: clusters the living UAVs of one window. A subclass implements :meth:`partition`.
 
-    The constructor stores its keyword arguments and nothing else. Windows without a living UAV give no cluster, one
-    living UAV is a cluster of its own. Living UAVs that were never seen take part with mean features. A ``count`` above
-    the number of living UAVs is lowered to it, and K-Means and SNMF may find fewer clusters than asked for.
+    The constructor only stores its keyword arguments. A window without living UAVs has no cluster; with one living UAV
+    it has one. A living UAV that was never seen has the mean features of the others. A ``count`` above the number of
+    living UAVs is lowered to it. K-Means and SNMF may return fewer clusters than ``count``.
 
     Args:
-        count: the number of clusters: a whole number, ``"gap"`` (:func:`detectors.clustering.gap`, on the features),
-            ``"gap-one-se"`` (the same by the one-standard-error rule alone) or ``"eigengap"``
-            (:func:`detectors.clustering.eigengap`, on the affinity).
-        features: what is clustered: ``"raw"``, ``"scaled"``, ``"velocities"``
-            (see :mod:`detectors.clustering.features`), or a callable from a window to ``(N, d)`` or ``(N, T, d)``.
-        affinity: ``"lag"`` (a series only), ``"rbf"``, ``"cosine"`` (see :mod:`detectors.clustering.affinity`), or a
-            callable from the features of n UAVs to ``(n, n)``; ``None``: ``"lag"`` for a series, else ``"rbf"``.
-        max_lag: L, the longest lag of ``"lag"`` in samples, at least 0.
-        memory: T_0, the samples in ``"raw"`` and ``"scaled"``.
+        count: the number of clusters, or how to estimate it: ``"gap"``
+            (:func:`detectors.clustering.compute_gap_statistic` of the features), ``"gap-one-se"`` (the same with
+            ``margin=math.inf``, the one-standard-error rule of Tibshirani et al.) or ``"eigengap"``
+            (:func:`detectors.clustering.estimate_count_by_eigengap` of the affinity).
+        features: ``"raw"``, ``"scaled"`` or ``"velocities"`` (see :mod:`detectors.clustering.features`), or a callable
+            from a window to ``(N, d)`` or a time series ``(N, T, d)``.
+        affinity: ``"lag"`` (time series only), ``"rbf"`` or ``"cosine"`` (see :mod:`detectors.clustering.affinity`), or
+            a callable from the features of n UAVs to ``(n, n)``; ``None``: ``"lag"`` for a time series, else ``"rbf"``.
+        max_lag: L, the longest lag of ``"lag"``, in samples, at least 0.
+        memory: T_0, the number of samples in ``"raw"`` and ``"scaled"``.
 
     Raises:
-        ArgumentError: from :meth:`cluster`, if an argument is refused.
+        ArgumentError: raised by :meth:`cluster` for an invalid argument.
     """
 
-    counts: tuple[str, ...] = COUNTS  #: the names that ``count`` takes
+    counts: tuple[str, ...] = COUNTS  #: the strings that ``count`` accepts
 
     def __init__(
         self,
@@ -160,7 +164,7 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
         self.memory = memory
 
     def check_arguments(self) -> ClustererArguments:
-        """The common arguments, or ``ArgumentError``. A subclass with arguments of its own checks them as well."""
+        """Check all arguments; return the common ones. A subclass with more arguments extends this method."""
         common = ClustererArguments(**{name: getattr(self, name) for name in ClustererArguments.model_fields})
         if isinstance(common.count, str) and common.count not in self.counts:
             raise unknown_name("count", common.count, (*self.counts, "a whole number"))
@@ -174,11 +178,12 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
         """Cluster the living UAVs.
 
         Args:
-            window: what the observer saw.
-            rng: what is random comes from here.
+            window: the observer's window.
+            rng: generator of all random numbers.
 
         Raises:
-            ArgumentError: an argument is refused, or a callable of ``features`` or ``affinity`` gave what it can't.
+            ArgumentError: an argument is invalid, or the callable given as ``features`` or ``affinity`` returned an
+                invalid array.
         """
         arguments = self.check_arguments()
         living = Living(window, arguments)
@@ -189,36 +194,36 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
         if n == 1:
             labels[living.index] = 0
             return Clustering(labels, 1, extras={"estimate": 1})
-        estimate = self._estimate(living, rng)
+        estimate = self._estimate_count(living, rng)
         found = self.partition(living, None if estimate is None else min(estimate, n), rng)
         used, labels[living.index] = np.unique(found, return_inverse=True)
         features = np.zeros((window.uavs, *living.features.shape[1:]))
         features[living.index] = living.features
         affinity = None
-        if "affinity" in living.__dict__:  # it was looked at
+        if "affinity" in living.__dict__:  # it was computed
             affinity = np.zeros((window.uavs, window.uavs))
             affinity[np.ix_(living.index, living.index)] = living.affinity
         extras = {"estimate": len(used) if estimate is None else estimate}
         return Clustering(labels, len(used), features, affinity, extras)
 
-    def _estimate(self, living: Living, rng: np.random.Generator) -> int | None:
+    def _estimate_count(self, living: Living, rng: np.random.Generator) -> int | None:
         count = living.arguments.count
         if isinstance(count, int):
             return count
         if count == "gap":
-            return gap(living.flat, rng).count
+            return compute_gap_statistic(living.flat, rng).count
         if count == "gap-one-se":
-            return gap(living.flat, rng, clear=np.inf).count
-        return eigengap(living.affinity, rng) if count == "eigengap" else None
+            return compute_gap_statistic(living.flat, rng, margin=np.inf).count
+        return estimate_count_by_eigengap(living.affinity, rng) if count == "eigengap" else None
 
     @abstractmethod
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> NDArray[np.integer[Any]]:
-        """Labels ``(n,)`` of the n >= 2 living UAVs, any whole numbers.
+        """Assign a label to each of the n ≥ 2 living UAVs, ``(n,)``; any whole numbers are valid labels.
 
         Args:
-            living: features and affinity.
-            count: the number of clusters, 1 to n; ``None`` (with ``count="own"`` only): for the clusterer to find.
-            rng: what is random comes from here.
+            living: features and affinity of the living UAVs.
+            count: the number of clusters, 1 to n; ``None`` if the clusterer finds it itself (``count="own"``).
+            rng: generator of all random numbers.
         """
 
 
@@ -226,39 +231,39 @@ _CLUSTERERS: dict[str, Callable[..., Clusterer]] = {}
 
 
 def clusterers() -> Mapping[str, Callable[..., Clusterer]]:
-    """All registered clusterers by name (a read-only view)."""
+    """Return all registered clusterers by name (a read-only view)."""
     return MappingProxyType(_CLUSTERERS)
 
 
 def register_clusterer(name: str, factory: Callable[..., Clusterer]) -> None:
-    """Make a clusterer of one's own available under ``name``.
+    """Register a clusterer under ``name``.
 
     Args:
-        name: a name that is taken by another clusterer is refused.
-        factory: a class, or a function, that gives an object with ``cluster(window, rng)`` when it is called with
-            keyword arguments.
+        name: a new name.
+        factory: a class or a function that takes keyword arguments and returns an object with
+            ``cluster(window, rng)``.
 
     Raises:
-        ArgumentError: the name is taken or not a name, or the factory can't be called.
+        ArgumentError: the name belongs to another clusterer or is not a string, or the factory is not callable.
     """
     if not isinstance(name, str) or not name.strip():
         raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
     if not callable(factory):
-        raise ArgumentError(f"factory must be a class or a function that makes a clusterer, got {quote(factory)}.")
+        raise ArgumentError(f"factory must be a class or a function that returns a clusterer, got {quote(factory)}.")
     if _CLUSTERERS.get(name, factory) is not factory:
-        raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
+        raise ArgumentError(f"name must be a new name, got {name!r}, which is already registered.")
     _CLUSTERERS[name] = factory
 
 
 def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
-    """The clusterer registered under ``name``: ``make_clusterer("spectral", count="eigengap")``.
+    """Create the clusterer that is registered under ``name``: ``make_clusterer("spectral", count="eigengap")``.
 
     Args:
-        name: see :func:`clusterers`.
-        arguments: of its constructor.
+        name: a name of :func:`clusterers`.
+        arguments: keyword arguments of its constructor.
 
     Raises:
-        ArgumentError: no such clusterer, or an argument that it does not have.
+        ArgumentError: there is no such clusterer, or it does not take such an argument.
     """
     if name not in _CLUSTERERS:
         raise unknown_name("clusterer", name, _CLUSTERERS)

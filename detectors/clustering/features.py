@@ -1,9 +1,9 @@
-"""What is clustered: features of every UAV, from a window.
+"""Features of every UAV, computed from a window: the input of the clusterers.
 
-``raw`` and ``scaled`` are the paper's one window of T_0 samples, in metres or standardised, laid out in a row;
-``velocities`` is the series of the whole window. All are without holes: an unseen position is interpolated in time
-between those seen (held at the ends), an unseen velocity is the UAV's own mean, and a UAV that was never seen takes the
-mean of the others.
+``"raw"`` and ``"scaled"`` are the paper's window of T_0 samples as one row per UAV, in metres or standardised.
+``"velocities"`` is the time series of the whole window. Missing samples are filled in: an unseen position is
+interpolated linearly in time (at the ends, the nearest seen position is repeated), an unseen velocity is the mean
+velocity of the UAV, and a UAV that was never seen gets the mean of the other UAVs.
 """
 
 from __future__ import annotations
@@ -16,15 +16,21 @@ from numpy.typing import ArrayLike, NDArray
 from usnet_env.config import ArgumentError
 from usnet_env.window import Window, frozen_array
 
-__all__ = ["FEATURES", "features_of", "raw", "scaled", "velocities"]
+__all__ = [
+    "FEATURES",
+    "collect_velocity_series",
+    "compute_features",
+    "compute_raw_features",
+    "compute_scaled_features",
+]
 
 Floats = NDArray[np.float64]
-#: A window's features ``(N, d)`` or, as a series in time, ``(N, T, d)``; rows of destroyed UAVs do not count.
+#: A function from a window to features ``(N, d)`` or a time series ``(N, T, d)``; rows of destroyed UAVs are ignored.
 Features = Callable[[Window], ArrayLike]
 
 
-def _filled_position(window: Window) -> Floats:
-    """``(T_ob + 1, N, 3)`` metres."""
+def _fill_positions(window: Window) -> Floats:
+    """Return positions without missing samples, ``(T_ob + 1, N, 3)`` in metres."""
     position = window.position.astype(np.float64)
     seen = window.seen & window.alive
     instants = np.arange(len(position))
@@ -32,82 +38,97 @@ def _filled_position(window: Window) -> Floats:
         at = np.flatnonzero(seen[:, uav])
         for axis in range(3):
             position[:, uav, axis] = np.interp(instants, at, position[at, uav, axis])
-    return _with_unseen_uavs(position, seen)
+    return _fill_unseen_uavs(position, seen)
 
 
-def _filled_velocity(window: Window) -> Floats:
-    """``(T_ob, N, 3)`` metres per step."""
+def _fill_velocities(window: Window) -> Floats:
+    """Return velocities without missing samples, ``(T_ob, N, 3)`` in metres per step."""
     seen = window.velocity_seen[..., None]
     velocity = window.velocity.astype(np.float64) * seen
     mean = velocity.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-    return _with_unseen_uavs(np.where(seen, velocity, mean), window.velocity_seen)
+    return _fill_unseen_uavs(np.where(seen, velocity, mean), window.velocity_seen)
 
 
-def _with_unseen_uavs(values: Floats, seen: NDArray[np.bool_]) -> Floats:
-    """``values`` ``(T, N, 3)`` where the UAVs that were never ``seen`` ``(T, N)`` take the mean of the others."""
+def _fill_unseen_uavs(values: Floats, seen: NDArray[np.bool_]) -> Floats:
+    """Set the ``values`` ``(T, N, 3)`` of UAVs that were never ``seen`` ``(T, N)`` to the mean of the others."""
     known: NDArray[np.bool_] = np.asarray(seen.any(axis=0))
     if known.any():
         values[:, ~known] = values[:, known].mean(axis=1, keepdims=True)
     return values
 
 
-def _last_samples(window: Window, memory: int) -> tuple[Floats, Floats]:
-    """The last T_0 velocities and the positions where they start, each ``(N, T_0, 3)``."""
-    position, velocity = _filled_position(window)[:-1], _filled_velocity(window)
+def _take_last_samples(window: Window, memory: int) -> tuple[Floats, Floats]:
+    """Return the positions at the start of the last T_0 steps and their velocities, each ``(N, T_0, 3)``."""
+    position, velocity = _fill_positions(window)[:-1], _fill_velocities(window)
     return position[-memory:].swapaxes(0, 1), velocity[-memory:].swapaxes(0, 1)
 
 
-def _in_a_row(position: Floats, velocity: Floats) -> Floats:
+def _flatten_samples(position: Floats, velocity: Floats) -> Floats:
+    """Return one row ``(6 T_0,)`` per UAV: position and velocity, sample by sample."""
     return np.concatenate([position, velocity], axis=2).reshape(len(position), -1)
 
 
-def raw(window: Window, memory: int) -> Floats:
-    """The paper's window: the last T_0 velocities and the positions where they start, ``(N, 6 T_0)``.
+def compute_raw_features(window: Window, memory: int) -> Floats:
+    """Return the paper's window: the last T_0 velocities and the positions where they start, ``(N, 6 T_0)``.
 
-    Metres and metres per step, sample by sample; of a shorter window, all that there is.
+    Args:
+        window: the observer's window.
+        memory: T_0, in samples; lowered to T_ob.
+
+    Returns:
+        Metres and metres per step, sample by sample: x, y, z of the position, then of the velocity.
     """
-    return _in_a_row(*_last_samples(window, memory))
+    return _flatten_samples(*_take_last_samples(window, memory))
 
 
-def scaled(window: Window, memory: int) -> Floats:
-    """As :func:`raw`, with each of the six coordinates (three of position, three of velocity) standardised.
+def compute_scaled_features(window: Window, memory: int) -> Floats:
+    """Return :func:`compute_raw_features` with each of the six coordinates standardised, ``(N, 6 T_0)``.
 
-    Mean and standard deviation are over all living UAVs and samples, so that nothing within a window is distorted.
+    The mean and the standard deviation of a coordinate are over all living UAVs and all T_0 samples.
     """
     parts = []
-    for values in _last_samples(window, memory):
+    for values in _take_last_samples(window, memory):
         living = values[window.alive].reshape(-1, 3)
         if len(living) == 0:
             living = np.zeros((1, 3))
         spread = living.std(axis=0)
         parts.append((values - living.mean(axis=0)) / np.where(spread > 1e-12, spread, 1.0))
-    return _in_a_row(*parts)
+    return _flatten_samples(*parts)
 
 
-def velocities(window: Window, memory: int) -> Floats:
-    """The series of the whole window's velocities, ``(N, T_ob, 3)`` metres per step; ``memory`` plays no part."""
-    return _filled_velocity(window).swapaxes(0, 1)
+def collect_velocity_series(window: Window, memory: int) -> Floats:
+    """Return the velocities of the whole window, ``(N, T_ob, 3)`` in metres per step; ``memory`` is not used."""
+    return _fill_velocities(window).swapaxes(0, 1)
 
 
-#: the features that have a name
-FEATURES: dict[str, Callable[[Window, int], Floats]] = {"raw": raw, "scaled": scaled, "velocities": velocities}
+#: The built-in features by name.
+FEATURES: dict[str, Callable[[Window, int], Floats]] = {
+    "raw": compute_raw_features,
+    "scaled": compute_scaled_features,
+    "velocities": collect_velocity_series,
+}
 
 
-def features_of(features: str | Features, window: Window, memory: int) -> Floats:
-    """Features of all N UAVs by name or callable; 0 for the destroyed.
+def compute_features(features: str | Features, window: Window, memory: int) -> Floats:
+    """Compute the features of all N UAVs by a name or a callable.
+
+    Args:
+        features: a name of :data:`FEATURES`, or a callable from a window to features.
+        window: the observer's window.
+        memory: T_0 of ``"raw"`` and ``"scaled"``, in samples.
 
     Returns:
-        ``(N, d)``, or a series ``(N, T, d)``.
+        ``(N, d)``, or a time series ``(N, T, d)``; 0 for destroyed UAVs.
 
     Raises:
-        ArgumentError: a callable gave another shape, or what is not finite.
+        ArgumentError: a callable returned another shape, or values that are not finite.
     """
     if isinstance(features, str):
         values = FEATURES[features](window, memory)
     else:
         given = np.array(features(window), copy=True)
         if given.ndim not in (2, 3):
-            raise ArgumentError(f"features must give an array (N, d) or (N, T, d), got shape {given.shape}.")
+            raise ArgumentError(f"features must return an array of shape (N, d) or (N, T, d), got shape {given.shape}.")
         given[~window.alive[: len(given)]] = 0
         shape = (window.uavs, *[None] * (given.ndim - 1))
         values = frozen_array("features", given, np.float64, shape).copy()

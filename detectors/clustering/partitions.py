@@ -1,4 +1,4 @@
-"""The clusterers that come with the project, by name."""
+"""The built-in clusterers."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from sklearn.cluster import HDBSCAN, AgglomerativeClustering, spectral_clustering
-from sklearn.cluster import KMeans as SklearnKMeans
 
-from detectors.clustering.affinity import Affinity
-from detectors.clustering.base import OWN, Clusterer, ClustererArguments, Living, register_clusterer
-from detectors.clustering.count import COUNTS, normalised, regularised
+from detectors.clustering.affinity import Affinity, normalise_affinity, regularise_affinity
+from detectors.clustering.base import COUNTS, OWN, Clusterer, ClustererArguments, Living, register_clusterer
 from detectors.clustering.features import Features
-from detectors.clustering.snmf import symmetric_nmf
+from detectors.clustering.k_means import assign_k_means_labels
+from detectors.clustering.snmf import factorise_affinity
 from detectors.lagged.regression import regression_evidence
 from detectors.lagged.selection import detection_from_evidence
 from usnet_env.config import ArgumentError, Config, quote, unknown_name
@@ -23,38 +22,32 @@ __all__ = ["Agglomerative", "Hdbscan", "KMeans", "LeadVotes", "Spectral", "Symme
 
 Labels = NDArray[np.int64]
 
-STARTS = 10  # of K-Means
-
-
-def _seed(rng: np.random.Generator) -> int:
-    """A seed for scikit-learn."""
-    return int(rng.integers(2**31))
-
 
 class KMeans(Clusterer):
-    """K-Means on the features, a series laid out in a row."""
+    """K-Means on the features; a time series is flattened to one row per UAV."""
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
-        """Labels ``(n,)`` by scikit-learn, best of 10 starts."""
+        """Return labels ``(n,)`` by scikit-learn: the best of ten starts."""
         assert count is not None
-        most = min(count, len(np.unique(living.flat, axis=0)))
-        found: Labels = SklearnKMeans(most, n_init=STARTS, random_state=_seed(rng)).fit_predict(living.flat)
-        return found
+        return assign_k_means_labels(living.flat, count, rng)
 
 
 class Spectral(Clusterer):
-    """Spectral clustering of the regularised affinity (see :func:`detectors.clustering.count.regularised`)."""
+    """Spectral clustering of :func:`detectors.clustering.affinity.regularise_affinity`."""
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
-        """Labels ``(n,)`` by scikit-learn."""
+        """Return labels ``(n,)`` by scikit-learn."""
         assert count is not None
         if count == 1 or count >= len(living.index):
             return np.zeros(len(living.index), np.int64) if count == 1 else np.arange(count)
-        # K-Means on the embedding now and then spends a cluster on a head that resembles nobody; cluster_qr does not.
-        found: Labels = spectral_clustering(
-            regularised(living.affinity), n_clusters=count, random_state=_seed(rng), assign_labels="cluster_qr"
+        # K-Means on the embedding sometimes makes a cluster of one head that is similar to no UAV; cluster_qr does not.
+        labels: Labels = spectral_clustering(
+            regularise_affinity(living.affinity),
+            n_clusters=count,
+            random_state=int(rng.integers(2**31)),
+            assign_labels="cluster_qr",
         )
-        return found
+        return labels
 
 
 class _SymmetricNMFArguments(Config):
@@ -63,12 +56,14 @@ class _SymmetricNMFArguments(Config):
 
 
 class SymmetricNMF(Clusterer):
-    """Symmetric non-negative matrix factorisation of the normalised affinity, A ≈ H Hᵀ; the label is a row's peak.
+    """Symmetric non-negative matrix factorisation of the normalised affinity, A ≈ H Hᵀ.
+
+    The label of a UAV is the column of the largest entry in its row of H.
 
     Args:
         count, features, affinity, max_lag, memory: as in :class:`detectors.clustering.Clusterer`.
-        starts: random starts; the lowest loss counts.
-        steps: the most updates of each.
+        starts: the number of random starts; the one with the lowest loss is used.
+        steps: the largest number of updates of each start.
     """
 
     def __init__(
@@ -86,15 +81,15 @@ class SymmetricNMF(Clusterer):
         self.steps = steps
 
     def check_arguments(self) -> ClustererArguments:
-        """The common arguments, or ``ArgumentError``."""
+        """Check all arguments; return the common ones."""
         _SymmetricNMFArguments(starts=self.starts, steps=self.steps)
         return super().check_arguments()
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
-        """Labels ``(n,)`` of the best start."""
+        """Return labels ``(n,)`` of the best start."""
         assert count is not None
-        matrix = normalised(living.affinity)
-        fits = [symmetric_nmf(matrix, count, rng, self.steps) for _ in range(self.starts)]
+        matrix = normalise_affinity(living.affinity)
+        fits = [factorise_affinity(matrix, count, rng, self.steps) for _ in range(self.starts)]
         best = min(fits, key=lambda fit: float(fit[1][-1]))
         return best[0].argmax(axis=1).astype(np.int64)
 
@@ -123,16 +118,16 @@ class Agglomerative(Clusterer):
         self.linkage = linkage
 
     def check_arguments(self) -> ClustererArguments:
-        """The common arguments, or ``ArgumentError``."""
+        """Check all arguments; return the common ones."""
         if self.linkage not in LINKAGES:
             raise unknown_name("linkage", self.linkage, LINKAGES)
         return super().check_arguments()
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
-        """Labels ``(n,)`` by scikit-learn; nothing is random."""
+        """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
         model = AgglomerativeClustering(count, metric="precomputed", linkage=self.linkage)
-        found: Labels = model.fit_predict(1.0 - living.affinity)
-        return found
+        labels: Labels = model.fit_predict(1.0 - living.affinity)
+        return labels
 
 
 class _HdbscanArguments(Config):
@@ -140,15 +135,15 @@ class _HdbscanArguments(Config):
 
 
 class Hdbscan(Clusterer):
-    """HDBSCAN on the distances 1 - affinity; it finds the number of clusters itself.
+    """HDBSCAN on the distances 1 - affinity, which also estimates the number of clusters.
 
-    What HDBSCAN calls noise joins the cluster of the clustered UAV that it has the highest affinity to. Where all is
-    noise there is one cluster.
+    A UAV that HDBSCAN labels as noise joins the cluster of the UAV that it is most similar to among those with a
+    cluster. If all UAVs are noise, they are one cluster.
 
     Args:
-        count: ``"own"`` and nothing else.
+        count: ``"own"``, the only value.
         features, affinity, max_lag, memory: as in :class:`detectors.clustering.Clusterer`.
-        least: members that make a cluster, at least 2.
+        least: the smallest number of members of a cluster, at least 2.
     """
 
     counts = (OWN,)
@@ -166,14 +161,16 @@ class Hdbscan(Clusterer):
         self.least = least
 
     def check_arguments(self) -> ClustererArguments:
-        """The common arguments, or ``ArgumentError``."""
+        """Check all arguments; return the common ones."""
         _HdbscanArguments(least=self.least)
         if self.count != OWN:
-            raise ArgumentError(f"count must be {OWN!r} for HDBSCAN, which counts by itself, got {quote(self.count)}.")
+            raise ArgumentError(
+                f"count must be {OWN!r} for HDBSCAN, which estimates the number of clusters, got {quote(self.count)}."
+            )
         return super().check_arguments()
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
-        """Labels ``(n,)`` by scikit-learn; nothing is random."""
+        """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
         n = len(living.index)
         if n < self.least:
             return np.zeros(n, np.int64)
@@ -193,14 +190,15 @@ class _LeadVotesArguments(Config):
 
 
 class LeadVotes(Clusterer):
-    """Every UAV joins the one, of the most voted for, whose past best explains its velocities.
+    """Clusters of the UAVs that vote for the same leader: those of :class:`detectors.lagged.LaggedRegression`.
 
-    The evidence is the adjusted R² of pairwise lagged regression, and M̂ ``"own"`` the number of leaders that cover the
-    significant voters: clusters of :class:`detectors.lagged.LaggedRegression` behind this contract. It always looks at
-    the window's velocities; ``features`` and ``affinity`` serve to estimate the number only.
+    Each UAV votes for the UAV whose past velocities explain its velocities best, by the adjusted R² of pairwise lagged
+    regression. The UAVs with the most votes are the leaders, and each UAV joins the leader with the highest R².
+    ``count="own"`` takes as many leaders as are needed to cover the significant votes. The votes always use the
+    velocities of the window; ``features`` and ``affinity`` only serve ``"gap"`` and ``"eigengap"``.
 
     Args:
-        count: a whole number, ``"gap"``, ``"eigengap"`` or ``"own"``.
+        count: a whole number, ``"gap"``, ``"gap-one-se"``, ``"eigengap"`` or ``"own"``.
         features, affinity, max_lag, memory: as in :class:`detectors.clustering.Clusterer`.
         lags, squares, ridge: as in :class:`detectors.lagged.LaggedRegression`.
     """
@@ -224,23 +222,23 @@ class LeadVotes(Clusterer):
         self.ridge = ridge
 
     def check_arguments(self) -> ClustererArguments:
-        """The common arguments, or ``ArgumentError``."""
+        """Check all arguments; return the common ones."""
         _LeadVotesArguments(lags=self.lags, squares=self.squares, ridge=self.ridge)
         return super().check_arguments()
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
-        """Labels ``(n,)``; ``rng`` breaks ties between leaders."""
+        """Return labels ``(n,)``; ``rng`` breaks ties between leaders."""
         window, index = living.window, living.index
         evidence = regression_evidence(
             window.velocity[:, index], window.velocity_seen[:, index], self.lags, self.squares, self.ridge
         )
-        everybody = np.ones(len(index), bool)
-        clusters = detection_from_evidence(evidence, everybody, count, first_round=True, rng=rng).clusters
+        candidates = np.ones(len(index), bool)
+        clusters = detection_from_evidence(evidence, candidates, count, first_round=True, rng=rng).clusters
         assert clusters is not None
         return clusters
 
 
-for _name, _kind in {
+for _name, _class in {
     "kmeans": KMeans,
     "spectral": Spectral,
     "snmf": SymmetricNMF,
@@ -248,4 +246,4 @@ for _name, _kind in {
     "hdbscan": Hdbscan,
     "lead-votes": LeadVotes,
 }.items():
-    register_clusterer(_name, _kind)
+    register_clusterer(_name, _class)

@@ -5,44 +5,45 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["symmetric_nmf"]
+__all__ = ["factorise_affinity"]
 
 Floats = NDArray[np.float64]
 
-_LEAST = 1e-12  # an entry at exactly 0 could never leave it
+_LEAST = 1e-12  # lower bound of an entry: the multiplicative update would keep an entry of 0 forever
 
 
-def symmetric_nmf(
+def factorise_affinity(
     affinity: Floats, rank: int, rng: np.random.Generator, steps: int = 300, tolerance: float = 1e-5
 ) -> tuple[Floats, Floats]:
-    """A local minimum of |A - H Hᵀ|² over H >= 0, from a random start.
+    """Find a local minimum of |A - H Hᵀ|² over H ≥ 0 from a random start.
 
-    The update H ← H ∘ (AH / HHᵀH)^p with p = 1/4 minimises a bound of the loss that touches it at H, so that the loss
-    never rises; p = 1/2 is faster near a minimum but may raise it, and is kept only where it does not.
+    The update is H ← H ∘ (A H / H Hᵀ H)^p. With p = 1/4 it minimises an upper bound of the loss that is equal to the
+    loss at H, so the loss never rises. With p = 1/2 it is faster near a minimum, but the loss may rise; such an update
+    is used only if the loss does not rise.
 
     Args:
-        affinity: ``(n, n)`` symmetric, >= 0.
-        rank: columns of H.
-        rng: draws the start, uniform, of the affinity's mean size.
-        steps: the most updates.
-        tolerance: stop when an update lowers the loss by less than this share.
+        affinity: A, ``(n, n)`` symmetric, ≥ 0.
+        rank: the number of columns of H.
+        rng: generator of the start: uniform, scaled so that H Hᵀ has the mean size of A.
+        steps: the largest number of updates.
+        tolerance: stop when an update reduces the loss by at most this share.
 
     Returns:
-        H ``(n, rank)``, and the loss at the start and after every update.
+        H ``(n, rank)``, and the loss at the start and after every update ``(updates + 1,)``.
     """
     size = float((affinity**2).sum())
     factor = 2.0 * np.sqrt(affinity.mean() / rank) * rng.random((len(affinity), rank)) + _LEAST
     product, gram = affinity @ factor, factor.T @ factor
-    losses = [_loss(size, factor, product, gram)]
+    losses = [_compute_loss(size, factor, product, gram)]
     for _ in range(steps):
         ratio = product / np.maximum(factor @ gram, _LEAST)
         for power in (0.5, 0.25):
             trial = np.maximum(factor * ratio**power, _LEAST)
             product, gram = affinity @ trial, trial.T @ trial
-            loss = _loss(size, trial, product, gram)
+            loss = _compute_loss(size, trial, product, gram)
             if loss <= losses[-1]:
                 break
-        else:  # converged: what is left is rounding
+        else:  # converged: only rounding errors remain
             break
         factor = trial
         losses.append(loss)
@@ -51,6 +52,6 @@ def symmetric_nmf(
     return factor, np.array(losses)
 
 
-def _loss(size: float, factor: Floats, product: Floats, gram: Floats) -> float:
-    """|A - H Hᵀ|² from A H and Hᵀ H, at least 0."""
+def _compute_loss(size: float, factor: Floats, product: Floats, gram: Floats) -> float:
+    """Compute |A - H Hᵀ|² from |A|², A H and Hᵀ H; rounding errors below 0 are cut off."""
     return max(size - 2.0 * float((factor * product).sum()) + float((gram**2).sum()), 0.0)

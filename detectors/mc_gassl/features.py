@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from pydantic import Field
 
-from detectors.clustering.features import raw
+from detectors.clustering.features import compute_raw_features
 from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, embed
 from usnet_env.config import Config, unknown_name
 from usnet_env.window import Window
@@ -41,7 +41,7 @@ def inputs_of(window: Window, memory: int = 4) -> GruInputs:
     """
     steps = window.observation_steps
     memory = min(memory, steps)
-    filled = raw(window, steps).reshape(window.uavs, steps, 6).swapaxes(0, 1)
+    filled = compute_raw_features(window, steps).reshape(window.uavs, steps, 6).swapaxes(0, 1)
     filled[:, ~window.alive] = 0.0
     position = filled[: steps - memory + 1, :, :3]
     velocity = sliding_window_view(filled[:, :, 3:], memory, axis=0).swapaxes(2, 3)

@@ -1,30 +1,28 @@
-"""The gap statistic and the eigengap, on blobs, clouds and block affinities."""
+"""The gap statistic and the eigengap on blobs, uniform clouds and block affinities."""
 
 import numpy as np
 import pytest
+from gaussian_blobs import blobs
 
-from detectors.clustering import count as counting
-from detectors.clustering import eigengap, gap
-from detectors.clustering.count import eigenvalues, most_clusters, normalised, within_of
+from detectors.clustering import compute_gap_statistic, estimate_count_by_eigengap, gap_statistic
+from detectors.clustering.affinity import normalise_affinity
+from detectors.clustering.eigengap import compute_largest_eigenvalues
+from detectors.clustering.k_means import compute_dispersions
+from detectors.clustering.max_count import compute_max_count
 
 
-def blobs(rng, clusters, dimensions=2, apart=10.0, each=20):
-    """Gaussian blobs of unit width whose random centres are at least ``apart``."""
-    while True:
-        centres = rng.uniform(-1, 1, (clusters, dimensions)) * apart * clusters ** (1 / dimensions)
-        if (
-            clusters == 1
-            or np.linalg.norm(centres[:, None] - centres + 1e9 * np.eye(clusters)[..., None], axis=2).min() > apart
-        ):
-            break
-    return np.repeat(centres, each, axis=0) + rng.standard_normal((clusters * each, dimensions))
+def count_of(features, rng):
+    return compute_gap_statistic(features, rng).count
 
 
 @pytest.mark.parametrize("dimensions", [2, 8])
 @pytest.mark.parametrize("clusters", range(1, 11))
 def test_the_gap_statistic_counts_separated_blobs(clusters, dimensions):
     right = [
-        gap(blobs(np.random.default_rng(seed), clusters, dimensions), np.random.default_rng(seed)).count == clusters
+        compute_gap_statistic(
+            blobs(np.random.default_rng(seed), clusters, dimensions), np.random.default_rng(seed)
+        ).count
+        == clusters
         for seed in range(4)
     ]
     assert sum(right) == 4
@@ -35,7 +33,10 @@ def test_the_gap_statistic_counts_separated_blobs(clusters, dimensions):
 @pytest.mark.parametrize("clusters", range(1, 11))
 def test_the_gap_statistic_counts_separated_blobs_in_95_of_100_seeds(clusters, dimensions):
     right = [
-        gap(blobs(np.random.default_rng(seed), clusters, dimensions), np.random.default_rng(seed)).count == clusters
+        compute_gap_statistic(
+            blobs(np.random.default_rng(seed), clusters, dimensions), np.random.default_rng(seed)
+        ).count
+        == clusters
         for seed in range(1000, 1100)
     ]
     assert sum(right) >= 95
@@ -44,7 +45,10 @@ def test_the_gap_statistic_counts_separated_blobs_in_95_of_100_seeds(clusters, d
 @pytest.mark.parametrize(("uavs", "dimensions", "seeds"), [(82, 3, 40), (82, 24, 10)])
 def test_a_uniform_cloud_is_one_cluster(uavs, dimensions, seeds):
     one = [
-        gap(np.random.default_rng(seed).random((uavs, dimensions)), np.random.default_rng(seed + 9)).count == 1
+        compute_gap_statistic(
+            np.random.default_rng(seed).random((uavs, dimensions)), np.random.default_rng(seed + 9)
+        ).count
+        == 1
         for seed in range(seeds)
     ]
     assert sum(one) >= 0.95 * seeds
@@ -54,7 +58,10 @@ def test_a_uniform_cloud_is_one_cluster(uavs, dimensions, seeds):
 @pytest.mark.parametrize(("uavs", "dimensions"), [(82, 2), (82, 3), (200, 3), (200, 8)])
 def test_a_uniform_cloud_is_one_cluster_in_95_of_100_seeds(uavs, dimensions):
     one = [
-        gap(np.random.default_rng(seed).random((uavs, dimensions)), np.random.default_rng(seed + 9)).count == 1
+        compute_gap_statistic(
+            np.random.default_rng(seed).random((uavs, dimensions)), np.random.default_rng(seed + 9)
+        ).count
+        == 1
         for seed in range(1000, 1200)
     ]
     assert sum(one) >= 190
@@ -62,7 +69,7 @@ def test_a_uniform_cloud_is_one_cluster_in_95_of_100_seeds(uavs, dimensions):
 
 def test_the_rule_alone_stops_early_in_the_plane():
     alone = [
-        gap(blobs(np.random.default_rng(seed), 10), np.random.default_rng(seed), clear=np.inf).count
+        compute_gap_statistic(blobs(np.random.default_rng(seed), 10), np.random.default_rng(seed), margin=np.inf).count
         for seed in range(8)
     ]
     assert sum(count < 10 for count in alone) >= 5
@@ -70,18 +77,18 @@ def test_the_rule_alone_stops_early_in_the_plane():
 
 def test_the_rule():
     # 1: Gap(2) is more than s_2 higher; 2: Gap(3) is higher, but by less than s_3
-    assert counting._smallest([0.0, 1.0, 1.05], [0.1, 0.1, 0.1], np.inf) == 2
-    assert counting._smallest([0.0, 1.0], [0.1, 0.1], np.inf) is None
+    assert gap_statistic._choose_count([0.0, 1.0, 1.05], [0.1, 0.1, 0.1], np.inf) == 2
+    assert gap_statistic._choose_count([0.0, 1.0], [0.1, 0.1], np.inf) is None
     # a later peak that is clearly higher passes 1 over
-    assert counting._smallest([0.0, -0.1, 0.5, 2.0, 1.9], [0.1] * 5, 10.0) == 4
-    assert counting._smallest([0.0, -0.1, 0.5, 0.4], [0.1] * 4, 10.0) == 1
-    assert counting._smallest([0.0, -0.1, 0.5, 2.0, 1.9], [0.1] * 5, np.inf) == 1
+    assert gap_statistic._choose_count([0.0, -0.1, 0.5, 2.0, 1.9], [0.1] * 5, 10.0) == 4
+    assert gap_statistic._choose_count([0.0, -0.1, 0.5, 0.4], [0.1] * 4, 10.0) == 1
+    assert gap_statistic._choose_count([0.0, -0.1, 0.5, 2.0, 1.9], [0.1] * 5, np.inf) == 1
 
 
 def test_the_gap_is_its_definition():
     rng = np.random.default_rng(1)
     data = blobs(rng, 3)
-    found = gap(data, np.random.default_rng(2))
+    found = compute_gap_statistic(data, np.random.default_rng(2))
     # one cluster: W_1 in closed form, and the reference's variance is that of a uniform box along the principal axes
     axes = np.linalg.svd(data - data.mean(axis=0), full_matrices=False)[2]
     side = np.ptp((data - data.mean(axis=0)) @ axes.T, axis=0)
@@ -95,7 +102,7 @@ def test_within_agrees_with_k_means():
 
     sets = np.stack([blobs(np.random.default_rng(seed), 5, 3) for seed in range(4)])
     sets -= sets.mean(axis=1, keepdims=True)
-    ours = within_of(sets, np.random.default_rng(0))
+    ours = compute_dispersions(sets, np.random.default_rng(0))
     for k, within in zip(range(1, 9), ours, strict=False):
         best = [KMeans(k, n_init=20, random_state=0).fit(data).inertia_ for data in sets]
         assert (within <= np.array(best) * (1.10 if k not in (1, 5) else 1.0005)).all()
@@ -104,15 +111,15 @@ def test_within_agrees_with_k_means():
 
 def test_gap_of_few_and_of_equal_rows():
     rng = np.random.default_rng(3)
-    assert gap(np.ones((1, 4)), rng).count == 1
-    assert gap(np.ones((9, 4)), rng).count == 1
-    assert gap(rng.random((2, 4)), rng).count == 1
-    assert gap(np.repeat(rng.random((3, 4)), 5, axis=0), rng).count == 3
-    assert gap(blobs(rng, 6), rng, most=4).count <= 4
+    assert compute_gap_statistic(np.ones((1, 4)), rng).count == 1
+    assert compute_gap_statistic(np.ones((9, 4)), rng).count == 1
+    assert compute_gap_statistic(rng.random((2, 4)), rng).count == 1
+    assert compute_gap_statistic(np.repeat(rng.random((3, 4)), 5, axis=0), rng).count == 3
+    assert compute_gap_statistic(blobs(rng, 6), rng, max_count=4).count <= 4
 
 
-def test_most_clusters_grows_with_the_swarm():
-    assert [most_clusters(n) for n in (1, 2, 6, 82, 500, 2000)] == [1, 1, 3, 14, 34, 68]
+def test_the_largest_count_grows_with_the_swarm():
+    assert [compute_max_count(n) for n in (1, 2, 6, 82, 500, 2000)] == [1, 1, 3, 14, 34, 68]
 
 
 def blocks(sizes, inside=0.8, outside=0.0):
@@ -128,21 +135,21 @@ def test_the_eigengap_counts_blocks(clusters):
         rng = np.random.default_rng(seed)
         affinity = blocks(rng.integers(4, 20, clusters), outside=0.02)
         noise = rng.uniform(0, 0.02, affinity.shape)
-        assert eigengap(np.clip(affinity + noise + noise.T, 0, 1), rng) == clusters
+        assert estimate_count_by_eigengap(np.clip(affinity + noise + noise.T, 0, 1), rng) == clusters
 
 
-def test_uavs_that_resemble_nobody_are_no_clusters():
+def test_isolated_uavs_are_no_clusters():
     affinity = blocks([8, 6, 5, 1, 1, 1, 1])
-    assert eigengap(affinity, np.random.default_rng(0)) == 3
+    assert estimate_count_by_eigengap(affinity, np.random.default_rng(0)) == 3
 
 
 def test_the_eigengap_of_no_structure_is_one():
     rng = np.random.default_rng(0)
     for n in (2, 3, 20, 300):
-        assert eigengap(np.eye(n), rng) == 1
-        assert eigengap(np.ones((n, n)), rng) == 1
+        assert estimate_count_by_eigengap(np.eye(n), rng) == 1
+        assert estimate_count_by_eigengap(np.ones((n, n)), rng) == 1
         noise = rng.uniform(0, 0.01, (n, n))
-        assert eigengap(np.clip(np.eye(n) + noise + noise.T, 0, 1), rng) == 1
+        assert estimate_count_by_eigengap(np.clip(np.eye(n) + noise + noise.T, 0, 1), rng) == 1
 
 
 @pytest.mark.parametrize("clusters", [3, 25])
@@ -151,9 +158,9 @@ def test_partial_eigenvalues_agree_with_all_of_them(clusters):
     affinity = blocks(np.full(clusters, 600 // clusters))
     noise = rng.uniform(0, 0.02, affinity.shape)
     affinity = np.clip(affinity + noise + noise.T, 0, 1)
-    matrix = normalised(affinity)
+    matrix = normalise_affinity(affinity)
     np.testing.assert_allclose(matrix, matrix.T)
     whole = np.linalg.eigvalsh(matrix)[::-1]
-    np.testing.assert_allclose(eigenvalues(matrix, 30, rng), whole[:30], atol=1e-3)
+    np.testing.assert_allclose(compute_largest_eigenvalues(matrix, 30, rng), whole[:30], atol=1e-3)
     assert whole[0] == pytest.approx(1.0)
-    assert eigengap(affinity, rng) == clusters
+    assert estimate_count_by_eigengap(affinity, rng) == clusters
