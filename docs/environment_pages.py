@@ -1,28 +1,34 @@
-"""The environments' pages: each is its class's docstring, with the registered ids in a table."""
+"""Generate the pages of the environments and games: each is the docstring of its class."""
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import re
 from pathlib import Path
 
 import usnet_env.envs
 from usnet_env.envs import ENVIRONMENTS
+from usnet_env.multiagent import GAMES
 
-__all__ = ["environment_pages", "write_environment_pages"]
+__all__ = ["environment_pages", "game_pages", "write_environment_pages"]
 
 
 def environment_pages() -> dict[str, str]:
-    """Markdown by file name (without suffix), one page a class."""
+    """Markdown of one page for each Gymnasium environment class, by file name (without suffix)."""
     kinds = dict.fromkeys(kind for kind, _ in ENVIRONMENTS.values())
-    return {re.sub(r"(?<!^)(?=[A-Z])", "_", kind).lower(): _page(kind) for kind in kinds}
+    return {re.sub(r"(?<!^)(?=[A-Z])", "_", kind).lower(): _environment_page(kind) for kind in kinds}
 
 
-def _page(kind: str) -> str:
-    docstring = inspect.getdoc(getattr(usnet_env.envs, f"{kind}Env")) or ""
-    summary, _, sections = docstring.partition("\n")
+def game_pages() -> dict[str, str]:
+    """Markdown of one page for each PettingZoo game, by file name (without suffix)."""
+    return {name: _game_page(name) for name in GAMES}
+
+
+def _environment_page(kind: str) -> str:
+    summary, sections = _docstring(getattr(usnet_env.envs, f"{kind}Env"))
     ids = {name: arguments for name, (of, arguments) in ENVIRONMENTS.items() if of == kind}
-    rows = "\n".join(f"| `{name}` | {_arguments(arguments)} |" for name, arguments in ids.items())
+    rows = "\n".join(f"| `{name}` | {_format_arguments(arguments)} |" for name, arguments in ids.items())
     first = next(iter(ids))
     return f"""# {kind}
 
@@ -32,21 +38,41 @@ def _page(kind: str) -> str:
 | --- | --- |
 {rows}
 
-`gym.make("usnet_env:{first}")` makes it; `gym.make_vec("{first}", num_envs=64)` makes the batched
-{{class}}`usnet_env.envs.{kind}VectorEnv`, whose game b equals the single environment with the seed s + b.
+`gym.make("usnet_env:{first}")` creates the environment. `gym.make_vec("{first}", num_envs=64)` creates the vector
+environment {{class}}`usnet_env.envs.{kind}VectorEnv`: with `reset(seed=s)`, its episode b is the one that a single
+environment plays with the seed s + b.
 
-{sections.strip()}
+{sections}
 """
 
 
-def _arguments(arguments: dict[str, object]) -> str:
+def _game_page(name: str) -> str:
+    summary, sections = _docstring(importlib.import_module(f"usnet_env.multiagent.{name}").parallel_env)
+    return f"""# {name}
+
+{summary}
+
+`from usnet_env.multiagent import {name}` imports the game. `{name}.parallel_env()` creates it in parallel form,
+`{name}.env()` in turn-based form. [Several agents](../multiagent.md) has an introduction and examples.
+
+{sections}
+"""
+
+
+def _docstring(described: type) -> tuple[str, str]:
+    """The first line of a docstring, and the rest."""
+    summary, _, sections = (inspect.getdoc(described) or "").partition("\n")
+    return summary, sections.strip()
+
+
+def _format_arguments(arguments: dict[str, object]) -> str:
     return ", ".join(f"`{name}={value!r}`" for name, value in arguments.items()) or "none"
 
 
 def write_environment_pages(folder: Path) -> None:
-    """Write the pages; a file that is right already stays as it is, so that Sphinx need not read it again."""
+    """Write the pages into ``folder``. Unchanged files are not touched, so that Sphinx does not read them again."""
     folder.mkdir(exist_ok=True)
-    pages = environment_pages()
+    pages = environment_pages() | game_pages()
     for path in folder.glob("*.md"):
         if path.stem not in pages:
             path.unlink()

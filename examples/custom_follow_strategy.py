@@ -1,4 +1,4 @@
-"""A follow strategy of one's own: a function, a name, and what the detectors make of it.
+"""A custom follow strategy: define it, register it, and see which detectors find the heads.
 
 python examples/custom_follow_strategy.py
 """
@@ -12,8 +12,8 @@ from usnet_env.swarm import FollowInputs
 def turned(inputs: FollowInputs) -> np.ndarray:
     """Fly where the head flew two steps ago, turned by 90 degrees about the vertical axis.
 
-    ``inputs.head_velocity`` is ``(n, T_0, 3)``, newest first: index 1 is v_{iL,t-1}. Noise and normalisation are
-    added by the simulator.
+    ``inputs.head_velocity`` is ``(n, T_0, 3)``, newest first: index 1 is v_{iL,t-1}. The simulator
+    adds noise and normalises the result.
     """
     x, y, z = inputs.head_velocity[:, 1].T
     return np.stack([-y, x, z], axis=1)

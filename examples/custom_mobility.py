@@ -1,4 +1,4 @@
-"""A mobility of one's own: heads that fly level circles, and a look at one of them.
+"""A custom mobility: heads that fly level circles.
 
 python examples/custom_mobility.py
 """
@@ -10,13 +10,13 @@ import usnet_env
 
 
 def circling(rng: np.random.Generator, position: np.ndarray, steps: int, state: np.ndarray) -> np.ndarray:
-    """Level circles, each UAV with a turn of its own.
+    """Level circles; each UAV has its own turn rate.
 
     Args:
-        rng: the episode's generator, the only source of chance.
-        position: ``(n, 3)`` metres, where the n UAVs are.
-        steps: how many steps to fly.
-        state: ``(n, 8)``, zeros at first and kept between rounds: here the heading and the turn a step, in radians.
+        rng: the episode's generator; use no other source of random numbers.
+        position: ``(n, 3)`` metres, the present positions of the n UAVs.
+        steps: the number of steps to fly.
+        state: ``(n, 8)``, zeros at first and kept between rounds: here the heading and the turn per step, in radians.
 
     Returns:
         ``(steps, n, 3)`` directions, which the simulator normalises to 1 m a step.
@@ -34,7 +34,7 @@ usnet_env.register_mobility("circling", circling, description="level circles of 
 if __name__ == "__main__":
     env = gym.make("USNET/SingleCluster-v0", mobility="circling", observation_steps=200)
     observation, _ = env.reset(seed=0)
-    head = int(np.flatnonzero(env.unwrapped.swarm.head)[0])  # the truth: for us, never for a detector
+    head = int(np.flatnonzero(env.unwrapped.swarm.head)[0])  # the truth, which detectors never see
     track = observation["position"][:, head]
     print(
         f"The head, UAV {head}, stays within {np.ptp(track[:, :2], axis=0).max():.1f} m at {track[0, 2]:.0f} m height."

@@ -8,17 +8,20 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import usnet_env.envs
 from usnet_env.envs import ENVIRONMENTS
+from usnet_env.multiagent import GAMES
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-FENCE = re.compile(r"^```(?P<kind>[a-z]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^```(?P<kind>[^`\n]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 LEFT_ALONE = {"cd", "git", "make", "pip", "python", "rerun"}  # what pages also show: tested elsewhere, or a viewer
 PLAY_COMMANDS = """
 import json, sys
@@ -62,8 +65,13 @@ def usnet_commands_of(page: Path) -> list[list[str]]:
     ]
 
 
-def run(arguments: list[str], folder: Path, stdin: str = "") -> None:
-    """Run Python in a folder of its own, with the examples' modules at hand."""
+def outputs_of(page: Path) -> list[str]:
+    """What the page says that its Python blocks print: the text of its output blocks."""
+    return [block["text"] for block in FENCE.finditer(page.read_text(encoding="utf-8")) if block["kind"] == "output"]
+
+
+def run(arguments: list[str], folder: Path, stdin: str = "") -> str:
+    """Run Python in a folder of its own, with the examples' modules at hand; return what it prints."""
     done = subprocess.run(
         [sys.executable, *arguments],
         cwd=folder,
@@ -74,6 +82,7 @@ def run(arguments: list[str], folder: Path, stdin: str = "") -> None:
         timeout=300,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
 def named(path: Path) -> str:
@@ -84,7 +93,8 @@ def named(path: Path) -> str:
 def test_the_python_of_a_page_runs(page, tmp_path):
     script = tmp_path / f"page_{page.stem}.py"
     script.write_text(python_of(page), encoding="utf-8")
-    run([str(script)], tmp_path)
+    printed = run([str(script)], tmp_path)
+    assert [shown for shown in outputs_of(page) if shown not in printed] == [], printed
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if usnet_commands_of(page)], ids=named)
@@ -125,11 +135,15 @@ def test_no_page_names_a_place_on_a_machine():
 # The environments' pages, which are their docstrings
 
 
-def generated_pages() -> dict[str, str]:
+def load_environment_pages() -> ModuleType:
     spec = importlib.util.spec_from_file_location("environment_pages", ROOT / "docs" / "environment_pages.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return module.environment_pages()
+    return module
+
+
+def generated_pages() -> dict[str, str]:
+    return load_environment_pages().environment_pages()
 
 
 CLASSES = sorted({f"{kind}Env" for kind, _ in ENVIRONMENTS.values()})
@@ -143,6 +157,20 @@ SECTIONS = [
     "Arguments",
     "Version History",
 ]
+
+
+def test_every_game_has_a_page_with_gymnasiums_sections():
+    pages = load_environment_pages().game_pages()
+    assert set(pages) == set(GAMES)
+    for name, text in pages.items():
+        headings = re.findall(r"^## (.+)$", text, re.MULTILINE)
+        assert [heading for heading in SECTIONS if heading not in headings] == [], name
+
+
+def test_every_detector_is_in_the_overview():
+    page = (ROOT / "docs" / "detectors.md").read_text(encoding="utf-8")
+    shipped = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    assert [name for name in shipped["usnet.detectors"] if f"| `{name}` |" not in page] == []
 
 
 def test_every_registered_id_stands_on_a_page():

@@ -1,4 +1,4 @@
-"""A detector of one's own: who is copied one step later?"""
+"""A custom detector: it names the UAVs whose velocity other UAVs copy one step later."""
 
 import numpy as np
 
@@ -7,22 +7,22 @@ from usnet_env import Detection, Window
 
 
 class MostCopied(Detector):
-    """Every UAV votes for the one whose velocity it repeats best one step later.
+    """Every UAV votes for the UAV whose velocity it copies best one step later.
 
     Args:
-        clusters: how many UAVs to name in a round.
+        clusters: the number of UAVs to name in each round.
     """
 
     def __init__(self, clusters: int = 5) -> None:
         self.clusters = clusters
 
     def detect(self, window: Window) -> Detection:
-        """Count the votes; a destroyed UAV neither votes nor stands."""
+        """Count the votes. Destroyed UAVs do not vote and get no votes."""
         velocity = np.where(window.velocity_seen[..., None], window.velocity, 0.0)
-        agreement = np.einsum("tic,tjc->ij", velocity[1:], velocity[:-1])  # row i repeats column j
+        agreement = np.einsum("tic,tjc->ij", velocity[1:], velocity[:-1])  # row i: how well i copies each j
         np.fill_diagonal(agreement, -np.inf)
         agreement[:, ~window.alive] = -np.inf
-        order = self.rng.permutation(window.uavs)  # ties go to whoever comes first here, not to low indices
+        order = self.rng.permutation(window.uavs)  # ties are broken at random, not in favour of low indices
         copied = order[agreement[:, order].argmax(axis=1)]
         votes = np.bincount(copied[window.alive], minlength=window.uavs)
         best = order[np.argsort(-votes[order], kind="stable")]

@@ -1,4 +1,4 @@
-"""A ranked table: one's own detector beside those that ship, on the same swarms."""
+"""Print a ranked table: the custom detector and detectors that ship with USNET, on the same swarms."""
 
 import usnet_env
 

@@ -1,4 +1,4 @@
-"""The checks that every detector has to pass, one pytest case each."""
+"""The conformance checks for detectors, one pytest case for each check."""
 
 from most_copied import MostCopied
 
@@ -6,6 +6,6 @@ from detectors.checks import parametrize_with_checks
 
 
 @parametrize_with_checks([MostCopied(), MostCopied(clusters=1)])
-def test_the_contract(detector, check):
-    """One check."""
+def test_conformance(detector, check):
+    """Run one check."""
     check(detector)

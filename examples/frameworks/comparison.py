@@ -1,4 +1,4 @@
-"""How the examples score what they have trained: beside detectors, on swarms that nobody was trained on."""
+"""Compare a trained agent with detectors, on swarms that the agent was not trained on."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,17 +6,19 @@ from typing import Any
 import usnet_env
 
 
-def compared(env: str, arguments: Mapping[str, Any], detectors: Mapping[str, Any], episodes: int) -> dict[str, Any]:
-    """Let detectors play the same episodes and print a line for each.
+def compare_detectors(
+    env: str, arguments: Mapping[str, Any], detectors: Mapping[str, Any], episodes: int
+) -> dict[str, Any]:
+    """Let detectors play the same episodes and print one line for each.
 
     Args:
         env: id of the environment.
         arguments: its arguments.
-        detectors: detectors, or names of detectors, each under the name for its line.
-        episodes: how many each plays.
+        detectors: detectors or names of detectors; the keys are the names to print.
+        episodes: the number of episodes for each detector.
 
     Returns:
-        The metrics, by the names of ``detectors``.
+        The metrics, by the keys of ``detectors``.
     """
     result = usnet_env.evaluate(env, list(detectors.values()), episodes=episodes, seed=2022, env_kwargs=arguments)
     metrics = {name: entry["metrics"] for name, entry in zip(detectors, result.summary, strict=True)}

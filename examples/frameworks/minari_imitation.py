@@ -1,6 +1,6 @@
-"""Minari: record a detector's games to a data set, read it back, and train a network to do the same.
+"""Minari: record the games of a detector in a data set, load it, and train a network to imitate the detector.
 
-pip install 'usnet[minari]'
+pip install -e '.[minari]'
 python examples/frameworks/minari_imitation.py
 """
 
@@ -14,7 +14,7 @@ import gymnasium as gym
 import minari
 import numpy as np
 import torch
-from comparison import compared
+from comparison import compare_detectors
 from copied_network import CopiedNetwork
 from minari.data_collector import EpisodeBuffer
 from torch import Tensor, nn
@@ -30,23 +30,23 @@ DATASET, TEACHER = "usnet/two-clusters/lagged-regression-v0", "lagged-regression
 
 
 def record(games: int, seed: int = 0) -> minari.MinariDataset:
-    """A data set of the teacher's games, below ``MINARI_DATASETS_PATH``; it sees windows, as every detector does."""
+    """Record the teacher's games in a data set below ``MINARI_DATASETS_PATH``. The teacher sees windows only."""
     env, teacher = gym.make(ENV, **ARGUMENTS), make_detector(TEACHER)
     return minari.create_dataset_from_buffers(
         DATASET,
-        [played(env, teacher, number, seed + number) for number in range(games)],
+        [play_episode(env, teacher, number, seed + number) for number in range(games)],
         env=env,
         eval_env=env,
         algorithm_name=TEACHER,
         author="USNET",
         author_email="none",
         code_permalink="none",
-        description="Windows of small swarms, and who was named.",
+        description="Windows of small swarms, and the candidates that the teacher named.",
     )
 
 
-def played(env: gym.Env, teacher: DetectorLike, number: int, seed: int) -> EpisodeBuffer:
-    """One game; Minari's own DataCollector would need JAX for it."""
+def play_episode(env: gym.Env, teacher: DetectorLike, number: int, seed: int) -> EpisodeBuffer:
+    """Play one game without Minari's DataCollector, which needs JAX."""
     teacher.reset(number)
     observation, info = env.reset(seed=seed)
     observations, infos, actions, outcomes = [observation], [info], [], []
@@ -58,20 +58,20 @@ def played(env: gym.Env, teacher: DetectorLike, number: int, seed: int) -> Episo
         outcomes.append(outcome)
     rewards, terminations, truncations = map(list, zip(*outcomes, strict=True))
     return EpisodeBuffer(
-        number, seed, None, stacked(observations), np.stack(actions), rewards, terminations, truncations, stacked(infos)
+        number, seed, None, stack(observations), np.stack(actions), rewards, terminations, truncations, stack(infos)
     )
 
 
-def stacked(mappings: list[dict[str, Any]]) -> dict[str, np.ndarray]:
-    """Mappings of the same keys as one, with a leading axis."""
+def stack(mappings: list[dict[str, Any]]) -> dict[str, np.ndarray]:
+    """Stack mappings with the same keys into one, with a new first axis."""
     return {name: np.stack([one[name] for one in mappings]) for name in mappings[0]}
 
 
-def pairs(games: Iterable[minari.EpisodeData]) -> tuple[Tensor, Tensor, Tensor]:
-    """Velocities ``(R, T_ob, N, 3)``, who lives ``(R, N)`` and who was named ``(R, N)``, of all rounds R."""
+def load_rounds(games: Iterable[minari.EpisodeData]) -> tuple[Tensor, Tensor, Tensor]:
+    """Velocities ``(R, T_ob, N, 3)``, living UAVs ``(R, N)`` and candidates ``(R, N)`` of all rounds R."""
     velocity, alive, named = [], [], []
     for game in games:
-        rounds = len(game.actions)  # there is one observation more: the window after the last round
+        rounds = len(game.actions)  # there is one more observation: the window after the last round
         velocity.append(game.observations["velocity"][:rounds])
         alive.append(game.observations["alive"][:rounds])
         named.append(game.actions)
@@ -79,7 +79,7 @@ def pairs(games: Iterable[minari.EpisodeData]) -> tuple[Tensor, Tensor, Tensor]:
 
 
 class Student(nn.Module):
-    """The network as :class:`PolicyDetector` asks a plain module: with the whole observation."""
+    """The network in the form that :class:`PolicyDetector` expects: the input is the whole observation."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -91,11 +91,11 @@ class Student(nn.Module):
 
 
 def imitate(dataset: minari.MinariDataset, updates: int, seed: int = 0) -> tuple[Student, list[float]]:
-    """A student of the data set, and its loss in each update: cross-entropy a living UAV."""
-    torch.manual_seed(seed)  # a program of its own, not the library: layers draw from PyTorch's one generator
+    """Train a student on the data set; return it and its loss in each update (cross entropy per living UAV)."""
+    torch.manual_seed(seed)  # a script may seed PyTorch's global generator, from which layers draw their weights
     student = Student()
     optimizer = torch.optim.Adam(student.parameters(), lr=5e-2)
-    velocity, alive, named = pairs(dataset)
+    velocity, alive, named = load_rounds(dataset)
     losses = []
     for _ in range(updates):
         logits = student.network(velocity, alive)
@@ -108,15 +108,15 @@ def imitate(dataset: minari.MinariDataset, updates: int, seed: int = 0) -> tuple
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Record, read back, train, and score beside the teacher, on larger swarms as well."""
+    """Record, load, train, and compare with the teacher, on larger swarms too."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--games", type=int, default=100, help="games to record")
     parser.add_argument("--updates", type=int, default=100)
     parser.add_argument("--episodes", type=int, default=50, help="episodes to score")
-    parser.add_argument("--datasets", help="folder to keep the data set in; by default it is thrown away")
+    parser.add_argument("--datasets", help="folder to keep the data set in; by default the data set is deleted")
     asked = parser.parse_args(arguments)
-    with tempfile.TemporaryDirectory() as passing:
-        os.environ["MINARI_DATASETS_PATH"] = asked.datasets or passing
+    with tempfile.TemporaryDirectory() as temporary:
+        os.environ["MINARI_DATASETS_PATH"] = asked.datasets or temporary
         record(asked.games)
         dataset = minari.load_dataset(DATASET)
         print(f"{dataset.total_episodes} games, {dataset.total_steps} rounds in {DATASET}")
@@ -125,9 +125,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for swarm in (ARGUMENTS, {**ARGUMENTS, **LARGER}):
         print(f"{swarm['uavs']} UAVs in {swarm['clusters']} clusters")
         teacher = f"lagged-regression(clusters={swarm['clusters']})"
-        compared(ENV, swarm, {"student": PolicyDetector(student), "teacher": teacher}, asked.episodes)
+        compare_detectors(ENV, swarm, {"student": PolicyDetector(student), "teacher": teacher}, asked.episodes)
 
 
 if __name__ == "__main__":
-    torch.set_num_threads(1)  # small networks wait for each other on more
+    torch.set_num_threads(1)  # more threads make small networks slower
     main()

@@ -1,6 +1,6 @@
-"""SuperSuit and Stable-Baselines3: the observers of usnet_observers_v0 share a policy, and PPO trains it.
+"""SuperSuit and Stable-Baselines3: PPO trains one policy for all observers of usnet_observers_v0.
 
-pip install 'usnet[supersuit]'
+pip install -e '.[supersuit]'
 python examples/frameworks/supersuit_ppo.py
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 import supersuit
 import torch
 from how_copied import how_copied
-from observers_game import ARGUMENTS, PRICE, UAVS, compared
+from observers_game import ARGUMENTS, PRICE, UAVS, compare_detectors
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
@@ -24,24 +24,26 @@ from usnet_env.multiagent import usnet_observers_v0
 from usnet_env.multiagent.wrappers import MultiDiscreteVotes
 
 
-def seen_by_one(observation: dict[str, Any], *_: Any) -> np.ndarray:
-    """How much of what one observer sees copies each UAV."""
+def observe_copied(observation: dict[str, Any], *_: Any) -> np.ndarray:
+    """For each UAV, the share of the UAVs that this observer sees and that copy it."""
     return how_copied(Window.from_observation(observation))
 
 
 def make_envs(games: int, seed: int) -> VecEnv:
-    """Several games, each observer of each game one environment of Stable-Baselines3's."""
+    """Several games; each observer of each game is one environment of Stable-Baselines3."""
     game = MultiDiscreteVotes(usnet_observers_v0.parallel_env(**ARGUMENTS, redundancy_price=PRICE))
-    game = supersuit.observation_lambda_v0(game, seen_by_one, lambda *_: gym.spaces.Box(0.0, 1.0, (UAVS,), np.float32))
+    game = supersuit.observation_lambda_v0(
+        game, observe_copied, lambda *_: gym.spaces.Box(0.0, 1.0, (UAVS,), np.float32)
+    )
     envs = supersuit.concat_vec_envs_v1(
         supersuit.pettingzoo_env_to_vec_env_v1(game), games, base_class="stable_baselines3"
     )
-    envs.venv.reset(seed=seed)  # SuperSuit's environments know no seed(): seed them here, and not through PPO
+    envs.venv.reset(seed=seed)  # SuperSuit's environments have no seed(): seed them here, not through PPO
     return envs
 
 
 def train(steps: int, games: int = 4, seed: int = 0) -> PPO:
-    """One policy for all observers; a step of a game counts once for each."""
+    """Train one policy for all observers; a step of a game counts once for each observer."""
     set_random_seed(seed)
     model = PPO(
         "MlpPolicy",
@@ -54,23 +56,23 @@ def train(steps: int, games: int = 4, seed: int = 0) -> PPO:
         device="cpu",
     )
     model.learn(steps)
-    model.predict(model.observation_space.sample())  # without gradients: a policy that just learned can't be copied
+    model.predict(model.observation_space.sample())  # without gradients: a policy with gradients cannot be copied
     return model
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Train, then play games with the policy in each observer's place."""
+    """Train, then let every observer use the policy, and compare with detectors."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--steps", type=int, default=24_576, help="steps to train for, one for each observer")
+    parser.add_argument("--steps", type=int, default=24_576, help="steps to train for, counted for each observer")
     parser.add_argument("--games", type=int, default=20, help="games to score")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args(arguments)
     model = train(asked.steps, seed=asked.seed)
     trained = PolicyDetector(model.policy, observe=how_copied)
     others = {"lagged-regression": make_detector("lagged-regression"), "random": make_detector("random(count=2)")}
-    compared({"PPO": trained, **others}, asked.games)
+    compare_detectors({"PPO": trained, **others}, asked.games)
 
 
 if __name__ == "__main__":
-    torch.set_num_threads(1)  # small networks wait for each other on more
+    torch.set_num_threads(1)  # more threads make small networks slower
     main()

@@ -1,6 +1,6 @@
 """Tianshou: PPO learns to find all heads.
 
-pip install 'usnet[tianshou]'
+pip install -e '.[tianshou]'
 python examples/frameworks/tianshou_ppo.py
 """
 
@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
-from comparison import compared
+from comparison import compare_detectors
 from copied_network import Bits
 from how_copied import HowCopied, how_copied
 from tianshou.algorithm import PPO
@@ -27,7 +27,7 @@ from detectors.policy_detector import PolicyDetector
 ENV = "USNET/MultiCluster-v0"
 UAVS = 12
 ARGUMENTS = {"clusters": 2, "uavs": UAVS, "observation_steps": 20, "max_rounds": 5}
-PRICE = 3.0  # of a redundant candidate: at the paper's 1, naming everybody is too good to learn anything better
+PRICE = 3.0  # of a redundant candidate; at the paper's 1, naming all UAVs is too good to learn anything better
 BATCH = 512
 
 
@@ -44,22 +44,22 @@ class Layers(nn.Module):
 
 
 class Actor(Layers):
-    """Logits and, as Tianshou has it, a hidden state."""
+    """Returns logits and, as Tianshou expects, a hidden state."""
 
     def forward(self, observation: Any, state: Any = None, info: Any = None) -> tuple[Tensor, Any]:
-        """One logit a UAV."""
+        """One logit per UAV."""
         return super().forward(observation), state
 
 
 def make_env() -> gym.Env:
-    """One number a UAV."""
+    """Create an environment whose observation is one number per UAV."""
     return HowCopied(gym.make(ENV, **ARGUMENTS, redundancy_price=PRICE))
 
 
 def train(epochs: int, seed: int = 0) -> tuple[Actor, Any]:
-    """The actor, and Tianshou's account of the training. An epoch is a batch of steps."""
+    """Return the actor and Tianshou's training statistics. One epoch is one batch of steps."""
     torch.manual_seed(seed)
-    np.random.seed(seed)  # noqa: NPY002  Tianshou shuffles by NumPy's global generator
+    np.random.seed(seed)  # noqa: NPY002  Tianshou shuffles with NumPy's global generator
     envs = DummyVectorEnv([make_env for _ in range(8)])
     envs.seed(seed)
     actor = Actor(UAVS)
@@ -87,18 +87,18 @@ def train(epochs: int, seed: int = 0) -> tuple[Actor, Any]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Train, and score beside detectors."""
+    """Train, and compare with detectors."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--epochs", type=int, default=16, help=f"of {BATCH} environment steps")
     parser.add_argument("--episodes", type=int, default=50, help="episodes to score")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args(arguments)
     actor, _ = train(asked.epochs, asked.seed)
-    trained = PolicyDetector(actor.layers, observe=how_copied)  # a plain module: logits above 0 name a candidate
+    trained = PolicyDetector(actor.layers, observe=how_copied)  # a plain module: a logit above 0 makes a candidate
     others = {"lagged-regression": "lagged-regression(clusters=2)", "random": "random(count=2)"}
-    compared(ENV, ARGUMENTS, {"PPO": trained, **others}, asked.episodes)
+    compare_detectors(ENV, ARGUMENTS, {"PPO": trained, **others}, asked.episodes)
 
 
 if __name__ == "__main__":
-    torch.set_num_threads(1)  # small networks wait for each other on more
+    torch.set_num_threads(1)  # more threads make small networks slower
     main()

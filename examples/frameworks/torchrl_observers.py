@@ -1,6 +1,6 @@
-"""TorchRL: observers who share a network learn by REINFORCE to find the heads together.
+"""TorchRL: observers that share a network learn with REINFORCE to find the heads together.
 
-pip install 'usnet[torchrl]'
+pip install -e '.[torchrl]'
 python examples/frameworks/torchrl_observers.py
 """
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import torch
 from copied_network import Bits, CopiedNetwork
-from observers_game import ARGUMENTS, PRICE, compared
+from observers_game import ARGUMENTS, PRICE, compare_detectors
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torchrl.envs import ExplorationType, PettingZooWrapper, set_exploration_type
@@ -30,7 +30,7 @@ def make_env() -> PettingZooWrapper:
 
 
 def make_actor(network: CopiedNetwork, seen: list[Key], before: tuple[str, ...] = ()) -> ProbabilisticActor:
-    """Votes of what is ``seen``: velocities, and who may be named. The results' keys lie under ``before``."""
+    """Votes from the entries ``seen`` (velocities and legal UAVs). The keys of the results start with ``before``."""
     logits = (*before, "logits")
     return ProbabilisticActor(
         TensorDictModule(network, in_keys=seen, out_keys=[logits]),
@@ -41,7 +41,7 @@ def make_actor(network: CopiedNetwork, seen: list[Key], before: tuple[str, ...] 
 
 
 def train(updates: int, games: int = 16, seed: int = 0) -> tuple[CopiedNetwork, list[float]]:
-    """The network, and the mean return of each update's games."""
+    """Return the network, and the mean return of the games of each update."""
     torch.manual_seed(seed)
     env = make_env()
     env.set_seed(seed)
@@ -52,24 +52,24 @@ def train(updates: int, games: int = 16, seed: int = 0) -> tuple[CopiedNetwork, 
     for _ in range(updates):
         with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
             played = [env.rollout(ARGUMENTS["max_rounds"], actor) for _ in range(games)]
-        to_go = torch.cat([_to_go(game) for game in played])
+        to_go = torch.cat([_compute_reward_to_go(game) for game in played])
         steps = torch.cat([game.select((GROUP, "observation"), (GROUP, "action")) for game in played])
-        chance = actor.get_dist(steps).log_prob(steps[GROUP, "action"].float()).sum(dim=-1)  # of all votes together
+        log_prob = actor.get_dist(steps).log_prob(steps[GROUP, "action"].float()).sum(dim=-1)  # joint, of all votes
         optimizer.zero_grad()
-        (-chance * (to_go - to_go.mean()) / to_go.std()).mean().backward()
+        (-log_prob * (to_go - to_go.mean()) / to_go.std()).mean().backward()
         optimizer.step()
-        returns.append(float(torch.stack([_to_go(game)[0] for game in played]).mean()))
+        returns.append(float(torch.stack([_compute_reward_to_go(game)[0] for game in played]).mean()))
     return network, returns
 
 
-def _to_go(game: TensorDict) -> torch.Tensor:
-    """``(rounds,)``: the reward from each round to the end; it is the same for all observers."""
+def _compute_reward_to_go(game: TensorDict) -> torch.Tensor:
+    """``(rounds,)``: the sum of rewards from each round to the end, which is the same for all observers."""
     reward = game["next", GROUP, "reward"][:, 0, 0]
     return reward.flip(0).cumsum(0).flip(0)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Train, then play games with the network in each observer's place."""
+    """Train, then let every observer use the network, and compare with detectors."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--updates", type=int, default=40)
     parser.add_argument("--games", type=int, default=20, help="games to score")
@@ -79,9 +79,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("mean return, update by update:", *(f"{value:.2f}" for value in returns))
     trained = PolicyDetector(make_actor(network, ["velocity", "alive"]))
     others = {"lagged-regression": make_detector("lagged-regression"), "random": make_detector("random(count=2)")}
-    compared({"REINFORCE": trained, **others}, asked.games)
+    compare_detectors({"REINFORCE": trained, **others}, asked.games)
 
 
 if __name__ == "__main__":
-    torch.set_num_threads(1)  # small networks wait for each other on more
+    torch.set_num_threads(1)  # more threads make small networks slower
     main()

@@ -1,6 +1,6 @@
-"""TorchRL: PPO with a network of one's own, which looks at the raw windows and takes swarms of any size.
+"""TorchRL: PPO with a custom network that reads raw windows and accepts swarms of any size.
 
-pip install 'usnet[torchrl]'
+pip install -e '.[torchrl]'
 python examples/frameworks/torchrl_ppo.py
 """
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import gymnasium as gym
 import torch
-from comparison import compared
+from comparison import compare_detectors
 from copied_network import Bits, CopiedNetwork, copied_share
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
@@ -25,13 +25,13 @@ from usnet_env.envs.wrappers import BoxMasks
 ENV = "USNET/MultiCluster-v0"
 ARGUMENTS = {"clusters": 2, "uavs": 12, "observation_steps": 20, "max_rounds": 5}
 LARGER = {"clusters": 4, "uavs": 40}
-PRICE = 3.0  # of a redundant candidate: at the paper's 1, naming everybody is too good to learn anything better
+PRICE = 3.0  # of a redundant candidate; at the paper's 1, naming all UAVs is too good to learn anything better
 SEEN = ["velocity", "alive"]
 BATCH = 512
 
 
 class Critic(nn.Module):
-    """The value of a round, from who is copied how much, whoever it is."""
+    """The value of a round, from the sorted shares of how much each UAV is copied."""
 
     def __init__(self, uavs: int) -> None:
         super().__init__()
@@ -43,12 +43,12 @@ class Critic(nn.Module):
 
 
 def make_env() -> GymWrapper:
-    """The raw spaces in TorchRL, but for the masks, which TorchRL reads as boxes only."""
+    """The environment in TorchRL, with masks as boxes, because TorchRL cannot read other masks."""
     return GymWrapper(BoxMasks(gym.make(ENV, **ARGUMENTS, redundancy_price=PRICE)))
 
 
 def make_actor(env: GymWrapper) -> ProbabilisticActor:
-    """Logits of the windows, bits of the logits: drawn while data are collected, else the likelier ones."""
+    """The network gives logits; the action is sampled from them during training, and is the mode otherwise."""
     network = TensorDictModule(CopiedNetwork(), in_keys=SEEN, out_keys=["logits"])
     return ProbabilisticActor(
         network, in_keys=["logits"], spec=env.action_spec, distribution_class=Bits, return_log_prob=True
@@ -56,7 +56,7 @@ def make_actor(env: GymWrapper) -> ProbabilisticActor:
 
 
 def train(steps: int, seed: int = 0) -> tuple[ProbabilisticActor, list[float]]:
-    """The actor, and the mean return of an episode in each batch."""
+    """Return the actor, and the mean return of an episode in each batch."""
     torch.manual_seed(seed)
     env = make_env()
     env.set_seed(seed)
@@ -80,7 +80,7 @@ def train(steps: int, seed: int = 0) -> tuple[ProbabilisticActor, list[float]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Train, and score beside detectors, on larger swarms as well."""
+    """Train, and compare with detectors, on larger swarms too."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--steps", type=int, default=12 * BATCH, help="environment steps to train for")
     parser.add_argument("--episodes", type=int, default=50, help="episodes to score")
@@ -91,9 +91,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for swarm in (ARGUMENTS, {**ARGUMENTS, **LARGER}):
         print(f"{swarm['uavs']} UAVs in {swarm['clusters']} clusters")
         regression = f"lagged-regression(clusters={swarm['clusters']})"
-        compared(ENV, swarm, {"PPO": PolicyDetector(actor), "lagged-regression": regression}, asked.episodes)
+        compare_detectors(ENV, swarm, {"PPO": PolicyDetector(actor), "lagged-regression": regression}, asked.episodes)
 
 
 if __name__ == "__main__":
-    torch.set_num_threads(1)  # small networks wait for each other on more
+    torch.set_num_threads(1)  # more threads make small networks slower
     main()

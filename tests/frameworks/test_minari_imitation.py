@@ -10,7 +10,7 @@ pytest.importorskip("torch")
 import minari
 import minari_imitation as example
 import torch
-from comparison import compared
+from comparison import compare_detectors
 
 from detectors.policy_detector import PolicyDetector
 from usnet_env import make_detector
@@ -59,8 +59,8 @@ def test_the_environment_comes_with_the_data(dataset):
 
 def test_a_game_of_several_rounds_gives_a_pair_a_round():
     env = gym.make(example.ENV, **{**example.ARGUMENTS, "clusters": 3})
-    game = example.played(env, make_detector("one-per-round"), 0, seed=4)
-    velocity, alive, named = example.pairs([game, game])
+    game = example.play_episode(env, make_detector("one-per-round"), 0, seed=4)
+    velocity, alive, named = example.load_rounds([game, game])
     rounds = len(game.rewards)
     assert rounds > 1
     assert velocity.shape == (2 * rounds, 20, 12, 3)
@@ -77,7 +77,7 @@ def test_the_student_learns(dataset):
     pairs = zip(student.parameters(), example.Student().parameters(), strict=True)
     assert all(bool((after != before).any()) for after, before in pairs)
     detectors = {"student": PolicyDetector(student), "random": "random(count=2)"}
-    scores = compared(example.ENV, example.ARGUMENTS, detectors, episodes=30)
+    scores = compare_detectors(example.ENV, example.ARGUMENTS, detectors, episodes=30)
     assert scores["student"]["f1_first"]["mean"] > 0.8 > scores["random"]["f1_first"]["mean"]
 
 

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("sb3_contrib")
 
 import sb3_maskable_ppo as example
-from comparison import compared
+from comparison import compare_detectors
 from how_copied import HowCopied, how_copied
 from sb3_contrib import RecurrentPPO
 from sb3_contrib.common.maskable.utils import get_action_masks
@@ -53,7 +53,7 @@ def test_no_destroyed_uav_is_ever_drawn(trained):
 
 def test_it_has_learned_something(trained):
     detectors = {"trained": PolicyDetector(trained.policy, observe=how_copied), "random": "random(count=2)"}
-    scores = compared(example.ENV, example.ARGUMENTS, detectors, episodes=30)
+    scores = compare_detectors(example.ENV, example.ARGUMENTS, detectors, episodes=30)
     assert scores["trained"]["J"]["mean"] < 2.0 < scores["random"]["J"]["mean"]
 
 
@@ -62,7 +62,7 @@ def test_recurrent_ppo_trains_behind_its_wrapper():
     model = RecurrentPPO("MultiInputLstmPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=0, device="cpu")
     model.learn(32)
     assert np.isfinite(model.logger.name_to_value["train/loss"])
-    scores = compared(example.ENV, example.ARGUMENTS, {"recurrent": model.policy}, episodes=3)
+    scores = compare_detectors(example.ENV, example.ARGUMENTS, {"recurrent": model.policy}, episodes=3)
     assert np.isfinite(scores["recurrent"]["J"]["mean"])
 
 

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 import sb3_ppo
-from comparison import compared
+from comparison import compare_detectors
 from how_copied import HowCopied, how_copied
 from stable_baselines3 import PPO
 
@@ -39,7 +39,7 @@ def test_it_has_learned_something(untrained, trained):
         name: PolicyDetector(model.policy, observe=how_copied)
         for name, model in (("untrained", untrained), ("trained", trained))
     }
-    scores = compared(sb3_ppo.ENV, sb3_ppo.ARGUMENTS, detectors, episodes=30)
+    scores = compare_detectors(sb3_ppo.ENV, sb3_ppo.ARGUMENTS, detectors, episodes=30)
     assert scores["untrained"]["J"]["mean"] < -3.0
     assert scores["trained"]["J"]["mean"] >= -1.1
 
@@ -64,7 +64,7 @@ def test_a_detector_with_a_policy_survives_pickling(trained):
 def test_raw_windows_need_no_wrapper():
     env = gym.make(sb3_ppo.ENV, **sb3_ppo.ARGUMENTS)
     model = PPO("MultiInputPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=0, device="cpu").learn(32)
-    scores = compared(sb3_ppo.ENV, sb3_ppo.ARGUMENTS, {"raw": PolicyDetector(model.policy)}, episodes=3)
+    scores = compare_detectors(sb3_ppo.ENV, sb3_ppo.ARGUMENTS, {"raw": PolicyDetector(model.policy)}, episodes=3)
     assert np.isfinite(scores["raw"]["J"]["mean"])
 
 

@@ -9,7 +9,7 @@ pytest.importorskip("stable_baselines3")
 import supersuit
 import supersuit_ppo as example
 from how_copied import how_copied
-from observers_game import ARGUMENTS, compared
+from observers_game import ARGUMENTS, compare_detectors
 
 from detectors.policy_detector import PolicyDetector
 from usnet_env.multiagent import usnet_observers_v0
@@ -31,7 +31,7 @@ def test_it_trains(trained):
 def test_it_plays_games_as_a_detector(trained):
     detector = PolicyDetector(trained.policy, observe=how_copied)
     untrained = PolicyDetector(example.train(0).policy, observe=how_copied)
-    scores = compared({"PPO": detector, "untrained": untrained}, games=10)
+    scores = compare_detectors({"PPO": detector, "untrained": untrained}, games=10)
     assert scores["PPO"] < scores["untrained"]
 
 

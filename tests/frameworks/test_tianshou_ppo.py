@@ -8,7 +8,7 @@ pytest.importorskip("tianshou")
 
 import tianshou_ppo as example
 import torch
-from comparison import compared
+from comparison import compare_detectors
 from copied_network import Bits, CopiedNetwork
 from how_copied import how_copied
 from tianshou.algorithm.modelfree.reinforce import ProbabilisticActorPolicy
@@ -42,7 +42,7 @@ def test_the_same_seed_trains_the_same_actor():
 
 def test_it_has_learned_something(trained):
     detectors = {"PPO": PolicyDetector(trained[0].layers, observe=how_copied), "random": "random(count=2)"}
-    scores = compared(example.ENV, example.ARGUMENTS, detectors, episodes=30)
+    scores = compare_detectors(example.ENV, example.ARGUMENTS, detectors, episodes=30)
     assert scores["PPO"]["J"]["mean"] < 2.0 < scores["random"]["J"]["mean"]
 
 

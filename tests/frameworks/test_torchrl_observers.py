@@ -9,7 +9,7 @@ pytest.importorskip("pettingzoo")
 import torch
 import torchrl_observers as example
 from copied_network import CopiedNetwork
-from observers_game import compared
+from observers_game import compare_detectors
 from pettingzoo.utils import parallel_to_aec
 from torchrl.envs import PettingZooWrapper, check_env_specs
 
@@ -78,7 +78,7 @@ def test_it_trains(trained):
 
 def test_it_plays_games_as_a_detector(trained):
     detector = PolicyDetector(example.make_actor(trained[0], ["velocity", "alive"]))
-    scores = compared({"REINFORCE": detector, "random": make_detector("random(count=1)")}, games=5)
+    scores = compare_detectors({"REINFORCE": detector, "random": make_detector("random(count=1)")}, games=5)
     assert scores["REINFORCE"] < scores["random"]
 
 

@@ -14,7 +14,7 @@ with warnings.catch_warnings():  # TorchRL's own, of its own import
 
 import torch
 import torchrl_ppo as example
-from comparison import compared
+from comparison import compare_detectors
 from torchrl.envs import ExplorationType, GymWrapper, check_env_specs, set_exploration_type
 
 from detectors.policy_detector import PolicyDetector
@@ -69,7 +69,9 @@ def test_the_actor_draws_in_training_and_decides_in_play(trained):
 
 @pytest.mark.parametrize("swarm", [example.ARGUMENTS, {**example.ARGUMENTS, **example.LARGER}])
 def test_the_actor_plays_beside_detectors_with_swarms_of_any_size(trained, swarm):
-    scores = compared(example.ENV, swarm, {"PPO": PolicyDetector(trained[0]), "random": "random(count=2)"}, episodes=10)
+    scores = compare_detectors(
+        example.ENV, swarm, {"PPO": PolicyDetector(trained[0]), "random": "random(count=2)"}, episodes=10
+    )
     assert scores["PPO"]["J"]["mean"] < scores["random"]["J"]["mean"]
 
 
