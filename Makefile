@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-extras lint format types bench docs clean
+.PHONY: help demo test test-all test-extras lint format types bench animation docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*##  *\(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -38,6 +38,9 @@ types: $(INSTALLED)  ## check the types
 bench: $(INSTALLED)  ## measure the simulator; peers and numbers are told in benchmarks/
 	$(BIN)/pip install --quiet --quiet --editable '.[bench]'
 	$(BIN)/python benchmarks/speed.py
+
+animation: $(INSTALLED)  ## play the game of the README and write docs/images/game.gif
+	$(BIN)/python docs/make_animation.py
 
 docs: $(INSTALLED)  ## build the pages in docs/_build/
 	$(BIN)/sphinx-build -W --keep-going -q docs docs/_build
