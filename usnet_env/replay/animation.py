@@ -152,7 +152,7 @@ class _Painter:
         axes.set_ylim(middle[1] - half, middle[1] + half)
         axes.set_xticks([])
         axes.set_yticks([])
-        axes.set_facecolor("#FBFBFB")
+        axes.set_facecolor("white")  # exact in the palette of a GIF
         for side in axes.spines.values():
             side.set_color("#CCCCCC")
         axes.set_title(title, fontsize=11, loc="left", pad=4)
