@@ -1,4 +1,4 @@
-# `make` alone says what there is. Nothing but Python >= 3.11 and make is needed before the first target.
+# `make` alone lists the targets. Python >= 3.11 and make are all that the first target needs.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -6,12 +6,12 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-extras lint format types bench docs clean
+.PHONY: help demo test test-all test-extras lint format types bench animation docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*##  *\(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
 
-demo: $(INSTALLED)  ## play one episode; replay, picture and episode file go to runs/demo/
+demo: $(INSTALLED)  ## play one game; replay, picture and episode file go to runs/demo/
 	$(BIN)/usnet demo
 
 test: $(INSTALLED)  ## run the quick tests
@@ -20,29 +20,32 @@ test: $(INSTALLED)  ## run the quick tests
 test-all: $(INSTALLED)  ## run all tests and show the coverage
 	$(BIN)/pytest -n auto --cov=usnet_env --cov=detectors
 
-test-extras:  ## run each extra's tests in an environment of that extra alone; takes half an hour
+test-extras:  ## test each extra in an environment of its own; takes half an hour
 	PYTHON=$(PYTHON) tests/frameworks/extras.sh
 
-lint: $(INSTALLED)  ## check style, form and the arrows between the parts
+lint: $(INSTALLED)  ## check style, format and the imports between the parts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 
-format: $(INSTALLED)  ## put the code into form
+format: $(INSTALLED)  ## format the code
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 types: $(INSTALLED)  ## check the types
 	$(BIN)/mypy
 
-bench: $(INSTALLED)  ## measure the simulator; peers and numbers are told in benchmarks/
+bench: $(INSTALLED)  ## measure the speed of the simulator; numbers are in benchmarks/
 	$(BIN)/pip install --quiet --quiet --editable '.[bench]'
 	$(BIN)/python benchmarks/speed.py
+
+animation: $(INSTALLED)  ## play the game of the README and write docs/images/game.gif
+	$(BIN)/python docs/make_animation.py
 
 docs: $(INSTALLED)  ## build the pages in docs/_build/
 	$(BIN)/sphinx-build -W --keep-going -q docs docs/_build
 
-clean:  ## remove what was built or cached, but neither runs/ nor the virtual environment
+clean:  ## remove build outputs and caches; runs/ and the virtual environment stay
 	rm -rf docs/_build docs/envs build dist .coverage htmlcov .pytest_cache .mypy_cache .ruff_cache .hypothesis \
 		.import_linter_cache
 	find usnet_env detectors tests docs benchmarks examples -name __pycache__ -prune -exec rm -rf {} +
@@ -50,7 +53,7 @@ clean:  ## remove what was built or cached, but neither runs/ nor the virtual en
 $(INSTALLED): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
 		echo "USNET needs Python 3.11 or newer, and $(PYTHON) is" \
-			"$$($(PYTHON) --version 2>/dev/null || echo not there). Name another one: make PYTHON=python3.12 …" >&2; \
+			"$$($(PYTHON) --version 2>/dev/null || echo not installed). Choose another: make PYTHON=python3.12 …" >&2; \
 		exit 1; }
 	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
 	@echo "Installing into $(VENV), which takes some minutes the first time …"

@@ -1,0 +1,361 @@
+"""An animation of one game: what the detector sees beside the truth, round by round, as a GIF or MP4.
+
+It is made from the neutral episode file alone. Matplotlib is an extra (``pip install 'usnet[render]'``) and brings
+Pillow, which writes the GIF; an MP4 needs the program ffmpeg.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.config import ArgumentError, quote
+from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, new_figure
+from usnet_env.files import atomic_write
+from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.replay.story import count
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Scene", "animate", "scenes"]
+
+_WIDTH, _HEIGHT, _DPI = 9.6, 6.0, 100  # inches, pixels per inch
+_PANEL, _LEFT, _BOTTOM = 4.55, 0.2, 0.52  # inches: side of a map, margins
+_WATCH, _NAME, _DESTROY, _REMERGE, _END = range(5)
+_PHASES = ("Watch", "Name", "Destroy", "Re-merge", "End")
+_PHASE_PLACES = (1.4, 2.25, 3.05, 4.0, 5.1)  # inches
+_STEP_SECONDS, _READ_SECONDS, _END_SECONDS = 0.09, 1.7, 3.5
+_LINK_FRAMES = 5  # frames in which orphans turn to their new heads
+_GIF_COLORS = 255
+_MP4_RATE = 20  # frames per second
+_UNKNOWN, _ORPHAN, _NAMED = "#6E6E6E", "#9A9A9A", "#0072B2"
+_DASHES = (0, (2, 1.2))
+_SCALE_BAR = 200.0  # metres
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What one frame shows.
+
+    Args:
+        round: from 1.
+        phase: 0 watch, 1 name, 2 destroy, 3 re-merge, 4 end of the game.
+        seconds: how long the frame stays.
+        text: one sentence about what happens.
+        score: hits, redundant candidates and J so far.
+        samples: how many positions of the window the tracks show, from 1 to T_ob + 1.
+        turn: from 0 to 1, how far the links of the orphans have moved from the old head to the new one.
+    """
+
+    round: int
+    phase: int
+    seconds: float
+    text: str
+    score: str
+    samples: int
+    turn: float = field(default=0.0)
+
+
+def _score(record: EpisodeRecord, played: int) -> str:
+    """Hits, redundant candidates and J after ``played`` rounds."""
+    hits, redundant = int(record.hits[:played].sum()), int(record.redundant[:played].sum())
+    objective = f"{record.objective[played - 1]:.2f}" if played else "–"
+    return f"hits {hits} of {int(record.head.sum())}     redundant {redundant}     J {objective}"
+
+
+def _verdict(record: EpisodeRecord, r: int) -> str:
+    """The outcome of round ``r`` (from 0) in one sentence."""
+    named, hits, redundant = int(record.candidates[r].sum()), int(record.hits[r]), int(record.redundant[r])
+    if record.over_budget[r]:
+        return f"{named} candidates exceed the shot budget: no UAV is destroyed."
+    if not named:
+        return "Without candidates no UAV is destroyed."
+    right = f"{hits} {'is a head' if hits == 1 else 'are heads'} (hit)"
+    wrong = f"{redundant} {'is' if redundant == 1 else 'are'} not (redundant)"
+    parts = [right] * (hits > 0) + [wrong] * (redundant > 0)
+    return f"{', '.join(parts)}. {'It is' if named == 1 else f'All {named} are'} destroyed."
+
+
+def _ending(record: EpisodeRecord) -> str:
+    """The outcome of the game in one sentence."""
+    left = int(record.heads_left[-1])
+    result = "All heads are destroyed" if not left else f"{count(left, 'head')} not found"
+    best = "1 is best" if record.problem == "P2" else "0 is best"
+    return f"{result} after {count(record.rounds, 'round')}: J = {record.objective[-1]:.2f} ({best})."
+
+
+def _orphans(record: EpisodeRecord, r: int) -> NDArray[np.bool_]:
+    """``(N,)`` bool, living followers whose head was destroyed in round ``r`` (from 0)."""
+    fired, leader = record.fired[r], record.leader[r]
+    return np.asarray(record.alive[r] & ~fired & (leader >= 0) & fired[leader])
+
+
+def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
+    """The frames of an episode in their order.
+
+    Args:
+        record: the episode.
+        frames: frames in which the tracks of one window grow.
+
+    Yields:
+        One scene for each frame.
+    """
+    samples = record.position.shape[1]
+    for r in range(record.rounds):
+        number, before, after = r + 1, _score(record, r), _score(record, r + 1)
+        watch = f"The detector watches {samples - 1} steps. To it, all UAVs look alike."
+        for grown in np.unique(np.linspace(1, samples, frames).round().astype(int)):
+            yield Scene(number, _WATCH, _STEP_SECONDS, watch, before, int(grown))
+        named = int(record.candidates[r].sum())
+        name = f"It names {count(named, 'UAV')} as {'a head' if named == 1 else 'heads'}."
+        yield Scene(number, _NAME, _READ_SECONDS, name, before, samples)
+        yield Scene(number, _DESTROY, _READ_SECONDS, _verdict(record, r), after, samples)
+        orphans = int(_orphans(record, r).sum())
+        if number == record.rounds:
+            yield Scene(number, _END, _END_SECONDS, _ending(record), after, samples)
+        elif orphans:
+            join = "joins" if orphans == 1 else "join"
+            text = f"{count(orphans, 'follower')} without a head {join} the nearest remaining head."
+            for turn in np.linspace(0.0, 1.0, _LINK_FRAMES):
+                seconds = _READ_SECONDS if turn == 1.0 else _STEP_SECONDS
+                yield Scene(number, _REMERGE, seconds, text, after, samples, float(turn))
+
+
+class _Painter:
+    """Draws scenes of one record into one figure with fixed axes."""
+
+    def __init__(self, record: EpisodeRecord) -> None:
+        self.record = record
+        self.figure = new_figure(_WIDTH, _HEIGHT, _DPI)
+        self.artists: list[Any] = []
+        gap = _WIDTH - 2 * (_PANEL + _LEFT)
+        self.observed, self.truth = (
+            self._panel(_LEFT + place * (_PANEL + gap), title)
+            for place, title in enumerate(("What the detector sees", "The truth"))
+        )
+        self._draw_legend()
+
+    def _panel(self, left: float, title: str) -> Axes:
+        axes = self.figure.add_axes((left / _WIDTH, _BOTTOM / _HEIGHT, _PANEL / _WIDTH, _PANEL / _HEIGHT))
+        known = self.record.position[self.record.seen & self.record.alive[:, None]][:, :2]
+        low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.ones(2))
+        middle, half = (low + high) / 2, 0.54 * max(float((high - low).max()), 1.0)
+        axes.set_xlim(middle[0] - half, middle[0] + half)
+        axes.set_ylim(middle[1] - half, middle[1] + half)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        axes.set_facecolor("white")  # exact in the palette of a GIF
+        for side in axes.spines.values():
+            side.set_color("#CCCCCC")
+        axes.set_title(title, fontsize=11, loc="left", pad=4)
+        if 2 * half > 2 * _SCALE_BAR:
+            right, bottom = middle[0] + 0.95 * half, middle[1] - 0.93 * half
+            axes.plot([right - _SCALE_BAR, right], [bottom, bottom], color="#333333", linewidth=1.5)
+            label = f"{_SCALE_BAR:.0f} m"
+            axes.text(right - _SCALE_BAR / 2, bottom, label, ha="center", va="bottom", fontsize=8, color="#333333")
+        return axes
+
+    def _draw_legend(self) -> None:
+        from matplotlib.lines import Line2D
+
+        def mark(**style: Any) -> Line2D:
+            return Line2D([], [], linestyle="none", **style)
+
+        ring: dict[str, Any] = {"color": "none", "marker": "o", "markersize": 11, "markeredgewidth": 2}
+        keys = {
+            "candidate": mark(markeredgecolor=_NAMED, **ring),
+            "head": mark(marker="*", color="#555555", markeredgecolor="black", markersize=13),
+            "follower, colour of its head": mark(marker="o", color="#555555", markersize=5),
+            "hit": mark(markeredgecolor=HIT, **ring),
+            "redundant": mark(markeredgecolor=REDUNDANT, **ring | {"marker": "s", "markersize": 9}),
+            "head not named": Line2D([], [], color=MISSED, linestyle=_DASHES, linewidth=1.3),
+            "destroyed": mark(marker="x", color="black", markersize=7, markeredgewidth=1.8),
+        }
+        if self.record.decoy.any():
+            keys["decoy"] = mark(marker="D", color="white", markeredgecolor="black", markersize=6)
+        self.figure.legend(
+            list(keys.values()), list(keys), loc="lower center", ncols=len(keys), frameon=False, fontsize=9.5,
+            handletextpad=0.3, columnspacing=1.3, bbox_to_anchor=(0.5, 0.005),
+        )  # fmt: skip
+
+    def _draw_header(self, scene: Scene) -> None:
+        def write(x: float, y: float, text: str, **style: Any) -> None:
+            self.artists.append(self.figure.text(x / _WIDTH, 1 - y / _HEIGHT, text, va="baseline", **style))
+
+        write(_LEFT, 0.33, f"Round {scene.round}", fontsize=15, weight="bold")
+        for phase, word in enumerate(_PHASES):
+            now = phase == scene.phase
+            style: dict[str, Any] = {"weight": "bold", "color": _NAMED} if now else {"color": "#A0A0A0"}
+            write(_PHASE_PLACES[phase], 0.33, word, fontsize=11.5, **style)
+        write(_WIDTH - _LEFT, 0.33, scene.score, fontsize=11.5, ha="right")
+        write(_LEFT, 0.63, scene.text, fontsize=11.5)
+
+    def _scatter(self, axes: Axes, place: NDArray[np.float32], who: NDArray[np.bool_], **style: Any) -> None:
+        if who.any():
+            self.artists.append(axes.scatter(place[who, 0], place[who, 1], **style))
+
+    def _lines(self, axes: Axes, lines: NDArray[np.float32], **style: Any) -> None:
+        from matplotlib.collections import LineCollection
+
+        if len(lines):
+            collection = LineCollection(list(lines), **style)
+            self.artists.append(axes.add_collection(collection, autolim=False))
+
+    def _draw_observed(self, scene: Scene, place: NDArray[np.float32], path: NDArray[np.float32]) -> None:
+        """The left map: equal dots and tracks, rings around the candidates."""
+        record, r = self.record, scene.round - 1
+        gone = ~record.alive[r] | (record.fired[r] & (scene.phase >= _DESTROY))
+        self._lines(self.observed, path[~gone], colors=_UNKNOWN, linewidths=0.9, alpha=0.75, zorder=2)
+        self._scatter(self.observed, place, ~gone, s=17, c=_UNKNOWN, edgecolors="white", linewidths=0.4, zorder=3)
+        self._draw_destroyed(self.observed, scene, place)
+        if scene.phase in (_NAME, _DESTROY):
+            ring: dict[str, Any] = {"facecolors": "none", "edgecolors": _NAMED, "linewidths": 2.0, "zorder": 6}
+            self._scatter(self.observed, place, record.candidates[r], s=170, **ring)
+
+    def _draw_destroyed(self, axes: Axes, scene: Scene, place: NDArray[np.float32]) -> None:
+        """Crosses: grey for UAVs of earlier rounds, black for those of this round."""
+        record, r = self.record, scene.round - 1
+        style: dict[str, Any] = {"s": 30, "marker": "x", "linewidths": 1.4, "zorder": 2.5}
+        self._scatter(axes, record.last_position(scene.round), ~record.alive[r], c="#B0B0B0", **style)
+        if scene.phase >= _DESTROY:
+            style |= {"s": 70, "linewidths": 1.9, "zorder": 7}
+            self._scatter(axes, place, record.fired[r], c="black", **style)
+
+    def _draw_truth(self, scene: Scene, place: NDArray[np.float32], path: NDArray[np.float32]) -> None:
+        """The right map: clusters in colour, links to the heads, the verdict, and the orphans' new heads."""
+        record, r = self.record, scene.round - 1
+        head, candidates = record.head, record.candidates[r]
+        gone = ~record.alive[r] | (record.fired[r] & (scene.phase >= _DESTROY))
+        leader, orphan = record.leader[r].copy(), _orphans(record, r) & (scene.phase >= _DESTROY)
+        colors, _ = cluster_colors(head, leader)
+        end = place[np.maximum(leader, 0), :2].copy()
+        if scene.phase == _REMERGE:
+            new = record.leader[r + 1]
+            moved = orphan & (new >= 0)
+            target = place[np.maximum(new, 0), :2]
+            end[moved] += np.float32(scene.turn) * (target[moved] - end[moved])
+            if scene.turn == 1.0:
+                colors = np.where(moved, cluster_colors(head, new)[0], colors)
+        else:
+            moved = np.zeros_like(orphan)
+        colors = np.where(orphan & ~(moved & (scene.turn == 1.0)), _ORPHAN, colors)
+        follower = ~gone & ~head & ~record.decoy
+        linked = follower & (leader >= 0) & (~orphan | moved)
+        links = np.stack([place[:, :2], end], axis=1)
+        self._lines(self.truth, links[linked], colors=colors[linked], linewidths=0.7, alpha=0.4, zorder=1)
+        self._lines(self.truth, path[~gone], colors=colors[~gone], linewidths=1.1, alpha=0.9, zorder=2)
+        self._scatter(
+            self.truth, place, follower, s=17, c=colors[follower], edgecolors="white", linewidths=0.4, zorder=3
+        )
+        stars = head & ~gone
+        self._scatter(
+            self.truth, place, stars, s=150, c=colors[stars], marker="*", edgecolors="black", linewidths=0.8, zorder=5
+        )
+        decoys = record.decoy & ~gone
+        self._scatter(
+            self.truth, place, decoys, s=34, c="white", marker="D", edgecolors="black", linewidths=1, zorder=4
+        )
+        self._draw_destroyed(self.truth, scene, place)
+        if scene.phase == _DESTROY:
+            ring: dict[str, Any] = {"facecolors": "none", "linewidths": 2.2, "zorder": 6}
+            self._scatter(self.truth, place, candidates & head, s=230, edgecolors=HIT, **ring)
+            self._scatter(self.truth, place, candidates & ~head, s=170, marker="s", edgecolors=REDUNDANT, **ring)
+            missed = head & record.alive[r] & ~candidates
+            self._scatter(
+                self.truth, place, missed, s=230, edgecolors=MISSED, linestyles=[_DASHES], **ring | {"linewidths": 1.3}
+            )
+
+    def draw(self, scene: Scene) -> Figure:
+        """The figure with one scene; it is the same figure each time."""
+        record, r = self.record, scene.round - 1
+        for artist in self.artists:
+            artist.remove()
+        self.artists = []
+        seen = record.seen[r, : scene.samples] & record.alive[r]
+        track = np.where(seen[..., None], record.position[r, : scene.samples, :, :2], np.float32(np.nan))
+        when = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
+        place = track[when, np.arange(record.uavs)]
+        path = np.swapaxes(track, 0, 1)
+        self._draw_header(scene)
+        self._draw_observed(scene, place, path)
+        self._draw_truth(scene, place, path)
+        return self.figure
+
+    def pixels(self, scene: Scene) -> NDArray[np.uint8]:
+        """:meth:`draw` as ``(H, W, 3)`` uint8."""
+        canvas: Any = self.draw(scene).canvas
+        canvas.draw()
+        return np.array(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _write_gif(record: EpisodeRecord, shown: list[Scene], path: Path) -> None:
+    painter = _Painter(record)
+    from PIL import Image  # comes with matplotlib, whose absence the painter reports
+
+    frames = [Image.fromarray(painter.pixels(scene)) for scene in shown]
+    # One palette for all frames, without dithering: unchanged areas stay equal, and GIF stores changes only.
+    samples = [frames[i] for i, scene in enumerate(shown) if scene.phase] or frames[-1:]
+    sheet = Image.new("RGB", (samples[0].width, samples[0].height * len(samples)))
+    for place, frame in enumerate(samples):
+        sheet.paste(frame, (0, place * frame.height))
+    palette = sheet.quantize(_GIF_COLORS, method=Image.Quantize.MAXCOVERAGE)
+    reduced = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    durations = [round(1000 * scene.seconds) for scene in shown]
+    reduced[0].save(path, format="GIF", save_all=True, append_images=reduced[1:], duration=durations, loop=0)
+
+
+def _write_mp4(record: EpisodeRecord, shown: list[Scene], path: Path) -> None:
+    from matplotlib.animation import FFMpegWriter
+
+    painter = _Painter(record)
+    writer = FFMpegWriter(fps=_MP4_RATE, extra_args=["-f", "mp4", "-pix_fmt", "yuv420p"])
+    with writer.saving(painter.figure, os.fspath(path), _DPI):
+        for scene in shown:
+            painter.draw(scene)
+            for _ in range(max(1, round(scene.seconds * _MP4_RATE))):
+                writer.grab_frame()
+
+
+def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int = 20) -> Path:
+    """Write an animation of an episode; the file appears whole.
+
+    Two maps from above share fixed axes. The left one shows what the detector sees: equal dots whose tracks grow, then
+    rings around its candidates. The right one shows the truth: heads as stars, followers in the colour of their head,
+    hits, redundant candidates, destroyed UAVs, and how followers without a head join another one.
+
+    Args:
+        record: the episode.
+        path: where to; the suffix ``.gif`` or ``.mp4`` chooses the format. An existing file is replaced.
+        frames: frames in which the tracks of one window grow.
+
+    Returns:
+        The path.
+
+    Raises:
+        ArgumentError: ``path`` has another suffix or can't be written to, ``frames`` is below 2, or an MP4 is asked for
+            and ffmpeg is not installed.
+        MissingExtraError: matplotlib is not installed.
+    """
+    if isinstance(frames, bool) or not isinstance(frames, int) or frames < 2:
+        raise ArgumentError(f"frames must be a whole number from 2, got {quote(frames)}.")
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".gif", ".mp4"):
+        raise ArgumentError(f"path must end in .gif or .mp4, got {quote(os.fspath(path))}.")
+    shown = list(scenes(record, frames))
+    if suffix == ".mp4":
+        new_figure(1, 1)  # says so if matplotlib is missing
+        from matplotlib.animation import writers
+
+        if not writers.is_available("ffmpeg"):
+            raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(os.fspath(path))}.")
+    with atomic_write(path) as aside:
+        (_write_gif if suffix == ".gif" else _write_mp4)(record, shown, aside)
+    return Path(path)
