@@ -155,7 +155,7 @@ def test_the_example_shows_truth_rounds_and_rates():
     truth, *shown, rates = (axes for axes in figure.axes if axes.get_visible())
     assert truth.get_title(loc="left") == "Truth: 3 clusters, 24 UAVs"
     assert len(shown) == record.rounds
-    strong = (record.attention[0] > 0.03) & ~np.eye(24, dtype=bool)
+    strong = (record.attention[0] > 0.1) & ~np.eye(24, dtype=bool)
     assert len(shown[0].collections[0].get_segments()) == strong.sum() > 0
     np.testing.assert_allclose(rates.lines[0].get_ydata(), np.append(0, np.cumsum(record.hits)) / 3 * 100)
     np.testing.assert_allclose(rates.lines[1].get_ydata(), np.append(0, np.cumsum(record.redundant)) / 24 * 100)

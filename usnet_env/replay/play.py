@@ -113,7 +113,7 @@ def record_episode(
                 candidates=int(detection.candidates.sum()),
                 hits=int(info["hits"]),
                 redundant=int(info["redundant"]),
-                heads_left=int(info["heads_left"]),
+                heads_left=int(game.swarm.heads_left),
                 objective=float(info["J"]),
                 over_budget=bool(info["over_budget"]),
                 seconds=seconds,

@@ -213,7 +213,7 @@ def draw_hierarchy(scene: Scene, found: Detection, label: str) -> Figure:
             arrow = {"arrowstyle": "-", "connectionstyle": "arc3,rad=0.5", "ls": "--", "color": REDUNDANT, "lw": 1.3}
             tree.annotate("", ends[1], ends[0], arrowprops=arrow)
     tree.set_title("Hierarchy graph: candidate (top), and the largest attention of each other UAV")
-    tree.set(xticks=[], yticks=[], ylim=(-0.75, 1.35))
+    tree.set(xticks=[], yticks=[], ylim=(-0.6, 1.2))
     for axes, points in ((graph, place), (tree, levels)):
         _mark_uavs(axes, points, scene.head, found.candidates)
     handles, labels = graph.get_legend_handles_labels()
@@ -261,4 +261,5 @@ def _mark_uavs(axes: Axes, place: Floats, head: int, candidates: NDArray[np.bool
             ring: dict[str, Any] = {"facecolor": "none", "edgecolor": color, "lw": 2.2, "ls": style}
             axes.scatter(*place[chosen].T, s=420, marker=shape, zorder=4, label=text, **ring)
     for i, (x, y) in enumerate(place):
-        axes.annotate(str(i + 1), (x, y), textcoords="offset points", xytext=(9, -11), fontsize=8)
+        beside = (15, -15) if candidates[i] or i == head else (9, -11)
+        axes.annotate(str(i + 1), (x, y), textcoords="offset points", xytext=beside, fontsize=8, zorder=5)

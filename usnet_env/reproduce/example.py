@@ -13,6 +13,7 @@ from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, draw_round
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.plugins import make_detector
 from usnet_env.replay import EpisodeRecord, record_episode
+from usnet_env.replay.story import format_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_example", "play_example"]
 
-_LEAST_WEIGHT = 0.03  # lines of a smaller attention weight are not drawn
+_LEAST_WEIGHT = 0.1  # lines of a smaller attention weight are not drawn
 _MOST_ROUNDS = 4
 _ATTENTION, _GONE = "#56789a", "#9a9a9a"
 _PAPER_RATES = {1: 75.0, 2: 100.0}  # percent of the heads that the paper's example has found after each round
@@ -92,8 +93,8 @@ def _draw_attention_round(axes: Axes, record: EpisodeRecord, number: int, skippe
         weight = np.where(np.eye(record.uavs, dtype=bool), 0.0, record.attention[r]) * (shown & shown[:, None])
         rows, others = np.nonzero(weight > _LEAST_WEIGHT)
         ends = np.stack([place[rows], place[others]], axis=1)
-        widths = 3.5 * weight[rows, others]
-        axes.add_collection(LineCollection(list(ends), linewidths=widths, colors=_ATTENTION, alpha=0.5, zorder=1))
+        widths = 3.0 * weight[rows, others]
+        axes.add_collection(LineCollection(list(ends), linewidths=widths, colors=_ATTENTION, alpha=0.45, zorder=1))
     colors, _ = cluster_colors(head, record.leader[r])
     followers, heads = shown & ~head, shown & head
     axes.scatter(*place[followers].T, s=16, c=colors[followers], lw=0.3, edgecolors="white", zorder=2)
@@ -136,13 +137,14 @@ def _draw_rates(axes: Axes, record: EpisodeRecord) -> None:
             list(_PAPER_RATES), list(_PAPER_RATES.values()), "o", mfc="none", mec="black", ms=11, label="the paper"
         )
     axes.set_title(
-        f"After {record.rounds} rounds: {found[-1]:.0f} % of the heads found;\n"
+        f"After {format_count(record.rounds, 'round')}: {found[-1]:.0f} % of the heads found;\n"
         f"destroyed: {hit[-1]:.2f} % of all UAVs as hits, {redundant[-1]:.2f} % redundant",
         fontsize=11,
         loc="left",
     )
     axes.set(xlabel="round", ylabel="percent", ylim=(-3, 106))
-    axes.set_xticks(rounds[:: max(1, len(rounds) // 10)])
+    last = max(record.rounds, *_PAPER_RATES)
+    axes.set_xticks(range(0, last + 1, max(1, last // 10)))
     axes.grid(alpha=0.3)
     axes.legend(fontsize=9, loc="center right")
 

@@ -225,7 +225,7 @@ def draw_losses(rows: Sequence[Row]) -> Figure:
             mean, half = compute_interval(values)
             place = np.arange(len(mean)) if online else (np.arange(len(mean)) + 0.5) * width
             color, line, label = _LOOKS[start]
-            panel.plot(place, mean, color=color, ls=line, label=label)
+            panel.plot(place, mean, color=color, ls=line, label=label, zorder=3 if line != "-" else 2)
             panel.fill_between(place, mean - half, mean + half, color=color, alpha=0.2, lw=0)
         panel.grid(alpha=0.3)
     axes[0].axhline(PAPER_LOSS, color="black", lw=0.9, ls="-.", label=f"the paper's meta loss, about {PAPER_LOSS}")
