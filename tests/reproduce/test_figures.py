@@ -133,7 +133,7 @@ def test_purity_is_drawn_for_every_strategy():
         "K-Means, scaled inputs",
         "metric learning (GRU and K-Means)",
     ]
-    np.testing.assert_allclose(axes.containers[0].lines[0].get_ydata(), [0.5, 0.5, 0.5])
+    assert list(axes.containers[0].lines[0].get_ydata()) == pytest.approx([0.5, 0.5, 0.5])
     estimated = [row for row in purity_rows() if row.count != "given"]
     with pytest.raises(ArgumentError, match="rows must hold"):
         purity_report.draw_strategies(estimated, "title")

@@ -336,7 +336,8 @@ class EpisodeRecord:
         words = {name: values[name] for name in values if name not in arrays and values[name] is not None}
         words |= {"format": _FORMAT, "version": FORMAT_VERSION}
         with atomic_write(path) as aside, aside.open("wb") as file:
-            np.savez_compressed(file, **arrays, **{_LINKS: self._all_links(), _METADATA: np.array(json.dumps(words))})
+            derived: dict[str, Any] = {_LINKS: self._all_links(), _METADATA: np.array(json.dumps(words))}
+            np.savez_compressed(file, **arrays, **derived)
         return Path(path)
 
     def _all_links(self) -> NDArray[np.int64]:

@@ -99,12 +99,11 @@ def _new_grid(rows: int, columns: int, width: float, height: float) -> tuple[Fig
 def _draw_heat_map(axes: Axes, alpha: Floats, head: int, title: str) -> None:
     """Draw one matrix of attention with its own colour bar; a triangle marks the column of the head."""
     image = axes.imshow(alpha, cmap="viridis", vmin=0.0, vmax=max(float(alpha.max()), 1e-9), aspect="equal")
-    axes.plot([head], [-0.035], marker="^", color="#d55e00", ms=8, clip_on=False, transform=axes.get_xaxis_transform())
-    axes.set_title(title, fontsize=10)
+    axes.plot([head], [1.03], marker="v", color="#d55e00", ms=8, clip_on=False, transform=axes.get_xaxis_transform())
+    axes.set_title(title, fontsize=10, pad=14)
     ticks = range(0, len(alpha), max(1, -(-len(alpha) // 10)))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_ticks(list(ticks), [str(place + 1) for place in ticks], fontsize=7)
-    axes.tick_params(axis="x", pad=7)
     axes.set_xlabel("UAV i′", fontsize=8)
     axes.set_ylabel("UAV i", fontsize=8)
     figure: Any = axes.get_figure()
@@ -143,7 +142,7 @@ def draw_attention_heads(scene: Scene, found: Detection, label: str) -> Figure:
         axes.set_visible(False)
     figure.suptitle(
         f"Attention of UAV i (row) to UAV i′ (column): {label}, {scene.follow}, m = {scene.followers}\n"
-        f"{_describe_answer(scene, found)}; ▲ marks the column of the head",
+        f"{_describe_answer(scene, found)}; ▼ marks the column of the head",
         fontsize=11,
     )
     return figure
@@ -166,7 +165,7 @@ def draw_attention_sizes(scenes: Sequence[Scene], answers: Sequence[Detection], 
         axes.set_visible(False)
     figure.suptitle(
         f"Attention weights α of UAV i (row) to UAV i′ (column): {label}, {scenes[0].follow}\n"
-        f"▲ marks the column of the head, UAV {scenes[0].head + 1}",
+        f"▼ marks the column of the head, UAV {scenes[0].head + 1}",
         fontsize=11,
     )
     return figure
@@ -246,10 +245,9 @@ def _place_levels(candidates: NDArray[np.bool_]) -> Floats:
 
 def _mark_uavs(axes: Axes, place: Floats, head: int, candidates: NDArray[np.bool_]) -> None:
     """Mark the UAVs, the head and the candidates, and write their numbers beside them."""
-    axes.scatter(*place.T, s=40, color=_UAV, zorder=2, label="UAV")
-    axes.scatter(
-        *place[head], s=230, marker="*", color="#e69f00", edgecolor="black", zorder=3, label="head (the truth)"
-    )
+    axes.scatter(place[:, 0], place[:, 1], s=40, color=_UAV, zorder=2, label="UAV")
+    star: dict[str, Any] = {"marker": "*", "color": "#e69f00", "edgecolor": "black", "label": "head (the truth)"}
+    axes.scatter(place[head, 0], place[head, 1], s=230, zorder=3, **star)
     hit = np.arange(len(place)) == head
     for chosen, color, shape, text in (
         (candidates & hit, HIT, "o", "candidate: hit"),
@@ -259,7 +257,7 @@ def _mark_uavs(axes: Axes, place: Floats, head: int, candidates: NDArray[np.bool
         if chosen.any():
             style = "--" if color == MISSED else "-"
             ring: dict[str, Any] = {"facecolor": "none", "edgecolor": color, "lw": 2.2, "ls": style}
-            axes.scatter(*place[chosen].T, s=420, marker=shape, zorder=4, label=text, **ring)
+            axes.scatter(place[chosen, 0], place[chosen, 1], s=420, marker=shape, zorder=4, label=text, **ring)
     for i, (x, y) in enumerate(place):
         beside = (15, -15) if candidates[i] or i == head else (9, -11)
         axes.annotate(str(i + 1), (x, y), textcoords="offset points", xytext=beside, fontsize=8, zorder=5)

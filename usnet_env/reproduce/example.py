@@ -40,8 +40,9 @@ def play_example(detector: str, seed: int, *, clusters: int = 8, uavs: int = 185
     """
     env = gym.make("USNET/MultiCluster-v0", clusters=clusters, uavs=uavs, follow=follow)
     swarm_seed, detector_seed = episode_seeds(seed, 0)
-    with env:
-        return record_episode(env, make_detector(detector), swarm_seed, detector_seed, label=detector)
+    record = record_episode(env, make_detector(detector), swarm_seed, detector_seed, label=detector)
+    env.close()
+    return record
 
 
 def _choose_rounds(rounds: int) -> list[int]:
@@ -97,17 +98,21 @@ def _draw_attention_round(axes: Axes, record: EpisodeRecord, number: int, skippe
         axes.add_collection(LineCollection(list(ends), linewidths=widths, colors=_ATTENTION, alpha=0.45, zorder=1))
     colors, _ = cluster_colors(head, record.leader[r])
     followers, heads = shown & ~head, shown & head
-    axes.scatter(*place[followers].T, s=16, c=colors[followers], lw=0.3, edgecolors="white", zorder=2)
-    axes.scatter(*place[heads].T, s=150, marker="*", c=colors[heads], edgecolors="black", lw=0.8, zorder=3)
+    axes.scatter(
+        place[followers, 0], place[followers, 1], s=16, c=colors[followers], lw=0.3, edgecolors="white", zorder=2
+    )
+    stars: dict[str, Any] = {"marker": "*", "c": colors[heads], "edgecolors": "black", "lw": 0.8}
+    axes.scatter(place[heads, 0], place[heads, 1], s=150, zorder=3, **stars)
     gone = record.last_position(number)[~alive, :2]
-    axes.scatter(*gone.T, s=40, marker="x", color=_GONE, lw=1.5, zorder=2)
+    axes.scatter(gone[:, 0], gone[:, 1], s=40, marker="x", color=_GONE, lw=1.5, zorder=2)
     target = head & alive
-    for chosen, size, style in (
+    marks: tuple[tuple[NDArray[np.bool_], int, dict[str, Any]], ...] = (
         (candidates & target, 330, {"edgecolors": HIT, "marker": "o", "lw": 2.4}),
         (candidates & ~target, 130, {"edgecolors": REDUNDANT, "marker": "s", "lw": 2.2}),
         (~candidates & target, 330, {"edgecolors": MISSED, "marker": "o", "lw": 1.5, "ls": "--"}),
-    ):
-        axes.scatter(*place[chosen].T, s=size, facecolors="none", zorder=4, **style)
+    )
+    for chosen, size, style in marks:
+        axes.scatter(place[chosen, 0], place[chosen, 1], s=size, facecolors="none", zorder=4, **style)
     hits, redundant = int(record.hits[r]), int(record.redundant[r])
     note = f"  ({skipped} rounds before it are not shown)" if skipped else ""
     axes.set_title(f"Round {number}: {hits} hit, {redundant} redundant{note}", fontsize=11, loc="left")

@@ -295,10 +295,9 @@ def _draw_feature_space(
     for label in range(int(labels.max()) + 1):
         color, mark = next(colors), next(markers)
         followers, heads = place[(labels == label) & ~head], place[(labels == label) & head]
-        panel.scatter(
-            *followers.T, color=color, marker=mark, s=22, lw=0.4, edgecolor="white", label=f"cluster {label + 1}"
-        )
-        panel.scatter(*heads.T, color=color, marker="*", s=190, edgecolor="black", zorder=3)
+        look: dict[str, Any] = {"marker": mark, "edgecolor": "white", "label": f"cluster {label + 1}"}
+        panel.scatter(followers[:, 0], followers[:, 1], color=color, s=22, lw=0.4, **look)
+        panel.scatter(heads[:, 0], heads[:, 1], color=color, marker="*", s=190, edgecolor="black", zorder=3)
     panel.scatter([], [], color="white", marker="*", s=190, edgecolor="black", label="head")
     panel.set_xlabel(f"principal component 1 ({shares[0]:.0f} % of the variance)", fontsize=9)
     panel.set_ylabel(f"principal component 2 ({shares[1]:.0f} %)", fontsize=9)
