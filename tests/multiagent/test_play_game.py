@@ -17,7 +17,7 @@ from usnet_env.multiagent.policies import (
 )
 from usnet_env.multiagent.wrappers import DiscreteActions
 from usnet_env.replay import EpisodeRecord, write_recording
-from usnet_env.replay.figure import episode_figure
+from usnet_env.replay.figure import write_picture
 
 HEADS = {"truthful": TruthfulHead(), "camouflaged": CamouflagedHead(), "random": RandomHead()}
 
@@ -199,7 +199,7 @@ def test_a_game_is_kept_replayed_and_drawn(game, tmp_path):
     assert (record.env_id, record.detector) == (f"usnet_{game}_v0", "random pair")
     assert EpisodeRecord.load(record.save(tmp_path / "episode.npz")).rounds == record.rounds
     assert write_recording(record, tmp_path / "replay.rrd").stat().st_size > 0
-    assert episode_figure(record, tmp_path / "episode.png").stat().st_size > 0
+    assert write_picture(record, tmp_path / "episode.png").stat().st_size > 0
 
 
 def test_handed_decoys_follow_nobody_in_the_record():

@@ -27,6 +27,7 @@ def small_episode(**changes: Any) -> EpisodeRecord:
     start = rng.uniform((0, 0, 0), (400, 400, 60), (ROUNDS, 1, UAVS, 3)).astype(np.float32)
     position = np.concatenate([start, start + np.cumsum(velocity, axis=1)], axis=1)
     clusters = np.where(leader == DECOY, -1, leader)
+    attention = np.where(leader[:, :, None] == np.arange(UAVS), 0.5, 0.0)  # each UAV attends to its leader
     values: dict[str, Any] = {
         "position": position * seen[..., None],
         "velocity": velocity * (seen[:, 1:] & seen[:, :-1])[..., None],
@@ -42,6 +43,7 @@ def small_episode(**changes: Any) -> EpisodeRecord:
         "seconds": [0.25, 0.125],
         "clusters": clusters,
         "leader_estimate": leader,
+        "attention": attention,
         "problem": "P2",
         "env_id": "USNET/MultiCluster-v0",
         "seed": 0,

@@ -22,7 +22,7 @@ def run(folder, **arguments):
     return files, text.getvalue()
 
 
-def test_plays_tells_and_keeps(tmp_path):
+def test_the_demo_plays_prints_and_keeps_an_episode(tmp_path):
     pytest.importorskip("rerun")
     files, text = run(tmp_path / "demo", seed=4)
     assert {name: path.name for name, path in files.items()} == {
@@ -34,10 +34,10 @@ def test_plays_tells_and_keeps(tmp_path):
     record = EpisodeRecord.load(files["episode"])
     assert (record.uavs, record.head.sum(), record.seed) == (14, 2, 4)
     lines = text.splitlines()
-    first = next(i for i, line in enumerate(lines) if line.split()[:2] == ["round", "named"]) + 1
+    first = next(i for i, line in enumerate(lines) if line.split()[:2] == ["round", "candidates"]) + 1
     rows = [[float(word) for word in line.split()] for line in lines[first : first + record.rounds]]
-    for r, (number, named, hits, redundant, left, seconds) in enumerate(rows):
-        assert (number, named, hits) == (r + 1, record.candidates[r].sum(), record.hits[r])
+    for r, (number, candidates, hits, redundant, left, seconds) in enumerate(rows):
+        assert (number, candidates, hits) == (r + 1, record.candidates[r].sum(), record.hits[r])
         assert (redundant, left) == (record.redundant[r], record.heads_left[r])
         assert seconds == pytest.approx(record.seconds[r], abs=0.006)
     assert f"J = {record.objective[-1]:.3f}" in text
@@ -63,7 +63,7 @@ def test_without_rerun_the_rest_is_written(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "name"),
     [
-        ({"detector": "nobody"}, "detector"),
+        ({"detector": "nothing-of-that-name"}, "detector"),
         ({"clusters": 0}, "clusters"),
         ({"follow": "f0"}, "follow"),
         ({"seed": -1}, "seed"),

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import pickle
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
-from small_episode import ROUNDS, UAVS, small_episode
+from small_episode import DECOY, HEADS, ROUNDS, SAMPLES, UAVS, small_episode
 
 from usnet_env import ArgumentError
 from usnet_env.files import atomic_write
 from usnet_env.replay import EpisodeRecord
+
+VERSION_1 = Path(__file__).parent / "data" / "episode-version-1.npz"  # small_episode() before attention was kept
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +41,11 @@ def test_round_trip_is_exact(tmp_path, episode):
 
 
 def test_what_a_detector_did_not_give_stays_none(tmp_path):
-    bare = small_episode(clusters=None, leader_estimate=None, seed=None, detector_seed=None)
+    bare = small_episode(clusters=None, leader_estimate=None, attention=None, seed=None, detector_seed=None)
     loaded = EpisodeRecord.load(bare.save(tmp_path / "e.npz"))
     assert loaded.clusters is None
     assert loaded.leader_estimate is None
+    assert loaded.attention is None
     assert loaded.seed is None
     assert same(loaded, bare)
 
@@ -52,7 +56,7 @@ def test_counts_follow_the_definitions(episode):
     assert episode.heads_left.tolist() == [1, 0]
 
 
-def test_over_budget_destroys_nobody():
+def test_over_budget_destroys_no_uav():
     alive = np.ones((ROUNDS, UAVS), bool)
     record = small_episode(over_budget=[True, False], alive=alive)
     assert record.hits.tolist() == [0, 1]
@@ -69,6 +73,102 @@ def test_destroyed_uavs_stay_where_they_were_seen_last(episode):
     assert np.isnan(small_episode(seen=seen).last_position(2)[9]).all()
 
 
+def test_attention_is_kept_in_single_precision(episode):
+    assert episode.attention.shape == (ROUNDS, UAVS, UAVS)
+    assert episode.attention.dtype == np.float32
+
+
+def test_communication_links_lead_from_living_followers_to_living_heads(episode):
+    assert episode.communication_links(1).tolist() == [[i, 0] for i in range(1, 5)] + [[i, 5] for i in range(6, 11)]
+    assert episode.communication_links(2).tolist() == [[i, 5] for i in (1, 2, 4, 6, 7, 8, 9, 10)]  # 0 and 3 are gone
+    headless = np.where(np.arange(UAVS) == DECOY, DECOY, -1)
+    leader = np.stack([episode.leader[0], headless])
+    assert small_episode(leader=leader).communication_links(2).shape == (0, 2)
+
+
+def test_the_found_hierarchy_links_to_candidates(episode):
+    assert episode.hierarchy(1).tolist() == [[i, 0] for i in (1, 2, 4)]  # 3 is a candidate; 5 is none, nor is any other
+    assert episode.hierarchy(2).tolist() == episode.communication_links(2).tolist()
+    by_attention = small_episode(leader_estimate=None)
+    assert by_attention.hierarchy(1).tolist() == episode.hierarchy(1).tolist()
+    itself = np.where(np.eye(UAVS, dtype=bool), 1.0, by_attention.attention)
+    assert small_episode(leader_estimate=None, attention=itself).hierarchy(1).tolist() == episode.hierarchy(1).tolist()
+    silent = small_episode(leader_estimate=None, attention=np.zeros((ROUNDS, UAVS, UAVS)))
+    assert silent.hierarchy(1).shape == (0, 2)
+    assert small_episode(leader_estimate=None, attention=None).hierarchy(1) is None
+
+
+def test_the_topology_matrix_is_equation_5(episode):
+    """Every row against the printed matrix: p at t - T_0 + 1, then v from there to t, UAV by UAV."""
+    memory, t = 4, 9
+    x = episode.topology_matrix(1, t, head=HEADS[1])
+    members = [5, 6, 7, 8, 9, 10]
+    assert x.shape == (3 * len(members), memory + 1)
+    assert x.dtype == np.float32
+    for place, i in enumerate(members):
+        for axis in range(3):
+            printed = [episode.position[0, t - memory + 1, i, axis]]
+            printed += [episode.velocity[0, time, i, axis] for time in range(t - memory + 1, t + 1)]
+            assert x[3 * place + axis].tolist() == printed
+
+
+def test_later_positions_follow_from_the_topology_matrix(episode):
+    """As the paper says: p at any of the times is the first column and the velocities up to there."""
+    x = episode.topology_matrix(1, 6)
+    assert x.shape == (3 * UAVS, 5)
+    later = episode.position[0, 7].reshape(-1)
+    np.testing.assert_allclose(x.sum(axis=1), later, atol=1e-3)
+
+
+def test_the_topology_matrix_covers_all_times_of_a_window(episode):
+    first, last = episode.topology_matrix(2, 1, memory=2), episode.topology_matrix(2, SAMPLES - 2, memory=2)
+    assert first.shape == last.shape == (3 * UAVS, 3)
+    np.testing.assert_array_equal(first[:, 0], episode.position[1, 0].reshape(-1))
+    np.testing.assert_array_equal(last[:, -1], episode.velocity[1, -1].reshape(-1))
+    members = episode.topology_matrix(2, 5, head=5)
+    assert len(members) == 3 * (8 + 1)  # the destroyed UAVs have no rows
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ({"number": 0, "t": 5}, "number"),
+        ({"number": 3, "t": 5}, "number"),
+        ({"number": 1, "t": 2}, "t"),
+        ({"number": 1, "t": SAMPLES - 1}, "t"),
+        ({"number": 1, "t": 5, "head": 1}, "head"),
+        ({"number": 2, "t": 5, "head": 0}, "head"),
+        ({"number": 1, "t": 5, "memory": 0}, "memory"),
+        ({"number": 1, "t": 5, "memory": SAMPLES}, "memory"),
+    ],
+)
+def test_refuses_rounds_times_and_heads_that_are_not_there(episode, arguments, name):
+    with pytest.raises(ArgumentError, match=rf"^{name} must"):
+        episode.topology_matrix(**arguments)
+
+
+def test_a_record_that_does_not_know_the_memory_asks_for_it():
+    bare = small_episode(config={})
+    with pytest.raises(ArgumentError, match=r"^memory must"):
+        bare.topology_matrix(1, 5)
+    assert bare.topology_matrix(1, 5, memory=3).shape == (3 * UAVS, 4)
+
+
+def test_the_file_holds_the_links_for_readers_without_this_class(tmp_path, episode):
+    with np.load(episode.save(tmp_path / "e.npz"), allow_pickle=False) as file:
+        links = file["communication_links"]
+    for number in (1, 2):
+        own = links[links[:, 0] == number, 1:]
+        assert own.tolist() == episode.communication_links(number).tolist()
+
+
+def test_files_of_version_1_still_open():
+    old = EpisodeRecord.load(VERSION_1)
+    assert old.attention is None
+    assert same(old, small_episode(attention=None, versions=old.versions))
+    assert old.topology_matrix(1, 9, head=5).shape == (18, 5)
+
+
 def test_arrays_are_read_only(episode):
     with pytest.raises(ValueError, match="read-only"):
         episode.position[0] = 0
@@ -83,6 +183,8 @@ def test_arrays_are_read_only(episode):
         ({"leader": np.full((ROUNDS, UAVS), UAVS)}, "leader"),
         ({"leader": np.full((ROUNDS, UAVS), 0.5)}, "leader"),
         ({"leader_estimate": np.full((ROUNDS, UAVS), -2)}, "leader_estimate"),
+        ({"attention": np.zeros((ROUNDS, UAVS))}, "attention"),
+        ({"attention": np.full((ROUNDS, UAVS, UAVS), np.inf)}, "attention"),
         ({"candidates": np.full((ROUNDS, UAVS), 2)}, "candidates"),
         ({"alive": np.ones((ROUNDS, UAVS), bool)}, "alive"),
         ({"decoy": np.arange(UAVS) == 0}, "decoy"),
@@ -154,8 +256,11 @@ def rewritten(path, change):
 def test_refuses_other_versions_and_incomplete_files(tmp_path, episode):
     path = episode.save(tmp_path / "e.npz")
     assert "version 99" in refusal(rewritten(path, lambda arrays, words: words.update(version=99)))
+    assert "version '2'" in refusal(rewritten(episode.save(path), lambda arrays, words: words.update(version="2")))
     for change in (
         lambda arrays, words: arrays.pop("position"),
+        lambda arrays, words: arrays.pop("communication_links"),
+        lambda arrays, words: arrays.update(communication_links=arrays["communication_links"][1:]),
         lambda arrays, words: words.update(surprise=1),
         lambda arrays, words: words.update(position=1),
         lambda arrays, words: arrays.update(alive=np.ones_like(arrays["alive"])),

@@ -7,8 +7,8 @@ import pytest
 from small_episode import ROUNDS, UAVS, small_episode
 
 from usnet_env import ArgumentError
-from usnet_env.replay import draw_episode, episode_figure
-from usnet_env.replay.story import outcome, round_line
+from usnet_env.replay import draw_episode, write_picture
+from usnet_env.replay.story import describe_outcome, describe_round
 
 pytest.importorskip("matplotlib")
 
@@ -18,9 +18,9 @@ def titles(figure):
 
 
 def long_episode(rounds):
-    """``rounds`` rounds in which nobody is named."""
+    """``rounds`` rounds without candidates."""
     small = small_episode()
-    repeated = ("position", "velocity", "seen", "leader", "scores", "clusters", "leader_estimate")
+    repeated = ("position", "velocity", "seen", "leader", "scores", "clusters", "leader_estimate", "attention")
     return small_episode(
         **{name: np.repeat(getattr(small, name)[:1], rounds, axis=0) for name in repeated},
         alive=np.ones((rounds, UAVS), bool),
@@ -33,21 +33,23 @@ def long_episode(rounds):
 
 def test_words_say_what_happened():
     episode = small_episode()
-    assert round_line(episode, 1) == "named 2 (1 head hit, 1 redundant), 1 head left"
-    assert round_line(episode, 2) == "named 1 (1 head hit, 0 redundant), 0 heads left"
-    assert outcome(episode) == (
+    assert describe_round(episode, 1) == "2 candidates (1 head hit, 1 redundant), 1 head left"
+    assert describe_round(episode, 2) == "1 candidate (1 head hit, 0 redundant), 0 heads left"
+    assert describe_outcome(episode) == (
         "All 2 heads found in 2 rounds with 1 redundant candidate: J = 2.083 (J_m, lower is better)."
     )
-    assert outcome(long_episode(4)).startswith("0 of 2 heads found in 4 rounds with 0 redundant candidates: J = 4.000")
+    assert describe_outcome(long_episode(4)).startswith(
+        "0 of 2 heads found in 4 rounds with 0 redundant candidates: J = 4.000"
+    )
     over = small_episode(over_budget=[True, False], alive=np.ones((ROUNDS, UAVS), bool))
-    assert round_line(over, 1) == "named 2, over the shot budget: nobody destroyed, 2 heads left"
+    assert describe_round(over, 1) == "2 candidates, over the shot budget: no UAV destroyed, 2 heads left"
 
 
 def test_a_panel_for_each_round_and_the_scores():
     first, second, scores = titles(draw_episode(small_episode()))
-    assert first.startswith("Round 1: named 2")
-    assert second.startswith("Round 2: named 1")
-    assert "scores" in scores
+    assert first.startswith("Round 1: 2 candidates")
+    assert second.startswith("Round 2: 1 candidate ")
+    assert scores.startswith("Scores of the detector")
 
 
 def test_many_rounds_are_cut_short_and_it_says_so():
@@ -76,12 +78,12 @@ def test_bars_are_sorted_and_count_heads():
 
 @pytest.mark.parametrize("scores", [np.zeros((ROUNDS, UAVS)), -np.ones((ROUNDS, UAVS)), np.eye(ROUNDS, UAVS) * 1e30])
 def test_any_scores_can_be_drawn(tmp_path, scores):
-    assert episode_figure(small_episode(scores=scores), tmp_path / "e.png").stat().st_size > 10_000
+    assert write_picture(small_episode(scores=scores), tmp_path / "e.png").stat().st_size > 10_000
 
 
 def test_the_file_is_a_png_and_whole(tmp_path):
-    path = episode_figure(small_episode(), tmp_path / "new" / "e.png")
+    path = write_picture(small_episode(), tmp_path / "new" / "e.png")
     assert path.read_bytes().startswith(b"\x89PNG")
     assert list(path.parent.iterdir()) == [path]
     with pytest.raises(ArgumentError, match=r"^path must be a file that can be written"):
-        episode_figure(small_episode(), tmp_path)
+        write_picture(small_episode(), tmp_path)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from usnet_env import ArgumentError, Detection, Window
-from usnet_env.replay import EpisodeRecord, play
+from usnet_env.replay import EpisodeRecord, record_episode
 
 
 class Scripted:
-    """Names what the script says, round by round, and keeps what it was given."""
+    """Names the candidates of a script, round by round, and keeps its windows."""
 
     def __init__(self, *rounds, **answer):
         self.rounds = rounds
@@ -43,9 +43,9 @@ def roles(seed, **arguments):
 def test_records_what_was_seen_true_and_answered():
     heads, others = roles(0)
     script = (heads[0], others[0]), heads[1:]
-    detector = Scripted(*script, clusters=np.arange(16))
-    told = []
-    record = play(multi(), detector, 0, 7, told.append, label="scripted")
+    detector = Scripted(*script, clusters=np.arange(16), attention=np.eye(16))
+    reports = []
+    record = record_episode(multi(), detector, 0, 7, reports.append, label="scripted")
 
     twin = multi()
     observation, _ = twin.reset(seed=0)
@@ -66,14 +66,15 @@ def test_records_what_was_seen_true_and_answered():
     assert record.scores[1].max() == 3
     assert record.clusters.tolist() == [list(range(16))] * 2
     assert record.leader_estimate is None
-    assert [(this.number, this.named, this.heads_left) for this in told] == [(1, 2, 2), (2, 2, 0)]
-    assert record.seconds.tolist() == [this.seconds for this in told]
+    np.testing.assert_array_equal(record.attention, [np.eye(16)] * 2)
+    assert [(this.number, this.candidates, this.heads_left) for this in reports] == [(1, 2, 2), (2, 2, 0)]
+    assert record.seconds.tolist() == [this.seconds for this in reports]
 
 
 def test_says_where_it_comes_from(tmp_path):
     heads, _ = roles(5)
     detector = Scripted(heads)
-    record = play(multi(shot_budget=9), detector, 5, 7)
+    record = record_episode(multi(shot_budget=9), detector, 5, 7)
     assert detector.seed == 7
     assert (record.seed, record.detector_seed, record.detector) == (5, 7, "Scripted")
     assert (record.env_id, record.problem) == ("USNET/MultiCluster-v0", "P2")
@@ -82,15 +83,25 @@ def test_says_where_it_comes_from(tmp_path):
     assert EpisodeRecord.load(record.save(tmp_path / "e.npz")).config == record.config
 
 
+def test_attention_can_be_left_out():
+    heads, _ = roles(0)
+    whole, short = (
+        record_episode(multi(), Scripted(heads, attention=np.eye(16)), 0, None, keep_attention=keep)
+        for keep in (True, False)
+    )
+    assert whole.attention.sum() == 16
+    assert short.attention is None
+
+
 def test_the_detector_gets_windows_and_nothing_else():
     detector = Scripted(roles(1)[0])
-    play(multi(), detector, 1, None)
+    record_episode(multi(), detector, 1, None)
     assert all(type(window) is Window for window in detector.windows)
 
 
 def test_over_budget_and_truncated():
     _, others = roles(2)
-    record = play(multi(shot_budget=2, max_rounds=3), Scripted(others[:4], others[:1]), 2, None)
+    record = record_episode(multi(shot_budget=2, max_rounds=3), Scripted(others[:4], others[:1]), 2, None)
     assert record.over_budget.tolist() == [True, False, False]
     assert record.redundant.tolist() == [0, 1, 1]  # the second shot at a destroyed UAV is redundant again
     assert record.heads_left.tolist() == [3, 3, 3]
@@ -99,13 +110,13 @@ def test_over_budget_and_truncated():
 
 def test_single_cluster_with_decoys():
     env = gym.make("USNET/SingleCluster-Decoy-v0")
-    record = play(env, Scripted([0, 1]), 3, None)
+    record = record_episode(env, Scripted([0, 1]), 3, None)
     assert (record.problem, record.rounds, record.decoy.sum(), record.head.sum()) == ("P1", 1, 1, 1)
     assert record.objective[0] == record.hits[0] - 2
 
 
 def test_wrappers_are_fine():
-    record = play(gym.wrappers.RecordEpisodeStatistics(multi()), Scripted(roles(0)[0]), 0, None)
+    record = record_episode(gym.wrappers.RecordEpisodeStatistics(multi()), Scripted(roles(0)[0]), 0, None)
     assert record.heads_left[-1] == 0
 
 
@@ -117,9 +128,9 @@ class Mute(Scripted):
 @pytest.mark.parametrize("says", [None, np.zeros(16), Detection(np.zeros(3, bool), np.zeros(3))])
 def test_refuses_other_answers(says):
     with pytest.raises(ArgumentError, match="detector must answer a Detection for 16 UAVs"):
-        play(multi(), Mute(says=says), 0, None)
+        record_episode(multi(), Mute(says=says), 0, None)
 
 
 def test_refuses_other_environments():
     with pytest.raises(ArgumentError, match="env must be a USNET environment"):
-        play(gym.make("CartPole-v1"), Scripted(), 0, None)
+        record_episode(gym.make("CartPole-v1"), Scripted(), 0, None)

@@ -15,7 +15,7 @@ from small_episode import ROUNDS, SAMPLES, UAVS, small_episode
 from usnet_env import ArgumentError
 from usnet_env.drawing import MissingExtraError
 from usnet_env.replay import write_recording
-from usnet_env.replay.recording import instants
+from usnet_env.replay.recording import list_steps
 
 rr = pytest.importorskip("rerun")
 
@@ -56,7 +56,7 @@ def test_one_row_an_instant_for_the_whole_swarm(chunks):
     for chunk in chunks:
         if not chunk.is_static:
             rows[chunk.entity_path] += chunk.num_rows
-    moving = ("swarm/heads", "swarm/followers", "swarm/decoys", "swarm/links", "named/hit", "named/redundant")
+    moving = ("swarm/heads", "swarm/followers", "swarm/decoys", "swarm/links", "candidates/hit", "candidates/redundant")
     assert {rows[f"/{name}"] for name in moving} == {ROUNDS * SAMPLES}
     assert {rows[f"/{name}"] for name in ("swarm/tracks", "swarm/destroyed", "scores/heads")} == {ROUNDS}
     assert {rows[f"/game/{name}"] for name in ("heads_left", "redundant", "J")} == {ROUNDS + 1}
@@ -82,20 +82,20 @@ def test_links_lead_from_followers_to_their_heads(chunks):
 
 
 def test_marks_are_the_answers(chunks):
-    kinds = {"hit": "Ellipsoids3D", "not_named": "Ellipsoids3D", "redundant": "Boxes3D"}
+    kinds = {"hit": "Ellipsoids3D", "missed": "Ellipsoids3D", "redundant": "Boxes3D"}
     counts = {}
     for name, kind in kinds.items():
-        rows = column(chunks, f"/named/{name}", f"{kind}:centers")
+        rows = column(chunks, f"/candidates/{name}", f"{kind}:centers")
         assert [len(row) for row in rows] == [
-            len(row) for row in column(chunks, f"/named/{name}", f"{kind}:half_sizes")
+            len(row) for row in column(chunks, f"/candidates/{name}", f"{kind}:half_sizes")
         ]
         counts[name] = (len(rows[0]), len(rows[-1]))
-    assert counts == {"hit": (1, 1), "not_named": (1, 0), "redundant": (1, 0)}
+    assert counts == {"hit": (1, 1), "missed": (1, 0), "redundant": (1, 0)}
 
 
 def test_timelines_are_named_and_in_steps(chunks):
     assert {name for chunk in chunks for name in chunk.timeline_names} == {"round", "step"}
-    steps = instants(small_episode())
+    steps = list_steps(small_episode())
     assert steps[0].tolist() == list(range(4, 4 + 2 * SAMPLES, 2))
     assert steps[1, 0] == steps[0, -1] + 4  # the unobserved steps after the re-merge
 
@@ -121,7 +121,7 @@ def test_nothing_global_is_touched(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["e.rrd"]
 
 
-def test_a_swarm_that_nobody_saw_can_be_written(tmp_path):
+def test_a_swarm_that_was_never_seen_can_be_written(tmp_path):
     unseen = small_episode(seen=np.zeros((ROUNDS, SAMPLES, UAVS), bool))
     assert write_recording(unseen, tmp_path / "e.rrd").stat().st_size > 0
 

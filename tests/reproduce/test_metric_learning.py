@@ -6,7 +6,7 @@ from scipy import stats
 
 from usnet_env import ArgumentError
 from usnet_env.reproduce import metric_learning
-from usnet_env.reproduce.metric_learning import Row, band, curves, markdown
+from usnet_env.reproduce.metric_learning import Row, collect_curves, compute_interval, format_markdown
 
 SMALL = {"trainings": 2, "strategies": 1, "episodes": 3, "steps": 2}
 
@@ -14,7 +14,7 @@ SMALL = {"trainings": 2, "strategies": 1, "episodes": 3, "steps": 2}
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("losses")
-    return folder, metric_learning.losses(folder, **SMALL, seed=7)
+    return folder, metric_learning.measure_losses(folder, **SMALL, seed=7)
 
 
 def test_every_start_has_its_losses(made):
@@ -38,39 +38,59 @@ def test_it_goes_on_where_it_stopped(made, tmp_path):
     name = next(path.name for path in folder.iterdir() if path.suffix == ".csv")
     whole = (folder / name).read_text().splitlines(keepends=True)
     (tmp_path / name).write_text("".join(whole[: len(whole) // 2]))
-    again = metric_learning.losses(tmp_path, **SMALL, seed=7)
+    again = metric_learning.measure_losses(tmp_path, **SMALL, seed=7)
     assert [row.loss for row in again] == pytest.approx([row.loss for row in rows], abs=6e-5)  # four digits are kept
     assert (tmp_path / name).read_text().splitlines(keepends=True) == whole
 
 
-def test_curves_and_bands_are_means_over_strategies_and_trainings():
+def test_curves_and_intervals_are_over_strategies_and_trainings():
     rows = [
         Row(training, "meta", follow, step, 10.0 * training + step + bonus)
         for training in range(3)
         for follow, bonus in (("f1", 0.0), ("f2", 1.0))
         for step in range(2)
     ]
-    values = curves(rows, "meta", True)
+    values = collect_curves(rows, "meta", True)
     np.testing.assert_allclose(values, [[0.5, 1.5], [10.5, 11.5], [20.5, 21.5]])
-    assert not len(curves(rows, "meta", False))
-    mean, half = band(values)
+    assert not len(collect_curves(rows, "meta", False))
+    mean, half = compute_interval(values)
     np.testing.assert_allclose(mean, [10.5, 11.5])
     low, high = stats.t.interval(0.95, 2, loc=10.5, scale=stats.sem(values[:, 0]))
     np.testing.assert_allclose([mean[0] - half[0], mean[0] + half[0]], [low, high])
 
 
 def test_the_table_names_every_start_and_the_difference(made):
-    text = markdown(made[1])
+    text = format_markdown(made[1])
     assert [line.split(" | ")[0] for line in text.splitlines()[2:5]] == ["| random", "| joint", "| meta"]
-    assert "Meta less joint" in text
+    assert "Meta minus joint" in text
 
 
-def test_one_training_has_no_band(tmp_path):
+def test_one_training_has_no_interval(tmp_path):
     with pytest.raises(ArgumentError, match="trainings must be at least 2"):
-        metric_learning.losses(tmp_path, **{**SMALL, "trainings": 1})
+        metric_learning.measure_losses(tmp_path, **{**SMALL, "trainings": 1})
 
 
-def test_the_feature_space_is_drawn(tmp_path):
-    path = metric_learning.features(tmp_path, seed=3, follow="f3", steps=2)
-    assert path.read_bytes()[:4] == b"\x89PNG"
-    assert path.stat().st_size > 10_000
+def test_losses_are_drawn_off_line_and_on_line(made):
+    figure = metric_learning.draw_losses(made[1])
+    offline, online = figure.axes
+    assert len(offline.lines) == 2 + 1  # joint, meta, and the paper's value
+    assert len(online.lines) == 3
+    values = collect_curves(made[1], "random", True).mean(axis=0)
+    np.testing.assert_allclose(online.lines[0].get_ydata(), values)
+
+
+def test_the_feature_space_is_drawn_before_and_after_training():
+    figure = metric_learning.draw_feature_spaces(seed=3, follow="f3", clusters=3, uavs=24, steps=2)
+    assert len(figure.axes) == 4
+    titles = [axes.get_title() for axes in figure.axes]
+    assert [title.partition("\n")[0] for title in titles] == [
+        f"{start}, {when}"
+        for start in ("random start", "meta-learned start")
+        for when in ("before", "after 2 episodes")
+    ]
+    for axes in figure.axes:
+        points = [len(collection.get_offsets()) for collection in axes.collections]
+        assert sum(points) == 24
+        assert "principal component 1" in axes.get_xlabel()
+    before, after = (figure.axes[k].collections[0].get_offsets() for k in (0, 1))
+    assert not np.allclose(before, after)

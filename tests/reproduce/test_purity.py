@@ -7,7 +7,7 @@ import pytest
 from detectors.clustering import clusterers
 from usnet_env import ArgumentError
 from usnet_env.reproduce import purity, purity_report
-from usnet_env.reproduce.purity import CLUSTERERS, FEATURES, Method, Row, Task, methods_of, play, reproduce
+from usnet_env.reproduce.purity import CLUSTERERS, FEATURES, Method, Row, Task, cluster_windows, list_methods, reproduce
 from usnet_env.reproduce.rounds import Cell
 from usnet_env.reproduce.rows import read_rows
 
@@ -22,7 +22,7 @@ def row(method, follow="f1", episode=0, **more):
 
 def test_every_clusterer_takes_part():
     assert set(CLUSTERERS) == set(clusterers())
-    methods = methods_of(features=PLAIN)
+    methods = list_methods(features=PLAIN)
     assert len(methods) == len(set(methods)) == (4 * 3 + 1) * 2 + 3 + 3
     assert Method("hdbscan", "raw", "given") not in methods
     assert {method.features for method in methods if method.clusterer == "lead-votes"} == {"velocities"}
@@ -38,27 +38,27 @@ def test_every_clusterer_takes_part():
 )
 def test_unknown_names_are_refused(arguments, said):
     with pytest.raises(ArgumentError, match=said):
-        methods_of(**arguments)
+        list_methods(**arguments)
 
 
 def test_features_of_a_network_that_is_not_there_are_refused(monkeypatch):
     monkeypatch.setattr(purity, "_has_gru", lambda: False)
-    assert {method.features for method in methods_of()} == set(PLAIN)
+    assert {method.features for method in list_methods()} == set(PLAIN)
     with pytest.raises(ArgumentError, match="without PyTorch, got 'gru-mean'"):
-        methods_of(features=["gru-mean"])
+        list_methods(features=["gru-mean"])
 
 
 @pytest.mark.skipif(not purity._has_gru(), reason="needs PyTorch")
 def test_features_of_the_network_are_clustered_as_others_are():
     for features in FEATURES[3:]:
-        (made,) = play(Task(Method("kmeans", features, "given"), CELL, 0, 1), 7)
+        (made,) = cluster_windows(Task(Method("kmeans", features, "given"), CELL, 0, 1), 7)
         assert made.found == 3
         assert 1 / 3 < made.purity <= 1.0
 
 
-@pytest.mark.parametrize("method", methods_of(features=PLAIN), ids=lambda method: "-".join(asdict(method).values()))
+@pytest.mark.parametrize("method", list_methods(features=PLAIN), ids=lambda method: "-".join(asdict(method).values()))
 def test_every_method_clusters_a_small_swarm(method):
-    for made in play(Task(method, CELL, 0, 2), 7):
+    for made in cluster_windows(Task(method, CELL, 0, 2), 7):
         assert made.method == method
         assert made.cell == CELL
         assert 0 < made.purity <= 1
@@ -67,10 +67,10 @@ def test_every_method_clusters_a_small_swarm(method):
             assert made.found <= 3
 
 
-def test_known_cases_are_told_apart():
-    """Lagged votes place everybody; metres alone do not; a correlation without lags misplaces the heads."""
+def test_known_cases_differ():
+    """Lagged votes place all UAVs; metres alone do not; a correlation without lags misplaces the heads."""
     rows = {
-        name: play(Task(Method(*name.split("/")), Cell("f1"), 0, 3), 7)
+        name: cluster_windows(Task(Method(*name.split("/")), Cell("f1"), 0, 3), 7)
         for name in ("lead-votes/velocities/given", "kmeans/raw/given", "kmeans/velocities/given")
     }
     lead, metres, unlagged = rows.values()
@@ -81,11 +81,13 @@ def test_known_cases_are_told_apart():
 
 
 def test_a_measurement_goes_on_and_makes_tables_and_a_picture(tmp_path, monkeypatch):
-    methods = methods_of(["kmeans", "lead-votes"], ["scaled"])
+    methods = list_methods(["kmeans", "lead-votes"], ["scaled"])
     small = {"methods": methods, "clusters": 2, "uavs": 14, "seed": 5}
     reproduce(tmp_path, follow=["f1"], episodes=10, **small)
     path, played, seen = tmp_path / "purity-M2N14-seed5.csv", [], []
-    monkeypatch.setattr(purity, "play", lambda task, seed: played.append(task) or play(task, seed))
+    monkeypatch.setattr(
+        purity, "cluster_windows", lambda task, seed: played.append(task) or cluster_windows(task, seed)
+    )
     rows = reproduce(tmp_path, follow=["f1", "f4"], episodes=10, progress=lambda *count: seen.append(count), **small)
     assert {task.cell.follow for task in played} == {"f4"}
     assert seen[0] == (50, 100)
@@ -100,7 +102,7 @@ def test_a_measurement_goes_on_and_makes_tables_and_a_picture(tmp_path, monkeypa
 
 @pytest.mark.slow
 def test_rows_are_the_same_on_two_processes(tmp_path):
-    arguments = {"follow": ["f1"], "methods": methods_of(["kmeans"], ["raw"]), "episodes": 12}
+    arguments = {"follow": ["f1"], "methods": list_methods(["kmeans"], ["raw"]), "episodes": 12}
     one, two = (reproduce(tmp_path / str(workers), workers=workers, **arguments) for workers in (1, 2))
     assert [replace(made, seconds=0) for made in one] == [replace(made, seconds=0) for made in two]
     assert len({made.purity for made in one}) > 5
@@ -122,11 +124,11 @@ def test_bad_arguments_leave_nothing_behind(tmp_path, arguments, said):
     assert not list(tmp_path.iterdir())
 
 
-def test_tables_tell_means_and_leave_out_what_is_not_there():
+def test_tables_hold_means_and_leave_out_missing_rows():
     good, part = Method("spectral", "raw", "given"), Method("kmeans", "raw", "given")
     rows = [row(good, "f1", purity=1.0), row(good, "f2", purity=0.0), row(part, "f2")]
-    table = purity_report.markdown(rows, "title")
+    table = purity_report.format_markdown(rows, "title")
     assert "| spectral | given | raw | 2 | 0.50 (0.50–0.50) | 1.00 (1.00–1.00) | 0.00 (0.00–0.00) |" in table
     assert "| kmeans | given | raw | 1 | 0.50 (0.50–0.50) |  | 0.50 (0.50–0.50) |" in table
     assert "estimated" not in table.partition("## ")[2]
-    assert len(purity_report.draw(rows, "title").axes) == 2
+    assert len(purity_report.draw_methods(rows, "title").axes) == 2

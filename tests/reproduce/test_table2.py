@@ -1,4 +1,4 @@
-"""The table of detection rates beside the paper's, and the figures of attention."""
+"""The table of detection rates beside the paper's."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from usnet_env import ArgumentError
 from usnet_env.cli import main
 from usnet_env.evaluation.statistics import Interval
-from usnet_env.reproduce import attention, table2
+from usnet_env.reproduce import table2
 
 
 def test_the_paper_s_table_is_whole():
@@ -66,28 +66,6 @@ def test_bad_words_are_one_sentence(tmp_path, capsys, words, name):
     assert name in said
     assert "Traceback" not in said
     assert not list(tmp_path.glob("out/*.md"))
-
-
-def test_scenes_have_their_head_where_the_figure_has_it():
-    scene = attention.scene_of("f1", 5, 3, 0)
-    assert scene.window.uavs == 6
-    assert attention.scene_of("f1", 5, 3, scene.seed).seed == scene.seed
-    with pytest.raises(ArgumentError, match="head must be an index from 0 to 5, got 6"):
-        attention.scene_of("f1", 5, 6, 0)
-
-
-def test_figures_of_attention_are_drawn_from_the_answers():
-    scene = attention.scene_of("f1", 4, 1, 0)
-    short = {"gassl(preset='paper')": "gassl(preset='paper', steps=3)", "gassl": "gassl(steps=60)"}
-    answers = {name: attention.detect(scene, quick) for name, quick in short.items()}
-    heads = attention.heads_figure(scene, answers)
-    assert len([axes for axes in heads.axes if axes.images]) == 7  # two alphas and five heads
-    shown = heads.axes[1].images[0].get_array()
-    np.testing.assert_array_equal(shown, answers["gassl"].attention)
-    assert len(attention.sizes_figure([scene], [answers]).axes) == 2
-    hierarchy = attention.hierarchy_figure(scene, answers)
-    strong = (answers["gassl"].attention > 0.02) & ~np.eye(5, dtype=bool)
-    assert len(hierarchy.axes[1].lines) == strong.sum()
 
 
 def test_a_second_measurement_joins_the_first_in_the_table(tmp_path, capsys):

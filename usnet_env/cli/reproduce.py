@@ -1,4 +1,4 @@
-"""``usnet reproduce …``: tables and figures of the paper, its values beside ours."""
+"""``usnet reproduce …``: the tables and figures of the paper, with its values beside ours."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ __all__ = ["reproduce"]
 
 @click.group()
 def reproduce() -> None:
-    """Reproduce a table or figure of the paper, its values beside ours."""
+    """Reproduce the tables and figures of the paper."""
 
 
-def _to(folder: str, seed_of: str = "episodes") -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Where a reproduction is kept, and its seed: ``out``, a path, and ``seed``."""
+def _add_out_and_seed(folder: str, seed_of: str = "episodes") -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Add the options ``--out`` and ``--seed``: the folder of the results and the seed."""
 
     def with_options(command: Callable[..., None]) -> Callable[..., None]:
-        @click.option("--out", default=folder, show_default=True, metavar="DIR", help="What is made goes here.")
-        @click.option("--seed", type=WholeNumber(0, 2**31), default=2022, show_default=True, help=f"Of the {seed_of}.")
+        @click.option("--out", default=folder, show_default=True, metavar="DIR", help="Folder of the results.")
+        @click.option(
+            "--seed", type=WholeNumber(0, 2**31), default=2022, show_default=True, help=f"Seed of the {seed_of}."
+        )
         @wraps(command)
         def called(*, out: str, **values: Any) -> None:
             command(out=Path(out), **values)
@@ -36,10 +38,10 @@ def _to(folder: str, seed_of: str = "episodes") -> Callable[[Callable[..., None]
     return with_options
 
 
-def _on_cores(command: Callable[..., None]) -> Callable[..., None]:
-    """Gives ``workers``, processes."""
+def _add_workers(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the option ``--workers``."""
 
-    @click.option("--workers", type=WholeNumber(1, 256), help="Processes; by default one a core.")
+    @click.option("--workers", type=WholeNumber(1, 256), help="Number of processes; by default the number of cores.")
     @wraps(command)
     def called(*, workers: int | None, **values: Any) -> None:
         command(workers=workers or os.cpu_count() or 1, **values)
@@ -47,113 +49,138 @@ def _on_cores(command: Callable[..., None]) -> Callable[..., None]:
     return called
 
 
-def _flight(command: Callable[..., None]) -> Callable[..., None]:
-    """How heads fly: ``mobility`` and ``head_jitter``."""
-    command = click.option("--head-jitter", is_flag=True, help="The heads have the followers' noise.")(command)
-    return click.option("--mobility", default="iid", show_default=True, metavar="NAME", help="How the heads fly.")(
+def _add_head_motion(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the options ``--mobility`` and ``--head-jitter``."""
+    command = click.option("--head-jitter", is_flag=True, help="Give heads the noise of the followers.")(command)
+    return click.option("--mobility", default="iid", show_default=True, metavar="NAME", help="Motion of the heads.")(
         command
     )
 
 
 @contextmanager
 def _resumable(out: Path, what: str) -> Iterator[Callable[[int, int], None]]:
-    """Progress of a measurement that keeps what it has finished, which is said where it is interrupted."""
+    """Show the progress of a measurement; an interruption prints how to continue it."""
     click.get_current_context().find_root().obj = (
-        f"Finished {what} are kept in {out}: the same command goes on from there."
+        f"Finished {what} are kept in {out}: the same command continues from there."
     )
     with progress_bar(what) as progress:
         yield progress
 
 
-def _made(text: str, out: Path) -> None:
-    """The table, and where the rest of what was made is."""
+def _print_report(text: str, out: Path) -> None:
+    """Print a report, and the folder of the rows, tables and picture."""
     show_markdown(text)
     click.echo(f"Rows, tables and picture are in {out}.", err=True)
 
 
-@reproduce.command()
-@_to("runs/table2")
-@click.option("--episodes", type=WholeNumber(1, 1_000_000), help="A cell; by default 100 up to m=15 and 30 above.")
-@click.option("--cells", metavar="LIST", help="Cells such as f1:2,f4:15 or rows such as f1; by default all 70.")
+@reproduce.command(short_help="Table of detection rates (P1).")
+@_add_out_and_seed("runs/table2")
 @click.option(
-    "--preset",
-    "presets",
+    "--detector",
+    "detectors",
     multiple=True,
     metavar="NAME",
-    help="default, paper or lagged-regression; may repeat; by default all three.",
+    help="Detector; may repeat; by default gassl, neural-granger and lagged-regression(clusters=1).",
 )
-@click.option("--decoys", type=WholeNumber(0, 1000), default=0, show_default=True, help="UAVs that lead nobody.")
-@_flight
-@click.option("--fast", is_flag=True, help="10 episodes a cell, m up to 15: a look in minutes.")
-@_on_cores
 @click.option(
-    "--device", default="cpu", show_default=True, metavar="NAME", help="Where GASSL trains: cpu, cuda or auto."
+    "--episodes", type=WholeNumber(1, 1_000_000), help="Episodes in each cell; by default 100 up to m=15, else 30."
 )
+@click.option("--cells", metavar="LIST", help="Cells such as f1:2,f4:15 or rows such as f1; by default all 70.")
+@click.option("--decoys", type=WholeNumber(0, 1000), default=0, show_default=True, help="Number of decoys.")
+@_add_head_motion
+@click.option("--fast", is_flag=True, help="Only 10 episodes in each cell, and only cells up to m=15.")
+@_add_workers
 def table2(
     *,
     out: Path,
+    detectors: tuple[str, ...],
     episodes: int | None,
     cells: str | None,
-    presets: tuple[str, ...],
     decoys: int,
     mobility: str,
     head_jitter: bool,
     fast: bool,
     seed: int,
     workers: int,
-    device: str,
 ) -> None:
-    """Detection rates of GASSL: 7 follow strategies and 10 sizes of one cluster."""
+    """Measure detection rates in one cluster: 7 follow strategies and 10 sizes."""
     from usnet_env.reproduce import table2 as table
 
     if fast and cells is None:
         cells = ",".join(f"{follow}:{size}" for follow in table.FOLLOW for size in table.FOLLOWERS if size <= 15)
+    chosen: dict[str, Any] = {"detectors": detectors} if detectors else {}
     with _resumable(out, "episodes") as progress:
-        table.reproduce(
+        _, report = table.reproduce(
             out,
             episodes=10 if fast and episodes is None else episodes,
             cells=cells,
-            presets=presets or tuple(table.DETECTORS),
             decoys=decoys,
             mobility=mobility,
             head_jitter=head_jitter,
             seed=seed,
             workers=workers,
-            device=device,
             progress=progress,
+            **chosen,
         )
-    newest = max(out.glob("*.md"), key=lambda path: path.stat().st_mtime)
-    _made(newest.read_text(encoding="utf-8"), out)
+    _print_report(report.read_text(encoding="utf-8"), out)
 
 
-@reproduce.command()
-@_to("runs/attention")
-def attention(*, out: Path, seed: int) -> None:
-    """Heat maps of attention (f1 with m=15, f7 at six sizes) and the hierarchy graph."""
-    from usnet_env.reproduce import attention as figures
+@reproduce.command(short_help="All figures, as PNG and PDF.")
+@_add_out_and_seed("runs/figures", "scenes, of the example and of the rows")
+@click.option("--only", multiple=True, metavar="NAME", help="Name of a figure; may repeat; by default all figures.")
+@click.option(
+    "--results",
+    default="benchmarks/results",
+    show_default=True,
+    metavar="DIR",
+    help="Folder of the measured rows from which tables and curves are drawn.",
+)
+def figures(*, out: Path, only: tuple[str, ...], results: str, seed: int) -> None:
+    """Make the figures of the paper as PNG and PDF.
 
-    with progress_bar("fits") as progress:
-        made = figures.reproduce(out, seed, progress)
-    for path in made:
-        click.echo(str(path))
+    \b
+    Drawn from measured rows:
+      detection-rates         detection rates of P1, beside the paper's table
+      meta-loss               off-line loss, and on-line loss by start
+      purity                  purity of four algorithms, f1 to f7
+      rounds                  P2 against follow strategy, M and N
+    Computed:
+      attention-heads-f1-m15  heat maps of α and of α_l of each attention head
+      hierarchy-f1-m15        attention graph and hierarchy graph
+      attention-sizes-f7      heat maps of α for six sizes
+      feature-space           GRU features before and after metric learning
+      example-m8-n185         rounds of one game with attention (minutes)
+    """  # noqa: D301  # click reads the control character: it keeps the lines of the list
+    from usnet_env.reproduce import figures as paper
+
+    with progress_bar("figures") as progress:
+        files = paper.make_figures(
+            out, only=only, settings=paper.Settings(results=Path(results), seed=seed), progress=progress
+        )
+    for file in files:
+        click.echo(str(file))
 
 
-@reproduce.command()
-@_to("runs/purity")
-@click.option("--episodes", type=WholeNumber(1, 1_000_000), default=30, show_default=True, help="For each method.")
+@reproduce.command(short_help="Purity of every clusterer.")
+@_add_out_and_seed("runs/purity")
+@click.option(
+    "--episodes", type=WholeNumber(1, 1_000_000), default=30, show_default=True, help="Episodes of each method."
+)
 @click.option("--follow", multiple=True, metavar="NAME", help="Follow strategy; may repeat; by default f1 to f7.")
-@click.option("--clusterer", "clusterers", multiple=True, metavar="NAME", help="May repeat; by default all.")
+@click.option("--clusterer", "clusterers", multiple=True, metavar="NAME", help="Clusterer; may repeat; by default all.")
 @click.option(
     "--features",
     multiple=True,
     metavar="NAME",
-    help="raw, scaled, velocities, gru-single, gru-mean or gru-series; may repeat; by default all.",
+    help="Features: raw, scaled, velocities, gru-single, gru-mean or gru-series; may repeat; by default all.",
 )
-@click.option("--count", "counts", multiple=True, metavar="NAME", help="M given or estimated; by default both.")
+@click.option(
+    "--count", "counts", multiple=True, metavar="NAME", help="How M is known: given or estimated; by default both."
+)
 @click.option("--clusters", type=WholeNumber(1, 1000), default=5, show_default=True, help="M.")
 @click.option("--uavs", type=WholeNumber(3, 10_000), default=82, show_default=True, help="N.")
-@_flight
-@_on_cores
+@_add_head_motion
+@_add_workers
 def purity(
     *,
     out: Path,
@@ -169,11 +196,11 @@ def purity(
     seed: int,
     workers: int,
 ) -> None:
-    """Purity and head-in-cluster of every clusterer, M given and estimated."""
+    """Measure purity and head-in-cluster of every clusterer, M given and estimated."""
     from usnet_env.reproduce import purity as figure
     from usnet_env.reproduce import purity_report
 
-    methods = figure.methods_of(clusterers or tuple(figure.CLUSTERERS), features or None, counts or figure.COUNTS)
+    methods = figure.list_methods(clusterers or tuple(figure.CLUSTERERS), features or None, counts or figure.COUNTS)
     with _resumable(out, "windows") as progress:
         rows = figure.reproduce(
             out,
@@ -188,29 +215,35 @@ def purity(
             workers=workers,
             progress=progress,
         )
-    _made(purity_report.markdown(rows, "Purity and head-in-cluster"), out)
+    _print_report(purity_report.format_markdown(rows, "Purity and head-in-cluster"), out)
 
 
-@reproduce.command()
-@_to("runs/rounds")
+@reproduce.command(short_help="P2 against follow strategy, M and N.")
+@_add_out_and_seed("runs/rounds")
 @click.option(
     "--study",
     "studies",
     multiple=True,
     metavar="NAME",
-    help="follow, clusters, uavs or example; may repeat; by default all four.",
+    help="Study: follow, clusters, uavs or example; may repeat; by default all four.",
 )
 @click.option(
     "--detector",
     "detectors",
     multiple=True,
     metavar="NAME",
-    help="May repeat; by default both presets of mc-gassl and lagged-regression.",
+    help="Detector; may repeat; by default the detectors of the committed rows.",
 )
-@click.option("--no-trivial", is_flag=True, help="Leave out destroy-all, none, random and one-per-round.")
-@click.option("--episodes", type=WholeNumber(1, 1_000_000), default=30, show_default=True, help="A swarm and detector.")
-@_flight
-@_on_cores
+@click.option("--no-trivial", is_flag=True, help="Omit destroy-all, none, random and one-per-round.")
+@click.option(
+    "--episodes",
+    type=WholeNumber(1, 1_000_000),
+    default=30,
+    show_default=True,
+    help="Episodes of each detector and swarm.",
+)
+@_add_head_motion
+@_add_workers
 def rounds(
     *,
     out: Path,
@@ -223,7 +256,7 @@ def rounds(
     seed: int,
     workers: int,
 ) -> None:
-    """Rounds, redundancy and J_m of P2 against follow strategy, M and N, and one swarm round by round."""
+    """Measure rounds, redundancy and J_m of P2 against follow strategy, M and N, and in the paper's example."""
     from usnet_env.reproduce import rounds as figure
     from usnet_env.reproduce import rounds_report
 
@@ -241,21 +274,33 @@ def rounds(
             progress=progress,
         )
     with_paper = mobility == "iid" and not head_jitter
-    _made(rounds_report.markdown(rows, "P2 (all columns are in the file)", with_paper, rounds_report.SHORT), out)
+    _print_report(
+        rounds_report.markdown(rows, "P2 (all columns are in the file)", with_paper, rounds_report.SHORT), out
+    )
 
 
-@reproduce.command(name="meta")
-@_to("runs/meta-losses", "measurement")
-@click.option("--trainings", type=WholeNumber(2, 1000), default=5, show_default=True, help="Seeds, for the bands.")
-@click.option("--strategies", type=WholeNumber(1, 10**6), default=30, show_default=True, help="F of each training.")
-@click.option("--episodes", type=WholeNumber(1, 10**6), default=1000, show_default=True, help="E of each training.")
-@_on_cores
+@reproduce.command(name="meta", short_help="Losses of metric learning.")
+@_add_out_and_seed("runs/meta-losses", "measurement")
+@click.option(
+    "--trainings", type=WholeNumber(2, 1000), default=5, show_default=True, help="Number of trainings of each start."
+)
+@click.option(
+    "--strategies",
+    type=WholeNumber(1, 10**6),
+    default=30,
+    show_default=True,
+    help="F, follow strategies of each training.",
+)
+@click.option(
+    "--episodes", type=WholeNumber(1, 10**6), default=1000, show_default=True, help="E, episodes of each training."
+)
+@_add_workers
 def meta_losses(*, out: Path, trainings: int, strategies: int, episodes: int, seed: int, workers: int) -> None:
-    """Off-line loss, and on-line loss from meta-learned, jointly trained and random starts."""
+    """Measure the off-line loss, and the on-line loss from meta-learned, jointly trained and random starts."""
     from usnet_env.reproduce import metric_learning
 
     with _resumable(out, "losses") as progress:
-        rows = metric_learning.losses(
+        rows = metric_learning.measure_losses(
             out,
             trainings=trainings,
             strategies=strategies,
@@ -264,15 +309,4 @@ def meta_losses(*, out: Path, trainings: int, strategies: int, episodes: int, se
             workers=workers,
             progress=progress,
         )
-    _made(metric_learning.markdown(rows), out)
-
-
-@reproduce.command()
-@_to("runs/features", "swarm")
-@click.option("--follow", multiple=True, metavar="NAME", help="May repeat; by default f1 and f4.")
-def features(*, out: Path, follow: tuple[str, ...], seed: int) -> None:
-    """The feature space of the GRU network before and after training."""
-    from usnet_env.reproduce import metric_learning
-
-    for name in follow or ("f1", "f4"):
-        click.echo(str(metric_learning.features(out, seed, name)))
+    _print_report(metric_learning.format_markdown(rows), out)

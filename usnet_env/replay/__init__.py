@@ -1,10 +1,10 @@
-"""Episodes kept in a neutral file, and the pictures and replays that are made from it, again whenever one likes."""
+"""Episodes in a neutral file, and the pictures and replays that are made from it at any later time."""
 
 from __future__ import annotations
 
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.figure import draw_episode, episode_figure
-from usnet_env.replay.play import Round, play
+from usnet_env.replay.figure import draw_episode, write_picture
+from usnet_env.replay.play import Round, record_episode
 from usnet_env.replay.recording import write_recording
 
-__all__ = ["EpisodeRecord", "Round", "draw_episode", "episode_figure", "play", "write_recording"]
+__all__ = ["EpisodeRecord", "Round", "draw_episode", "record_episode", "write_picture", "write_recording"]

@@ -19,7 +19,7 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, new_figure
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.story import count
+from usnet_env.replay.story import format_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,9 +87,9 @@ def _verdict(record: EpisodeRecord, r: int) -> str:
 def _ending(record: EpisodeRecord) -> str:
     """The outcome of the game in one sentence."""
     left = int(record.heads_left[-1])
-    result = "All heads are destroyed" if not left else f"{count(left, 'head')} not found"
+    result = "All heads are destroyed" if not left else f"{format_count(left, 'head')} not found"
     best = "1 is best" if record.problem == "P2" else "0 is best"
-    return f"{result} after {count(record.rounds, 'round')}: J = {record.objective[-1]:.2f} ({best})."
+    return f"{result} after {format_count(record.rounds, 'round')}: J = {record.objective[-1]:.2f} ({best})."
 
 
 def _orphans(record: EpisodeRecord, r: int) -> NDArray[np.bool_]:
@@ -115,7 +115,7 @@ def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
         for grown in np.unique(np.linspace(1, samples, frames).round().astype(int)):
             yield Scene(number, _WATCH, _STEP_SECONDS, watch, before, int(grown))
         named = int(record.candidates[r].sum())
-        name = f"It names {count(named, 'UAV')} as {'a head' if named == 1 else 'heads'}."
+        name = f"It names {format_count(named, 'UAV')} as {'a head' if named == 1 else 'heads'}."
         yield Scene(number, _NAME, _READ_SECONDS, name, before, samples)
         yield Scene(number, _DESTROY, _READ_SECONDS, _verdict(record, r), after, samples)
         orphans = int(_orphans(record, r).sum())
@@ -123,7 +123,7 @@ def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
             yield Scene(number, _END, _END_SECONDS, _ending(record), after, samples)
         elif orphans:
             join = "joins" if orphans == 1 else "join"
-            text = f"{count(orphans, 'follower')} without a head {join} the nearest remaining head."
+            text = f"{format_count(orphans, 'follower')} without a head {join} the nearest remaining head."
             for turn in np.linspace(0.0, 1.0, _LINK_FRAMES):
                 seconds = _READ_SECONDS if turn == 1.0 else _STEP_SECONDS
                 yield Scene(number, _REMERGE, seconds, text, after, samples, float(turn))

@@ -1,4 +1,4 @@
-"""One episode to look at: played, told round by round, and kept as a file, a replay and a picture."""
+"""Play one episode, print a line for each round, and keep it as an episode file, a replay and a picture."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ import usnet_env.envs  # noqa: F401  # registers the environments
 from usnet_env.config import ArgumentError, quote
 from usnet_env.drawing import MissingExtraError
 from usnet_env.plugins import detector_label, make_detector
-from usnet_env.replay.figure import episode_figure
-from usnet_env.replay.play import Round, play
+from usnet_env.replay.figure import write_picture
+from usnet_env.replay.play import Round, record_episode
 from usnet_env.replay.recording import write_recording
-from usnet_env.replay.story import outcome
+from usnet_env.replay.story import describe_outcome
 
 __all__ = ["run_demo"]
 
-_ROW = "{:>5}  {:>5}  {:>9}  {:>9}  {:>10}  {:>7}"
+_ROW = "{:>5}  {:>10}  {:>9}  {:>9}  {:>10}  {:>7}"
 
 
-def _line(this: Round) -> str:
-    row = _ROW.format(this.number, this.named, this.hits, this.redundant, this.heads_left, f"{this.seconds:.2f}")
-    return row + ("  over the shot budget: nobody destroyed" if this.over_budget else "")
+def _format_row(this: Round) -> str:
+    row = _ROW.format(this.number, this.candidates, this.hits, this.redundant, this.heads_left, f"{this.seconds:.2f}")
+    return row + ("  over the shot budget: no UAV destroyed" if this.over_budget else "")
 
 
-def _viewer() -> str:
-    """The command that opens a replay: ``rerun`` if the shell finds it, else the one beside this Python."""
+def _find_viewer() -> str:
+    """The command that opens a replay: ``rerun`` if the shell finds it, else the path of the one beside this Python."""
     beside = Path(sys.executable).with_name("rerun")
     return "rerun" if shutil.which("rerun") or not beside.exists() else os.path.relpath(beside)
 
@@ -46,24 +46,23 @@ def run_demo(
     detector: str = "follow-mixture",
     console: Console | None = None,
 ) -> dict[str, Path]:
-    """Play one episode of ``USNET/MultiCluster-v0``, print a line a round, and keep it.
+    """Play one episode of ``USNET/MultiCluster-v0``, print a line for each round, and keep the episode.
 
     Args:
         out: folder for ``episode.npz`` (the neutral record), ``replay.rrd`` (for the Rerun viewer) and ``episode.png``.
-            The latter two are left out, with a word why, where their extra is not installed.
+            Without its extra, a replay or picture is left out, and a line says which extra is missing.
         clusters: M.
         uavs: N.
         follow: name of the follow strategy.
-        seed: of the swarm; the detector gets its own, from a separate branch.
-        detector: a detector's name.
-        console: where to print; standard output by default.
+        seed: seed of the swarm; the detector's seed is derived from it.
+        detector: name of the detector.
+        console: where to print; by default standard output.
 
     Returns:
-        The files written, by ``"episode"``, ``"replay"`` and ``"picture"``.
+        The paths of the written files, by ``"episode"``, ``"replay"`` and ``"picture"``.
 
     Raises:
-        ArgumentError: an argument that the environment or the registry of detectors refuses, or a folder that can't
-            be written to.
+        ArgumentError: the environment or the registry of detectors refuses an argument, or ``out`` can't be written to.
     """
     console = console or Console()
 
@@ -80,15 +79,15 @@ def run_demo(
         f"{uavs} UAVs in {clusters} clusters, follow strategy {follow}, seed {seed}; detector {detector_label(player)}."
     )
     say()
-    say(_ROW.format("round", "named", "heads hit", "redundant", "heads left", "seconds"), style="dim")
-    with env, console.status("flying and watching"):
-        record = play(env, player, int(seed), detector_seed, lambda this: say(_line(this)))
-    say(f"\n{outcome(record)}\n", style="bold")
+    say(_ROW.format("round", "candidates", "heads hit", "redundant", "heads left", "seconds"), style="dim")
+    with env, console.status("playing the episode"):
+        record = record_episode(env, player, int(seed), detector_seed, lambda this: say(_format_row(this)))
+    say(f"\n{describe_outcome(record)}\n", style="bold")
 
     folder = Path(out)
     written = {"episode": record.save(folder / "episode.npz")}
-    say(f"episode  {written['episode']}  (everything about it, for usnet_env.replay.EpisodeRecord.load)")
-    makers = {"replay": (write_recording, "replay.rrd"), "picture": (episode_figure, "episode.png")}
+    say(f"episode  {written['episode']}  (the whole record; read it with usnet_env.replay.EpisodeRecord.load)")
+    makers = {"replay": (write_recording, "replay.rrd"), "picture": (write_picture, "episode.png")}
     for name, (make, file) in makers.items():
         try:
             with console.status(f"writing the {name}"):
@@ -96,5 +95,8 @@ def run_demo(
         except MissingExtraError as missing:
             say(f"{name:<7}  left out. {missing}")
         else:
-            say(f"{name:<7}  {written[name]}" + (f"  (open: {_viewer()} {written[name]})" if name == "replay" else ""))
+            say(
+                f"{name:<7}  {written[name]}"
+                + (f"  (open: {_find_viewer()} {written[name]})" if name == "replay" else "")
+            )
     return written

@@ -1,4 +1,4 @@
-"""The neutral episode file: everything that was seen, true and decided in one episode, without any viewer's format."""
+"""The neutral episode file: all observations, the truth and all answers of one episode, in no viewer's format."""
 
 from __future__ import annotations
 
@@ -20,21 +20,26 @@ from usnet_env.window import frozen_array
 
 __all__ = ["FORMAT_VERSION", "EpisodeRecord"]
 
-FORMAT_VERSION = 1
+#: Version 2 added ``attention`` and ``communication_links``; files of version 1 are read as well.
+FORMAT_VERSION = 2
+_READABLE = (1, 2)
 _FORMAT = "usnet-episode"
 _METADATA = "metadata"
+_LINKS = "communication_links"  # derived from ``leader`` when a file is written, compared when it is read
 
 
-def _whole_numbers(name: str, value: Any, shape: tuple[int | None, ...], low: int, high: int) -> NDArray[np.int64]:
-    """``value`` as int64, refused unless every number is whole and within ``low`` to ``high``."""
+def _freeze_whole_numbers(
+    name: str, value: Any, shape: tuple[int | None, ...], low: int, high: int
+) -> NDArray[np.int64]:
+    """Convert ``value`` to read-only int64; refuse numbers that are not whole or not within ``low`` to ``high``."""
     exact = frozen_array(name, value, np.float64, shape)
     if not ((exact >= low) & (exact <= high) & (exact == np.floor(exact))).all():
         raise ArgumentError(f"{name} must hold whole numbers from {low} to {high}, got {quote(np.asarray(value))}.")
     return frozen_array(name, value, np.int64, shape)
 
 
-def _plain(name: str, value: Mapping[str, Any]) -> dict[str, Any]:
-    """A mapping as JSON holds it, so that saving and loading changes nothing."""
+def _convert_to_json(name: str, value: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert a mapping to what JSON holds, so that saving and loading changes nothing."""
     try:
         if not isinstance(value, Mapping):
             raise TypeError
@@ -44,38 +49,52 @@ def _plain(name: str, value: Mapping[str, Any]) -> dict[str, Any]:
     return plain
 
 
+def _list_links(leader: NDArray[np.int64], followers: NDArray[np.bool_], heads: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """``(L, 2)`` int64: the UAVs of ``followers`` ``(N,)`` whose ``leader`` ``(N,)`` is one of ``heads`` ``(N,)``."""
+    linked = np.flatnonzero(followers & (leader >= 0) & heads[leader] & (leader != np.arange(len(leader))))
+    return np.column_stack([linked, leader[linked]])
+
+
 @dataclass(frozen=True, eq=False)
 class EpisodeRecord:
-    """One episode of R rounds with N UAVs: what the observer saw, the truth, and what the detector answered.
+    """One episode of R rounds with N UAVs: the observer's windows, the truth, and the detector's answers.
 
-    Arrays are read-only copies; their first axis counts the rounds. ``alive`` and ``leader`` are those of the window,
-    before the round's candidates are destroyed.
+    Arrays are read-only copies. Their first axis counts the rounds, except in ``head`` and ``decoy``. ``alive`` and
+    ``leader`` hold for the window of the round, before the round's candidates are destroyed.
+
+    The cluster graph of the paper's §II-A, (nodes, edges, X), is computed from these arrays:
+    :meth:`communication_links` gives the edges, :meth:`topology_matrix` gives X of equation (5), and
+    :meth:`hierarchy` gives the edges that the detector found.
 
     Args:
         position: ``(R, T_ob + 1, N, 3)`` float32, metres, as observed; 0 where unseen.
         velocity: ``(R, T_ob, N, 3)`` float32, metres per step, as observed.
         seen: ``(R, T_ob + 1, N)`` bool.
         alive: ``(R, N)`` bool.
-        leader: ``(R, N)`` int64, whom each UAV truly follows; a head's or decoy's own index, -1: nobody is left.
+        leader: ``(R, N)`` int64, index of the head that each UAV truly follows; heads and decoys have their own index;
+            -1: no head is left.
         candidates: ``(R, N)`` bool, Ĥ_r.
         scores: ``(R, N)`` float64, the detector's; higher is more head-like.
         objective: ``(R,)`` float64, J after the round.
         head: ``(N,)`` bool, H_0.
         decoy: ``(N,)`` bool.
-        over_budget: ``(R,)`` bool, more candidates than the shot budget: nobody was destroyed.
+        over_budget: ``(R,)`` bool, the round had more candidates than the shot budget, and no UAV was destroyed.
         seconds: ``(R,)`` float64, wall time of ``detect`` alone.
         clusters: ``(R, N)`` int64, the detector's cluster labels (-1: none), or ``None``.
-        leader_estimate: ``(R, N)`` int64, whom each UAV is thought to follow (-1: nobody), or ``None``.
+        leader_estimate: ``(R, N)`` int64, index of the UAV that each UAV follows by the detector's answer (-1: none),
+            or ``None``.
+        attention: ``(R, N, N)`` float32, the detector's attention weights: row i holds the weights of UAV i on all
+            UAVs (the paper's α_{i,i'}); or ``None``.
         problem: ``"P1"`` or ``"P2"``.
         env_id: the environment's registered id.
-        seed: what the environment was reset with; ``None``: not seeded.
+        seed: the environment's seed; ``None``: not seeded.
         detector: the detector's label.
-        detector_seed: what the detector was reset with.
+        detector_seed: the detector's seed; ``None``: not seeded.
         config: the environment's arguments, as JSON holds them.
-        versions: versions of what computed this, by package.
+        versions: version of Python and of each package that computed the episode.
 
     Raises:
-        ArgumentError: an array of another shape or with impossible values, or rounds that contradict each other.
+        ArgumentError: an array has another shape or impossible values, or two rounds contradict each other.
     """
 
     position: NDArray[np.float32]
@@ -92,6 +111,7 @@ class EpisodeRecord:
     seconds: NDArray[np.float64]
     clusters: NDArray[np.int64] | None = None
     leader_estimate: NDArray[np.int64] | None = None
+    attention: NDArray[np.float32] | None = None
     problem: str = "P2"
     env_id: str = ""
     seed: int | None = None
@@ -122,19 +142,22 @@ class EpisodeRecord:
         for name in ("objective", "seconds"):
             put(name, frozen_array(name, getattr(self, name), np.float64, (rounds,)))
         put("scores", frozen_array("scores", self.scores, np.float64, (rounds, uavs)))
-        put("leader", _whole_numbers("leader", self.leader, (rounds, uavs), -1, uavs - 1))
+        put("leader", _freeze_whole_numbers("leader", self.leader, (rounds, uavs), -1, uavs - 1))
         if self.clusters is not None:
-            put("clusters", _whole_numbers("clusters", self.clusters, (rounds, uavs), -1, 2**53))
+            put("clusters", _freeze_whole_numbers("clusters", self.clusters, (rounds, uavs), -1, 2**53))
         if self.leader_estimate is not None:
             put(
-                "leader_estimate", _whole_numbers("leader_estimate", self.leader_estimate, (rounds, uavs), -1, uavs - 1)
+                "leader_estimate",
+                _freeze_whole_numbers("leader_estimate", self.leader_estimate, (rounds, uavs), -1, uavs - 1),
             )
-        self._check_words()
+        if self.attention is not None:
+            put("attention", frozen_array("attention", self.attention, np.float32, (rounds, uavs, uavs)))
+        self._check_labels()
         for name in ("config", "versions"):
-            put(name, _plain(name, getattr(self, name)))
-        self._check_story()
+            put(name, _convert_to_json(name, getattr(self, name)))
+        self._check_rounds()
 
-    def _check_words(self) -> None:
+    def _check_labels(self) -> None:
         if self.problem not in ("P1", "P2"):
             raise ArgumentError(f"problem must be 'P1' or 'P2', got {quote(self.problem)}.")
         for name in ("env_id", "detector"):
@@ -145,14 +168,14 @@ class EpisodeRecord:
             if value is not None and (isinstance(value, bool) or not isinstance(value, int)):
                 raise ArgumentError(f"{name} must be a whole number or None, got {quote(value)}.")
 
-    def _check_story(self) -> None:
+    def _check_rounds(self) -> None:
         if (self.head & self.decoy).any():
             raise ArgumentError(
                 f"decoy must exclude the heads, got UAVs {quote(np.flatnonzero(self.head & self.decoy))} as both."
             )
         left = self.alive & ~self.fired
         if not np.array_equal(self.alive[1:], left[:-1]):
-            raise ArgumentError("alive must be, in every later round, what the round before left; it is not.")
+            raise ArgumentError("alive must be, in every later round, what the previous round left; it is not.")
 
     @property
     def rounds(self) -> int:
@@ -166,7 +189,7 @@ class EpisodeRecord:
 
     @property
     def fired(self) -> NDArray[np.bool_]:
-        """``(R, N)`` bool: candidates that were shot at, nobody in a round over budget."""
+        """``(R, N)`` bool: candidates that were shot at; none in a round over budget."""
         return self.candidates & ~self.over_budget[:, None]
 
     @property
@@ -184,6 +207,12 @@ class EpisodeRecord:
         """``(R,)`` living heads after each round."""
         return np.asarray((self.head & self.alive & ~self.fired).sum(axis=1))
 
+    def _index(self, number: int) -> int:
+        """Index of a round; refuses a number that is no round."""
+        if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 1 <= number <= self.rounds:
+            raise ArgumentError(f"number must be a round from 1 to {self.rounds}, got {quote(number)}.")
+        return int(number) - 1
+
     def last_position(self, number: int) -> NDArray[np.float32]:
         """Where each UAV was seen last, up to the end of a round.
 
@@ -192,17 +221,109 @@ class EpisodeRecord:
 
         Returns:
             ``(N, 3)`` metres; NaN for a UAV that was never seen.
+
+        Raises:
+            ArgumentError: no such round.
         """
+        number = self._index(number) + 1
         place = np.full((self.uavs, 3), np.nan, np.float32)
         for position, seen in zip(self.position[:number], self.seen[:number], strict=True):
             place = np.where(np.any(seen, axis=0, keepdims=True).T, last_seen_position(position, seen), place)
         return place
 
+    def communication_links(self, number: int) -> NDArray[np.int64]:
+        """The true communication links of a round: the paper's edge sets E_{j,t} of all clusters, §II-A.
+
+        Args:
+            number: the round, from 1.
+
+        Returns:
+            ``(L, 2)`` int64: a row for each living follower, its index and the index of its head, in ascending order of
+            the followers. The graph is undirected.
+
+        Raises:
+            ArgumentError: no such round.
+        """
+        r = self._index(number)
+        return _list_links(self.leader[r], self.alive[r], self.head & self.alive[r])
+
+    def hierarchy(self, number: int) -> NDArray[np.int64] | None:
+        """The hierarchy graph that the detector found in a round: links to its candidates.
+
+        A living UAV that is no candidate is linked to the candidate that ``leader_estimate`` names. If the detector
+        gave no leaders, its attention decides: the UAV's leader is the other UAV with the largest weight. A UAV without
+        a leader, or with a leader that is no candidate, has no link.
+
+        Args:
+            number: the round, from 1.
+
+        Returns:
+            ``(L, 2)`` int64: index of the UAV and of its candidate, in ascending order of the UAVs; ``None`` if the
+            record has neither ``leader_estimate`` nor ``attention``. The same form as :meth:`communication_links`.
+
+        Raises:
+            ArgumentError: no such round.
+        """
+        r = self._index(number)
+        candidates = self.candidates[r] & self.alive[r]
+        if self.leader_estimate is not None:
+            leader = self.leader_estimate[r]
+        elif self.attention is not None:
+            others = np.where(np.eye(self.uavs, dtype=bool), 0.0, self.attention[r])
+            leader = np.where(others.max(axis=1) > 0, others.argmax(axis=1), -1)
+        else:
+            return None
+        return _list_links(leader, self.alive[r] & ~candidates, candidates)
+
+    def topology_matrix(
+        self, number: int, t: int, head: int | None = None, memory: int | None = None
+    ) -> NDArray[np.float32]:
+        """The time series topology matrix X of equation (5) at velocity ``t`` of a round's window.
+
+        Three rows (x, y, z) for each UAV, in ascending order of the UAVs. The columns are the position p_{i,t-T_0+1}
+        and the T_0 velocities v_{i,t-T_0+1}, …, v_{i,t}. Unseen samples are 0, as in the window. The paper counts 3m_j
+        rows; here the head of the cluster has its three rows, too.
+
+        Args:
+            number: the round, from 1.
+            t: index of the newest velocity, from T_0 - 1 to T_ob - 1.
+            head: index of a living head: the rows of its cluster, that is the head and its m_j followers, in this
+                round. ``None``: the rows of all N UAVs.
+            memory: T_0; ``None``: the environment's, which ``config`` holds.
+
+        Returns:
+            ``(3(m_j + 1), T_0 + 1)`` float32, or ``(3N, T_0 + 1)`` without ``head``; metres in the first column, metres
+            per step in the others.
+
+        Raises:
+            ArgumentError: no such round, time or living head, or T_0 is not known.
+        """
+        r = self._index(number)
+        steps = self.velocity.shape[1]
+        past = self.config.get("memory") if memory is None else memory
+        if isinstance(past, bool) or not isinstance(past, int | np.integer) or not 1 <= past <= steps:
+            raise ArgumentError(f"memory must be a whole number from 1 to {steps}, got {quote(past)}.")
+        if isinstance(t, bool) or not isinstance(t, int | np.integer) or not past - 1 <= t < steps:
+            raise ArgumentError(f"t must be a whole number from {past - 1} to {steps - 1}, got {quote(t)}.")
+        members = np.arange(self.uavs)
+        if head is not None:
+            living = np.flatnonzero(self.head & self.alive[r])
+            if isinstance(head, bool) or head not in living:
+                raise ArgumentError(f"head must be one of the living heads {quote(living)}, got {quote(head)}.")
+            members = np.flatnonzero(self.alive[r] & ((self.leader[r] == head) | (members == head)))
+        first = t - past + 1
+        position = self.position[r, first, members][:, :, None]
+        velocity = np.moveaxis(self.velocity[r, first : t + 1][:, members], 0, -1)
+        return np.concatenate([position, velocity], axis=-1).reshape(3 * len(members), past + 1)
+
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the record as one compressed ``.npz``; the file appears whole.
 
+        The file also holds ``communication_links`` ``(L, 3)`` int64 for readers without this class: round, follower
+        and head of every true link.
+
         Args:
-            path: where to; an existing file is replaced.
+            path: the file to write; an existing file is replaced.
 
         Returns:
             The path.
@@ -215,21 +336,29 @@ class EpisodeRecord:
         words = {name: values[name] for name in values if name not in arrays and values[name] is not None}
         words |= {"format": _FORMAT, "version": FORMAT_VERSION}
         with atomic_write(path) as aside, aside.open("wb") as file:
-            np.savez_compressed(file, **arrays | {_METADATA: np.array(json.dumps(words))})
+            derived: dict[str, Any] = {_LINKS: self._all_links(), _METADATA: np.array(json.dumps(words))}
+            np.savez_compressed(file, **arrays, **derived)
         return Path(path)
+
+    def _all_links(self) -> NDArray[np.int64]:
+        """``(L, 3)`` round, follower and head of every communication link of the episode."""
+        each = [self.communication_links(number) for number in range(1, self.rounds + 1)]
+        numbers = np.repeat(np.arange(1, self.rounds + 1), [len(links) for links in each])
+        return np.column_stack([numbers, np.concatenate(each)])
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> EpisodeRecord:
-        """Read a record back; nothing in the file is ever executed.
+        """Read a record; nothing in the file is ever executed.
 
         Args:
-            path: a file that :meth:`save` wrote.
+            path: a file that :meth:`save` of this or an earlier version wrote.
 
         Returns:
-            The record, equal to the one saved in every array and word.
+            The record; every array and text equals the saved one. Fields that an earlier version did not have are
+            ``None``.
 
         Raises:
-            ArgumentError: no such file, a file of another kind, a damaged one, or one of a newer format.
+            ArgumentError: the file does not exist, is of another kind or a newer version, or is damaged.
         """
         where = quote(os.fspath(path))
         foreign = ArgumentError(f"path must be an episode file of this project, got {where}.")
@@ -250,11 +379,18 @@ class EpisodeRecord:
         if not isinstance(words, dict) or words.pop("format", None) != _FORMAT:
             raise foreign
         version = words.pop("version", None)
-        if version != FORMAT_VERSION:
+        if version not in _READABLE:
             raise ArgumentError(
-                f"path must be an episode file of version {FORMAT_VERSION}, got {where} of version {quote(version)}."
+                f"path must be an episode file of a version up to {FORMAT_VERSION}, got {where} of version "
+                f"{quote(version)}."
             )
         try:
-            return cls(**words, **arrays)
+            links = arrays.pop(_LINKS) if version > 1 else None
+            record = cls(**words, **arrays)
+            if links is not None and not np.array_equal(links, record._all_links()):
+                raise ArgumentError(f"{_LINKS} must agree with leader; it does not.")
+            return record
+        except KeyError as error:
+            raise ArgumentError(f"path must be an intact episode file, got {where}: {error} is missing.") from None
         except (ArgumentError, TypeError) as error:  # TypeError: a field is missing, doubled or unknown
             raise ArgumentError(f"path must be an intact episode file, got {where}: {error}") from None

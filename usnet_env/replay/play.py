@@ -1,4 +1,4 @@
-"""Play one episode of an environment with a detector, and keep everything."""
+"""Play one episode of an environment with a detector, and record all of it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from usnet_env.config import ArgumentError, quote
@@ -18,26 +19,26 @@ from usnet_env.provenance import versions
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.window import Window
 
-__all__ = ["Round", "play"]
+__all__ = ["Round", "record_episode"]
 
 
 @dataclass(frozen=True)
 class Round:
-    """What is reported when a round is over.
+    """The report of one round.
 
     Args:
-        number: from 1.
-        named: candidates of this round.
-        hits: heads among them.
-        redundant: the others among them.
+        number: number of the round, from 1.
+        candidates: number of candidates.
+        hits: candidates that are heads.
+        redundant: candidates that are not.
         heads_left: living heads after the round.
         objective: J after the round.
-        over_budget: more candidates than the shot budget: nobody was destroyed.
+        over_budget: the round had more candidates than the shot budget, and no UAV was destroyed.
         seconds: wall time of ``detect``.
     """
 
     number: int
-    named: int
+    candidates: int
     hits: int
     redundant: int
     heads_left: int
@@ -46,15 +47,15 @@ class Round:
     seconds: float
 
 
-def _plain_config(config: BaseModel) -> dict[str, Any]:
-    """A config's values as JSON holds them; a part given as an object is kept as its text."""
+def _list_arguments(config: BaseModel) -> dict[str, Any]:
+    """The arguments in a config, as JSON holds them; an argument that is an object is kept as its text."""
     return {
         name: value if isinstance(value, str | int | float | tuple | None) else quote(value)
         for name, value in ((name, getattr(config, name)) for name in type(config).model_fields)
     }
 
 
-def play(
+def record_episode(
     env: gym.Env[Any, Any],
     detector: DetectorLike,
     seed: int | None,
@@ -62,24 +63,26 @@ def play(
     on_round: Callable[[Round], None] | None = None,
     *,
     label: str | None = None,
+    keep_attention: bool = True,
 ) -> EpisodeRecord:
-    """Play one episode to its end and record what was seen, true and answered.
+    """Play one episode to its end, and record the windows, the truth and the answers.
 
-    The detector gets windows only. The truth is read from ``env.unwrapped.swarm``, beside the game.
+    The detector receives windows only. The truth is read from ``env.unwrapped.swarm``.
 
     Args:
-        env: an environment of this project; wrappers are fine if they keep the form of observations and actions.
-        detector: anything with ``reset(seed)`` and ``detect(window) -> Detection``.
-        seed: seeds the environment; ``None`` goes on with its generator.
-        detector_seed: seeds the detector.
-        on_round: called after every round, for who wants to watch.
-        label: name of the detector in the record; by default as in tables, see ``detector_label``.
+        env: an environment of this project; wrappers must keep the form of observations and actions.
+        detector: any object with ``reset(seed)`` and ``detect(window) -> Detection``.
+        seed: seed of the environment; ``None`` continues with its generator.
+        detector_seed: seed of the detector.
+        on_round: called with the report of every round.
+        label: name of the detector in the record; by default its name in tables, see ``detector_label``.
+        keep_attention: record the attention, if the detector gives any: N² numbers a round.
 
     Returns:
         The record of the whole episode.
 
     Raises:
-        ArgumentError: an environment of another kind, or a detector's answer of another kind or size.
+        ArgumentError: ``env`` is no environment of this project, or an answer is no ``Detection`` for its N UAVs.
     """
     game: Any = env.unwrapped
     if not all(hasattr(game, name) for name in ("config", "rules", "problem")):
@@ -107,7 +110,7 @@ def play(
         reports.append(
             Round(
                 number=len(windows),
-                named=int(detection.candidates.sum()),
+                candidates=int(detection.candidates.sum()),
                 hits=int(info["hits"]),
                 redundant=int(info["redundant"]),
                 heads_left=int(game.swarm.heads_left),
@@ -119,12 +122,14 @@ def play(
         if on_round is not None:
             on_round(reports[-1])
 
-    def every(name: str) -> Any:
-        """An optional part of the answers for all rounds, -1 where a round lacks it; ``None`` if all do."""
+    uavs = windows[0].uavs
+
+    def collect(name: str, absent: NDArray[Any]) -> Any:
+        """Stack an optional part of the answers; ``absent`` where a round lacks it, ``None`` if all rounds do."""
         values = [getattr(answer, name) for answer in answers]
         if all(value is None for value in values):
             return None
-        return np.stack([np.full(windows[0].uavs, -1) if value is None else value for value in values])
+        return np.stack([absent if value is None else value for value in values])
 
     return EpisodeRecord(
         position=np.stack([window.position for window in windows]),
@@ -139,13 +144,14 @@ def play(
         decoy=truths[0].decoy,
         over_budget=np.array([report.over_budget for report in reports]),
         seconds=np.array([report.seconds for report in reports]),
-        clusters=every("clusters"),
-        leader_estimate=every("leader"),
+        clusters=collect("clusters", np.full(uavs, -1)),
+        leader_estimate=collect("leader", np.full(uavs, -1)),
+        attention=collect("attention", np.zeros((uavs, uavs))) if keep_attention else None,
         problem=game.problem,
         env_id=env.spec.id if env.spec is not None else type(game).__name__,
         seed=seed,
         detector=label or detector_label(detector),
         detector_seed=detector_seed,
-        config=_plain_config(game.config) | _plain_config(game.rules),
+        config=_list_arguments(game.config) | _list_arguments(game.rules),
         versions=versions(),
     )

@@ -1,10 +1,10 @@
-"""The paper's figures of attention: heat maps of alpha and of every head's alpha_l, and the hierarchy graph."""
+"""The paper's figures of attention: heat maps of α and of α_l of each attention head, and the hierarchy graph."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
+from usnet_env.drawing import HIT, MISSED, REDUNDANT, new_figure
 from usnet_env.envs import SingleClusterEnv
-from usnet_env.files import atomic_write
 from usnet_env.plugins import make_detector
 from usnet_env.window import Window
 
@@ -21,24 +21,33 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Scene", "heads_figure", "hierarchy_figure", "reproduce", "scene_of", "sizes_figure"]
+__all__ = [
+    "Scene",
+    "detect_head",
+    "draw_attention_heads",
+    "draw_attention_sizes",
+    "draw_hierarchy",
+    "find_scene",
+    "list_leaders",
+]
 
-#: Detectors whose attention is shown side by side, and what they are called.
-SHOWN = {"gassl(preset='paper')": "the paper's network (input pooling)", "gassl": "default (prediction pooling)"}
-SIZES = (2, 5, 10, 25, 40, 50)  # m of the paper's f7 heat maps
 _SEEDS_TRIED = 10_000
+_LEAST_WEIGHT = 0.02  # lines of a smaller attention weight are not drawn
+_ATTENTION, _UAV = "#0072b2", "#555555"
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One window of one cluster, whose head sits at the index that the paper's figure has.
+    """One window of one cluster, whose head has the index of the paper's figure.
 
     Args:
         follow: follow strategy.
         followers: m.
         head: index of the head, from 0 (the paper's i_L - 1).
         seed: of the environment.
-        window: what was seen.
+        window: the observer's window.
     """
 
     follow: str
@@ -48,11 +57,12 @@ class Scene:
     window: Window
 
 
-def scene_of(follow: str, followers: int, head: int, seed: int) -> Scene:
-    """The first episode from ``seed`` on whose head has the wanted index.
+@cache
+def find_scene(follow: str, followers: int, head: int, seed: int) -> Scene:
+    """Find the first episode, from ``seed`` on, whose head has the wanted index.
 
     Raises:
-        ArgumentError: no such index.
+        ArgumentError: no UAV has that index.
     """
     if not 0 <= head <= followers:
         raise ArgumentError(f"head must be an index from 0 to {followers}, got {head}.")
@@ -61,128 +71,193 @@ def scene_of(follow: str, followers: int, head: int, seed: int) -> Scene:
         observation, _ = env.reset(seed=tried)
         if env.swarm.head[head]:
             return Scene(follow, followers, head, tried, Window.from_observation(observation))
-    raise ArgumentError(f"seed must lead to a head at index {head} soon, got {seed}.")
+    raise ArgumentError(f"seed must lead to a head at index {head} within {_SEEDS_TRIED} episodes, got {seed}.")
 
 
-def detect(scene: Scene, detector: str) -> Detection:
-    """The detector's answer to the scene."""
+@cache
+def detect_head(scene: Scene, detector: str) -> Detection:
+    """Let a detector answer the scene's window, with the scene's seed.
+
+    Raises:
+        ArgumentError: the answer holds no attention.
+    """
     made = make_detector(detector)
     made.reset(scene.seed)
-    return made.detect(scene.window)
+    found = made.detect(scene.window)
+    if found.attention is None:
+        raise ArgumentError(f"detector must answer with attention, got {detector!r}, which does not.")
+    return found
 
 
-def _canvas(width: float, height: float) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+def _new_grid(rows: int, columns: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
+    """Make a figure with a grid of axes, each ``width`` by ``height`` inches."""
+    figure = new_figure(width * columns, height * rows + 0.6)
+    figure.set_layout_engine("constrained")
+    return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
 
 
-def _heat(axes: Axes, alpha: NDArray[np.float64], head: int, title: str) -> Any:
-    """One heat map: row i is whom UAV i attends to; the head's column is marked below it."""
+def _draw_heat_map(axes: Axes, alpha: Floats, head: int, title: str) -> None:
+    """Draw one matrix of attention with its own colour bar; a triangle marks the column of the head."""
     image = axes.imshow(alpha, cmap="viridis", vmin=0.0, vmax=max(float(alpha.max()), 1e-9), aspect="equal")
-    axes.plot([head], [len(alpha) - 0.1], marker="^", color="#d55e00", ms=7, clip_on=False)
-    axes.set_title(title, fontsize=9)
-    step = max(1, len(alpha) // 8)
-    axes.set_xticks(range(0, len(alpha), step), [str(i + 1) for i in range(0, len(alpha), step)], fontsize=7)
-    axes.set_yticks(range(0, len(alpha), step), [str(i + 1) for i in range(0, len(alpha), step)], fontsize=7)
-    return image
+    axes.plot([head], [1.03], marker="v", color="#d55e00", ms=8, clip_on=False, transform=axes.get_xaxis_transform())
+    axes.set_title(title, fontsize=10, pad=14)
+    ticks = range(0, len(alpha), max(1, -(-len(alpha) // 10)))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_ticks(list(ticks), [str(place + 1) for place in ticks], fontsize=7)
+    axes.set_xlabel("UAV i′", fontsize=8)
+    axes.set_ylabel("UAV i", fontsize=8)
+    figure: Any = axes.get_figure()
+    bar = figure.colorbar(image, ax=axes, shrink=0.85)
+    bar.ax.tick_params(labelsize=7)
 
 
-def heads_figure(scene: Scene, answers: dict[str, Detection]) -> Figure:
-    """Attention alpha of both poolings and alpha_l of every attention head of the paper's network."""
-    figure = _canvas(14, 7.5)
-    grid = figure.subplots(2, 4).ravel()
-    paper, ours = (answers[name] for name in SHOWN)
-    if paper.attention is None or ours.attention is None:
-        raise ArgumentError("answers must hold attention, got a detection without.")
-    heads = paper.extras["attention_heads"]
-    panels = [("α, the paper's network", paper.attention), ("α, prediction pooling", ours.attention)]
-    panels += [
-        (f"α_{number + 1}: v at t−{number}" if number < len(heads) - 1 else f"α_{number + 1}: position", alpha)
-        for number, alpha in enumerate(heads)
-    ]
+def _describe_answer(scene: Scene, found: Detection) -> str:
+    """Describe the candidates of P1 in a few words."""
+    named = ", ".join(str(i + 1) for i in np.flatnonzero(found.candidates)) or "none"
+    return f"head: UAV {scene.head + 1}; candidate: {named}"
+
+
+def draw_attention_heads(scene: Scene, found: Detection, label: str) -> Figure:
+    """Draw the attention weights α and the attention values α_l of every attention head, as heat maps.
+
+    Args:
+        scene: what the detector saw.
+        found: its answer, with ``attention`` ``(N, N)`` and ``extras["attention_heads"]`` ``(T_0 + 1, N, N)``.
+        label: the detector's name.
+
+    Raises:
+        ArgumentError: the answer lacks one of them.
+    """
+    if found.attention is None or "attention_heads" not in found.extras:
+        raise ArgumentError(f"detector must answer with attention and attention heads, got {label!r}.")
+    values = np.asarray(found.extras["attention_heads"])
+    panels = [("attention weights α", found.attention)]
+    for number, alpha in enumerate(values[:-1]):
+        panels.append((f"attention head {number + 1}: velocity at t{f' − {number}' if number else ''}", alpha))
+    panels.append((f"attention head {len(values)}: position at t − {len(values) - 2}", values[-1]))
+    figure, grid = _new_grid(-(-len(panels) // 3), 3, 4.3, 3.9)
     for axes, (title, alpha) in zip(grid, panels, strict=False):
-        figure.colorbar(_heat(axes, alpha, scene.head, title), ax=axes, shrink=0.8)
+        _draw_heat_map(axes, alpha, scene.head, title)
     for axes in grid[len(panels) :]:
         axes.set_visible(False)
     figure.suptitle(
-        f"Whom every UAV attends to ({scene.follow}, m={scene.followers}); row: who attends, column: to whom; "
-        f"▲ the head, UAV {scene.head + 1}"
+        f"Attention of UAV i (row) to UAV i′ (column): {label}, {scene.follow}, m = {scene.followers}\n"
+        f"{_describe_answer(scene, found)}; ▼ marks the column of the head",
+        fontsize=11,
     )
     return figure
 
 
-def sizes_figure(scenes: list[Scene], answers: list[dict[str, Detection]]) -> Figure:
-    """Attention alpha of both poolings at several sizes."""
-    figure = _canvas(3.1 * len(scenes), 6.8)
-    grid = figure.subplots(2, len(scenes), squeeze=False)
-    for column, (scene, found) in enumerate(zip(scenes, answers, strict=True)):
-        for row, (name, label) in enumerate(SHOWN.items()):
-            hit = "found" if found[name].candidates[scene.head] else "missed"
-            title = f"m={scene.followers}, {label}\nhead {hit}"
-            attention = found[name].attention
-            if attention is not None:
-                _heat(grid[row, column], attention, scene.head, title)
-    figure.suptitle(f"Attention α at several sizes ({scenes[0].follow}); ▲ the head, UAV {scenes[0].head + 1}")
-    return figure
-
-
-def hierarchy_figure(scene: Scene, answers: dict[str, Detection]) -> Figure:
-    """The hierarchy graph: UAVs from above, lines from each to the others, as wide as its attention to them."""
-    figure = _canvas(13, 6.5)
-    place = scene.window.position[-1, :, :2]
-    for axes, (name, label) in zip(figure.subplots(1, 2), SHOWN.items(), strict=True):
-        attention = answers[name].attention
-        if attention is None:
-            continue
-        for i, row in enumerate(attention):
-            for j, weight in enumerate(row):
-                if i != j and weight > 0.02:
-                    ends = place[[i, j]]
-                    axes.plot(ends[:, 0], ends[:, 1], color="#0072b2", lw=4.0 * float(weight), alpha=0.5, zorder=1)
-        axes.scatter(place[:, 0], place[:, 1], s=40, color="#555555", zorder=2, label="UAV")
-        axes.scatter(*place[scene.head], s=260, marker="*", color="#d55e00", edgecolor="black", zorder=3, label="head")
-        named = place[answers[name].candidates]
-        axes.scatter(named[:, 0], named[:, 1], s=420, facecolor="none", edgecolor="#009e73", lw=2.5, label="named")
-        for i, (x, y) in enumerate(place):
-            axes.annotate(str(i + 1), (x, y), textcoords="offset points", xytext=(6, 5), fontsize=8)
-        axes.set_title(label)
-        axes.set_xlabel("x in m")
-        axes.set_ylabel("y in m")
-        axes.set_aspect("equal")
-        axes.legend(loc="best", fontsize=8, labelspacing=1.2, borderpad=1.0)
-    figure.suptitle(f"Hierarchy graph ({scene.follow}, m={scene.followers}): lines as wide as attention")
-    return figure
-
-
-def reproduce(
-    folder: Path, seed: int = 2022, progress: Callable[[int, int], None] = lambda done, total: None
-) -> list[Path]:
-    """Make the three pictures.
+def draw_attention_sizes(scenes: Sequence[Scene], answers: Sequence[Detection], label: str) -> Figure:
+    """Draw the attention weights α for clusters of several sizes, as heat maps.
 
     Args:
-        folder: gets ``heads-f1.png``, ``hierarchy-f1.png`` and ``sizes-f7.png``.
-        seed: where the search for scenes begins.
-        progress: called with the fits done and to do.
+        scenes: what the detector saw, one for each size.
+        answers: its answers.
+        label: the detector's name.
+    """
+    figure, grid = _new_grid(-(-len(scenes) // 3), 3, 4.3, 3.9)
+    for axes, scene, found in zip(grid, scenes, answers, strict=False):
+        verdict = "found" if found.candidates[scene.head] else "missed"
+        if found.attention is not None:
+            _draw_heat_map(axes, found.attention, scene.head, f"m = {scene.followers}: head {verdict}")
+    for axes in grid[len(scenes) :]:
+        axes.set_visible(False)
+    figure.suptitle(
+        f"Attention weights α of UAV i (row) to UAV i′ (column): {label}, {scenes[0].follow}\n"
+        f"▼ marks the column of the head, UAV {scenes[0].head + 1}",
+        fontsize=11,
+    )
+    return figure
+
+
+def list_leaders(attention: Floats) -> NDArray[np.int64]:
+    """List, for each UAV, the other UAV with the largest attention weight; -1 where all weights are 0.
+
+    Args:
+        attention: ``(N, N)``.
 
     Returns:
-        The files.
+        ``(N,)`` int64.
     """
-    scenes = [scene_of("f1", 15, 6, seed), *(scene_of("f7", size, 1, seed) for size in SIZES)]
-    answers: list[dict[str, Detection]] = []
-    for number, scene in enumerate(scenes):
-        progress(number, len(scenes))
-        answers.append({name: detect(scene, name) for name in SHOWN})
-    progress(len(scenes), len(scenes))
-    figures = {
-        "heads-f1.png": heads_figure(scenes[0], answers[0]),
-        "hierarchy-f1.png": hierarchy_figure(scenes[0], answers[0]),
-        "sizes-f7.png": sizes_figure(scenes[1:], answers[1:]),
-    }
-    for name, figure in figures.items():
-        with atomic_write(folder / name) as aside:
-            figure.savefig(aside, format="png", dpi=100)
-    return [folder / name for name in figures]
+    others = np.where(np.eye(len(attention), dtype=bool), 0.0, attention)
+    return np.where(others.max(axis=1) > 0, others.argmax(axis=1), -1).astype(np.int64)
+
+
+def draw_hierarchy(scene: Scene, found: Detection, label: str) -> Figure:
+    """Draw the attention graph, and the hierarchy graph derived from it.
+
+    On the left the UAVs are seen from above; lines are as wide as the attention weights. On the right the candidates
+    are the upper level; every other UAV is linked to the UAV with its largest attention weight.
+
+    Args:
+        scene: what the detector saw.
+        found: its answer, with attention.
+        label: the detector's name.
+    """
+    assert found.attention is not None
+    figure, (graph, tree) = _new_grid(1, 2, 7.0, 6.2)
+    place = np.asarray(scene.window.position[-1, :, :2], np.float64)
+    _draw_attention_graph(graph, place, found.attention)
+    graph.set(xlabel="x in m", ylabel="y in m", title="Attention graph: lines as wide as the attention weight")
+    graph.set_aspect("equal", adjustable="datalim")
+    leaders = list_leaders(found.attention)
+    levels, wrong = _place_levels(found.candidates), 0
+    for i in np.flatnonzero(~found.candidates & (leaders >= 0)):
+        ends = levels[[i, leaders[i]]]
+        if found.candidates[leaders[i]]:
+            tree.plot(*ends.T, color=_ATTENTION, lw=1.5, zorder=1)
+        else:
+            wrong += 1
+            arrow = {"arrowstyle": "-", "connectionstyle": "arc3,rad=0.5", "ls": "--", "color": REDUNDANT, "lw": 1.3}
+            tree.annotate("", ends[1], ends[0], arrowprops=arrow)
+    tree.set_title("Hierarchy graph: candidate (top), and the largest attention of each other UAV")
+    tree.set(xticks=[], yticks=[], ylim=(-0.6, 1.2))
+    for axes, points in ((graph, place), (tree, levels)):
+        _mark_uavs(axes, points, scene.head, found.candidates)
+    handles, labels = graph.get_legend_handles_labels()
+    lines = [("link to the candidate", "-", _ATTENTION)] + [("link to another UAV", "--", REDUNDANT)] * bool(wrong)
+    handles += [tree.plot([], [], color=color, ls=style)[0] for _, style, color in lines]
+    figure.legend(handles, labels + [text for text, _, _ in lines], loc="outside lower center", ncols=6, fontsize=9)
+    figure.suptitle(f"{label}, {scene.follow}, m = {scene.followers}; {_describe_answer(scene, found)}", fontsize=11)
+    return figure
+
+
+def _draw_attention_graph(axes: Axes, place: Floats, attention: Floats) -> None:
+    """Draw a line for every attention weight between two UAVs, as wide as the weight."""
+    from matplotlib.collections import LineCollection
+
+    rows, columns = np.nonzero((attention > _LEAST_WEIGHT) & ~np.eye(len(attention), dtype=bool))
+    ends = np.stack([place[rows], place[columns]], axis=1)
+    widths = 5.0 * attention[rows, columns]
+    axes.add_collection(LineCollection(list(ends), linewidths=widths, colors=_ATTENTION, alpha=0.55, zorder=1))
+
+
+def _place_levels(candidates: NDArray[np.bool_]) -> Floats:
+    """Place the UAVs on two levels, ``(N, 2)``: candidates at height 1, the others on a shallow arc around 0."""
+    levels = np.zeros((len(candidates), 2))
+    for level, members in ((1.0, np.flatnonzero(candidates)), (0.0, np.flatnonzero(~candidates))):
+        across = (np.arange(len(members)) + 0.5) / max(len(members), 1) - 0.5
+        levels[members, 0] = across
+        levels[members, 1] = level - (0.0 if level else 0.5) * (0.25 - across**2)
+    return levels
+
+
+def _mark_uavs(axes: Axes, place: Floats, head: int, candidates: NDArray[np.bool_]) -> None:
+    """Mark the UAVs, the head and the candidates, and write their numbers beside them."""
+    axes.scatter(place[:, 0], place[:, 1], s=40, color=_UAV, zorder=2, label="UAV")
+    star: dict[str, Any] = {"marker": "*", "color": "#e69f00", "edgecolor": "black", "label": "head (the truth)"}
+    axes.scatter(place[head, 0], place[head, 1], s=230, zorder=3, **star)
+    hit = np.arange(len(place)) == head
+    for chosen, color, shape, text in (
+        (candidates & hit, HIT, "o", "candidate: hit"),
+        (candidates & ~hit, REDUNDANT, "s", "candidate: redundant"),
+        (~candidates & hit, MISSED, "o", "missed head"),
+    ):
+        if chosen.any():
+            style = "--" if color == MISSED else "-"
+            ring: dict[str, Any] = {"facecolor": "none", "edgecolor": color, "lw": 2.2, "ls": style}
+            axes.scatter(place[chosen, 0], place[chosen, 1], s=420, marker=shape, zorder=4, label=text, **ring)
+    for i, (x, y) in enumerate(place):
+        beside = (15, -15) if candidates[i] or i == head else (9, -11)
+        axes.annotate(str(i + 1), (x, y), textcoords="offset points", xytext=beside, fontsize=8, zorder=5)

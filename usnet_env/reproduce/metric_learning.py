@@ -1,10 +1,11 @@
-"""The paper's figures of metric learning: off-line and on-line losses by start, and feature spaces."""
+"""The paper's figures of metric learning: off-line and on-line losses by start, and the feature space."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,24 +14,40 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from usnet_env.config import ArgumentError, quote
+from usnet_env.drawing import CLUSTER_COLORS, new_figure
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
-from usnet_env.files import atomic_write
 from usnet_env.objectives import head_in_cluster, purity
 from usnet_env.reproduce.rows import Measurement, counter, keep_report, measure
 from usnet_env.window import Window
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FOLLOW", "PAPER_LOSS", "STARTS", "Row", "Task", "features", "losses", "markdown"]
+__all__ = [
+    "FOLLOW",
+    "PAPER_LOSS",
+    "STARTS",
+    "Row",
+    "Task",
+    "draw_feature_spaces",
+    "draw_losses",
+    "format_markdown",
+    "measure_losses",
+]
 
 FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 STARTS = ("random", "joint", "meta")
-PAPER_LOSS = 0.125  # near which the paper says that its meta loss settles
-_LAST = 10  # on-line steps that the final loss is the mean of
-_SMOOTH = 50  # off-line episodes that a point of the curve is the mean of
-_STEPS = 50  # of on-line training
+PAPER_LOSS = 0.125  # the paper's meta loss settles near this value
+_LAST = 10  # the final on-line loss is the mean over this many steps
+_SMOOTH = 50  # a point of the off-line curve is the mean over this many episodes
+_STEPS = 50  # steps of on-line training
+_LOOKS = {  # colour, line and label of each start
+    "random": ("#777777", ":", "random start"),
+    "joint": ("#d55e00", "--", "joint training (the paper's pre-training)"),
+    "meta": ("#0072b2", "-", "meta learning"),
+}
 
 
 @dataclass(frozen=True)
@@ -38,11 +55,11 @@ class Row:
     """One loss.
 
     Args:
-        training: number of the training; each has strategies, a start and draws of its own.
-        start: one of :data:`STARTS`; off line ``random`` has no row, as it is not trained.
-        follow: follow strategy of the on-line swarm; empty off line.
-        step: the episode off line, the gradient step on line, from 0.
-        loss: of the triplets drawn there.
+        training: number of the training; each training draws its own strategies, start and triplets.
+        start: one of :data:`STARTS`; ``random`` has no off-line rows, because it is not trained off line.
+        follow: follow strategy of the on-line swarm; empty for an off-line row.
+        step: off line the episode, on line the gradient step, from 0.
+        loss: triplet loss of this episode or step.
     """
 
     training: int
@@ -54,7 +71,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Task:
-    """One training of one start, and its on-line training on a swarm of every follow strategy."""
+    """One off-line training, and the on-line training from its result on a swarm of every follow strategy."""
 
     training: int
     start: str
@@ -63,8 +80,8 @@ class Task:
     steps: int
 
 
-def play(task: Task, seed: int) -> list[Row]:
-    """Train one start off line (the random one not), and on line from there."""
+def train_start(task: Task, seed: int) -> list[Row]:
+    """Train one start off line (``random`` is not trained), then on line."""
     from detectors.mc_gassl.train import MetaTraining, online_losses, start_of, trained
 
     training = MetaTraining(
@@ -80,28 +97,27 @@ def play(task: Task, seed: int) -> list[Row]:
         parameters, offline = trained(training)
     rows = [Row(task.training, task.start, "", step, loss) for step, loss in enumerate(offline)]
     for number, follow in enumerate(FOLLOW):
-        window, labels, _ = _swarm(follow, seed, len(FOLLOW) * task.training + number)
+        window, labels, _ = _draw_swarm(MultiClusterEnv(follow=follow), seed, len(FOLLOW) * task.training + number)
         _, online = online_losses(parameters, window, labels, task.steps, training)
         rows += [Row(task.training, task.start, follow, step, loss) for step, loss in enumerate(online)]
     return rows
 
 
-def _swarm(follow: str, seed: int, episode: int) -> tuple[Window, NDArray[np.int64], Any]:
-    """The first window of an episode, the true cluster of every UAV, and the truth."""
-    env = MultiClusterEnv(follow=follow)
+def _draw_swarm(env: MultiClusterEnv, seed: int, episode: int) -> tuple[Window, NDArray[np.int64], Any]:
+    """Draw an episode's swarm: its first window, the true cluster of every UAV, and the truth."""
     observation, _ = env.reset(seed=episode_seeds(seed, episode)[0])
     labels = np.unique(env.swarm.leader, return_inverse=True)[1].astype(np.int64)
     return Window.from_observation(observation), labels, env.swarm
 
 
-def _keys(task: Task) -> list[tuple[int, str, str, int]]:
+def _list_keys(task: Task) -> list[tuple[int, str, str, int]]:
     offline = 0 if task.start == "random" else task.episodes
     return [(task.training, task.start, "", step) for step in range(offline)] + [
         (task.training, task.start, follow, step) for follow in FOLLOW for step in range(task.steps)
     ]
 
 
-def losses(
+def measure_losses(
     folder: Path,
     *,
     trainings: int = 5,
@@ -112,39 +128,45 @@ def losses(
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Row]:
-    """Off-line loss of meta and joint training, and on-line loss from the starts that they give and from a random one.
+    """Measure the off-line loss of meta and joint training, and the on-line loss from their results and a random start.
 
     Args:
         folder: gets ``losses-F…-E…-seed….csv``, ``.md`` and ``.png``.
-        trainings: how many times all is done from new strategies and a new start; at least 2, for the bands.
+        trainings: number of independent trainings of each start; at least 2, for the intervals.
         strategies: F of each training, drawn by ``random_follow_strategy``.
         episodes: E of each training.
-        steps: of on-line training on a swarm of each of f1 to f7, with its true clusters.
-        seed: of the measurement.
-        workers: processes.
-        progress: called with the losses done and to do.
+        steps: steps of on-line training on a swarm of each of f1 to f7, with its true clusters.
+        seed: seed of the measurement.
+        workers: number of processes.
+        progress: called with the number of losses that are done, and of all losses.
+
+    Returns:
+        The rows, in the order of the trainings and starts.
+
+    Raises:
+        ArgumentError: there are fewer than 2 trainings.
     """
     if trainings < 2:
-        raise ArgumentError(f"trainings must be at least 2, for bands, got {quote(trainings)}.")
+        raise ArgumentError(f"trainings must be at least 2, for intervals, got {quote(trainings)}.")
     tasks = [Task(number, start, strategies, episodes, steps) for number in range(trainings) for start in STARTS]
     path = folder / f"losses-F{strategies}-E{episodes}-seed{seed}.csv"
     rows = measure(
-        Measurement(Row, partial(play, seed=seed), _keys, _key, _key),
+        Measurement(Row, partial(train_start, seed=seed), _list_keys, _get_key, _get_key),
         tasks,
         path,
         workers,
-        counter(sum(len(_keys(task)) for task in tasks), progress),
+        counter(sum(len(_list_keys(task)) for task in tasks), progress),
     )
-    keep_report(path, markdown(rows), draw(rows))
+    keep_report(path, format_markdown(rows), draw_losses(rows))
     return rows
 
 
-def _key(row: Row) -> tuple[int, str, str, int]:
+def _get_key(row: Row) -> tuple[int, str, str, int]:
     return row.training, row.start, row.follow, row.step
 
 
-def curves(rows: Sequence[Row], start: str, online: bool) -> NDArray[np.float64]:
-    """``(trainings, steps)`` losses of one start, on line the mean over the follow strategies."""
+def collect_curves(rows: Sequence[Row], start: str, online: bool) -> NDArray[np.float64]:
+    """Collect the losses of one start, ``(trainings, steps)``; on line, the means over the follow strategies."""
     chosen = [row for row in rows if row.start == start and bool(row.follow) == online]
     total: dict[tuple[int, int], list[float]] = {}
     for row in chosen:
@@ -153,117 +175,131 @@ def curves(rows: Sequence[Row], start: str, online: bool) -> NDArray[np.float64]
     return np.array([[np.mean(total[a, b]) for b in sorted(steps)] for a in sorted(trainings)])
 
 
-def band(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean over trainings (the first axis) and the half width of its 95 % interval (Student's t)."""
+def compute_interval(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Compute the mean over trainings (the first axis) and the half width of its 95 % interval (Student's t)."""
     count = len(values)
     half = student.ppf(0.975, count - 1) * values.std(axis=0, ddof=1) / np.sqrt(count)
     return values.mean(axis=0), half
 
 
-def markdown(rows: Sequence[Row]) -> str:
-    """First and last losses of every start, with intervals over the trainings."""
+def format_markdown(rows: Sequence[Row]) -> str:
+    """Format a table of the first and last losses of every start, with 95 % intervals over the trainings."""
     lines = [
         "| start | trainings | off-line loss at the end | on-line loss, step 0 | on-line loss at the end |",
         "| --- | --- | --- | --- | --- |",
     ]
     for start in STARTS:
-        online = curves(rows, start, True)
-        offline = curves(rows, start, False)
+        online = collect_curves(rows, start, True)
+        offline = collect_curves(rows, start, False)
         cells = [online[:, 0], online[:, -_LAST:].mean(axis=1)]
-        words = [f"{mean:.3f} ± {half:.3f}" for mean, half in map(band, cells)]
-        end = "–" if not len(offline) else "{:.3f} ± {:.3f}".format(*band(offline[:, -_SMOOTH:].mean(axis=1)))
+        words = [f"{mean:.3f} ± {half:.3f}" for mean, half in map(compute_interval, cells)]
+        end = (
+            "–" if not len(offline) else "{:.3f} ± {:.3f}".format(*compute_interval(offline[:, -_SMOOTH:].mean(axis=1)))
+        )
         lines.append(f"| {start} | {len(online)} | {end} | {words[0]} | {words[1]} |")
-    differences = (curves(rows, "meta", True) - curves(rows, "joint", True))[:, -_LAST:].mean(axis=1)
-    mean, half = band(differences)
+    differences = (collect_curves(rows, "meta", True) - collect_curves(rows, "joint", True))[:, -_LAST:].mean(axis=1)
+    mean, half = compute_interval(differences)
     lines += [
         "",
-        f"Meta less joint at the end of on-line training, by training: {mean:+.4f} ± {half:.4f}. The paper "
-        f"says that its meta loss settles near {PAPER_LOSS}; a loss depends on margin, scaling and batches.",
+        f"Meta minus joint at the end of on-line training, by training: {mean:+.4f} ± {half:.4f}. The paper's "
+        f"meta loss settles near {PAPER_LOSS}; the value of a loss depends on margin, scaling and batches.",
         "",
     ]
     return "\n".join(lines)
 
 
-def draw(rows: Sequence[Row]) -> Figure:
-    """Off-line loss on the left, on-line loss on the right; lines are means, bands 95 % intervals over trainings."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.5, 3.6), layout="constrained")
-    axes = figure.subplots(1, 2)
-    colours = {"random": "tab:gray", "joint": "tab:orange", "meta": "tab:blue"}
+def draw_losses(rows: Sequence[Row]) -> Figure:
+    """Draw the off-line loss (left) and the on-line loss (right): means over trainings, with 95 % intervals."""
+    figure = new_figure(11.5, 4.4)
+    figure.set_layout_engine("constrained")
+    axes = figure.subplots(1, 2, sharey=True)
     for panel, online in zip(axes, (False, True), strict=True):
         for start in STARTS:
-            values = curves(rows, start, online)
+            values = collect_curves(rows, start, online)
             if not len(values):
                 continue
             if not online:
                 width = min(_SMOOTH, values.shape[1])
                 whole = values[:, : values.shape[1] // width * width]
                 values = whole.reshape(len(whole), -1, width).mean(axis=2)
-            mean, half = band(values)
+            mean, half = compute_interval(values)
             place = np.arange(len(mean)) if online else (np.arange(len(mean)) + 0.5) * width
-            panel.plot(place, mean, color=colours[start], label=start)
-            panel.fill_between(place, mean - half, mean + half, color=colours[start], alpha=0.2, lw=0)
+            color, line, label = _LOOKS[start]
+            panel.plot(place, mean, color=color, ls=line, label=label, zorder=3 if line != "-" else 2)
+            panel.fill_between(place, mean - half, mean + half, color=color, alpha=0.2, lw=0)
         panel.grid(alpha=0.3)
-        panel.set_ylim(bottom=0)
-    axes[0].axhline(PAPER_LOSS, color="black", lw=0.8, ls=":", label="the paper's meta loss")
-    axes[0].set(xlabel="episode of off-line training", ylabel="triplet loss", title="off line, random strategies")
-    axes[1].set(xlabel="gradient step on line", title="on line, f1 to f7 and true clusters")
-    for panel in axes:
-        panel.legend(fontsize=8)
+    axes[0].axhline(PAPER_LOSS, color="black", lw=0.9, ls="-.", label=f"the paper's meta loss, about {PAPER_LOSS}")
+    axes[0].set_ylim(bottom=0)
+    axes[0].set(xlabel="episode", ylabel="triplet loss", title="Off line, on random follow strategies")
+    axes[1].set(xlabel="gradient step", title="On line, mean over f1 to f7, true clusters")
+    handles = {label: line for panel in axes for line, label in zip(*panel.get_legend_handles_labels(), strict=True)}
+    figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=4, fontsize=9)
+    trainings = len({row.training for row in rows})
+    figure.suptitle(f"Loss of metric learning: means over {trainings} trainings, bands are 95 % intervals", fontsize=11)
     return figure
 
 
-def features(folder: Path, seed: int = 2022, follow: str = "f1", steps: int = 200) -> Path:
-    """The feature space of one swarm (M = 5, N = 82) before and after training, two principal axes, a panel each.
+def draw_feature_spaces(
+    seed: int = 2022, follow: str = "f1", clusters: int = 5, uavs: int = 237, steps: int = 500
+) -> Figure:
+    """Draw the GRU network's features of one swarm before and after on-line training on its true clusters.
 
-    Panels: the paper's inputs at one time, as K-Means on metres would see them; the features of the GRU network with a
-    random start, with the weights that ship, and after on-line training from there on the true clusters. Purity and
-    head-in-cluster are K-Means' with M given.
+    The upper panels begin with a random start, the lower ones with the meta-learned weights of the package. Each panel
+    shows the two principal components of the features of the newest T_0 samples; purity and head-in-cluster are those
+    of K-Means with M given.
 
     Args:
-        folder: gets ``features-….png``.
-        seed: of the swarm.
-        follow: its follow strategy.
-        steps: of on-line training.
-
-    Returns:
-        The picture's path.
+        seed: seed of the swarm and of the training.
+        follow: follow strategy.
+        clusters: M.
+        uavs: N.
+        steps: gradient steps, the paper's metric learning episodes.
     """
-    from matplotlib.figure import Figure
-
     from detectors.clustering import make_clusterer
     from detectors.mc_gassl.features import gru_features
     from detectors.mc_gassl.train import MetaTraining, online_losses, start_of
     from detectors.mc_gassl.weights import load_meta_weights
 
-    window, labels, truth = _swarm(follow, seed, 0)
+    window, labels, truth = _draw_swarm(MultiClusterEnv(follow=follow, clusters=clusters, uavs=uavs), seed, 0)
     training = MetaTraining(seed=seed)
-    shipped = load_meta_weights()
-    adapted, _ = online_losses(shipped, window, labels, steps, training)
-    spaces: dict[str, Any] = {
-        "inputs of one time, metres": "raw",
-        "GRU, random start": partial(gru_features, parameters=start_of(training)),
-        "GRU, meta-learned": partial(gru_features, parameters=shipped),
-        f"GRU, and {steps} on-line steps": partial(gru_features, parameters=adapted),
-    }
-    figure = Figure(figsize=(13, 3.7), layout="constrained")
-    for panel, (name, space) in zip(figure.subplots(1, len(spaces)), spaces.items(), strict=True):
-        clusterer = make_clusterer("kmeans", features=space, count=int(labels.max()) + 1)
-        found = clusterer.cluster(window, np.random.default_rng(seed))
-        assert found.features is not None
-        centred = found.features - found.features.mean(axis=0)
-        place = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
-        panel.scatter(*place[~truth.head].T, c=labels[~truth.head], cmap="tab10", vmin=0, vmax=9, s=18)
-        panel.scatter(
-            *place[truth.head].T, c=labels[truth.head], cmap="tab10", vmin=0, vmax=9, s=110, marker="*", edgecolor="k"
-        )
-        share = purity(truth.leader, found.labels)
-        heads = head_in_cluster(truth.head, truth.leader, found.labels)
-        panel.set_title(f"{name}\npurity {share:.2f}, head in cluster {heads:.2f}", fontsize=9)
-        panel.set(xticks=[], yticks=[])
-    figure.suptitle(f"{follow}, M = {labels.max() + 1}, N = {len(labels)}: colours are the true clusters, stars heads")
-    path = folder / f"features-{follow}-seed{seed}.png"
-    with atomic_write(path) as aside:
-        figure.savefig(aside, format="png", dpi=110)
-    return path
+    figure = new_figure(10.5, 9.6)
+    figure.set_layout_engine("constrained")
+    starts = {"random start": start_of(training), "meta-learned start": load_meta_weights()}
+    for row, (name, before) in zip(figure.subplots(2, 2), starts.items(), strict=True):
+        after, _ = online_losses(before, window, labels, steps, training)
+        for panel, when, parameters in zip(row, ("before", f"after {steps} episodes"), (before, after), strict=True):
+            features = partial(gru_features, parameters=parameters)
+            found = make_clusterer("kmeans", features=features, count=clusters).cluster(
+                window, np.random.default_rng(seed)
+            )
+            assert found.features is not None
+            share = purity(truth.leader, found.labels)
+            placed = head_in_cluster(truth.head, truth.leader, found.labels)
+            _draw_feature_space(panel, found.features, labels, truth.head)
+            panel.set_title(f"{name}, {when}\nK-Means: purity {share:.2f}, head-in-cluster {placed:.2f}", fontsize=10)
+    handles, names = panel.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=clusters + 1, fontsize=9)
+    figure.suptitle(f"Feature space of metric learning: {follow}, M = {clusters}, N = {uavs}", fontsize=12)
+    return figure
+
+
+def _draw_feature_space(
+    panel: Axes, features: NDArray[np.float64], labels: NDArray[np.int64], head: NDArray[np.bool_]
+) -> None:
+    """Draw the two principal components of ``(N, w)`` features; colours are true clusters, stars are heads."""
+    centred = features - features.mean(axis=0)
+    _, spread, axes = np.linalg.svd(centred, full_matrices=False)
+    place = centred @ axes[:2].T
+    shares = 100 * spread**2 / max(float((spread**2).sum()), 1e-300)
+    colors, markers = (cycle(values) for values in (CLUSTER_COLORS, "os^Dv"))
+    for label in range(int(labels.max()) + 1):
+        color, mark = next(colors), next(markers)
+        followers, heads = place[(labels == label) & ~head], place[(labels == label) & head]
+        look: dict[str, Any] = {"marker": mark, "edgecolor": "white", "label": f"cluster {label + 1}"}
+        panel.scatter(followers[:, 0], followers[:, 1], color=color, s=22, lw=0.4, **look)
+        panel.scatter(heads[:, 0], heads[:, 1], color=color, marker="*", s=190, edgecolor="black", zorder=3)
+    panel.scatter([], [], color="white", marker="*", s=190, edgecolor="black", label="head")
+    panel.set_xlabel(f"principal component 1 ({shares[0]:.0f} % of the variance)", fontsize=9)
+    panel.set_ylabel(f"principal component 2 ({shares[1]:.0f} %)", fontsize=9)
+    panel.tick_params(labelsize=8)
+    panel.grid(alpha=0.3)

@@ -1,4 +1,4 @@
-"""The paper's figure of purity: every clusterer on raw and scaled inputs, M given and estimated; heads beside it."""
+"""The paper's figure of purity, with head-in-cluster: all clusterers on raw and scaled inputs, M given or estimated."""
 
 from __future__ import annotations
 
@@ -22,10 +22,21 @@ from usnet_env.reproduce.rounds import Cell
 from usnet_env.reproduce.rows import Measurement, counter, flight_suffix, keep_report, measure, read_rows
 from usnet_env.window import Window
 
-__all__ = ["CLUSTERERS", "COUNTS", "FEATURES", "FOLLOW", "Method", "Row", "Task", "methods_of", "play", "reproduce"]
+__all__ = [
+    "CLUSTERERS",
+    "COUNTS",
+    "FEATURES",
+    "FOLLOW",
+    "Method",
+    "Row",
+    "Task",
+    "cluster_windows",
+    "list_methods",
+    "reproduce",
+]
 
 FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
-#: The clusterers, and how each estimates M: by the paper's gap statistic (its rule, and ours) or by what it clusters.
+#: The clusterers and their estimators of M: the gap statistic (the paper's rule, and ours), the eigengap, or their own.
 CLUSTERERS = {
     "kmeans": ("gap-one-se", "gap"),
     "snmf": ("eigengap",),
@@ -34,7 +45,7 @@ CLUSTERERS = {
     "hdbscan": ("own",),
     "lead-votes": ("own",),
 }
-#: Features of the paper's one window in metres and standardised, the whole series, and what the GRU makes of them.
+#: The paper's one window of T_0 steps in metres and standardised, the series of all velocities, and GRU features.
 FEATURES = ("raw", "scaled", "velocities", "gru-single", "gru-mean", "gru-series")
 COUNTS = ("given", "estimated")
 _GRU = "detectors.mc_gassl"
@@ -43,9 +54,9 @@ _EPISODES_A_TASK = 10
 
 @dataclass(frozen=True)
 class Method:
-    """A clusterer on features; ``count`` is ``"given"`` or how M is estimated.
+    """A clusterer, its features, and how it knows M: ``count`` is ``"given"`` or the estimator of M.
 
-    ``lead-votes`` looks at the velocities, whatever the features.
+    ``lead-votes`` uses velocities only.
     """
 
     clusterer: str
@@ -61,9 +72,9 @@ class Row:
         clusterer, features, count: the method.
         follow, clusters, uavs, mobility, head_jitter: the cell; ``clusters`` is M.
         episode: number of the episode.
-        found: number of clusters of the answer.
+        found: number of clusters in the answer.
         purity, head_in_cluster: as in :mod:`usnet_env.objectives`.
-        seconds: that clustering took, features included.
+        seconds: wall time of clustering, features included.
     """
 
     clusterer: str
@@ -102,25 +113,25 @@ class Task:
 
 
 def _has_gru() -> bool:
-    """Whether the GRU can be used: it needs PyTorch, which is not installed everywhere."""
+    """Whether the GRU network can be used: it needs PyTorch, which is an extra."""
     try:
         return find_spec("torch") is not None and find_spec(f"{_GRU}.weights") is not None
     except ModuleNotFoundError:  # of the package around it
         return False
 
 
-def methods_of(
+def list_methods(
     clusterers: Iterable[str] = tuple(CLUSTERERS), features: Iterable[str] | None = None, counts: Iterable[str] = COUNTS
 ) -> list[Method]:
-    """All combinations that there are: HDBSCAN takes no M, and ``lead-votes`` has its own features.
+    """List all possible combinations: HDBSCAN takes no M, and ``lead-votes`` has its own features.
 
     Args:
         clusterers: names of :data:`CLUSTERERS`.
-        features: names of :data:`FEATURES`; ``None``: all, those of the GRU only where it can be used.
+        features: names of :data:`FEATURES`; ``None``: all that can be used; those of the GRU need PyTorch.
         counts: names of :data:`COUNTS`.
 
     Raises:
-        ArgumentError: an unknown name, or features of a GRU that is not there.
+        ArgumentError: a name is unknown, or needs PyTorch, which is not installed.
     """
     wanted = tuple(features) if features is not None else FEATURES if _has_gru() else FEATURES[:3]
     for name in wanted:
@@ -142,14 +153,14 @@ def methods_of(
     return found
 
 
-def _features(name: str) -> Any:
-    """What a clusterer takes as ``features``."""
-    return _gru(name.removeprefix("gru-")) if name.startswith("gru-") else name
+def _make_features(name: str) -> Any:
+    """Make the ``features`` argument of a clusterer."""
+    return _make_gru_features(name.removeprefix("gru-")) if name.startswith("gru-") else name
 
 
 @cache
-def _gru(mode: str) -> Callable[[Window], Any]:
-    # By name: the world imports no neural network, so this works where there is no PyTorch.
+def _make_gru_features(mode: str) -> Callable[[Window], Any]:
+    # Imported by name, so that this module can be imported without PyTorch.
     parameters = import_module(f"{_GRU}.weights").load_meta_weights()
     made: Callable[[Window], Any] = partial(
         import_module(f"{_GRU}.features").gru_features, parameters=parameters, mode=mode
@@ -157,11 +168,11 @@ def _gru(mode: str) -> Callable[[Window], Any]:
     return made
 
 
-def play(task: Task, seed: int) -> list[Row]:
-    """Cluster the first windows of the task's episodes, the ones that ``usnet evaluate`` shows with the same seed."""
+def cluster_windows(task: Task, seed: int) -> list[Row]:
+    """Cluster the first windows of the task's episodes, which are those of ``usnet evaluate`` with the same seed."""
     env, method = MultiClusterEnv(**asdict(task.cell)), task.method
     count = task.cell.clusters if method.count == "given" else method.count
-    clusterer = make_clusterer(method.clusterer, count=count, features=_features(method.features))
+    clusterer = make_clusterer(method.clusterer, count=count, features=_make_features(method.features))
     made = []
     for episode in range(task.first, task.first + task.count):
         swarm_seed, own_seed = episode_seeds(seed, episode)
@@ -184,11 +195,11 @@ def play(task: Task, seed: int) -> list[Row]:
     return made
 
 
-def _keys(task: Task) -> list[tuple[Method, Cell, int]]:
+def _list_keys(task: Task) -> list[tuple[Method, Cell, int]]:
     return [(task.method, task.cell, episode) for episode in range(task.first, task.first + task.count)]
 
 
-def _order(row: Row) -> tuple[str, int, int, str, str, str, int]:
+def _sort_key(row: Row) -> tuple[str, int, int, str, str, str, int]:
     return row.follow, row.clusters, row.uavs, row.clusterer, row.features, row.count, row.episode
 
 
@@ -206,36 +217,36 @@ def reproduce(
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Row]:
-    """Measure purity and head-in-cluster; an interrupted measurement goes on where it stopped.
+    """Measure purity and head-in-cluster; after an interruption, the same call continues with the missing rows.
 
     Args:
         folder: gets ``purity[-MmNn][-mobility][-jitter]-seedS.csv``, ``.md`` and ``.png``; table and picture are of
-            all rows in the file, those of earlier measurements included.
+            all rows in the file, rows of earlier measurements included.
         follow: follow strategies.
-        methods: from :func:`methods_of`; ``None``: all.
+        methods: from :func:`list_methods`; ``None``: all.
         clusters: M.
         uavs: N.
-        episodes: for each method and follow strategy.
-        mobility: how the heads fly.
-        head_jitter: whether they have the followers' noise.
-        seed: of the episodes; the reporting seed is one that nothing was tuned on.
-        workers: processes.
-        progress: called with the windows done and to do.
+        episodes: number of episodes for each method and follow strategy.
+        mobility: motion of the heads.
+        head_jitter: whether the heads have the noise of the followers.
+        seed: seed of the episodes. Nothing was tuned with the default seed, which the reports use.
+        workers: number of processes.
+        progress: called with the number of windows that are done, and of all windows.
 
     Returns:
-        The rows that were asked for.
+        The rows of these methods, cells and episodes.
 
     Raises:
-        ArgumentError: an argument was refused.
+        ArgumentError: an argument is refused.
     """
     from usnet_env.reproduce import purity_report
 
     cells = [Cell(name, clusters, uavs, mobility, head_jitter) for name in dict.fromkeys(follow)]
     for cell in cells:
         MultiClusterEnv(**asdict(cell))
-    chosen = list(dict.fromkeys(methods_of() if methods is None else methods))
+    chosen = list(dict.fromkeys(list_methods() if methods is None else methods))
     if not cells or not chosen or episodes < 1:
-        raise ArgumentError("follow, methods and episodes must leave something to do, got none of one of them.")
+        raise ArgumentError("follow, methods and episodes must not be empty or 0, got none of one of them.")
     tasks = [
         Task(method, cell, first, min(_EPISODES_A_TASK, episodes - first))
         for first in range(0, episodes, _EPISODES_A_TASK)
@@ -245,11 +256,13 @@ def reproduce(
     size = "" if (clusters, uavs) == (5, 82) else f"-M{clusters}N{uavs}"
     suffix = size + flight_suffix(mobility, head_jitter)
     path = folder / f"purity{suffix}-seed{seed}.csv"
-    what = Measurement(Row, partial(play, seed=seed), _keys, lambda row: (row.method, row.cell, row.episode), _order)
+    what = Measurement(
+        Row, partial(cluster_windows, seed=seed), _list_keys, lambda row: (row.method, row.cell, row.episode), _sort_key
+    )
     rows = measure(what, tasks, path, workers, counter(sum(task.count for task in tasks), progress))
     title = (
         f"Purity and head-in-cluster, M={clusters}, N={uavs}, {mobility} heads{' with jitter' if head_jitter else ''}"
     )
     kept = read_rows(path, Row)
-    keep_report(path, purity_report.markdown(kept, title), purity_report.draw(kept, title))
+    keep_report(path, purity_report.format_markdown(kept, title), purity_report.draw_methods(kept, title))
     return rows

@@ -1,0 +1,184 @@
+"""The figures of the paper: one command makes all of them, and the same call gives the same bytes."""
+
+import csv
+import sys
+
+import numpy as np
+import pytest
+
+from usnet_env import ArgumentError
+from usnet_env.cli import main
+from usnet_env.drawing import MissingExtraError, new_figure
+from usnet_env.reproduce import example, figures, metric_learning, purity, purity_report
+from usnet_env.reproduce.figures import FIGURES, Settings, make_figures, write_figure
+from usnet_env.reproduce.rows import write_rows
+
+NAMES = {
+    "detection-rates",
+    "attention-heads-f1-m15",
+    "hierarchy-f1-m15",
+    "meta-loss",
+    "purity",
+    "feature-space",
+    "rounds",
+    "example-m8-n185",
+    "attention-sizes-f7",
+}
+
+
+def write_losses(folder):
+    rows = [
+        metric_learning.Row(training, start, follow, step, 0.5 / (step + 1) + 0.1 * training)
+        for training in range(2)
+        for start in metric_learning.STARTS
+        for follow in ("", "f1")
+        for step in range(3)
+        if (start, follow) != ("random", "")
+    ]
+    path = folder / "metric_learning" / "losses-F30-E1000-seed5.csv"
+    write_rows(path, rows, metric_learning.Row, lambda row: (row.training, row.start, row.follow, row.step))
+
+
+def purity_rows(**values):
+    methods = [purity.Method("kmeans", features, "given") for features in ("raw", "scaled", "gru-single")]
+    return [
+        purity.Row(
+            method.clusterer, method.features, method.count, follow, 5, 82, "iid", False, episode,
+            **{"found": 5, "purity": 0.5, "head_in_cluster": 0.25, "seconds": 0.1} | values,
+        )
+        for method in methods
+        for follow in ("f1", "f2")
+        for episode in range(3)
+    ]  # fmt: skip
+
+
+def test_every_figure_of_the_paper_has_a_name():
+    assert set(FIGURES) == NAMES
+
+
+def test_a_figure_is_written_as_png_and_pdf_and_twice_the_same(tmp_path):
+    write_losses(tmp_path)
+    made = [
+        make_figures(tmp_path / name, only=["meta-loss"], settings=Settings(results=tmp_path, seed=5))
+        for name in ("a", "b")
+    ]
+    assert [file.name for file in made[0]] == ["meta-loss.png", "meta-loss.pdf"]
+    png, pdf = (file.read_bytes() for file in made[0])
+    assert png.startswith(b"\x89PNG")
+    assert pdf.startswith(b"%PDF")
+    assert b"CreationDate" not in pdf
+    assert b"/Type3" not in pdf
+    assert [file.read_bytes() for file in made[1]] == [png, pdf]
+    assert {path.name for path in (tmp_path / "a").iterdir()} == {"meta-loss.png", "meta-loss.pdf"}
+
+
+def test_the_command_makes_the_figures_of_only(tmp_path, capsys):
+    write_losses(tmp_path)
+    words = ["reproduce", "figures", "--results", str(tmp_path), "--seed", "5", "--out", str(tmp_path / "out")]
+    assert main([*words, "--only", "meta-loss"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        str(tmp_path / "out" / f"meta-loss.{kind}") for kind in ("png", "pdf")
+    ]
+    assert main([*words, "--only", "metaloss"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("usnet: only must be one of")
+    assert "did you mean 'meta-loss'?" in said
+
+
+def test_the_command_lists_every_figure(capsys):
+    assert main(["reproduce", "figures", "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"\n    {name} " in shown for name in NAMES)
+
+
+def test_missing_rows_are_one_sentence(tmp_path):
+    for name in ("meta-loss", "purity", "rounds", "detection-rates"):
+        with pytest.raises(ArgumentError, match=r"^results must be a folder with rows in .*seed2022.csv, got"):
+            make_figures(tmp_path / "out", only=[name], settings=Settings(results=tmp_path))
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_matplotlib_the_extra_is_named_before_anything_is_computed(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'usnet\[render\]'"):
+        make_figures(tmp_path, only=["example-m8-n185"], settings=Settings(detector_p2="no detector"))
+
+
+def test_a_place_that_cannot_be_written_is_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ArgumentError, match=r"^path must be a file that can be written"):
+        write_figure(new_figure(1, 1), tmp_path / "file" / "name")
+
+
+def test_figures_of_attention_share_one_answer(tmp_path, monkeypatch):
+    """Both figures of the cluster with m = 15 are drawn from one training, by the detector of P1."""
+    asked = []
+    real = figures.attention.make_detector
+    figures.attention.detect_head.cache_clear()
+    monkeypatch.setattr(figures.attention, "make_detector", lambda name: asked.append(name) or real(name))
+    settings = Settings(
+        detector_p1="gassl(preset='paper', steps=1)" if "paper" in figures.DETECTOR_P1 else "gassl(steps=1)"
+    )
+    for name in ("hierarchy-f1-m15", "attention-heads-f1-m15"):
+        FIGURES[name](settings)
+    assert asked == [settings.detector_p1]
+
+
+def test_purity_is_drawn_for_every_strategy():
+    figure = purity_report.draw_strategies(purity_rows(), "title")
+    axes = figure.axes[0]
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["f1", "f2", "all"]
+    assert [bars.get_label() for bars in axes.containers] == [
+        "K-Means, raw metres",
+        "K-Means, scaled inputs",
+        "metric learning (GRU and K-Means)",
+    ]
+    assert list(axes.containers[0].lines[0].get_ydata()) == pytest.approx([0.5, 0.5, 0.5])
+    estimated = [row for row in purity_rows() if row.count != "given"]
+    with pytest.raises(ArgumentError, match="rows must hold"):
+        purity_report.draw_strategies(estimated, "title")
+
+
+def test_the_example_is_the_first_episode_of_the_rounds():
+    from usnet_env.reproduce.rounds import Cell, Task, play
+
+    record = example.play_example("lagged-regression", 7, clusters=3, uavs=24)
+    (row,) = play(Task("lagged-regression", Cell("f1", 3, 24), 0, 1), 7)
+    assert record.rounds == row.rounds
+    assert record.objective[-1] == pytest.approx(row.J)
+    assert record.attention.shape == (record.rounds, 24, 24)
+
+
+def test_the_example_shows_truth_rounds_and_rates():
+    record = example.play_example("lagged-regression", 7, clusters=3, uavs=24)
+    figure = example.draw_example(record)
+    truth, *shown, rates = (axes for axes in figure.axes if axes.get_visible())
+    assert truth.get_title(loc="left") == "Truth: 3 clusters, 24 UAVs"
+    assert len(shown) == record.rounds
+    strong = (record.attention[0] > 0.1) & ~np.eye(24, dtype=bool)
+    assert len(shown[0].collections[0].get_segments()) == strong.sum() > 0
+    np.testing.assert_allclose(rates.lines[0].get_ydata(), np.append(0, np.cumsum(record.hits)) / 3 * 100)
+    np.testing.assert_allclose(rates.lines[1].get_ydata(), np.append(0, np.cumsum(record.redundant)) / 24 * 100)
+
+
+def test_long_examples_are_cut_and_say_so():
+    record = example.play_example("none", 7, clusters=2, uavs=12)
+    titles = [axes.get_title(loc="left") for axes in example.draw_example(record).axes]
+    assert record.rounds == 20
+    assert "Round 20: 0 hit, 0 redundant  (16 rounds before it are not shown)" in titles
+    assert len(titles) == 6
+
+
+def test_the_committed_rows_are_those_of_the_figures():
+    """The default files are the committed ones, so that the figures can be made in a fresh checkout."""
+    from pathlib import Path
+
+    results = Path(__file__).parents[2] / figures.RESULTS
+    for file in (
+        "metric_learning/losses-F30-E1000-seed2022.csv",
+        "purity/purity-seed2022.csv",
+        "rounds/rounds-seed2022.csv",
+        "table2/episodes-seed2022.csv",
+    ):
+        with (results / file).open(encoding="utf-8") as rows:
+            assert next(csv.reader(rows))

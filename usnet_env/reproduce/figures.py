@@ -1,0 +1,191 @@
+"""All figures of the paper's results, made by one command as PNG and PDF."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.drawing import new_figure
+from usnet_env.files import atomic_write
+from usnet_env.reproduce import (
+    attention,
+    example,
+    metric_learning,
+    purity,
+    purity_report,
+    rounds,
+    rounds_report,
+    table2,
+)
+from usnet_env.reproduce.detection_rate import Row as DetectionRow
+from usnet_env.reproduce.rows import read_rows
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["DETECTOR_P1", "DETECTOR_P2", "FIGURES", "Settings", "make_figures", "write_figure"]
+
+#: The paper's Algorithm 1 and Algorithm 2, by their names as detectors.
+DETECTOR_P1 = "gassl(preset='paper')"
+DETECTOR_P2 = "mc-gassl(preset='paper')"
+RESULTS = "benchmarks/results"  # in the repository: the committed rows
+_DPI = 150
+
+RowT = TypeVar("RowT")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the figures are made from.
+
+    Args:
+        results: folder of the committed rows.
+        seed: seed of the scenes, of the example, and of the committed rows.
+        detector_p1: detector of the attention figures.
+        detector_p2: detector of the example.
+    """
+
+    results: Path = Path(RESULTS)
+    seed: int = 2022
+    detector_p1: str = DETECTOR_P1
+    detector_p2: str = DETECTOR_P2
+
+    def read(self, file: str, kind: type[RowT]) -> list[RowT]:
+        """Read the rows of a file in ``results``.
+
+        Raises:
+            ArgumentError: the file is missing or holds other rows.
+        """
+        rows = read_rows(self.results / file, kind)
+        if not rows:
+            raise ArgumentError(f"results must be a folder with rows in {file}, got {quote(str(self.results))}.")
+        return rows
+
+
+def _draw_attention_heads(settings: Settings) -> Figure:
+    scene = attention.find_scene("f1", 15, 6, settings.seed)
+    return attention.draw_attention_heads(
+        scene, attention.detect_head(scene, settings.detector_p1), settings.detector_p1
+    )
+
+
+def _draw_hierarchy(settings: Settings) -> Figure:
+    scene = attention.find_scene("f1", 15, 6, settings.seed)
+    return attention.draw_hierarchy(scene, attention.detect_head(scene, settings.detector_p1), settings.detector_p1)
+
+
+def _draw_attention_sizes(settings: Settings) -> Figure:
+    scenes = [attention.find_scene("f7", followers, 1, settings.seed) for followers in (2, 5, 10, 25, 40, 50)]
+    answers = [attention.detect_head(scene, settings.detector_p1) for scene in scenes]
+    return attention.draw_attention_sizes(scenes, answers, settings.detector_p1)
+
+
+def _draw_losses(settings: Settings) -> Figure:
+    file = f"metric_learning/losses-F30-E1000-seed{settings.seed}.csv"
+    return metric_learning.draw_losses(settings.read(file, metric_learning.Row))
+
+
+def _draw_purity(settings: Settings) -> Figure:
+    rows = settings.read(f"purity/purity-seed{settings.seed}.csv", purity.Row)
+    return purity_report.draw_strategies(rows, f"Purity of clustering, M = {rows[0].clusters}, N = {rows[0].uavs}")
+
+
+def _draw_feature_spaces(settings: Settings) -> Figure:
+    return metric_learning.draw_feature_spaces(settings.seed)
+
+
+def _draw_rounds(settings: Settings) -> Figure:
+    rows = settings.read(f"rounds/rounds-seed{settings.seed}.csv", rounds.Row)
+    return rounds_report.draw(rows, "P2: rounds, redundancy and J_m", with_paper=True)
+
+
+def _draw_example(settings: Settings) -> Figure:
+    return example.draw_example(example.play_example(settings.detector_p2, settings.seed))
+
+
+def _draw_detection_rates(settings: Settings) -> Figure:
+    rows = settings.read(f"table2/episodes-seed{settings.seed}.csv", DetectionRow)
+    return table2.draw(table2.entries(rows), "Detection rate of P1, one cluster", with_paper=True)
+
+
+#: The figures in the order of the paper, by name.
+FIGURES: dict[str, Callable[[Settings], Figure]] = {
+    "detection-rates": _draw_detection_rates,
+    "attention-heads-f1-m15": _draw_attention_heads,
+    "hierarchy-f1-m15": _draw_hierarchy,
+    "meta-loss": _draw_losses,
+    "purity": _draw_purity,
+    "feature-space": _draw_feature_spaces,
+    "rounds": _draw_rounds,
+    "example-m8-n185": _draw_example,
+    "attention-sizes-f7": _draw_attention_sizes,
+}
+
+
+def make_figures(
+    folder: Path,
+    *,
+    only: Sequence[str] = (),
+    settings: Settings | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Path]:
+    """Make the paper's figures, each as PNG and PDF.
+
+    The tables and curves are drawn from committed rows; the attention, the feature space and the example are computed.
+    A figure appears in ``folder`` as soon as it is made.
+
+    Args:
+        folder: gets ``NAME.png`` and ``NAME.pdf`` of every figure.
+        only: names of :data:`FIGURES`; empty: all of them.
+        settings: what the figures are made from; ``None``: the defaults.
+        progress: called with the number of figures that are made, and of all figures.
+
+    Returns:
+        The files.
+
+    Raises:
+        ArgumentError: an unknown name, missing rows, or ``folder`` can't be written to.
+        MissingExtraError: matplotlib is not installed.
+    """
+    for name in only:
+        if name not in FIGURES:
+            raise unknown_name("only", name, FIGURES)
+    new_figure(1, 1)  # a missing matplotlib is reported before anything is computed
+    names = [name for name in FIGURES if not only or name in only]
+    files: list[Path] = []
+    for done, name in enumerate(names):
+        progress(done, len(names))
+        files += write_figure(FIGURES[name](settings or Settings()), folder / name)
+    progress(len(names), len(names))
+    return files
+
+
+def write_figure(figure: Figure, path: Path) -> list[Path]:
+    """Write a figure as PNG and PDF; the same figure gives the same bytes, and each file appears whole.
+
+    Args:
+        figure: the figure.
+        path: the file's path without its suffix.
+
+    Returns:
+        The two files.
+
+    Raises:
+        ArgumentError: the place can't be written to.
+    """
+    from matplotlib import rc_context
+
+    formats: dict[str, dict[str, Any]] = {
+        "png": {"dpi": _DPI, "metadata": {"Software": None}},
+        "pdf": {"dpi": _DPI, "metadata": {"Creator": None, "Producer": None, "CreationDate": None}},
+    }
+    files = []
+    for suffix, options in formats.items():
+        file = path.with_name(f"{path.name}.{suffix}")
+        with atomic_write(file) as aside, rc_context({"pdf.fonttype": 42}):  # TrueType: publishers refuse Type 3
+            figure.savefig(aside, format=suffix, **options)
+        files.append(file)
+    return files
