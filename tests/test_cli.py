@@ -207,7 +207,7 @@ def test_help_imports_nothing_heavy():
         (["--detector", "lagged-regresion"], ["lagged-regression"]),
         (["--detector", "random(seeed=1)"], ["seeed"]),
         (["--detector", "random(", "--trivial"], ["random("]),
-        (["--detector", "nowhere:Nobody"], ["nowhere"]),
+        (["--detector", "nowhere:Missing"], ["nowhere"]),
         (["--detector", ""], ["detector"]),
         (["--detector", "destroy-all"], ["detector", "twice"]),
         (["--set"], ["--set"]),

@@ -76,6 +76,6 @@ def _listing(what: str) -> list[tuple[str, str]]:
         from usnet_env.swarm import mobilities
 
         return [(name, law.description) for name, law in mobilities().items()]
-    from usnet_env.evaluation.environments import environment_about, usnet_ids
+    from usnet_env.evaluation.environments import describe_environment, usnet_ids
 
-    return [(name, environment_about(name)) for name in usnet_ids()]
+    return [(name, describe_environment(name)) for name in usnet_ids()]
