@@ -21,7 +21,7 @@ from types import FunctionType
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
-from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -305,7 +305,10 @@ def _find_factory(name: str) -> Factory:
     module, colon, attribute = name.partition(":")
     if colon and module and attribute:
         return _load_factory(name, lambda: _import_attribute(module, attribute))
-    raise unknown_name("detector", name, {*_registered, *points, "module:Class"})
+    known = sorted({*_registered, *points})
+    near = get_close_matches(name, known, n=1)
+    hint = f" (did you mean {near[0]!r}?)" if near else ""
+    raise ArgumentError(f"detector must be one of {', '.join(known)}, or module:Class, got {quote(name)}{hint}.")
 
 
 def _import_attribute(module: str, path: str) -> Any:
