@@ -267,7 +267,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             observations[agent] = observation
         return observations
 
-    def _vote(self, agent: str, action: Any) -> NDArray[np.float64]:
+    def _check_vote(self, agent: str, action: Any) -> NDArray[np.float64]:
         """Check an action and convert it to numbers from 0 to 1: one for each UAV, then the message."""
         length = self.config.uavs + self.sensor_config.message_size
         if self.fusion.vote == "candidates":
