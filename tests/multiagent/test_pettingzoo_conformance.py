@@ -205,4 +205,4 @@ except ImportError as error:
     print(error)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
-    assert done.stdout.strip() == "Games of several agents need PettingZoo: pip install 'usnet[multiagent]'."
+    assert done.stdout.strip() == "Games with several agents need PettingZoo: pip install 'usnet[multiagent]'."

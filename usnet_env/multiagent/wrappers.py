@@ -149,9 +149,7 @@ class ParallelBoxMasks(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo
 def _check_game(env: Any) -> Any:
     """Return ``env`` if it is a game in Parallel form."""
     if not isinstance(env, UsnetParallelEnv | BaseParallelWrapper):
-        raise ArgumentError(
-            f"env must be the parallel_env of a usnet_env game, or a wrapper around it, got {quote(env)}."
-        )
+        raise ArgumentError(f"env must be a parallel_env or a wrapper around it, got {quote(env)}.")
     return env
 
 
