@@ -22,8 +22,8 @@ from follow_mixture_strategies import OUT_OF_LIST
 from multiagent_table import RESULTS, SEED, play_cells
 
 from usnet_env.envs import MultiClusterEnv
+from usnet_env.evaluation.agents import as_agent
 from usnet_env.evaluation.episode import play_episode, warm_up
-from usnet_env.evaluation.players import as_player
 from usnet_env.evaluation.statistics import Interval, mean_interval, rate_interval
 from usnet_env.files import atomic_write
 from usnet_env.plugins import make_detector
@@ -52,7 +52,7 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """One episode of the evaluation with seed 2022."""
     env = MultiClusterEnv(follow=cell["follow"], **SWARMS[cell["swarm"]])
     label = cell["detector"]
-    player = as_player(make_detector(DETECTORS[label]))
+    player = as_agent(make_detector(DETECTORS[label]))
     if seed == SEED:
         warm_up(env, player, label, SEED)
     row = play_episode(env, player, label, SEED, seed - SEED)

@@ -1,4 +1,4 @@
-"""The command line, end to end: in this process, and as a process of its own where signals and pipes matter."""
+"""The command line from end to end: in this process, or in a separate one where signals and pipes matter."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from usnet_env import cli
 from usnet_env.cli import main
 from usnet_env.evaluation import METRICS
 
@@ -53,18 +54,18 @@ def process(*words, **options):
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONPATH": path},
-        preexec_fn=hears_ctrl_c,
+        preexec_fn=restore_ctrl_c,
         **options,
     )
 
 
-def hears_ctrl_c():
-    """A shell's background job ignores SIGINT, and so does whatever it starts: the tests below would stop nothing."""
+def restore_ctrl_c():
+    """Restore SIGINT, which a shell's background job and its children ignore: the tests below send it."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def living(group):
-    """Command lines of a process group's members, the defunct ones apart (not every container's init reaps them)."""
+    """Command lines of a process group's members, without defunct ones (not every container's init reaps them)."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -92,7 +93,7 @@ def test_json_is_the_summary_and_nothing_else(run):
 def test_the_table_names_detectors_and_metrics(run):
     status, out, _ = run(*QUICK, "--detector", "random")
     assert status == 0
-    for word in ("destroy-all", "random", "J", "redundancy", "precision 1", "AP 1", "s / round", "1.850"):
+    for word in ("destroy-all", "random", "J", "redundancy", "precision", "AP", "seconds", "in round 1", "1.850"):
         assert word in out
 
 
@@ -161,7 +162,7 @@ def test_list_names_all(run, what, names):
     assert (status, err) == (0, "")
     lines = {line.split()[0]: line.split()[1:] for line in out.splitlines()}
     assert set(names) <= set(lines)
-    assert all(lines[name] for name in names)  # each with a word about it
+    assert all(lines[name] for name in names)  # each with a description
 
 
 def test_version_and_help(run):
@@ -172,6 +173,15 @@ def test_version_and_help(run):
         status, out, err = run(*words)
         assert (status, err) == (0, "")
         assert "Usage: usnet" in out
+
+
+@pytest.mark.parametrize("group", [[], ["train"]])
+def test_short_helps_fit_on_one_line_of_a_narrow_terminal(run, monkeypatch, group):
+    monkeypatch.setenv("COLUMNS", "80")
+    out = run(*group, "--help")[1]
+    lines = out.partition("Commands:\n")[2].splitlines()
+    assert len(lines) == len((cli._usnet if not group else cli.train).commands)  # none is wrapped
+    assert all(line.endswith(".") and not line.endswith("...") for line in lines), out
 
 
 def test_help_imports_nothing_heavy():
@@ -207,7 +217,7 @@ def test_help_imports_nothing_heavy():
         (["--detector", "lagged-regresion"], ["lagged-regression"]),
         (["--detector", "random(seeed=1)"], ["seeed"]),
         (["--detector", "random(", "--trivial"], ["random("]),
-        (["--detector", "nowhere:Nobody"], ["nowhere"]),
+        (["--detector", "nowhere:Missing"], ["nowhere"]),
         (["--detector", ""], ["detector"]),
         (["--detector", "destroy-all"], ["detector", "twice"]),
         (["--set"], ["--set"]),
@@ -314,7 +324,7 @@ def test_a_disk_that_cannot_be_written_is_one_sentence(run, tmp_path):
 
 
 @pytest.mark.parametrize(("how", "workers"), [("ctrl-c", 1), ("ctrl-c", 2), ("killed", 2)])
-def test_a_stopped_run_leaves_whole_files_and_the_same_command_goes_on(tmp_path, how, workers):
+def test_a_stopped_run_leaves_whole_files_and_the_same_command_resumes(tmp_path, how, workers):
     words = ["evaluate", "--detector", "sample_detectors:Slow", "--episodes", "12", *SMALL, "--json"]
     words += ["--out", str(tmp_path), "--workers", str(workers)]
     rows = tmp_path / "episodes.csv"
@@ -330,7 +340,7 @@ def test_a_stopped_run_leaves_whole_files_and_the_same_command_goes_on(tmp_path,
     assert out == ""
     if how == "ctrl-c":
         assert running.returncode == 130, err
-        kept = f"Finished episodes are kept in {tmp_path}: the same command goes on from there."
+        kept = f"Finished episodes are kept in {tmp_path}; the same command resumes from there."
         assert err == f"usnet: interrupted. {kept}\n"
         assert {path.name for path in tmp_path.iterdir()} == {"run.json", "episodes.csv"}
     deadline = time.monotonic() + 5  # workers and the standard library's helper end a moment after their parent

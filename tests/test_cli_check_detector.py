@@ -1,4 +1,4 @@
-"""``usnet check-detector``: a table, and a status that a script can go by."""
+"""``usnet check-detector``: its table, and an exit status for scripts."""
 
 from pathlib import Path
 

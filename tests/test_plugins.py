@@ -77,7 +77,7 @@ def own_registry(monkeypatch):
 
 @pytest.fixture
 def installed(monkeypatch):
-    """Adds entry points as if other distributions had brought them."""
+    """Adds entry points as other distributions would."""
 
     def add(*points):
         real = importlib.metadata.entry_points
@@ -181,12 +181,16 @@ def test_any_text_gives_a_detector_or_one_sentence(text):
             r"detector 'lagged-regression' has no argument 'cluster' \(did you mean 'clusters'\?\); "
             r"it takes clusters, lags, squares, ridge\.",
         ),
-        ("none(x=1)", {}, r"detector 'none' has no argument 'x'; it takes none\."),
-        ("random(count=1)", {"count": 1}, r"count must be given once, got it in 'random\(count=1\)' and beside it\."),
+        ("none(x=1)", {}, r"detector 'none' has no argument 'x'; it takes no arguments\."),
+        (
+            "random(count=1)",
+            {"count": 1},
+            r"count must be given once, got it in 'random\(count=1\)' and as a further argument\.",
+        ),
         ("no_such_module:X", {}, r"detector 'no_such_module:X' can't be loaded: ModuleNotFoundError: .*\."),
         ("math:nothing", {}, r"detector 'math:nothing' can't be loaded: AttributeError: .*\."),
         (".relative:X", {}, r"detector '\.relative:X' can't be loaded: .*\."),
-        ("math:pi", {}, r"detector 'math:pi' must be a class or a function that makes one, got 3\.14.*\."),
+        ("math:pi", {}, r"detector 'math:pi' must be a class or a function that returns a detector, got 3\.14.*\."),
         (
             f"{__name__}:Lacking",
             {},
@@ -204,7 +208,7 @@ def test_each_mistake_has_its_sentence(name, arguments, sentence):
 
 def test_a_registered_detector_is_found_by_its_name():
     register_detector("mine", Mine)
-    register_detector("mine", Mine)  # twice the same is no mistake
+    register_detector("mine", Mine)  # registering the same class twice is allowed
     register_detector("five", lambda extra=0: Mine(count=5))
     assert {"mine", "five"} <= set(detector_names())
     assert make_detector("mine(count=4)").count == 4
@@ -237,7 +241,7 @@ def test_labels():
     assert detector_label(NeedsOne(7)) == "NeedsOne(count=7)"
     assert detector_label(Unhashable()) == "Unhashable"
     assert detector_label(make_detector("five(extra=2)")) == "five(extra=2)"
-    with pytest.raises(ArgumentError, match=r"^arguments must be empty for a detector that was already made"):
+    with pytest.raises(ArgumentError, match=r"^arguments must be empty if detector is an object"):
         detector_label(Mine(), {"count": 3})
 
 
@@ -252,7 +256,7 @@ def test_a_label_makes_the_detector_again():
         assert detector_label(make_detector(detector_label(text))) == text
 
 
-def test_a_strangers_entry_point_is_found(installed):
+def test_a_foreign_entry_point_is_found(installed):
     installed(("stranger", f"{__name__}:Mine"))
     assert "stranger" in detector_names()
     assert make_detector("stranger(count=9)").count == 9
@@ -261,7 +265,7 @@ def test_a_strangers_entry_point_is_found(installed):
         register_detector("stranger", NeedsOne)
 
 
-def test_a_broken_stranger_harms_nobody_else(installed, tmp_path, monkeypatch):
+def test_a_broken_foreign_detector_does_not_affect_others(installed, tmp_path, monkeypatch):
     (tmp_path / "broken_stranger.py").write_text("raise OSError('no\\nlicence')\n")
     monkeypatch.syspath_prepend(tmp_path)
     installed(("broken", "broken_stranger:X"), ("stranger", f"{__name__}:Mine"))
@@ -275,7 +279,7 @@ def test_a_broken_stranger_harms_nobody_else(installed, tmp_path, monkeypatch):
         make_detector("broken")
 
 
-def test_a_stranger_cannot_take_the_name_of_ours(installed):
+def test_a_foreign_detector_cannot_take_a_name_of_this_package(installed):
     installed(("random", "a_stranger:Random"))
     with pytest.warns(UserWarning, match="detector 'random' of an unnamed distribution is ignored"):
         assert type(make_detector("random")).__name__ == "RandomDetector"
@@ -287,11 +291,11 @@ def test_a_stranger_cannot_take_the_name_of_ours(installed):
         ("import sys; sys.exit('no licence')", "SystemExit: no licence"),
         ("import nothing_of_that_name", "ModuleNotFoundError: No module named 'nothing_of_that_name'"),
         ("def broken(:", "SyntaxError: invalid syntax"),
-        ("X = 3", "must be a class or a function that makes one, got 3"),
+        ("X = 3", "must be a class or a function that returns a detector, got 3"),
         ("", "AttributeError: .*has no attribute 'X'"),
     ],
 )
-def test_however_a_stranger_breaks_the_others_are_listed(installed, tmp_path, monkeypatch, source, reason):
+def test_however_a_foreign_detector_fails_the_others_are_listed(installed, tmp_path, monkeypatch, source, reason):
     (tmp_path / "breaks.py").write_text(source)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "breaks", raising=False)
@@ -307,7 +311,7 @@ def test_however_a_stranger_breaks_the_others_are_listed(installed, tmp_path, mo
 
 
 @pytest.mark.parametrize(("name", "value"), [("odd", "not a value!"), ("odd", ""), ("an odd name", "a:B")])
-def test_an_entry_point_that_nobody_could_load_is_left_out(installed, name, value):
+def test_a_malformed_entry_point_is_ignored(installed, name, value):
     installed((name, value), ("stranger", f"{__name__}:Mine"))
     with pytest.warns(UserWarning, match=f"detector '{name}' .* is ignored: an entry point must be written"):
         names = detector_names()
@@ -318,7 +322,7 @@ def test_an_entry_point_that_nobody_could_load_is_left_out(installed, name, valu
         assert detector_label(Unhashable()) == "Unhashable"
 
 
-def test_distributions_without_metadata_harm_nobody(monkeypatch):
+def test_distributions_without_metadata_are_accepted(monkeypatch):
     class Half:
         @property
         def name(self):

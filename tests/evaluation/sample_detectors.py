@@ -1,4 +1,4 @@
-"""Small real detectors and policies for the referee's tests; in a module, so that worker processes can import them."""
+"""Small real detectors and policies for these tests; in a module, so that worker processes can import them."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ class Base:
         raise NotImplementedError
 
 
-class Everybody(Base):
+class AllAlive(Base):
     def detect(self, window):
         return Detection(window.alive, window.alive)
 
 
-class Nobody(Base):
+class NoUav(Base):
     def detect(self, window):
         return Detection(np.zeros(window.uavs), np.zeros(window.uavs))
 
 
 class RandomThird(Base):
-    """Names about a third of the living, by its own generator."""
+    """Names about a third of the living UAVs, drawn with its own generator."""
 
     def detect(self, window):
         scores = self.rng.random(window.uavs)
@@ -36,7 +36,7 @@ class RandomThird(Base):
 
 
 class Followed(Base):
-    """Whose velocity do most others repeat a step later? Exact on f1 without noise in the observation."""
+    """Names the UAVs whose velocity most others repeat one step later; exact for f1 without observation noise."""
 
     def __init__(self, clusters=3):
         self.clusters = clusters
@@ -55,7 +55,7 @@ class Followed(Base):
 
 
 class Recorder(Base):
-    """Remembers the first windows and its seeds, and answers with everybody."""
+    """Keeps the first windows and its seeds, and names all living UAVs."""
 
     def __init__(self):
         self.seeds, self.windows = [], []
@@ -89,7 +89,7 @@ class Failing(Base):
 
 
 class FailingWithOne(Base):
-    """Raises in every round in which a certain UAV is alive: in worker processes as well as here."""
+    """Raises in every round, in worker processes as well as in this one."""
 
     def detect(self, window):
         raise ZeroDivisionError("no luck")
@@ -105,8 +105,8 @@ class NoDetection(Base):
         return window.alive
 
 
-class Slow(Everybody):
-    """A tenth of a second a round."""
+class Slow(AllAlive):
+    """Takes a tenth of a second for each round."""
 
     def detect(self, window):
         time.sleep(0.1)
@@ -114,7 +114,7 @@ class Slow(Everybody):
 
 
 class Policy:
-    """Stable-Baselines3's form: names the UAV whose number is the round's, and checks what it is given."""
+    """A policy with Stable-Baselines3's ``predict``: names one UAV a round, and checks its arguments."""
 
     def __init__(self):
         self.starts = 0
@@ -124,10 +124,10 @@ class Policy:
         assert episode_start.shape == (1,)
         assert bool(episode_start[0]) == (state is None)
         self.starts += int(episode_start[0])
-        turn = 0 if state is None else state[0]
+        number = 0 if state is None else state[0]
         action = np.zeros(len(observation["alive"]), np.float32)
-        action[turn % len(action)] = 1
-        return action, (turn + 1,)
+        action[number % len(action)] = 1
+        return action, (number + 1,)
 
 
 class WrongPolicy:

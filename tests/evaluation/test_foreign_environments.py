@@ -1,4 +1,4 @@
-"""An environment that another module registers, in processes of their own."""
+"""An environment that another module registers, evaluated in separate processes."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""A run's folder: whole files, interruption, continuation, and refusal of another run's."""
+"""The folder of a run: atomic files, interruption, resuming, and refusal of another run's folder."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import platform
 
 import pytest
-from sample_detectors import Base, Everybody, Failing, Followed, RandomThird
+from sample_detectors import AllAlive, Base, Failing, Followed, RandomThird
 
 from usnet_env import ArgumentError, Detection, evaluate
 from usnet_env.evaluation import EvaluationError
@@ -17,7 +17,7 @@ SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
 
 
 class Counted(Base):
-    """Answers like RandomThird; a test interrupts it, and looks at how many episodes it has begun."""
+    """Answers like RandomThird; counts the episodes that it has begun, and can be interrupted in one of them."""
 
     def __init__(self):
         self.begun = 0
@@ -68,31 +68,31 @@ def test_a_finished_run_is_read_and_not_repeated(tmp_path):
     detector = Counted()
     first = evaluate(MULTI, detector, episodes=3, env_kwargs=SMALL, out=tmp_path)
     again = evaluate(MULTI, detector, episodes=3, env_kwargs=SMALL, out=tmp_path)
-    assert again.rows == first.rows  # the seconds, too: they are those of the first time
+    assert again.rows == first.rows  # including the seconds, which are those of the first run
     assert again.summary == first.summary
     assert detector.begun == 3
 
 
-def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path):
-    whole = evaluate(MULTI, [Counted(), Everybody()], episodes=5, env_kwargs=SMALL)
+def test_an_interrupted_run_resumes_where_it_stopped(tmp_path):
+    whole = evaluate(MULTI, [Counted(), AllAlive()], episodes=5, env_kwargs=SMALL)
     detector = Counted()
     detector.interrupt_at = 3
     with pytest.raises(KeyboardInterrupt):
-        evaluate(MULTI, [detector, Everybody()], episodes=5, env_kwargs=SMALL, out=tmp_path)
+        evaluate(MULTI, [detector, AllAlive()], episodes=5, env_kwargs=SMALL, out=tmp_path)
     assert files(tmp_path) == {"run.json", "episodes.csv"}
     assert len((tmp_path / "episodes.csv").read_text().splitlines()) == 1 + 2 * 2
     detector.interrupt_at = None
-    resumed = evaluate(MULTI, [detector, Everybody()], episodes=5, env_kwargs=SMALL, out=tmp_path)
+    resumed = evaluate(MULTI, [detector, AllAlive()], episodes=5, env_kwargs=SMALL, out=tmp_path)
     assert untimed(resumed.rows) == untimed(whole.rows)
     assert detector.begun == 3 + 3  # two whole episodes and the broken one, then the three that were missing
 
 
-def test_a_run_may_go_on_with_other_workers(tmp_path):
+def test_a_run_may_resume_with_another_number_of_workers(tmp_path):
     detector = RandomThird()
-    whole = evaluate(MULTI, [detector, Everybody()], episodes=4, env_kwargs=SMALL, out=tmp_path)
+    whole = evaluate(MULTI, [detector, AllAlive()], episodes=4, env_kwargs=SMALL, out=tmp_path)
     lines = (tmp_path / "episodes.csv").read_text().splitlines(keepends=True)
     (tmp_path / "episodes.csv").write_text("".join(lines[:3]))
-    resumed = evaluate(MULTI, [detector, Everybody()], episodes=4, env_kwargs=SMALL, out=tmp_path, workers=2)
+    resumed = evaluate(MULTI, [detector, AllAlive()], episodes=4, env_kwargs=SMALL, out=tmp_path, workers=2)
     assert untimed(resumed.rows) == untimed(whole.rows)
     assert resumed.rows[:2] == whole.rows[:2]
 
@@ -117,7 +117,7 @@ def test_another_run_s_folder_is_refused(tmp_path, changes, name):
     asked = {"env": MULTI, "detector": RandomThird(), "episodes": 2, "env_kwargs": SMALL, "out": tmp_path}
     evaluate(**asked)
     before = (tmp_path / "episodes.csv").read_bytes()
-    with pytest.raises(ArgumentError, match=rf"^out must be .*another .*{name}"):
+    with pytest.raises(ArgumentError, match=rf"^out must be .*different values of .*{name}"):
         evaluate(**(asked | changes))
     assert (tmp_path / "episodes.csv").read_bytes() == before
 
@@ -135,7 +135,7 @@ def test_another_run_s_folder_is_refused(tmp_path, changes, name):
         ("episodes.csv", ",".join(COLUMNS) + "\nRandomThird,99" + ",0" * (len(COLUMNS) - 2) + "\n"),
     ],
 )
-def test_a_folder_that_somebody_edited_is_refused(tmp_path, name, text):
+def test_an_edited_folder_is_refused(tmp_path, name, text):
     asked = {"env": MULTI, "detector": RandomThird(), "episodes": 2, "env_kwargs": SMALL, "out": tmp_path}
     evaluate(**asked)
     (tmp_path / name).write_text(text)
@@ -145,7 +145,7 @@ def test_a_folder_that_somebody_edited_is_refused(tmp_path, name, text):
     assert (tmp_path / name).read_text() == text
 
 
-def test_a_file_or_a_stranger_s_rows_are_refused(tmp_path):
+def test_a_file_and_rows_without_a_run_are_refused(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(ArgumentError, match=r"^out must be a folder"):
         evaluate(MULTI, RandomThird(), episodes=1, env_kwargs=SMALL, out=tmp_path / "file")

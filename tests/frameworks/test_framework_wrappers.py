@@ -78,5 +78,5 @@ def test_what_is_no_game_is_refused(games):
     with pytest.raises(ArgumentError, match=r"env must have votes that are candidates, got Box.* for observer_0"):
         MultiDiscreteVotes(games["observers"](**SMALL, fusion="scores"))
     for wrapper in (MultiDiscreteVotes, ParallelBoxMasks):
-        with pytest.raises(ArgumentError, match="env must be a parallel_env or a wrapper round it, got 3"):
+        with pytest.raises(ArgumentError, match="env must be a parallel_env or a wrapper around it, got 3"):
             wrapper(3)

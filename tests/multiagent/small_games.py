@@ -29,7 +29,7 @@ def drawn(env, rng, observations, share=0.1):
 
 
 def episode(env, seed, actions_seed=0, share=0.1):
-    """Everything that a game says, from reset to its end."""
+    """Everything that a game returns, from reset to its end."""
     rng = np.random.default_rng(actions_seed)
     observations, infos = env.reset(seed=seed)
     steps = [(observations, {}, {}, {}, infos, env.state(), list(env.agents))]

@@ -1,4 +1,4 @@
-"""What the games' docstrings say, against the code."""
+"""The docstrings of the games, compared with the code."""
 
 import inspect
 import re

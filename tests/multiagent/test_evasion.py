@@ -1,4 +1,4 @@
-"""The heads that hide: what their choices do to the flight, what they cost, and who wins what."""
+"""Evasion: how the choices of heads change the flight, their prices, the rewards, and the agents in the game."""
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +11,15 @@ from small_games import drawn, small
 import usnet_env  # noqa: F401  # registers the single-agent environments
 from usnet_env import ArgumentError
 from usnet_env.multiagent import usnet_evasion_v0
-from usnet_env.multiagent.evasion import Delayed, Manoeuvres, Mixed, Plan, fly, handed, price
+from usnet_env.multiagent.evasion import (
+    DelayedFollow,
+    Manoeuvres,
+    MixedMobility,
+    Plan,
+    compute_prices,
+    fly_window,
+    select_decoys,
+)
 from usnet_env.swarm import FollowInputs, SwarmConfig, advance, start
 from usnet_env.swarm.follow import FollowFunction, Lags, Network, StayInRange, follow_strategies
 from usnet_env.swarm.mobility import mobilities, mobility
@@ -35,11 +43,11 @@ def a_swarm(seed=0, **arguments):
 
 def flown(config, state, rngs, plan, manoeuvres=None, before=None):
     before = np.zeros(config.clusters, np.int64) if before is None else before
-    return fly(config, manoeuvres or Manoeuvres(), state, before, plan, rngs)
+    return fly_window(config, manoeuvres or Manoeuvres(), state, before, plan, rngs)
 
 
 def act(env, named=(), **choices):
-    """An action for everybody: whom the observer names, and what heads choose (all 0 unless said)."""
+    """An action for each agent: the candidates of the observer, and the choices of heads (0 by default)."""
     vote = np.zeros(env.config.uavs, np.int8)
     vote[list(named)] = 1
     heads = {agent: choices.get(agent, TRUTHFUL) for agent in env.agents if agent != OBSERVER}
@@ -76,7 +84,7 @@ def test_truthful_heads_fly_as_in_the_single_agent_game(follow, seed):
 )
 def test_a_delay_of_zero_is_the_strategy_itself(strategy):
     config, state, rngs = a_swarm(follow=strategy)
-    late = config.model_copy(update={"follow": Delayed(strategy, np.zeros(20, np.int64))})
+    late = config.model_copy(update={"follow": DelayedFollow(strategy, np.zeros(20, np.int64))})
     twin = [np.random.default_rng(0)]
     start(config, twin)
     _, expected = advance(config, state, rngs)
@@ -92,8 +100,8 @@ def test_a_delay_of_zero_is_the_strategy_itself(strategy):
         (FollowFunction(lambda one: one.head_velocity[:, 1], noise=0.0), lambda v, h, t, d: v[t - 2 - d, h]),
     ],
 )
-def test_followers_of_a_late_head_do_what_it_did_steps_earlier(strategy, direction):
-    """Against the definition, step by step; the other head's followers are on time."""
+def test_delayed_followers_repeat_earlier_steps_of_their_head(strategy, direction):
+    """Against the definition, step by step; the followers of the other head have no delay."""
     config, state, rngs = a_swarm(follow=strategy)
     heads = np.flatnonzero(state.head[0])
     after, sighting, _ = flown(config, state, rngs, plan_of(2, delay=[3, 0]))
@@ -107,8 +115,8 @@ def test_followers_of_a_late_head_do_what_it_did_steps_earlier(strategy, directi
 
 
 @pytest.mark.parametrize("strategy", [StayInRange(noise=0.0), Network(noise=0.0)])
-def test_a_late_follower_sees_its_heads_old_positions_too(strategy):
-    """Against equation (1) in NumPy, with the head's track shifted by the delay; f6 sees its head in reach or not."""
+def test_delayed_followers_see_old_positions_of_their_head(strategy):
+    """Against equation (1) in NumPy, with the head's track shifted by the delay; f6 depends on the distance."""
     config, state, rngs = a_swarm(follow=strategy, formation="around", seed=3)
     heads = np.flatnonzero(state.head[0])
     _, sighting, _ = flown(config, state, rngs, plan_of(2, delay=[2, 4]))
@@ -129,15 +137,15 @@ def test_a_late_follower_sees_its_heads_old_positions_too(strategy):
 
 def test_decoys_fly_by_themselves_and_leave_their_head_a_follower():
     config, state, rngs = a_swarm(cluster_sizes=(2, 16), follow=Lags(1, noise=0.0))
-    who, rows = handed(state, plan_of(2, decoys=[5, 5]))
-    assert sorted(np.bincount(rows)) == [1, 5]  # of 2 followers one is kept
+    who, rows = select_decoys(state, plan_of(2, decoys=[5, 5]))
+    assert sorted(np.bincount(rows)) == [1, 5]  # the head with 2 followers keeps one
     _, sighting, _ = flown(config, state, rngs, plan_of(2, decoys=[5, 5]))
     v = sighting.velocity[0]
     heads = np.flatnonzero(state.head[0])
     for i in np.flatnonzero(~state.head[0]):
         follows = np.allclose(v[1:, i], v[:-1, state.leader[0, i]], atol=1e-5)
         assert follows != (i in who)
-    for row, head in enumerate(heads):  # the nearest ones, whoever else there is
+    for row, head in enumerate(heads):  # the nearest followers are selected
         mine = np.flatnonzero((state.leader[0] == head) & ~state.head[0])
         away = np.linalg.norm(state.position[0, mine] - state.position[0, head], axis=1)
         taken = np.isin(mine, who[rows == row])
@@ -183,7 +191,7 @@ def test_jitter_is_the_followers_noise():
 @pytest.mark.parametrize("name", sorted(mobilities()))
 def test_a_mix_of_one_law_is_that_law(name):
     law = mobility(name)
-    mixed = Mixed((law,), np.zeros(4, np.int64), np.zeros(4, bool), 0.05)
+    mixed = MixedMobility((law,), np.zeros(4, np.int64), np.zeros(4, bool), 0.05)
     a, b = np.random.default_rng(0), np.random.default_rng(0)
     one, other = law.start(a, 4), mixed.start(b, 4)
     np.testing.assert_array_equal(one, other)
@@ -200,10 +208,10 @@ def test_the_price_by_its_formula():
     heads = np.flatnonzero(state.head[0])
     led = np.array([((state.leader[0] == head) & ~state.head[0]).sum() for head in heads])
     offer = Manoeuvres(mobility_price=0.3, jitter_price=0.2, decoy_price=2.0, delay_price=0.1)
-    got = price(offer, state, plan_of(2, mobility=[2, 0], jitter=[1, 0], decoys=[2, 1], delay=[0, 4]))
+    got = compute_prices(offer, state, plan_of(2, mobility=[2, 0], jitter=[1, 0], decoys=[2, 1], delay=[0, 4]))
     expected = [(led[0] + 1) * 0.5 + 2.0 * 2, 2.0 * 1 + 0.1 * 4 * (led[1] - 1)]
     np.testing.assert_allclose(got, np.array(expected) / 20)
-    assert price(offer, state, plan_of(2)).tolist() == [0.0, 0.0]
+    assert compute_prices(offer, state, plan_of(2)).tolist() == [0.0, 0.0]
 
 
 @settings(max_examples=40, deadline=None)
@@ -232,7 +240,7 @@ def test_zero_sum_on_j_m_up_to_the_price(seed, share, scale):
     assert infos[OBSERVER]["J"] == pytest.approx(rounds + redundant / 20)
 
 
-# --- who is in the game ----------------------------------------------------------------------------------------------
+# --- agents in the game ---------------------------------------------------------------------------------------------
 
 
 def test_destroyed_heads_leave_and_the_rest_plays_on():
@@ -245,7 +253,7 @@ def test_destroyed_heads_leave_and_the_rest_plays_on():
     assert env.possible_agents == [OBSERVER, "head_0", "head_1", "head_2"]
     assert terminations == {OBSERVER: False, "head_0": False, "head_1": True, "head_2": False}
     assert not any(truncations.values())
-    assert (rewards["head_1"], infos["head_1"]["price"]) == (1.0, 0.0)  # its choice is void, its last reward is not
+    assert (rewards["head_1"], infos["head_1"]["price"]) == (1.0, 0.0)  # it gets its last reward, and pays nothing
     assert set(observations) == set(env.possible_agents)
     assert not observations["head_1"]["alive"][heads[1]]
     observations, rewards, *_ = env.step(act(env, [heads[0]]))
@@ -258,7 +266,7 @@ def test_destroyed_heads_leave_and_the_rest_plays_on():
     assert not observations[OBSERVER]["seen"].any()
 
 
-def test_whoever_is_left_after_the_last_round_is_truncated():
+def test_agents_that_remain_after_the_last_round_are_truncated():
     env = small("evasion", max_rounds=2)
     env.reset(seed=0)
     env.step(act(env))
@@ -269,7 +277,7 @@ def test_whoever_is_left_after_the_last_round_is_truncated():
     assert (env.agents, infos[OBSERVER]["round"]) == ([], 2)
 
 
-def test_what_the_observer_names_in_the_opening_does_not_count():
+def test_candidates_in_the_opening_do_not_count():
     env = small("evasion")
     observations, _ = env.reset(seed=0)
     assert not observations[OBSERVER]["seen"].any()
@@ -281,7 +289,7 @@ def test_what_the_observer_names_in_the_opening_does_not_count():
     assert (infos[OBSERVER]["round"], infos[OBSERVER]["J"], rewards[OBSERVER]) == (0, 0.0, 0.0)
 
 
-def test_what_a_head_knows():
+def test_the_observation_of_a_head():
     env = small("evasion", cluster_sizes=(2, 2, 13))
     observations, _ = env.reset(seed=4)
     env.step(act(env))
@@ -304,7 +312,7 @@ def test_what_a_head_knows():
 
 
 def test_the_observers_view_has_no_trace_of_roles():
-    """Nothing but windows and masks; of the destroyed not even the sign of a zero is left, whatever the heads chose."""
+    """Only windows and masks; values of destroyed UAVs are 0 without a sign, for all choices of the heads."""
     env = small("evasion", miss_rate=0.2)
     observations, infos = env.reset(seed=0)
     everything = {f"head_{j}": [2, 1, 2, 4] for j in range(3)}
@@ -335,7 +343,7 @@ def test_the_observers_view_has_no_trace_of_roles():
         ({"most_delay": 2.5}, "most_delay must be a whole number, got 2.5"),
         ({"decoy_price": np.nan}, "decoy_price must be a finite number, got nan"),
         ({"delay_price": -1.0}, "delay_price must be greater than or equal to 0"),
-        ({"follow": "none"}, "follow must be a strategy by which followers follow, got 'none'"),
+        ({"follow": "none"}, "follow must be a follow strategy other than 'none', got 'none'"),
         ({"follow": "f3", "memory": 6}, "memory must be at least 7 for follow='f3' and most_delay=4, got 6"),
         ({"max_cycles": 1}, "max_cycles must be None or a whole number from 2, got 1"),
         ({"render_mode": "human"}, "render_mode must be 'rgb_array' or None, got 'human'"),

@@ -1,4 +1,4 @@
-"""The observers: what each sees, what they say to each other, and how their votes become candidates."""
+"""Observers: what each sees, their messages, and how their votes are combined into candidates."""
 
 import gymnasium as gym
 import numpy as np
@@ -11,16 +11,16 @@ from small_games import SMALL, small
 import usnet_env  # noqa: F401  # registers the single-agent environments
 from usnet_env import ArgumentError, Window
 from usnet_env.multiagent import Fusion, fusions, register_fusion, usnet_observers_v0
-from usnet_env.multiagent.sight import Sight, placements, team_sight
+from usnet_env.multiagent.sensors import SensorConfig, merge_sightings, placements
 from usnet_env.swarm.formation import ARENA
 
 
 def votes(env, named):
-    """A vote for every observer: whom each names."""
+    """A vote for every observer, from the UAVs that each names."""
     actions = {}
-    for agent, who in zip(env.agents, named, strict=True):
+    for agent, uavs in zip(env.agents, named, strict=True):
         actions[agent] = np.zeros(env.action_space(agent).shape, env.action_space(agent).dtype)
-        actions[agent][list(who)] = 1
+        actions[agent][list(uavs)] = 1
     return actions
 
 
@@ -28,7 +28,7 @@ def votes(env, named):
 @pytest.mark.parametrize(
     "more", [{}, {"sample_every": 3, "decoys": 1}, {"mobility": "gauss_markov", "head_jitter": True}]
 )
-def test_one_observer_who_sees_all_plays_the_single_agent_game(seed, more):
+def test_one_observer_that_sees_all_plays_the_single_agent_game(seed, more):
     single = gym.make("USNET/MultiCluster-v0", **SMALL, **more).unwrapped
     env = usnet_observers_v0.parallel_env(**SMALL, **more, observers=1, sensing_range=1e5)
     expected, _ = single.reset(seed=seed)
@@ -46,24 +46,24 @@ def test_one_observer_who_sees_all_plays_the_single_agent_game(seed, more):
         over = terminated or truncated
 
 
-def test_an_observer_sees_who_is_in_range_and_nobody_else():
+def test_an_observer_sees_only_the_uavs_in_range():
     env = usnet_observers_v0.parallel_env(**SMALL, observers=2, sensing_range=(300.0, 500.0), mobility="straight")
     everything = usnet_observers_v0.parallel_env(**SMALL, observers=1, sensing_range=1e5, mobility="straight")
     for seed in range(5):
         observations, _ = env.reset(seed=seed)
         truth = everything.reset(seed=seed)[0]["observer_0"]
-        for agent, reach in zip(env.agents, (300.0, 500.0), strict=True):
+        for agent, limit in zip(env.agents, (300.0, 500.0), strict=True):
             seen = observations[agent]
             away = np.linalg.norm(truth["position"] - seen["place"], axis=-1)
-            np.testing.assert_array_equal(seen["seen"], away <= reach)
-            np.testing.assert_array_equal(seen["position"], truth["position"] * (away <= reach)[..., None])
-            both = (away[1:] <= reach) & (away[:-1] <= reach)
+            np.testing.assert_array_equal(seen["seen"], away <= limit)
+            np.testing.assert_array_equal(seen["position"], truth["position"] * (away <= limit)[..., None])
+            both = (away[1:] <= limit) & (away[:-1] <= limit)
             np.testing.assert_array_equal(seen["velocity"], truth["velocity"] * both[..., None])
-            np.testing.assert_array_equal(seen["legal"], (away <= reach).any(axis=0))
+            np.testing.assert_array_equal(seen["legal"], (away <= limit).any(axis=0))
             Window.from_observation(seen)
 
 
-def test_every_observer_has_noise_of_its_own_and_the_swarm_flies_the_same():
+def test_each_observer_has_its_own_noise_and_the_swarm_flies_the_same():
     def look(**more):
         env = usnet_observers_v0.parallel_env(**SMALL, sensing_range=1e5, **more)
         return env.reset(seed=0)[0], env.swarm
@@ -81,13 +81,13 @@ def test_every_observer_has_noise_of_its_own_and_the_swarm_flies_the_same():
     assert abs(np.corrcoef(errors[0][seen].ravel(), errors[1][seen].ravel())[0, 1]) < 0.1
 
 
-def test_what_the_team_saw_is_what_any_of_them_saw():
+def test_merged_sightings_hold_what_any_observer_saw():
     env = small("observers", position_noise=0.0)
     env.reset(seed=0)
-    together = team_sight(env._sightings)
+    merged = merge_sightings(env._sightings)
     truth = usnet_observers_v0.parallel_env(**SMALL, observers=1, sensing_range=1e5).reset(seed=0)[0]["observer_0"]
-    np.testing.assert_array_equal(together.seen, np.any([one.seen for one in env._sightings], axis=0))
-    np.testing.assert_array_equal(together.position, truth["position"] * together.seen[..., None])
+    np.testing.assert_array_equal(merged.seen, np.any([one.seen for one in env._sightings], axis=0))
+    np.testing.assert_array_equal(merged.position, truth["position"] * merged.seen[..., None])
 
 
 # --- votes -----------------------------------------------------------------------------------------------------------
@@ -124,10 +124,10 @@ def test_one_observer_alone_decides_and_order_does_not_matter(name):
     np.testing.assert_array_equal(rule(sent, seen), rule(sent[::-1], seen[::-1]))
 
 
-def test_votes_count_for_those_seen_and_alive_only():
+def test_votes_count_only_for_seen_and_living_uavs():
     env = usnet_observers_v0.parallel_env(**SMALL, observers=2, sensing_range=(1.0, 1e5))
     env.reset(seed=0)
-    assert not env.step(votes(env, [range(20), ()]))[-1]["observer_0"]["redundant"]  # it sees nobody
+    assert not env.step(votes(env, [range(20), ()]))[-1]["observer_0"]["redundant"]  # it sees no UAV
     assert env.swarm.alive.all()
     follower = int(np.flatnonzero(~env.swarm.head)[0])
     _, rewards, *_ = env.step(votes(env, [(), [follower]]))
@@ -136,7 +136,7 @@ def test_votes_count_for_those_seen_and_alive_only():
     assert env.step(votes(env, [(), [follower]]))[-1]["observer_1"]["redundant"] == 0  # destroyed already
 
 
-def test_the_reward_is_shared_and_everybody_ends_together():
+def test_all_observers_share_the_reward_and_end_together():
     env = small("observers", sensing_range=1e5, fusion="majority")
     env.reset(seed=0)
     heads = np.flatnonzero(env.swarm.head)
@@ -163,8 +163,8 @@ def test_summed_scores():
         [0, 0.2, 0.3],
     )
     env.step(sent)
-    np.testing.assert_array_equal(env.decided.candidates[:3], [True, True, False])
-    np.testing.assert_allclose(env.decided.scores[:3], [1.6, 1.6, 1.4])
+    np.testing.assert_array_equal(env.last_round.candidates[:3], [True, True, False])
+    np.testing.assert_allclose(env.last_round.scores[:3], [1.6, 1.6, 1.4])
 
 
 def test_messages_arrive_with_the_next_window():
@@ -182,19 +182,19 @@ def test_messages_arrive_with_the_next_window():
     assert "messages" not in small("observers", message_size=0).reset(seed=0)[0]["observer_0"]
 
 
-# --- places ----------------------------------------------------------------------------------------------------------
+# --- positions -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("observers", [1, 2, 3, 4, 7, 8])
 @pytest.mark.parametrize("placement", sorted(placements()))
-def test_observers_stand_in_the_arena(observers, placement):
-    places = Sight(observers=observers, placement=placement).places(np.random.default_rng(0))
+def test_observers_are_in_the_arena(observers, placement):
+    places = SensorConfig(observers=observers, placement=placement).draw_positions(np.random.default_rng(0))
     assert places.shape == (observers, 3)
     assert ((places >= 0) & (places <= ARENA)).all()
     assert len(np.unique(places, axis=0)) == observers
 
 
-def test_the_grid_is_the_same_in_every_episode_and_uniform_places_are_not():
+def test_grid_positions_are_fixed_and_uniform_ones_are_drawn_for_each_episode():
     for placement, fixed in (("grid", True), ("uniform", False)):
         env = small("observers", placement=placement)
         places = [env.reset(seed=seed)[0]["observer_1"]["place"] for seed in (0, 1, 0)]
@@ -238,14 +238,14 @@ def test_a_wrong_vote_is_refused(fusion, action):
         env.step({**votes(env, [(), (), ()]), "observer_1": action})
 
 
-def test_a_rule_of_ones_own():
-    first = Fusion("candidates", lambda sent, seen: sent[0] > 0, "whoever the first one names")
+def test_a_registered_fusion_rule():
+    first = Fusion("candidates", lambda sent, seen: sent[0] > 0, "UAVs that the first observer names")
     register_fusion("first", first)
     register_fusion("first", first)
     env = small("observers", sensing_range=1e5, fusion="first")
     env.reset(seed=0)
     env.step(votes(env, [[1], [2], [3]]))
-    assert np.flatnonzero(env.decided.candidates).tolist() == [1]
+    assert np.flatnonzero(env.last_round.candidates).tolist() == [1]
     with pytest.raises(ArgumentError, match="name must be a new one, got 'union'"):
         register_fusion("union", first)
     with pytest.raises(ArgumentError, match="name must be a non-empty name"):

@@ -70,7 +70,7 @@ def test_render(game):
 
 @both_games
 def test_max_cycles(game):
-    """With one shot a round at most, drawn actions destroy nobody and only ``max_cycles`` ends the game."""
+    """With one shot a round at most, drawn actions destroy no UAV, and only ``max_cycles`` ends the game."""
     module = SimpleNamespace(
         parallel_env=lambda max_cycles: small(game, shot_budget=1, max_cycles=max_cycles),
         env=lambda max_cycles: small(game, "env", shot_budget=1, max_cycles=max_cycles),
@@ -184,9 +184,9 @@ def test_registered_in_both_forms(game):
     name = f"usnet_{game}_v0"
     register_games()  # a second time: no warning about an id that is taken
     parallel = pettingzoo.make("parallel", name, clusters=2, uavs=12)
-    in_turns = pettingzoo.make("aec", name, clusters=2, uavs=12)
+    aec = pettingzoo.make("aec", name, clusters=2, uavs=12)
     assert parallel.config.uavs == 12
-    assert str(parallel) == str(in_turns.unwrapped) == name
+    assert str(parallel) == str(aec.unwrapped) == name
     assert pettingzoo.make("parallel", name, max_cycles=3).rules.max_rounds == {"observers": 3, "evasion": 2}[game]
 
 
@@ -205,4 +205,4 @@ except ImportError as error:
     print(error)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
-    assert done.stdout.strip() == "Games of several agents need PettingZoo: pip install 'usnet[multiagent]'."
+    assert done.stdout.strip() == "Games with several agents need PettingZoo: pip install 'usnet[multiagent]'."

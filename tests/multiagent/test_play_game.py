@@ -1,4 +1,4 @@
-"""Scripted policies, whole games, pictures and records, and the wrapper with one number for an action."""
+"""Scripted policies, whole games, pictures and records, and the wrapper for discrete actions."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ HEADS = {"truthful": TruthfulHead(), "camouflaged": CamouflagedHead(), "random":
 
 
 class Noting:
-    """A detector that names the first living UAV and keeps what it was shown."""
+    """A detector that names the first living UAV and keeps its windows and seeds."""
 
     def __init__(self):
         self.windows, self.seeds = [], []
@@ -66,8 +66,8 @@ def test_every_detector_votes(fusion, observer):
     assert pytest.approx(game.rounds + game.redundant / 20) == game.J
 
 
-def test_the_best_detector_solves_the_truthful_swarm_and_late_followers_escape_it():
-    """What the pay-off table shows at length, on three seeds."""
+def test_lagged_regression_solves_the_truthful_swarm_and_delayed_followers_evade_it():
+    """The main result of the pay-off table, on three seeds."""
     env = usnet_evasion_v0.parallel_env()
     detector = DetectorObserver(make_detector("lagged-regression"))
     late = CamouflagedHead(mobility=0, decoys=0)
@@ -84,7 +84,7 @@ def test_the_best_detector_solves_the_truthful_swarm_and_late_followers_escape_i
     assert np.mean(hidden) > 5
 
 
-def test_a_camouflaged_head_does_what_it_can():
+def test_a_camouflaged_head_chooses_the_largest_legal_values():
     env = small("evasion")
     observations, _ = env.reset(seed=0)
     observations, *_ = env.step(drawn(env, np.random.default_rng(0), observations))
@@ -118,8 +118,8 @@ def test_a_detector_sees_what_its_observer_saw_and_nothing_else():
     np.testing.assert_array_equal(window.alive, legal)
     np.testing.assert_array_equal(window.seen, observations["observer_0"]["seen"])
     assert np.flatnonzero(vote).tolist() == [np.flatnonzero(legal)[0]]
-    nobody = {**observations["observer_0"], "legal": np.zeros(20, np.int8)}
-    assert not policy.act(nobody).any()
+    unseen = {**observations["observer_0"], "legal": np.zeros(20, np.int8)}
+    assert not policy.act(unseen).any()
     assert len(policy.detector.windows) == 1
 
 
@@ -145,7 +145,7 @@ def test_scores_for_a_vote():
     assert not vote(candidates=[False] * 4, scores=scores).any()
 
 
-def test_each_agent_has_a_copy_of_its_policy_and_a_seed_of_its_own():
+def test_each_agent_has_its_own_copy_of_the_policy_and_its_own_seed():
     seen = []
 
     class Kept(RandomObserver):
@@ -159,7 +159,7 @@ def test_each_agent_has_a_copy_of_its_policy_and_a_seed_of_its_own():
     assert 0 not in {seed for _, seed in seen}
 
 
-def test_a_policy_of_one_agent_need_not_be_such_that_it_can_be_copied():
+def test_a_policy_of_one_agent_is_not_copied():
     class Uncopied(RandomObserver):
         def __deepcopy__(self, memory):
             raise TypeError("cannot pickle '_thread.lock' object")
@@ -169,11 +169,13 @@ def test_a_policy_of_one_agent_need_not_be_such_that_it_can_be_copied():
     assert played.returns == again.returns
 
 
-def test_who_has_no_policy_is_named():
+def test_the_error_names_the_agent_without_a_policy():
     env = small("evasion")
-    with pytest.raises(ArgumentError, match=r"policies must name head_0 or its role head, got \['observer'\]"):
+    with pytest.raises(
+        ArgumentError, match=r"policies must hold a policy for head_0 or its role head, got \['observer'\]"
+    ):
         play_game(env, {"observer": RandomObserver()}, 0)
-    with pytest.raises(ArgumentError, match="env must be the parallel_env of a game of this project"):
+    with pytest.raises(ArgumentError, match="env must be the parallel_env of a usnet_env game"):
         play_game(small("evasion", "env"), {}, 0)
     with pytest.raises(ArgumentError, match="detector must have the methods reset and detect"):
         DetectorObserver(3)
@@ -202,7 +204,7 @@ def test_a_game_is_kept_replayed_and_drawn(game, tmp_path):
     assert write_picture(record, tmp_path / "episode.png").stat().st_size > 0
 
 
-def test_handed_decoys_follow_nobody_in_the_record():
+def test_decoys_of_a_window_have_no_head_in_the_record():
     env = small("evasion", max_rounds=2)
     policies = {"observer": DetectorObserver(make_detector("none")), "head": CamouflagedHead()}
     record = EpisodeRecord(**play_game(env, policies, 1).record)
@@ -217,7 +219,7 @@ def test_handed_decoys_follow_nobody_in_the_record():
 
 
 @pytest.mark.parametrize("game", ["observers", "evasion"])
-def test_frames_show_the_round_that_was_decided(game):
+def test_frames_show_the_last_round(game):
     pytest.importorskip("matplotlib")
     env = small(game, render_mode="rgb_array", max_rounds=3)
     env.reset(seed=0)
@@ -231,7 +233,7 @@ def test_frames_show_the_round_that_was_decided(game):
     assert small(game).render() is None
 
 
-# --- one number for an action ----------------------------------------------------------------------------------------
+# --- discrete actions -----------------------------------------------------------------------------------------------
 
 
 def test_discrete_actions_are_the_games_own():
@@ -261,7 +263,9 @@ def test_discrete_actions_are_the_games_own():
 def test_the_action_mask_says_what_is_legal():
     env = DiscreteActions(usnet_evasion_v0.parallel_env(**SMALL, cluster_sizes=(2, 2, 13)))
     observations, _ = env.reset(seed=0)
-    assert np.flatnonzero(observations["observer_0"]["action_mask"]).tolist() == [20]  # nobody, in the opening
+    assert np.flatnonzero(observations["observer_0"]["action_mask"]).tolist() == [
+        20
+    ]  # only "no UAV" is legal in the opening
     assert {int(observations[f"head_{j}"]["action_mask"].sum()) for j in range(3)} == {3 * 2 * 2 * 5, 3 * 2 * 3 * 5}
     for j in range(3):
         seen = observations[f"head_{j}"]
@@ -284,7 +288,7 @@ def test_a_number_out_of_range_is_refused(action):
         env.step({**dict.fromkeys(env.agents, 0), "observer_0": action})
 
 
-def test_what_cannot_be_numbered_is_refused():
+def test_actions_that_cannot_be_numbered_are_refused():
     with pytest.raises(ArgumentError, match="env must have votes that are candidates"):
         DiscreteActions(small("observers", fusion="scores"))
     with pytest.raises(ArgumentError, match="env must be the parallel_env"):

@@ -1,7 +1,7 @@
 """The command line: ``usnet evaluate``, ``demo``, ``reproduce``, ``train``, ``check-detector`` and ``list``.
 
-No traceback reaches the user: whatever is refused or fails is one sentence on standard error. Everything heavy is
-imported by the command that needs it, so that ``usnet --help`` answers at once.
+Every refusal or failure is one sentence on standard error, without a traceback. Each command imports its heavy
+modules itself, so that ``usnet --help`` is fast.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from collections.abc import Sequence
 
 import click
 
-from usnet_env.cli.inspection import check_detector, list_
-from usnet_env.cli.play import demo, evaluate
+from usnet_env.cli.evaluation import demo, evaluate
+from usnet_env.cli.list_and_check import check_detector, list_
+from usnet_env.cli.output import print_message
 from usnet_env.cli.reproduce import reproduce
 from usnet_env.cli.train import train
-from usnet_env.cli.words import say
 from usnet_env.config import ArgumentError
 
 __all__ = ["main"]
@@ -28,7 +28,7 @@ _REFUSED, _FAILED, _INTERRUPTED = 2, 1, 130
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="usnet", prog_name="usnet", message="%(prog)s %(version)s")
 def _usnet() -> None:
-    """Who leads this swarm? Environments, a referee and detectors for finding the cluster heads of a UAV swarm."""
+    """Simulate UAV swarms, find their cluster heads with detectors, and score the detectors."""
 
 
 for _command in (evaluate, demo, reproduce, train, check_detector, list_):
@@ -36,24 +36,24 @@ for _command in (evaluate, demo, reproduce, train, check_detector, list_):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line.
+    """Run the command line and return its exit status.
 
     Args:
-        argv: the words after ``usnet``; by default those of this process.
+        argv: the arguments after ``usnet``; by default those of this process.
 
     Returns:
-        The exit status: 0, 1 if something failed, 2 if an argument was refused or a detector failed, 130 if it was
-        interrupted.
+        The exit status: 0 for success, 1 for a failure, 2 if an argument was refused or a detector failed, 130 after an
+        interruption.
     """
     if "" not in sys.path and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # a console script does not look there, but module:Class often lies there
+        sys.path.insert(0, os.getcwd())  # a console script lacks it, but module:Class is often there
     try:
         with _usnet.make_context("usnet", list(sys.argv[1:] if argv is None else argv)) as context:
             try:
                 _usnet.invoke(context)
                 sys.stdout.flush()
             except (KeyboardInterrupt, EOFError):
-                say(f"interrupted. {context.obj or ''}".rstrip())
+                print_message(f"interrupted. {context.obj or ''}".rstrip())
                 return _INTERRUPTED
         return 0
     except click.exceptions.Exit as end:
@@ -62,34 +62,34 @@ def main(argv: Sequence[str] | None = None) -> int:
         click.echo(error.format_message(), err=True)
         return _REFUSED
     except click.ClickException as error:
-        say(" ".join(error.format_message().split()).rstrip(".") + ".")
+        print_message(" ".join(error.format_message().split()).rstrip(".") + ".")
         return _REFUSED
     except KeyboardInterrupt:
-        say("interrupted.")
+        print_message("interrupted.")
         return _INTERRUPTED
-    except BrokenPipeError:  # the reader of our output has gone, as `head` does
+    except BrokenPipeError:  # the program that reads our output has ended, for example `head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _FAILED
     except ArgumentError as error:
-        say(str(error))
+        print_message(str(error))
         return _REFUSED
     except Exception as error:
-        return _failed(error)
+        return _report_failure(error)
 
 
-def _failed(error: Exception) -> int:
-    """What is left: a detector that failed, files that cannot be written, and what should not happen at all."""
+def _report_failure(error: Exception) -> int:
+    """Report a failed detector, a file that cannot be used, too little memory, or an unexpected error."""
     if os.environ.get("USNET_TRACEBACK"):
         traceback.print_exception(error)
-    if type(error).__name__ == "EvaluationError":  # by name: its module is heavy, and may not have been imported
-        say(str(error))
+    if type(error).__name__ == "EvaluationError":  # compared by name, because its module is slow to import
+        print_message(str(error))
         return _REFUSED
     if isinstance(error, OSError) and error.strerror:
-        say(f"cannot use {error.filename or 'a file'}: {error.strerror}.")
+        print_message(f"cannot use {error.filename or 'a file'}: {error.strerror}.")
         return _FAILED
     if isinstance(error, MemoryError):
-        say("there is not enough memory for this; try fewer UAVs, observation steps or workers.")
+        print_message("not enough memory; try fewer UAVs, observation steps or workers.")
         return _FAILED
     text = " ".join(str(error).split())
-    say(f"failed with {type(error).__name__}: {text.rstrip('.')}. USNET_TRACEBACK=1 shows where.")
+    print_message(f"failed with {type(error).__name__}: {text.rstrip('.')}. USNET_TRACEBACK=1 shows where.")
     return _FAILED

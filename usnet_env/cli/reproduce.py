@@ -11,12 +11,13 @@ from typing import Any
 
 import click
 
-from usnet_env.cli.words import WholeNumber, progress_bar, show_markdown
+from usnet_env.cli.options import WholeNumber
+from usnet_env.cli.output import progress_bar, show_markdown
 
 __all__ = ["reproduce"]
 
 
-@click.group()
+@click.group(short_help="Reproduce a table or figure of the paper.")
 def reproduce() -> None:
     """Reproduce the tables and figures of the paper."""
 

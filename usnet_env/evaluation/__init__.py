@@ -1,4 +1,4 @@
-"""The referee: detectors meet the same swarms, and every number stands with its interval."""
+"""The evaluator: it plays all detectors against the same swarms and reports each metric with a 95 % interval."""
 
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.metrics import METRICS

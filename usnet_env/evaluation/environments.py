@@ -1,4 +1,4 @@
-"""Environments by id: found, checked and made with one sentence for whatever is refused."""
+"""Find, check and create environments by id; every refusal is one sentence."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 from usnet_env.config import ArgumentError, quote
 
 __all__ = [
-    "environment_about",
-    "environment_arguments",
-    "environment_spec",
+    "describe_environment",
+    "find_environment",
     "is_usnet",
+    "list_arguments",
     "make_environment",
     "usnet_ids",
 ]
@@ -30,11 +30,11 @@ def usnet_ids() -> list[str]:
     return sorted(name for name in gym.registry if name.startswith("USNET/"))
 
 
-def environment_spec(env_id: str) -> EnvSpec:
-    """The registered environment of that id, with or without its module (``"usnet_env:USNET/MultiCluster-v0"``).
+def find_environment(env_id: str) -> EnvSpec:
+    """Return the registered environment of this id, with or without its module (``"usnet_env:USNET/MultiCluster-v0"``).
 
     Raises:
-        ArgumentError: no such module, or no such id; the sentence names the nearest ids.
+        ArgumentError: there is no such module or no such id; the message names the nearest ids.
     """
     module, _, name = env_id.rpartition(":")
     if module:
@@ -49,45 +49,46 @@ def environment_spec(env_id: str) -> EnvSpec:
     raise ArgumentError(f"env must be a registered id, got {quote(env_id)} (near: {', '.join(near)}).")
 
 
-def _creator(spec: EnvSpec) -> Any:
-    """The class or function that makes the environment."""
+def _load_creator(spec: EnvSpec) -> Any:
+    """Return the class or function that creates the environment."""
     return load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
 
 
-def environment_arguments(spec: EnvSpec) -> list[str] | None:
-    """Names of the keyword arguments that the environment takes; ``None`` if it takes any.
+def list_arguments(spec: EnvSpec) -> list[str] | None:
+    """Return the names of the keyword arguments that the environment takes; ``None`` if it takes any name.
 
-    ``render_mode`` is not among them: nobody looks at an evaluation.
+    ``render_mode`` is left out, because an evaluation draws no pictures.
     """
-    parameters = inspect.signature(_creator(spec)).parameters.values()
+    parameters = inspect.signature(_load_creator(spec)).parameters.values()
     if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
         return None
     return [parameter.name for parameter in parameters if parameter.name != "render_mode"]
 
 
 def is_usnet(env: gym.Env[Any, Any]) -> bool:
-    """Whether the environment holds a swarm and a problem for the referee to look at."""
+    """Whether the environment has the ``swarm`` and ``problem`` that the evaluator needs to score it."""
     return _has_truth(type(env.unwrapped))
 
 
-def _has_truth(kind: type) -> bool:
-    return all(hasattr(kind, name) for name in ("swarm", "problem"))
+def _has_truth(env_class: type) -> bool:
+    return all(hasattr(env_class, name) for name in ("swarm", "problem"))
 
 
-def _stranger(spec: EnvSpec) -> ArgumentError:
+def _not_usnet_error(spec: EnvSpec) -> ArgumentError:
     return ArgumentError(f"env must be a USNET environment ({', '.join(usnet_ids())}), got {quote(spec.id)}.")
 
 
 def make_environment(spec: EnvSpec, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
-    """Make the environment.
+    """Create the environment.
 
     Raises:
-        ArgumentError: an argument that it does not take or refuses, or an environment of another kind.
+        ArgumentError: the environment does not take an argument or refuses its value, or it is not a USNET
+            environment.
     """
-    creator = _creator(spec)
+    creator = _load_creator(spec)
     if isinstance(creator, type) and not _has_truth(creator):
-        raise _stranger(spec)
-    known = environment_arguments(spec)
+        raise _not_usnet_error(spec)
+    known = list_arguments(spec)
     for name in env_kwargs:
         if known is not None and name not in known:
             near = get_close_matches(str(name), known, n=1)
@@ -96,13 +97,13 @@ def make_environment(spec: EnvSpec, env_kwargs: Mapping[str, Any]) -> gym.Env[An
     env: gym.Env[Any, Any] = gym.make(spec, disable_env_checker=True, **env_kwargs)
     if not is_usnet(env):
         env.close()
-        raise _stranger(spec)
+        raise _not_usnet_error(spec)
     return env
 
 
-def environment_about(env_id: str) -> str:
-    """One line about a registered id: the first of its class's docstring, and the arguments that it sets."""
+def describe_environment(env_id: str) -> str:
+    """Describe a registered id in one line: the first line of its class's docstring, and the arguments that it sets."""
     spec = gym.registry[env_id]
-    line = (inspect.getdoc(_creator(spec)) or "").partition("\n")[0]
+    line = (inspect.getdoc(_load_creator(spec)) or "").partition("\n")[0]
     presets = ", ".join(f"{name}={value}" for name, value in spec.kwargs.items())
     return f"{line} ({presets})" if presets else line

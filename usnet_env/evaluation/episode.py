@@ -1,4 +1,4 @@
-"""One episode between an environment and a player, scored."""
+"""Play one episode with one agent, and score it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError
+from usnet_env.evaluation.agents import Agent, Answer
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.metrics import episode_metrics
-from usnet_env.evaluation.players import Answer, Player
 
 __all__ = ["Row", "episode_seeds", "play_episode", "warm_up"]
 
@@ -19,64 +19,74 @@ Row = dict[str, Any]
 
 
 def episode_seeds(seed: int, episode: int) -> tuple[int, int]:
-    """The swarm's and the detector's seed of one episode, from two separate branches of (seed, episode).
+    """Derive the seeds of one episode: one for the swarm, one for the detector.
 
-    Neither can be computed from the other, so no detector can rebuild its swarm from what it is given.
+    They come from two separate branches of (``seed``, ``episode``), so that the random numbers of a detector are
+    independent of those of its swarm. The detector's seed does not hide the swarm: ``seed`` and ``episode`` are small
+    numbers, so a program that searches all pairs of them for its own seed can compute the swarm's seed as well.
+
+    Args:
+        seed: the seed of the evaluation.
+        episode: number of the episode, from 0.
+
+    Returns:
+        The swarm's seed, below 2^63, and the detector's seed, below 2^31.
     """
     swarm, detector = (np.random.SeedSequence(seed, spawn_key=(episode, branch)) for branch in (0, 1))
-    return int(swarm.generate_state(1, np.uint64)[0] >> np.uint64(1)), int(
-        detector.generate_state(1)[0] >> np.uint32(1)
-    )
+    swarm_seed = int(swarm.generate_state(1, np.uint64)[0] >> np.uint64(1))
+    return swarm_seed, int(detector.generate_state(1)[0] >> np.uint32(1))
 
 
-def _failure(label: str, where: str, error: Exception) -> EvaluationError:
+def _detector_error(label: str, where: str, error: Exception) -> EvaluationError:
     text = " ".join(str(error).split())
     cause = text if isinstance(error, ArgumentError) else f"{type(error).__name__}: {text}".rstrip(": ")
     return EvaluationError(f"detector {label!r} failed in {where}: {cause.rstrip('.')}.")
 
 
-def warm_up(env: gym.Env[Any, Any], player: Player, label: str, seed: int) -> None:
-    """Let the player answer the first window of episode 0 once, untimed."""
+def warm_up(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int) -> None:
+    """Let the agent answer the first window of episode 0 once, before anything is timed."""
     observation, _ = env.reset(seed=episode_seeds(seed, 0)[0])
     try:
-        player.warm_up(observation)
+        agent.warm_up(observation)
     except Exception as error:
-        raise _failure(label, "its warm-up", error) from error
+        raise _detector_error(label, "its warm-up", error) from error
 
 
-def play_episode(env: gym.Env[Any, Any], player: Player, label: str, seed: int, episode: int) -> Row:
+def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int, episode: int) -> Row:
     """Play one episode to its end.
 
     Args:
         env: a USNET environment.
-        player: who answers.
-        label: its name in the row, and in errors.
-        seed: of the evaluation.
+        agent: the agent that answers.
+        label: its name in the row and in errors.
+        seed: the seed of the evaluation.
         episode: number of the episode, from 0.
 
     Returns:
         The row: ``detector, episode, swarm_seed, detector_seed, uavs, heads`` and the metrics.
 
     Raises:
-        EvaluationError: the player raised, or its answer does not fit.
+        EvaluationError: the agent raised an exception, or its answer has a wrong type or shape.
     """
     swarm_seed, detector_seed = episode_seeds(seed, episode)
     observation, _ = env.reset(seed=swarm_seed)
-    truth = env.unwrapped.swarm  # type: ignore[attr-defined]  # make_environment has seen it
+    truth = env.unwrapped.swarm  # type: ignore[attr-defined]  # make_environment checked that it is there
     answers: list[Answer] = []
     fired: list[NDArray[np.bool_]] = []
     over = False
     try:
-        player.reset(detector_seed)
+        agent.reset(detector_seed)
     except Exception as error:
-        raise _failure(label, f"the reset of episode {episode}", error) from error
+        raise _detector_error(label, f"the reset of episode {episode}", error) from error
     while not over:
         try:
-            answer = player.answer(observation)
+            answer = agent.answer(observation)
             if answer.candidates.shape != truth.head.shape:
-                raise ArgumentError(f"the answer must be for {len(truth.head)} UAVs, got {len(answer.candidates)}.")
+                raise ArgumentError(
+                    f"candidates must hold one value for each of {len(truth.head)} UAVs, got {len(answer.candidates)}."
+                )
         except Exception as error:
-            raise _failure(label, f"episode {episode}, round {len(answers) + 1}", error) from error
+            raise _detector_error(label, f"episode {episode}, round {len(answers) + 1}", error) from error
         observation, _, terminated, truncated, info = env.step(answer.candidates.astype(np.int8))
         answers.append(answer)
         fired.append(answer.candidates & (not info["over_budget"]))

@@ -1,4 +1,4 @@
-"""What goes wrong in an evaluation through no fault of its arguments."""
+"""The error of an evaluation whose arguments were correct."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ __all__ = ["EvaluationError"]
 
 
 class EvaluationError(RuntimeError):
-    """A detector failed in the middle of an evaluation; one sentence names it, the episode and the cause."""
+    """A detector failed during an evaluation; the message names the detector, the episode and the cause."""

@@ -1,4 +1,4 @@
-"""What an evaluation gives back: rows, their summary, and a table of it."""
+"""The result of an evaluation: rows, their summary, and a table of the summary."""
 
 from __future__ import annotations
 
@@ -18,28 +18,29 @@ __all__ = ["HEADINGS", "EvaluationResult", "summarise"]
 
 Summary = list[dict[str, Any]]
 
-#: Short headings of the metrics in tables.
+#: Headings of the metrics in tables.
 HEADINGS = {
     "J": "J",
     "rounds": "rounds",
     "redundancy": "redundancy",
     "success": "success",
     "exact": "exact",
-    "precision_first": "precision 1",
-    "recall_first": "recall 1",
-    "f1_first": "F1 1",
-    "ap_first": "AP 1",
-    "seconds_per_round": "s / round",
-    "purity_first": "purity 1",
-    "head_in_cluster_first": "head in cl. 1",
+    "precision_first": "precision\nin round 1",
+    "recall_first": "recall\nin round 1",
+    "f1_first": "F1\nin round 1",
+    "ap_first": "AP\nin round 1",
+    "seconds_per_round": "seconds\nper round",
+    "purity_first": "purity\nin round 1",
+    "head_in_cluster_first": "head in cluster\nin round 1",
 }
 
 
 def summarise(rows: Sequence[Row]) -> Summary:
-    """One entry a detector, in the order of their first rows: ``{"detector", "episodes", "metrics"}``.
+    """Summarise rows: one entry for each detector, in the order of their first rows.
 
-    Every metric has its mean over all episodes, those cut off at ``max_rounds`` included, and its 95 % interval. The
-    cluster metrics are over the episodes whose first answer held clusters, and absent if none did.
+    An entry is ``{"detector", "episodes", "metrics"}``. Each metric has its mean over all episodes, including those
+    truncated at ``max_rounds``, and its 95 % interval. The cluster metrics use only the episodes whose first answer has
+    clusters, and are absent if there is no such episode.
     """
     entries = []
     for label in dict.fromkeys(row["detector"] for row in rows):
@@ -55,19 +56,19 @@ def summarise(rows: Sequence[Row]) -> Summary:
     return entries
 
 
-def _number(value: float) -> str:
-    """Three decimals, or three digits where that would be 0."""
+def _format_number(value: float) -> str:
+    """Format with three decimals, or with two significant digits below 0.001."""
     return f"{value:.3f}" if value == 0 or abs(value) >= 0.001 else f"{value:.2g}"
 
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """The outcome of :func:`usnet_env.evaluate`.
+    """The result of :func:`usnet_env.evaluate`.
 
     Args:
-        rows: one mapping for each detector and episode, sorted by detector, then episode.
-        summary: one entry a detector, ``{"detector", "episodes", "metrics": {name: {"mean", "low", "high"}}}``.
-        config: what was evaluated, as plain values.
+        rows: one mapping for each detector and episode, sorted by detector, then by episode.
+        summary: one entry for each detector, ``{"detector", "episodes", "metrics": {name: {"mean", "low", "high"}}}``.
+        config: the arguments of the evaluation, as plain values.
     """
 
     rows: list[Row]
@@ -75,7 +76,7 @@ class EvaluationResult:
     config: Mapping[str, Any]
 
     def __getitem__(self, detector: str) -> dict[str, Any]:
-        """The metrics of one detector by its label.
+        """Return the metrics of the detector with this label.
 
         Raises:
             ArgumentError: no row has that label.
@@ -87,10 +88,10 @@ class EvaluationResult:
         raise unknown_name("detector", detector, [entry["detector"] for entry in self.summary])
 
     def table(self, metrics: Sequence[str] | None = None) -> Table:
-        """A table for a terminal, with a row a detector.
+        """Create a table for a terminal, with one row for each detector.
 
         Args:
-            metrics: the columns; by default all that some detector has.
+            metrics: names of the columns; by default all metrics that at least one detector has.
         """
         from rich.box import SIMPLE_HEAD
         from rich.table import Table
@@ -98,19 +99,21 @@ class EvaluationResult:
 
         wanted = list(METRICS) if metrics is None else list(metrics)
         columns = [name for name in wanted if any(name in entry["metrics"] for entry in self.summary)]
-        title = f"{self.config['env']}, mean and 95 % interval"
+        title = f"{self.config['env']}: mean and 95 % interval"
         table = Table(title=title, box=SIMPLE_HEAD, leading=1, title_justify="left")
         table.add_column("detector", overflow="fold")
-        table.add_column("n", justify="right")
+        table.add_column("episodes", justify="right")
         for name in columns:
             table.add_column(HEADINGS[name], justify="right", no_wrap=True)
         for entry in self.summary:
             cells = [entry["metrics"].get(name) for name in columns]
             table.add_row(
-                Text(entry["detector"]),  # brackets in a label are no markup
+                Text(entry["detector"]),  # not parsed as Rich markup, in which brackets have a meaning
                 str(entry["episodes"]),
                 *(
-                    f"{_number(cell['mean'])}\n{_number(cell['low'])}–{_number(cell['high'])}" if cell else "–"
+                    f"{_format_number(cell['mean'])}\n{_format_number(cell['low'])}–{_format_number(cell['high'])}"
+                    if cell
+                    else "–"
                     for cell in cells
                 ),
             )

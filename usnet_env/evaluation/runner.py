@@ -1,4 +1,4 @@
-"""The referee: one function that lets detectors meet the same swarms and scores them."""
+"""The evaluator: one function that plays all detectors against the same swarms and scores them."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.evaluation.environments import environment_spec, is_usnet, make_environment
+from usnet_env.evaluation.agents import PolicyAgent, as_agent
+from usnet_env.evaluation.environments import find_environment, is_usnet, make_environment
 from usnet_env.evaluation.episode import Row
-from usnet_env.evaluation.match import Entrant, Match, play_in_processes
-from usnet_env.evaluation.players import PolicyPlayer, as_player
 from usnet_env.evaluation.result import EvaluationResult, summarise
 from usnet_env.evaluation.store import RunStore
+from usnet_env.evaluation.workers import Contestant, Worker, run_in_processes
 from usnet_env.plugins import detector_label, make_detector
 
 __all__ = ["MOST_EPISODES", "MOST_WORKERS", "TRIVIAL", "evaluate"]
 
-#: The trivial policies that stand beside every published row (decision (l) of the paper's silent points).
+#: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
 TRIVIAL = ("destroy-all", "none", "random", "one-per-round")
 
 MOST_EPISODES = 1_000_000
@@ -52,23 +52,24 @@ def evaluate(
     out: str | PathLike[str] | None = None,
     progress: bool = False,
 ) -> EvaluationResult:
-    """Let detectors play the same episodes, and score them.
+    """Play the same episodes with every detector, and score them.
 
-    Episode i's swarm and the detector's own seed come from two separate branches of (``seed``, i), so every detector
-    meets the same swarms, on any number of workers, and none can rebuild a swarm from its seed. Detectors start each
-    episode with ``reset`` and see windows only. One answer of each, apart and untimed, comes before its first episode.
+    The seeds of the swarm and of the detector in episode i come from two separate branches of (``seed``, i). So every
+    detector plays against the same swarms, for any number of workers. Each episode starts with the detector's
+    ``reset``; the detector receives windows and nothing else. Before its first episode each detector answers one window
+    that is neither timed nor scored (warm-up).
 
     Args:
-        env: a registered id, or an environment that was made (then with one worker, and it stays open).
-        detector: a name as :func:`usnet_env.make_detector` takes it, a detector, anything with Stable-Baselines3's
-            ``predict`` (asked with ``deterministic=True``; it gets the observation itself), or a list of these.
-        episodes: how many, for each detector.
-        seed: of the whole evaluation.
+        env: a registered id, or an environment object (which allows one worker only, and is not closed).
+        detector: a name as :func:`usnet_env.make_detector` takes it, a detector, an object with the ``predict`` method
+            of Stable-Baselines3 (called with the observation and ``deterministic=True``), or a list of these.
+        episodes: number of episodes for each detector.
+        seed: seed of the whole evaluation.
         env_kwargs: arguments of the environment.
-        workers: processes; the rows are the same for any number of them, seconds apart.
+        workers: number of processes; the rows do not depend on it, except for the seconds.
         trivial: also evaluate the policies of :data:`TRIVIAL`.
-        out: folder for ``run.json`` (what was asked for, versions, machine), ``episodes.csv`` and ``summary.json``.
-            An interrupted run leaves the episodes that were finished, and the same call goes on with the others.
+        out: folder for ``run.json`` (arguments, versions, machine), ``episodes.csv`` and ``summary.json``. An
+            interrupted run keeps its finished episodes there, and the same call plays the remaining ones.
         progress: show a progress bar on standard error.
 
     Returns:
@@ -76,50 +77,50 @@ def evaluate(
 
     Raises:
         ArgumentError: an argument was refused.
-        EvaluationError: a detector raised or gave an answer that does not fit; the sentence names it, the episode and
-            the cause. Rows that were finished are kept in ``out``.
+        EvaluationError: a detector raised an exception, or its answer has a wrong type or shape; the message names the
+            detector, the episode and the cause. Finished rows are kept in ``out``.
     """
     run = _Run(episodes=episodes, seed=seed, workers=workers, trivial=trivial, progress=progress)
-    arguments = _env_kwargs(env_kwargs)
-    entrants = _entrants(detector, run.trivial)
-    made_here = isinstance(env, str)
+    arguments = _check_env_kwargs(env_kwargs)
+    contestants = _make_contestants(detector, run.trivial)
+    created_here = isinstance(env, str)
     if isinstance(env, str):
-        arena = make_environment(environment_spec(env), arguments)
+        environment = make_environment(find_environment(env), arguments)
     else:
-        arena = _made(env, arguments, run.workers)
+        environment = _check_environment(env, arguments, run.workers)
     try:
-        config = _config(arena, arguments, entrants, run)
+        config = _make_config(environment, arguments, contestants, run)
         store = None if out is None else RunStore(Path(out), config)
-        rows = _known_rows(store, entrants, run.episodes)
+        rows = _load_rows(store, contestants, run.episodes)
         tasks = [
             (episode, number)
             for episode in range(run.episodes)
-            for number, entrant in enumerate(entrants)
-            if (entrant.label, episode) not in rows
+            for number, contestant in enumerate(contestants)
+            if (contestant.label, episode) not in rows
         ]
         try:
-            with _progress(run.progress, run.episodes * len(entrants), len(rows)) as advance:
+            with _progress_bar(run.progress, run.episodes * len(contestants), len(rows)) as advance:
 
                 def collect(row: Row) -> None:
                     rows[row["detector"], row["episode"]] = row
                     advance()
-                    if store is not None and store.due():
-                        store.save_rows(_sorted(rows, entrants))
+                    if store is not None and store.should_save():
+                        store.save_rows(_sort_rows(rows, contestants))
 
                 if isinstance(env, str) and run.workers > 1 and len(tasks) > 1:
                     workers = min(run.workers, len(tasks))
-                    play_in_processes(env, arguments, entrants, run.seed, tasks, workers, collect)
+                    run_in_processes(env, arguments, contestants, run.seed, tasks, workers, collect)
                 else:
-                    match = Match(arena, entrants, run.seed)
+                    worker = Worker(environment, contestants, run.seed)
                     for task in tasks:
-                        collect(match.play(task))
+                        collect(worker.run_task(task))
         finally:
             if store is not None and rows:
-                store.save_rows(_sorted(rows, entrants))
+                store.save_rows(_sort_rows(rows, contestants))
     finally:
-        if made_here:
-            arena.close()
-    ordered = _sorted(rows, entrants)
+        if created_here:
+            environment.close()
+    ordered = _sort_rows(rows, contestants)
     result = EvaluationResult(ordered, summarise(ordered), config)
     if store is not None:
         store.save_summary(result.summary)
@@ -129,21 +130,21 @@ def evaluate(
 Rows = dict[tuple[str, int], Row]
 
 
-def _sorted(rows: Rows, entrants: Sequence[Entrant]) -> list[Row]:
-    """The rows by detector, in the order asked for, then by episode."""
-    order = {entrant.label: number for number, entrant in enumerate(entrants)}
+def _sort_rows(rows: Rows, contestants: Sequence[Contestant]) -> list[Row]:
+    """Sort rows by detector, in the order of the contestants, then by episode."""
+    order = {contestant.label: number for number, contestant in enumerate(contestants)}
     return sorted(rows.values(), key=lambda row: (order[row["detector"]], row["episode"]))
 
 
-def _known_rows(store: RunStore | None, entrants: Sequence[Entrant], episodes: int) -> Rows:
-    rows = {} if store is None else {(row["detector"], row["episode"]): row for row in store.rows()}
-    labels = {entrant.label for entrant in entrants}
+def _load_rows(store: RunStore | None, contestants: Sequence[Contestant], episodes: int) -> Rows:
+    rows = {} if store is None else {(row["detector"], row["episode"]): row for row in store.load_rows()}
+    labels = {contestant.label for contestant in contestants}
     if any(label not in labels or not 0 <= episode < episodes for label, episode in rows):
-        raise ArgumentError("out must hold rows of this run only, got rows of other detectors or episodes.")
+        raise ArgumentError("out must hold only rows of this run, got rows of other detectors or episodes.")
     return rows
 
 
-def _env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
+def _check_env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
     if env_kwargs is None:
         return {}
     if not isinstance(env_kwargs, Mapping) or not all(isinstance(name, str) for name in env_kwargs):
@@ -151,75 +152,75 @@ def _env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
     return dict(env_kwargs)
 
 
-def _made(env: Any, arguments: Mapping[str, Any], workers: int) -> gym.Env[Any, Any]:
-    """An environment that the caller made."""
+def _check_environment(env: Any, arguments: Mapping[str, Any], workers: int) -> gym.Env[Any, Any]:
+    """Check an environment object given by the caller, and return it."""
     if not isinstance(env, gym.Env) or not is_usnet(env):
         raise ArgumentError(f"env must be a registered id or a USNET environment, got {quote(env)}.")
     if arguments:
-        raise ArgumentError("env_kwargs must be empty for an environment that was already made.")
+        raise ArgumentError("env_kwargs must be empty if env is an environment object, got arguments for it.")
     if workers != 1:
-        raise ArgumentError(f"workers must be 1 for an environment that was already made, got {workers}.")
+        raise ArgumentError(f"workers must be 1 if env is an environment object, got {workers}.")
     return env
 
 
-def _entrants(detector: Any, trivial: bool) -> list[Entrant]:
-    """Every detector under a label of its own."""
-    asked = list(detector) if isinstance(detector, list | tuple) else [detector]
-    if not asked:
+def _make_contestants(detector: Any, trivial: bool) -> list[Contestant]:
+    """Give each detector its own label."""
+    detectors = list(detector) if isinstance(detector, list | tuple) else [detector]
+    if not detectors:
         raise ArgumentError("detector must name at least one detector, got an empty list.")
-    entrants: dict[str, Entrant] = {}
-    for one in asked:
-        label = _label(one)
-        if label in entrants and isinstance(one, str):
+    contestants: dict[str, Contestant] = {}
+    for each in detectors:
+        label = _make_label(each)
+        if label in contestants and isinstance(each, str):
             raise ArgumentError(f"detector must name each detector once, got {label!r} twice.")
-        twin = 2
-        while label in entrants:
-            label = f"{_label(one)} #{twin}"
-            twin += 1
-        entrants[label] = Entrant(label, one)
+        number = 2
+        while label in contestants:
+            label = f"{_make_label(each)} #{number}"
+            number += 1
+        contestants[label] = Contestant(label, each)
     for name in TRIVIAL if trivial else ():
-        entrants.setdefault(name, Entrant(name, name))
-    return list(entrants.values())
+        contestants.setdefault(name, Contestant(name, name))
+    return list(contestants.values())
 
 
-def _label(detector: Any) -> str:
-    """The label of a detector, which is thereby seen to be one."""
-    player = as_player(make_detector(detector) if isinstance(detector, str) else detector)
-    return type(detector).__name__ if isinstance(player, PolicyPlayer) else detector_label(detector)
+def _make_label(detector: Any) -> str:
+    """Return the label of a detector; whatever is not a detector is refused."""
+    agent = as_agent(make_detector(detector) if isinstance(detector, str) else detector)
+    return type(detector).__name__ if isinstance(agent, PolicyAgent) else detector_label(detector)
 
 
-def _plain(value: Any) -> Any:
-    """``value`` as JSON can hold it; an object without such a form stands under its class's name."""
+def _to_plain(value: Any) -> Any:
+    """Convert a value to plain JSON types; an object without such a form becomes the name of its class."""
     if isinstance(value, BaseModel):
-        return _plain(value.model_dump())
+        return _to_plain(value.model_dump())
     if isinstance(value, Mapping):
-        return {str(name): _plain(one) for name, one in value.items()}
+        return {str(name): _to_plain(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [_to_plain(item) for item in value]
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     return value if value is None or isinstance(value, str | int | float) else type(value).__qualname__
 
 
-def _config(
-    arena: gym.Env[Any, Any], arguments: Mapping[str, Any], entrants: Sequence[Entrant], run: _Run
+def _make_config(
+    environment: gym.Env[Any, Any], arguments: Mapping[str, Any], contestants: Sequence[Contestant], run: _Run
 ) -> dict[str, Any]:
-    """What was asked for: two runs with the same config have the same rows."""
-    inner: Any = arena.unwrapped
+    """Return the arguments of the run as plain values: runs with the same config have the same rows."""
+    inner: Any = environment.unwrapped
     return {
-        "env": type(inner).__name__ if arena.spec is None else arena.spec.id,
-        "env_kwargs": _plain(arguments),
-        "environment": {name: _plain(getattr(inner, name)) for name in ("config", "rules") if hasattr(inner, name)},
-        "detectors": [entrant.label for entrant in entrants],
+        "env": type(inner).__name__ if environment.spec is None else environment.spec.id,
+        "env_kwargs": _to_plain(arguments),
+        "environment": {name: _to_plain(getattr(inner, name)) for name in ("config", "rules") if hasattr(inner, name)},
+        "detectors": [contestant.label for contestant in contestants],
         "episodes": run.episodes,
         "seed": run.seed,
     }
 
 
 @contextmanager
-def _progress(show: bool, total: int, done: int) -> Iterator[Callable[[], None]]:
-    """A bar on standard error, or nothing."""
-    if not show:
+def _progress_bar(visible: bool, total: int, done: int) -> Iterator[Callable[[], None]]:
+    """Show a progress bar on standard error if ``visible``; yields the function that advances it by one episode."""
+    if not visible:
         yield lambda: None
         return
     from rich.console import Console

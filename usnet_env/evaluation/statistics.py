@@ -1,4 +1,4 @@
-"""Means with 95 % intervals: Wilson's for rates, the bootstrap's for everything else."""
+"""Means with 95 % intervals: Wilson's score interval for rates, a bootstrap interval for all other metrics."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["CONFIDENCE", "Interval", "mean_interval", "rate_interval"]
 CONFIDENCE = 0.95
 
 _RESAMPLES = 9_999
-_DRAWS_AT_ONCE = 2_000_000  # 16 MB of indices, however many episodes there are
+_DRAWS_AT_ONCE = 2_000_000  # limits the indices in memory to 16 MB for any number of episodes
 
 
 class Interval(NamedTuple):
@@ -27,7 +27,7 @@ class Interval(NamedTuple):
     high: float
 
 
-def _sample(values: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+def _check_sample(values: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
     sample = np.asarray(values, dtype=np.float64)
     if sample.ndim != 1 or not len(sample) or not np.isfinite(sample).all():
         raise ArgumentError("values must hold at least one number, all of them finite.")
@@ -35,37 +35,37 @@ def _sample(values: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64
 
 
 def rate_interval(values: Sequence[float] | NDArray[np.float64]) -> Interval:
-    """Share of ones in a sample of zeros and ones, with Wilson's score interval.
+    """Compute the share of ones in a sample of zeros and ones, with Wilson's score interval.
 
     Args:
         values: ``(n,)`` of 0 and 1.
 
     Raises:
-        ArgumentError: no value, or another value than 0 and 1.
+        ArgumentError: there is no value, or a value is neither 0 nor 1.
     """
-    sample = _sample(values)
+    sample = _check_sample(values)
     if not ((sample == 0) | (sample == 1)).all():
         raise ArgumentError("values of a rate must be 0 or 1.")
     interval = binomtest(int(sample.sum()), len(sample)).proportion_ci(CONFIDENCE, method="wilson")
     mean = float(sample.mean())
-    # Wilson's ends at 0 and n successes are 0 and 1 but for rounding.
+    # For 0 and for n successes the interval must include the mean, which rounding could prevent.
     return Interval(mean, min(float(interval.low), mean), max(float(interval.high), mean))
 
 
 def mean_interval(values: Sequence[float] | NDArray[np.float64], seed: int = 0) -> Interval:
-    """Mean of a sample, with the percentile bootstrap's interval of 9,999 resamples.
+    """Compute the mean of a sample, with the percentile bootstrap interval of 9,999 resamples.
 
-    A sample whose values are all equal, one value included, has the interval [mean, mean]: the bootstrap knows of no
-    spread that the sample does not show.
+    If all values are equal, or there is only one, the interval is [mean, mean]: resampling cannot show more spread than
+    the sample has.
 
     Args:
         values: ``(n,)``.
-        seed: of the resampling; the same values and seed give the same interval.
+        seed: seeds the resampling; the same values and seed give the same interval.
 
     Raises:
-        ArgumentError: no value, or one that is not finite.
+        ArgumentError: there is no value, or one is not finite.
     """
-    sample = _sample(values)
+    sample = _check_sample(values)
     if (sample == sample[0]).all():
         constant = float(sample[0])
         return Interval(constant, constant, constant)

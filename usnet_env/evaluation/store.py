@@ -1,4 +1,4 @@
-"""A run's folder: its rows, its summary, and what made them. Every file appears whole, and a run can be continued."""
+"""Keep an evaluation in a folder: rows, summary and config. Files are replaced atomically, and a run can be resumed."""
 
 from __future__ import annotations
 
@@ -22,79 +22,81 @@ __all__ = ["COLUMNS", "RunStore", "write_text"]
 
 RUN, EPISODES, SUMMARY = "run.json", "episodes.csv", "summary.json"
 
-_WHOLE = ("episode", "swarm_seed", "detector_seed", "uavs", "heads", "rounds", "success", "exact")
+_INTEGERS = ("episode", "swarm_seed", "detector_seed", "uavs", "heads", "rounds", "success", "exact")
 COLUMNS = ("detector", "episode", "swarm_seed", "detector_seed", "uavs", "heads", *METRICS)
 
-_SHARE_OF_TIME = 0.05  # rewriting the rows may take this share of a run
+_SHARE_OF_TIME = 0.05  # largest share of a run that may be spent on writing rows
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file so that it is either there in full or not at all."""
+    """Write a text file atomically: a reader sees the whole new text, or the file as it was before."""
     with atomic_write(path) as aside, aside.open("w", encoding="utf-8", newline="") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())
 
 
-def _value(column: str, text: str) -> Any:
+def _parse_value(column: str, text: str) -> Any:
     if column == "detector":
         return text
     if column in CLUSTER_METRICS and not text:
         return None
-    return int(text) if column in _WHOLE else float(text)
+    return int(text) if column in _INTEGERS else float(text)
 
 
 class RunStore:
     """The folder of one run.
 
     Args:
-        folder: made if need be.
-        config: what was asked for, as plain JSON values; a folder that holds another config is refused.
+        folder: the folder; it is created if it does not exist.
+        config: the arguments of the run as JSON values; a folder with a different config is refused.
 
     Raises:
-        ArgumentError: the folder holds another run, or something that is none.
+        ArgumentError: the folder holds a different run, or files that are not a run.
     """
 
     def __init__(self, folder: Path, config: Mapping[str, Any]) -> None:
         self.folder = folder
         self._config = json.loads(json.dumps(config))
-        self._saved = time.monotonic()
-        self._cost = 0.0
+        self._saved_at = time.monotonic()
+        self._write_seconds = 0.0
         if folder.exists() and not folder.is_dir():
             raise ArgumentError(f"out must be a folder, got the file {str(folder)!r}.")
         if (folder / RUN).exists():
-            self._check()
+            self._check_same_run()
             return
         if (folder / EPISODES).exists():
-            raise ArgumentError(f"out must be a new folder or a run's, got {str(folder)!r} with rows but no {RUN}.")
+            raise ArgumentError(
+                f"out must be a new folder or the folder of a run, got {str(folder)!r} with rows but no {RUN}."
+            )
         folder.mkdir(parents=True, exist_ok=True)
-        about = {"config": self._config, "versions": versions(), "machine": machine()}
-        write_text(folder / RUN, json.dumps(about, indent=2) + "\n")
+        description = {"config": self._config, "versions": versions(), "machine": machine()}
+        write_text(folder / RUN, json.dumps(description, indent=2) + "\n")
 
-    def _check(self) -> None:
-        """Refuse to mix two runs."""
+    def _check_same_run(self) -> None:
+        """Refuse the folder if its run has other arguments or was made by another version."""
         try:
-            about = json.loads((self.folder / RUN).read_text(encoding="utf-8"))
-            config, made_by = dict(about["config"]), about["versions"]["usnet"]
+            description = json.loads((self.folder / RUN).read_text(encoding="utf-8"))
+            config, made_by = dict(description["config"]), description["versions"]["usnet"]
         except (ValueError, KeyError, TypeError):
-            raise ArgumentError(f"out must be a run's folder, got {str(self.folder)!r} with a broken {RUN}.") from None
+            raise ArgumentError(
+                f"out must be the folder of a run, got {str(self.folder)!r} with a broken {RUN}."
+            ) from None
         if config != self._config:
             names = config.keys() | self._config.keys()
-            others = sorted(name for name in names if config.get(name) != self._config.get(name))
+            different = sorted(name for name in names if config.get(name) != self._config.get(name))
             raise ArgumentError(
-                f"out must be a new folder or that of the same run, got {str(self.folder)!r}, whose run has another "
-                f"{', '.join(others)}."
+                f"out must be a new folder or the folder of the same run, got {str(self.folder)!r} with a run that has "
+                f"different values of {', '.join(different)}."
             )
         if made_by != version("usnet"):
-            raise ArgumentError(
-                f"out must be a new folder, got {str(self.folder)!r}, whose run was made by usnet {made_by}."
-            )
+            raise ArgumentError(f"out must be a new folder, got {str(self.folder)!r} with a run of usnet {made_by}.")
 
-    def rows(self) -> list[Row]:
-        """The rows of the episodes that are finished.
+    def load_rows(self) -> list[Row]:
+        """Read the rows of all finished episodes.
 
         Raises:
-            ArgumentError: the file is not what was written.
+            ArgumentError: the file is damaged or was edited.
         """
         path = self.folder / EPISODES
         if not path.exists():
@@ -104,24 +106,26 @@ class RunStore:
                 reader = csv.DictReader(file, strict=True)
                 if tuple(reader.fieldnames or ()) != COLUMNS:
                     raise ValueError
-                return [{name: _value(name, row[name]) for name in COLUMNS} for row in reader]
+                return [{name: _parse_value(name, row[name]) for name in COLUMNS} for row in reader]
         except (ValueError, TypeError, csv.Error):
-            raise ArgumentError(f"out must hold whole rows, got a broken {EPISODES} in {str(self.folder)!r}.") from None
+            raise ArgumentError(
+                f"out must hold complete rows, got a broken {EPISODES} in {str(self.folder)!r}."
+            ) from None
 
-    def due(self) -> bool:
-        """Whether it is time to write rows: as often as writing takes a small share of the time."""
-        return time.monotonic() - self._saved >= self._cost / _SHARE_OF_TIME
+    def should_save(self) -> bool:
+        """Return whether rows should be written now, so that writing takes at most a small share of the time."""
+        return time.monotonic() - self._saved_at >= self._write_seconds / _SHARE_OF_TIME
 
     def save_rows(self, rows: Iterable[Row]) -> None:
-        """Write all rows."""
+        """Write all rows, replacing those in the file."""
         begin = time.monotonic()
         text = io.StringIO()
         writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
         write_text(self.folder / EPISODES, text.getvalue())
-        self._saved = time.monotonic()
-        self._cost = self._saved - begin
+        self._saved_at = time.monotonic()
+        self._write_seconds = self._saved_at - begin
 
     def save_summary(self, summary: Sequence[Mapping[str, Any]]) -> None:
         """Write the summary of a finished run."""

@@ -1,8 +1,9 @@
-"""The same world with several agents, for PettingZoo: observers who vote, and heads who hide.
+"""Games with several agents for PettingZoo: observers that vote, and heads that evade detection.
 
 The games are the modules :mod:`usnet_env.multiagent.usnet_observers_v0` and
 :mod:`usnet_env.multiagent.usnet_evasion_v0`, each with ``env``, ``parallel_env`` and ``raw_env``. PettingZoo is an
-extra (``pip install 'usnet[multiagent]'``); where it is installed, importing this package registers both games with it.
+optional dependency (``pip install 'usnet[multiagent]'``). If it is installed, importing this package registers both
+games with it.
 """
 
 from importlib.util import find_spec

@@ -1,4 +1,4 @@
-"""What both games share: agents and spaces by name, the borders, the state for a critic, pictures and records."""
+"""The base class of both games: agents, spaces, checks of actions, the state for a critic, and pictures."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ try:
     from pettingzoo.utils.conversions import parallel_to_aec_wrapper
     from pettingzoo.utils.wrappers import BaseParallelWrapper, OrderEnforcingWrapper
 except ImportError:
-    raise MissingExtraError("Games of several agents need PettingZoo: pip install 'usnet[multiagent]'.") from None
+    raise MissingExtraError("Games with several agents need PettingZoo: pip install 'usnet[multiagent]'.") from None
 
 __all__ = [
     "AECEnv",
     "BaseParallelWrapper",
-    "Decided",
     "Observation",
+    "RoundRecord",
     "Step",
     "UsnetParallelEnv",
-    "in_turns",
-    "in_turns_and_order",
-    "rules_of",
-    "scalars",
+    "make_rules",
+    "to_aec",
+    "to_ordered_aec",
+    "to_scalars",
 ]
 
 Observation = dict[str, NDArray[Any]]
@@ -43,16 +43,16 @@ Step = tuple[
 
 
 @dataclass(frozen=True, eq=False)
-class Decided:
-    """One round, decided: what was seen, who led whom, and who was named.
+class RoundRecord:
+    """One finished round: its window, the true swarm, and the candidates.
 
     Args:
-        sighting: the window without a leading axis; in the observers' game, what they saw together.
+        sighting: the window without a leading axis; in the observers' game, the merged sightings of all observers.
         truth: the swarm before the candidates were destroyed, without a leading axis.
         candidates: ``(N,)`` bool.
-        scores: ``(N,)`` float64, what the candidates were chosen by.
+        scores: ``(N,)`` float64; the candidates are chosen by them.
         objective: J_m after the round.
-        over_budget: more candidates than the shot budget: nobody was destroyed.
+        over_budget: whether there were more candidates than the shot budget, so that no UAV was destroyed.
     """
 
     sighting: ObservationBatch
@@ -63,35 +63,45 @@ class Decided:
     over_budget: bool
 
 
-def rules_of(
-    max_rounds: int, max_cycles: int | None, before: int, shot_budget: int | None, redundancy_price: float
+def make_rules(
+    max_rounds: int, max_cycles: int | None, extra_steps: int, shot_budget: int | None, redundancy_price: float
 ) -> Rules:
-    """The rules of P2; ``max_cycles`` is PettingZoo's name for the most steps, ``before`` of which are no round.
+    """Create the rules of P2.
+
+    Args:
+        max_rounds: R_m, the largest number of rounds.
+        max_cycles: PettingZoo's name for the largest number of steps; ``None`` for no limit besides ``max_rounds``.
+        extra_steps: number of steps before the first round.
+        shot_budget: largest number of candidates in a round; ``None`` for no limit.
+        redundancy_price: price of a redundant candidate.
 
     Raises:
-        ArgumentError: a number out of its range.
+        ArgumentError: a number is out of its range.
     """
     rules = Rules(problem="P2", max_rounds=max_rounds, shot_budget=shot_budget, redundancy_price=redundancy_price)
     if max_cycles is None:
         return rules
-    if isinstance(max_cycles, bool) or not isinstance(max_cycles, int | np.integer) or max_cycles < 1 + before:
-        raise ArgumentError(f"max_cycles must be None or a whole number from {1 + before}, got {quote(max_cycles)}.")
-    return rules.model_copy(update={"max_rounds": min(rules.max_rounds, int(max_cycles) - before)})
+    if isinstance(max_cycles, bool) or not isinstance(max_cycles, int | np.integer) or max_cycles < 1 + extra_steps:
+        raise ArgumentError(
+            f"max_cycles must be None or a whole number from {1 + extra_steps}, got {quote(max_cycles)}."
+        )
+    return rules.model_copy(update={"max_rounds": min(rules.max_rounds, int(max_cycles) - extra_steps)})
 
 
-def scalars(metrics: Mapping[str, NDArray[Any]]) -> dict[str, int | float]:
-    """The metrics of a batch of one game as plain numbers."""
+def to_scalars(metrics: Mapping[str, NDArray[Any]]) -> dict[str, int | float]:
+    """Convert the metrics of a batch of one game to plain numbers."""
     return {name: values[0].item() for name, values in metrics.items()}
 
 
 class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc]  # PettingZoo ships no types
-    """A game of several agents in Parallel form; the AEC form is made of it by PettingZoo's own conversion.
+    """Base class of the games, in PettingZoo's Parallel form; :func:`to_aec` converts a game to AEC form.
 
     Attributes:
-        config: the swarm.
-        rules: what is played and what it costs.
-        possible_agents: all agents, fixed.
-        agents: those still in the game.
+        config: the configuration of the swarm.
+        rules: the rules of the game: problem, number of rounds, budget and price.
+        possible_agents: all agents of the game; they never change.
+        agents: the agents that are still in the game.
+        last_round: the round of the last step; ``None`` before the first round.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1, "is_parallelizable": True}
@@ -120,57 +130,57 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         self.state_space = spaces.Box(np.append(low, first), np.append(high, last), dtype=np.float32)
         self._rng: np.random.Generator | None = None
         self._game: GameState | None = None
-        self._sighting: ObservationBatch | None = None  # the present window
-        self.decided: Decided | None = None  # the round before it
+        self._sighting: Sighting | None = None  # the current window
+        self.last_round: RoundRecord | None = None
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """The observations of an agent; the same object every time."""
-        return self._of(self._observation_spaces, agent)
+        """Return the observation space of an agent; the same object every time."""
+        return self._look_up(self._observation_spaces, agent)
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """The actions of an agent; the same object every time."""
-        return self._of(self._action_spaces, agent)
+        """Return the action space of an agent; the same object every time."""
+        return self._look_up(self._action_spaces, agent)
 
-    def _of(self, values: Mapping[str, Any], agent: str) -> Any:
+    def _look_up(self, values: Mapping[str, Any], agent: str) -> Any:
         if agent not in values:
             raise ArgumentError(f"agent must be one of {', '.join(self.possible_agents)}, got {quote(agent)}.")
         return values[agent]
 
     @property
     def swarm(self) -> SwarmState:
-        """The truth about the swarm now, a copy: for referees and pictures, never for an observer."""
-        return self._running().swarm.episode()
+        """A copy of the true swarm, for evaluation and pictures; observers never receive it."""
+        return self._current_game().swarm.episode()
 
-    def _running(self) -> GameState:
+    def _current_game(self) -> GameState:
         if self._game is None:
             raise ArgumentError("reset must be called first, got a game that was never reset.")
         return self._game
 
-    def _generator(self, seed: int | None) -> np.random.Generator:
-        """The game's own generator, seeded anew unless ``seed`` is ``None`` and there is one."""
+    def _get_generator(self, seed: int | None) -> np.random.Generator:
+        """Return the game's generator, created anew if there is none or if a seed is given."""
         if seed is not None or self._rng is None:
             if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0):
                 raise ArgumentError(f"seed must be a whole number from 0 or None, got {quote(seed)}.")
             self._rng = seeding.np_random(None if seed is None else int(seed))[0]
         return self._rng
 
-    def _checked(self, actions: Any) -> dict[str, Any]:
-        """The actions of a step, one for each living agent."""
+    def _check_actions(self, actions: Any) -> dict[str, Any]:
+        """Check that there is one action for each living agent, and return the actions."""
         if not self.agents:
-            raise ArgumentError("reset must be called first, got a step in a game that is over or never began.")
+            raise ArgumentError("reset must be called first, got a step in a game that has ended or was never started.")
         if not isinstance(actions, Mapping) or set(actions) != set(self.agents):
             got = sorted(map(str, actions)) if isinstance(actions, Mapping) else actions
             raise ArgumentError(f"actions must map each of {', '.join(self.agents)} to its action, got {quote(got)}.")
         return dict(actions)
 
     def state(self) -> NDArray[np.float32]:
-        """The truth for a centralised critic, ``(10 N + 1,)`` float32.
+        """Return the true state for a centralised critic, ``(10 N + 1,)`` float32.
 
-        For every UAV position (m), velocity (m/step), whether it lives, whether it is a head, whether it is a decoy,
-        and the index of its leader (-1: none); then the rounds played.
+        For each UAV: position (m), velocity (m/step), 1 if it is alive, 1 if it is a head, 1 if it is a decoy, and the
+        index of its leader (-1 if it has none). The last value is the number of rounds played.
         """
-        game = self._running()
-        swarm = self._truth(game)
+        game = self._current_game()
+        swarm = self._reveal_swarm(game)
         columns = [swarm.alive, swarm.head, swarm.decoy, swarm.leader]
         table = np.concatenate(
             [swarm.position, swarm.past_velocity[-1], np.stack(columns, axis=1).astype(np.float32)], axis=1
@@ -178,21 +188,23 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return np.append(table.reshape(-1), game.rounds[0]).astype(np.float32)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The round just decided (before the first: the present window) from above, ``(H, W, 3)`` uint8.
+        """Draw the last round from above, or the current window before the first round, ``(H, W, 3)`` uint8.
 
         Returns:
-            ``None`` unless ``render_mode="rgb_array"``.
+            The picture; ``None`` unless ``render_mode="rgb_array"``.
         """
         if self.render_mode is None:
             return None
-        from usnet_env.drawing import round_frame  # matplotlib is an extra: only who renders needs it
+        from usnet_env.drawing import round_frame  # imported here because only rendering needs matplotlib
 
-        game = self._running()
-        if self.decided is not None:
-            sighting, truth, candidates = self.decided.sighting, self.decided.truth, self.decided.candidates
+        game = self._current_game()
+        if self.last_round is not None:
+            last = self.last_round
+            sighting, truth, candidates = last.sighting, last.truth, last.candidates
             number = int(game.rounds[0])
         else:
-            sighting, truth, candidates, number = self._window(), self._truth(game), None, int(game.rounds[0]) + 1
+            sighting, truth, candidates = self._current_window(), self._reveal_swarm(game), None
+            number = int(game.rounds[0]) + 1
         return round_frame(
             position=sighting.position,
             seen=sighting.seen,
@@ -205,47 +217,47 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         )
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: the game holds no resources."""
 
     def __str__(self) -> str:
         """The game's name."""
         return str(self.metadata["name"])
 
-    def _truth(self, state: GameState) -> SwarmState:
-        """Who led whom in the window that ``state`` ends with, a copy without a leading axis."""
+    def _reveal_swarm(self, state: GameState) -> SwarmState:
+        """Return a copy of the true swarm, without a leading axis, as it was in the window that ``state`` ends with."""
         return state.swarm.episode()
 
-    def _window(self) -> ObservationBatch:
-        """The present window; an empty one where none was flown."""
-        return self._sighting if self._sighting is not None else self._empty()
+    def _current_window(self) -> Sighting:
+        """Return the current window; an empty one before the first window."""
+        return self._sighting if self._sighting is not None else self._empty_window()
 
-    def _empty(self) -> ObservationBatch:
-        """A window in which nobody is seen."""
+    def _empty_window(self) -> Sighting:
+        """Return a window in which no UAV is seen."""
         instants, uavs = self.config.observation_steps + 1, self.config.uavs
         return ObservationBatch(
             position=np.zeros((instants, uavs, 3), np.float32),
             velocity=np.zeros((instants - 1, uavs, 3), np.float32),
             seen=np.zeros((instants, uavs), bool),
-            alive=self._running().swarm.alive[0].copy(),
+            alive=self._current_game().swarm.alive[0].copy(),
         )
 
-    def _seen_by(self, sighting: ObservationBatch, legal: NDArray[np.bool_]) -> Observation:
-        """The observation that a window can be made of, and who may be named; nothing in it is shared."""
+    def _make_observation(self, sighting: Sighting, legal: NDArray[np.bool_]) -> Observation:
+        """Return an observation with the arrays of a window and the mask ``legal``; all arrays are copies."""
         return {
             "position": sighting.position.copy(),
             "velocity": sighting.velocity.copy(),
             "seen": sighting.seen.astype(np.int8),
             "alive": sighting.alive.astype(np.int8),
-            "round": (self._running().rounds + 1).astype(np.float32),
+            "round": (self._current_game().rounds + 1).astype(np.float32),
             "legal": legal.astype(np.int8),
         }
 
 
-def in_turns(game: UsnetParallelEnv) -> AECEnv:
-    """The AEC form of a game: agents act in turn, and the last one's action makes the step."""
+def to_aec(game: UsnetParallelEnv) -> AECEnv:
+    """Convert a game to AEC form: agents act in turn, and the step is made after the last one has acted."""
     return parallel_to_aec_wrapper(game)
 
 
-def in_turns_and_order(game: UsnetParallelEnv) -> AECEnv:
-    """The AEC form in PettingZoo's wrapper that refuses calls in a wrong order."""
-    return OrderEnforcingWrapper(in_turns(game))
+def to_ordered_aec(game: UsnetParallelEnv) -> AECEnv:
+    """Convert a game to AEC form, in PettingZoo's wrapper that refuses calls in a wrong order."""
+    return OrderEnforcingWrapper(to_aec(game))

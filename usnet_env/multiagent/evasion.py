@@ -1,8 +1,7 @@
-"""How heads that know they are watched fly the next window, and what that costs their formation.
+"""Evasive flight: what heads may choose for the next window, how the swarm then flies, and what the choices cost.
 
-Everything here is put together from the simulator's parts: a mobility of several laws, a follow strategy that looks at
-an older head, and followers that fly freely for one window. A swarm whose heads all fly as they always do takes the
-simulator's ordinary way, bit for bit.
+Three parts extend the simulator: a mobility that differs between heads, a follow strategy with a delay, and followers
+that fly freely for one window. If every head chooses 0 everywhere, the flight equals the simulator's bit for bit.
 """
 
 from __future__ import annotations
@@ -30,7 +29,16 @@ from usnet_env.swarm.mobility import mobility
 from usnet_env.swarm.simulator import JITTER
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
-__all__ = ["Delayed", "Manoeuvres", "Mixed", "Plan", "fly", "followers_of", "handed", "price"]
+__all__ = [
+    "DelayedFollow",
+    "Manoeuvres",
+    "MixedMobility",
+    "Plan",
+    "compute_prices",
+    "count_followers",
+    "fly_window",
+    "select_decoys",
+]
 
 Price = Annotated[float, Field(ge=0, le=1e6)]
 
@@ -39,14 +47,14 @@ class Manoeuvres(Config):
     """What a head may choose for the next window, and the price in rounds (the unit of J_m).
 
     Args:
-        mobilities: names of the mobilities on offer; the first is the swarm's own, which costs nothing.
-        most_decoys: a head may hand the role of a decoy to as many of its followers, the nearest first; each flies as
-            its head does, by itself, for one window. At least one follower keeps following.
-        most_delay: followers may steer by what their head did up to this many steps earlier.
-        mobility_price: for flying another mobility, times the share of the swarm in the head's cluster.
-        jitter_price: for flying with the followers' noise, times the same share.
-        decoy_price: for each follower off its place, times 1/N, as a redundant candidate counts in J_m.
-        delay_price: for each step of delay, times the share of the swarm that follows.
+        mobilities: names of the available mobilities; the first is the swarm's own and costs nothing.
+        most_decoys: largest number of followers that a head may turn into decoys, its nearest followers first. A decoy
+            flies freely by its head's mobility for one window. At least one follower keeps following.
+        most_delay: largest delay in steps; the followers then use the head's motion of that many steps before.
+        mobility_price: price of a mobility other than the first, times the share of the swarm in the head's cluster.
+        jitter_price: price of flying with the followers' noise, times the same share.
+        decoy_price: price of each decoy, times 1/N; at 1 it equals the cost of a redundant candidate in J_m.
+        delay_price: price of each step of delay, times the share of the swarm that follows the head.
     """
 
     mobilities: tuple[str, ...] = ("iid", "gauss_markov", "smooth_turn")
@@ -69,19 +77,19 @@ class Manoeuvres(Config):
 
     @property
     def choices(self) -> NDArray[np.int64]:
-        """``(4,)`` how many values mobility, jitter, decoys and delay have: a head's ``MultiDiscrete``."""
+        """``(4,)`` int64, sizes of the choices mobility, jitter, decoys and delay, as in ``MultiDiscrete``."""
         return np.array([len(self.mobilities), 2, self.most_decoys + 1, self.most_delay + 1])
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How every head flies the next window, in the order of the heads' indices; all ``(M,)`` int64.
+    """The choices of all heads for the next window, in the order of the heads' indices; each ``(M,)`` int64.
 
     Args:
         mobility: index into ``Manoeuvres.mobilities``.
-        jitter: 1 for the followers' noise.
-        decoys: how many followers get the role of a decoy.
-        delay: steps.
+        jitter: 1 if the head flies with the followers' noise, else 0.
+        decoys: number of followers that become decoys.
+        delay: delay of the followers, in steps.
     """
 
     mobility: NDArray[np.int64]
@@ -90,20 +98,20 @@ class Plan:
     delay: NDArray[np.int64]
 
     @classmethod
-    def of(cls, choices: NDArray[np.int64]) -> Plan:
-        """The plan in ``(M, 4)`` choices."""
+    def from_choices(cls, choices: NDArray[np.int64]) -> Plan:
+        """Create a plan from ``(M, 4)`` choices, one row for each head."""
         return cls(*np.asarray(choices, np.int64).T.copy())
 
 
 @dataclass(frozen=True, eq=False)
-class Mixed(Mobility):
-    """Several mobilities at once: row i of the free UAVs flies by ``laws[which[i]]``, with jitter where ``jitter[i]``.
+class MixedMobility(Mobility):
+    """A mobility that differs between UAVs: free UAV i flies by ``laws[which[i]]``, with noise if ``jitter[i]``.
 
     Args:
         laws: the mobilities.
-        which: ``(n,)`` int64.
-        jitter: ``(n,)`` bool.
-        noise: standard deviation of the jitter, per axis of a unit direction.
+        which: ``(n,)`` int64, index into ``laws`` for each of the n free UAVs.
+        jitter: ``(n,)`` bool, the free UAVs that fly with noise.
+        noise: standard deviation of the noise per axis, relative to a direction of length 1.
     """
 
     laws: tuple[Mobility, ...]
@@ -112,7 +120,7 @@ class Mixed(Mobility):
     noise: float
 
     def start(self, rng: np.random.Generator, uavs: int) -> NDArray[np.float64]:
-        """States of UAVs that begin to fly, each by its law."""
+        """Draw the initial mobility states, each by its UAV's law."""
         state = np.zeros((uavs, kernels.MOBILITY_STATE))
         for number in np.unique(self.which):
             rows = np.flatnonzero(self.which == number)
@@ -122,7 +130,7 @@ class Mixed(Mobility):
     def fly(
         self, state: NDArray[np.float64], position: NDArray[np.float32], steps: int, rng: np.random.Generator
     ) -> NDArray[np.float32]:
-        """Fly every row by its law, the laws one after another."""
+        """Draw the directions of all UAVs, one law after another."""
         directions = np.empty((steps, len(position), 3), np.float32)
         for number in np.unique(self.which):
             rows = np.flatnonzero(self.which == number)
@@ -130,23 +138,23 @@ class Mixed(Mobility):
             directions[:, rows] = self.laws[number].fly(part, position[rows], steps, rng)
             state[rows] = part
         if self.jitter.any():
-            wobble = rng.standard_normal(directions.shape, dtype=np.float32) * np.float32(self.noise)
-            # The laws of strangers give directions of any length, and jitter is relative to a length of one.
+            noise = rng.standard_normal(directions.shape, dtype=np.float32) * np.float32(self.noise)
+            # A registered law may return directions of any length, but the noise is relative to length 1.
             length = np.sqrt((directions * directions).sum(axis=-1, keepdims=True) + np.float32(1e-12))
-            directions = np.where(self.jitter[:, None], directions / length + wobble, directions)
+            directions = np.where(self.jitter[:, None], directions / length + noise, directions)
         return directions
 
 
 @dataclass(frozen=True, eq=False)
-class Delayed(FollowStrategy):
-    """A follow strategy whose followers see their head as it was some steps ago.
+class DelayedFollow(FollowStrategy):
+    """A follow strategy whose followers use their head's motion of some steps before.
 
-    For the flight, every head with a delay gets a ghost that flies the head's track so many steps later, and its
-    followers follow the ghost: any strategy, compiled or not, then flies by its own code.
+    During the flight every head with a delay gets a ghost: an extra UAV that repeats the head's track ``delay`` steps
+    later. The followers follow the ghost, so that every strategy, compiled or not, runs its own code unchanged.
 
     Args:
-        strategy: what the followers obey.
-        delay: ``(N,)`` int64, steps by which the followers of each UAV lag, 0 for none.
+        strategy: the follow strategy.
+        delay: ``(N,)`` int64, delay in steps of the followers of each UAV; 0 for no delay.
     """
 
     strategy: FollowStrategy
@@ -154,24 +162,24 @@ class Delayed(FollowStrategy):
 
     @property
     def lags(self) -> int:  # type: ignore[override]  # follows from the fields
-        """Steps of the past that are looked at, the delay included."""
+        """Number of past steps that the strategy uses, including the delay."""
         return self.strategy.lags + int(self.delay.max(initial=0))
 
     @property
     def noise(self) -> float:  # type: ignore[override]  # follows from the fields
-        """kappa_n of the strategy."""
+        """The noise kappa_n of the strategy."""
         return self.strategy.noise
 
     def draw(self, rng: np.random.Generator) -> NDArray[np.float32]:
-        """Parameters of the strategy."""
+        """Draw the parameters of the strategy."""
         return self.strategy.draw(rng)
 
     def direction(self, inputs: FollowInputs) -> NDArray[np.float32]:
-        """That of the strategy: who follows a ghost sees the ghost's past."""
+        """Return the direction of the strategy, whose inputs are then those of the ghost."""
         return self.strategy.direction(inputs)
 
-    def fly(self, flight: TrajectoryBatch) -> None:
-        """Fly with ghosts at the end of the list of UAVs; they are gone afterwards."""
+    def fly(self, flight: Flight) -> None:
+        """Fly with the ghosts appended to the UAVs, and remove them afterwards."""
         heads = np.flatnonzero(self.delay)
         if not len(heads):
             self.strategy.fly(flight)
@@ -194,105 +202,121 @@ class Delayed(FollowStrategy):
         flight.velocity[...] = velocity[:, :, :uavs]
 
 
-def _followers(state: SwarmState, head: int) -> NDArray[np.intp]:
-    """Living followers of a head of a batch of one, the nearest first."""
-    who = np.flatnonzero((state.leader[0] == head) & state.alive[0] & ~state.head[0] & ~state.decoy[0])
-    gap = state.position[0, who] - state.position[0, head]
-    return who[np.argsort((gap * gap).sum(axis=1), kind="stable")]
+def _sort_followers(state: SwarmState, head: int) -> NDArray[np.intp]:
+    """Return the living followers of a head, the nearest first; ``state`` is a batch of one."""
+    followers = np.flatnonzero((state.leader[0] == head) & state.alive[0] & ~state.head[0] & ~state.decoy[0])
+    gap = state.position[0, followers] - state.position[0, head]
+    return followers[np.argsort((gap * gap).sum(axis=1), kind="stable")]
 
 
-def followers_of(state: SwarmState) -> NDArray[np.int64]:
-    """``(M,)`` how many living UAVs follow each head, in the order of the heads' indices; 0 for a destroyed one."""
-    heads = np.flatnonzero(state.head[0])
-    return np.array([len(_followers(state, int(h))) if state.alive[0, h] else 0 for h in heads], np.int64)
-
-
-def handed(state: SwarmState, plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Which followers take the role of a decoy, and by which head's wish (a row of the plan).
+def count_followers(state: SwarmState) -> NDArray[np.int64]:
+    """Count the living followers of each head.
 
     Args:
         state: a batch of one.
-        plan: for its M heads; a destroyed head's row counts for nothing. A head keeps one follower at least.
 
     Returns:
-        Indices of UAVs, and rows of the plan, of the same length.
+        ``(M,)`` int64 in the order of the heads' indices; 0 for a destroyed head.
     """
-    who, rows = [], []
+    heads = np.flatnonzero(state.head[0])
+    return np.array([len(_sort_followers(state, int(h))) if state.alive[0, h] else 0 for h in heads], np.int64)
+
+
+def select_decoys(state: SwarmState, plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Select the followers that become decoys, the nearest of each head first; each head keeps at least one follower.
+
+    Args:
+        state: a batch of one.
+        plan: the plan of its M heads; the row of a destroyed head is ignored.
+
+    Returns:
+        The indices of the selected UAVs, and for each the row of its head in the plan; both ``(d,)``.
+    """
+    decoys, rows = [], []
     for row, head in enumerate(np.flatnonzero(state.head[0])):
         if state.alive[0, head] and plan.decoys[row]:
-            near = _followers(state, int(head))
+            near = _sort_followers(state, int(head))
             taken = near[: min(int(plan.decoys[row]), max(len(near) - 1, 0))]
-            who.append(taken)
+            decoys.append(taken)
             rows.append(np.full(len(taken), row))
-    if not who:
+    if not decoys:
         return np.empty(0, np.intp), np.empty(0, np.intp)
-    return np.concatenate(who), np.concatenate(rows)
+    return np.concatenate(decoys), np.concatenate(rows)
 
 
-def price(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> NDArray[np.float64]:
-    """``(M,)`` what the plan costs each head, in rounds; 0 for a destroyed one.
+def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> NDArray[np.float64]:
+    """Compute the price of the plan for each head.
 
-    The price is for formation lost: the share of the swarm that flies otherwise than it would, weighted by choice.
+    A head pays for the loss of formation: for each choice, its price times the share of the swarm that flies
+    differently because of it.
+
+    Args:
+        manoeuvres: the prices.
+        state: a batch of one.
+        plan: the choices of its M heads.
+
+    Returns:
+        ``(M,)`` float64, in rounds (the unit of J_m); 0 for a destroyed head.
     """
     uavs = state.alive.shape[1]
     heads = np.flatnonzero(state.head[0])
-    led = followers_of(state)
-    _, rows = handed(state, plan)
-    off_place = np.bincount(rows, minlength=len(heads))
+    followers = count_followers(state)
+    _, rows = select_decoys(state, plan)
+    decoys = np.bincount(rows, minlength=len(heads))
     cluster = np.where(plan.mobility > 0, manoeuvres.mobility_price, 0.0) + manoeuvres.jitter_price * plan.jitter
-    cost = (led + 1) * cluster + manoeuvres.decoy_price * off_place
-    cost = cost + manoeuvres.delay_price * plan.delay * (led - off_place)
+    cost = (followers + 1) * cluster + manoeuvres.decoy_price * decoys
+    cost = cost + manoeuvres.delay_price * plan.delay * (followers - decoys)
     return np.asarray(np.where(state.alive[0, heads], cost / uavs, 0.0))
 
 
-def fly(
+def fly_window(
     config: SwarmConfig,
     manoeuvres: Manoeuvres,
     state: SwarmState,
     flown: NDArray[np.int64],
     plan: Plan,
     rngs: Sequence[np.random.Generator],
-) -> tuple[SwarmState, ObservationBatch, NDArray[np.int64]]:
-    """Fly the next window of a batch of one as its heads planned it; else as :func:`usnet_env.swarm.advance`.
+) -> tuple[SwarmState, Sighting, NDArray[np.int64]]:
+    """Fly the next window as the heads planned it; otherwise the same as :func:`usnet_env.swarm.advance`.
 
     Args:
         config: the swarm, with its own mobility and follow strategy.
-        manoeuvres: what is on offer.
-        state: a batch of one with a head left.
-        flown: ``(M,)`` int64, the mobility that each head flew last: who changes starts anew.
-        plan: what the heads chose.
-        rngs: the episode's generator.
+        manoeuvres: the available choices.
+        state: a batch of one with at least one living head.
+        flown: ``(M,)`` int64, the mobility of each head in the window before; a head that changes it gets a new state.
+        plan: the choices of the heads.
+        rngs: the generator of the episode, in a sequence of length 1.
 
     Returns:
-        The state at the window's end, the window, and the mobilities flown.
+        The state at the end of the window, the window, and the mobility ``(M,)`` of each head in it.
     """
     laws = tuple(mobility(name) for name in manoeuvres.mobilities)
     heads = np.flatnonzero(state.head[0])
     free = state.free[0]
     row_of = {int(head): row for row, head in enumerate(heads)}
-    followers, wishes = handed(state, plan)
-    rows = np.array([*(row_of.get(int(uav), -1) for uav in free), *wishes], np.int64)  # -1: a decoy of the episode
-    led = rows >= 0
+    decoys, decoy_rows = select_decoys(state, plan)
+    rows = np.array([*(row_of.get(int(uav), -1) for uav in free), *decoy_rows], np.int64)  # -1: a decoy of the episode
+    planned = rows >= 0
     now = np.where(state.alive[0, heads], plan.mobility, flown)
-    which = np.where(led, now[rows], 0)
-    jitter = led & (plan.jitter[rows] > 0)
-    anew = led & (now[rows] != flown[rows])
-    anew[len(free) :] = True
+    which = np.where(planned, now[rows], 0)
+    jitter = planned & (plan.jitter[rows] > 0)
+    restarted = planned & (now[rows] != flown[rows])
+    restarted[len(free) :] = True
 
-    room = np.zeros((len(followers), state.mobility_state.shape[2]))
-    mobility_state = np.concatenate([state.mobility_state[0], room])
-    for row in np.flatnonzero(anew):
+    added = np.zeros((len(decoys), state.mobility_state.shape[2]))
+    mobility_state = np.concatenate([state.mobility_state[0], added])
+    for row in np.flatnonzero(restarted):
         mobility_state[row] = laws[which[row]].start(rngs[0], 1)[0]
     changes: dict[str, Mobility | FollowStrategy | str] = {}
     if jitter.any() or which.any():
         strategy = config.follow_strategy
-        changes["mobility"] = Mixed(laws, which, jitter, JITTER if strategy is None else strategy.noise)
+        changes["mobility"] = MixedMobility(laws, which, jitter, JITTER if strategy is None else strategy.noise)
     delay = np.zeros(state.alive.shape[1], np.int64)
     delay[heads] = np.where(state.alive[0, heads], plan.delay, 0)
     if delay.any() and config.follow_strategy is not None:
-        changes["follow"] = Delayed(config.follow_strategy, delay)
-    planned = config.model_copy(update=changes) if changes else config
-    before = replace(state, free=np.concatenate([free, followers])[None], mobility_state=mobility_state[None])
-    after, sighting = advance(planned, before, rngs)
+        changes["follow"] = DelayedFollow(config.follow_strategy, delay)
+    changed = config.model_copy(update=changes) if changes else config
+    before = replace(state, free=np.concatenate([free, decoys])[None], mobility_state=mobility_state[None])
+    after, sighting = advance(changed, before, rngs)
     kept = replace(after, free=state.free, mobility_state=after.mobility_state[:, : len(free)])
     return kept, sighting, now

@@ -1,4 +1,4 @@
-"""From the votes of K observers to one set of candidates: the named rules."""
+"""Rules that combine the votes of K observers into one set of candidates."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Fusion:
-    """A rule that turns votes into candidates.
+    """A rule that combines votes into candidates.
 
     Args:
-        vote: what an observer sends: ``"candidates"``, a 0 or 1 a UAV, or ``"scores"``, a number from 0 to 1 a UAV.
-        rule: ``(votes (K, N), seen (K, N)) -> candidates (N,)`` bool. ``seen`` says which living UAVs each observer
-            saw; a vote for another is 0 already.
-        description: one line for lists and pages.
+        vote: the form of a vote: ``"candidates"``, 0 or 1 for each UAV, or ``"scores"``, a number from 0 to 1 for each.
+        rule: ``(votes (K, N) float64, seen (K, N) bool) -> candidates (N,) bool``. ``seen`` marks the living UAVs that
+            each observer saw; its votes for all other UAVs have already been set to 0.
+        description: one line for lists and documentation.
     """
 
     vote: Literal["candidates", "scores"]
@@ -34,31 +34,31 @@ class Fusion:
     description: str = ""
 
 
-def _union(votes: Votes, _seen: Mask) -> Mask:
+def _combine_any(votes: Votes, _seen: Mask) -> Mask:
     return np.asarray((votes > 0.5).any(axis=0))
 
 
-def _more_than_half(votes: Votes, seen: Mask) -> Mask:
+def _combine_majority(votes: Votes, seen: Mask) -> Mask:
     return np.asarray(votes.sum(axis=0) > 0.5 * seen.sum(axis=0))
 
 
 _FUSIONS: dict[str, Fusion] = {
-    "union": Fusion("candidates", _union, "whoever one observer names"),
-    "majority": Fusion("candidates", _more_than_half, "whoever more than half of those who saw it name"),
-    "scores": Fusion("scores", _more_than_half, "whose summed scores exceed half of what those who saw it could give"),
+    "union": Fusion("candidates", _combine_any, "UAVs that at least one observer names"),
+    "majority": Fusion("candidates", _combine_majority, "UAVs that more than half of the observers that saw them name"),
+    "scores": Fusion("scores", _combine_majority, "UAVs whose mean score over the observers that saw them exceeds 0.5"),
 }
 
 
 def fusions() -> Mapping[str, Fusion]:
-    """All fusion rules by name (a read-only view)."""
+    """Return all fusion rules by name, as a read-only view."""
     return MappingProxyType(_FUSIONS)
 
 
 def fusion(name: str) -> Fusion:
-    """The fusion rule registered under ``name``.
+    """Return the fusion rule with this name.
 
     Raises:
-        ArgumentError: no such name.
+        ArgumentError: no rule has this name.
     """
     if name not in _FUSIONS:
         raise unknown_name("fusion", name, _FUSIONS)
@@ -66,10 +66,14 @@ def fusion(name: str) -> Fusion:
 
 
 def register_fusion(name: str, rule: Fusion) -> None:
-    """Make a fusion rule of one's own available as ``fusion=name``.
+    """Register a fusion rule, so that ``fusion=name`` selects it.
+
+    Args:
+        name: a non-empty name that no other rule has.
+        rule: the rule.
 
     Raises:
-        ArgumentError: the name is taken or not a name, or the rule is not a :class:`Fusion`.
+        ArgumentError: another rule has this name, the name is empty, or the rule is not a :class:`Fusion`.
     """
     if not isinstance(name, str) or not name.strip():
         raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")

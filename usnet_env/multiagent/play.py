@@ -1,4 +1,4 @@
-"""Play one game with a policy for every role, and keep what happened."""
+"""Play one game with a policy for every role, and return its result."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from typing import Any, Protocol
 import numpy as np
 
 from usnet_env.config import ArgumentError, quote
-from usnet_env.multiagent.base import Decided, UsnetParallelEnv
+from usnet_env.multiagent.base import RoundRecord, UsnetParallelEnv
 from usnet_env.provenance import versions
 
-__all__ = ["Acting", "Played", "play_game"]
+__all__ = ["GameResult", "PolicyLike", "play_game"]
 
 
-class Acting(Protocol):
-    """Whatever serves as a policy; see :class:`usnet_env.multiagent.policies.Policy`."""
+class PolicyLike(Protocol):
+    """The methods that a policy needs; :class:`usnet_env.multiagent.policies.Policy` is a base class with them."""
 
     def reset(self, seed: int, action_space: Any) -> None:
         """Start a game."""
 
     def act(self, observation: Any) -> Any:
-        """The action for one observation."""
+        """Return the action for one observation."""
 
 
 @dataclass(frozen=True)
-class Played:
-    """One game, played to its end.
+class GameResult:
+    """The result of one game.
 
     Args:
-        returns: by agent, the sum of its rewards.
-        prices: by agent, the sum of the prices it paid; 0 in a game without prices.
-        J: J_m.
-        rounds: R, rounds played.
+        returns: the sum of the rewards of each agent.
+        prices: the sum of the prices that each agent paid; 0 in a game without prices.
+        J: J_m, the objective of P2.
+        rounds: R, the number of rounds.
         success: whether every head was hit.
-        first_hits: heads hit in the first round.
-        first_redundant: redundant candidates in the first round.
-        redundant: redundant candidates in all rounds.
+        first_hits: number of heads hit in the first round.
+        first_redundant: number of redundant candidates in the first round.
+        redundant: number of redundant candidates in all rounds.
         record: the arguments of :class:`usnet_env.replay.EpisodeRecord`, from which replays and figures are made.
     """
 
@@ -55,50 +55,52 @@ class Played:
     record: dict[str, Any]
 
 
-def role_of(agent: str) -> str:
-    """``observer`` of ``observer_0``."""
+def agent_role(agent: str) -> str:
+    """Return the role of an agent: ``"observer"`` for ``"observer_0"``."""
     return agent.rpartition("_")[0]
 
 
-def play_game(env: UsnetParallelEnv, policies: Mapping[str, Acting], seed: int, label: str = "") -> Played:
+def play_game(env: UsnetParallelEnv, policies: Mapping[str, PolicyLike], seed: int, label: str = "") -> GameResult:
     """Play one game in Parallel form.
 
     Args:
         env: one of the games' ``parallel_env``.
-        policies: by agent, or by role (``"observer"``, ``"head"``). One that several agents share is copied for each
-            of them; one that a single agent has plays itself, so it need not be such that it can be copied.
-        seed: seeds the game; the policies' own seeds come from a separate branch of it.
-        label: name of who names candidates, in the record.
+        policies: a policy for each agent, or for each role (``"observer"``, ``"head"``). A policy that several agents
+            share is copied for each of them; a policy of a single agent is used as it is, without a copy.
+        seed: the seed of the game; the seeds of the policies come from a separate branch of it.
+        label: name of the detector in the record.
 
     Returns:
-        What happened; ``usnet_env.replay.EpisodeRecord(**played.record)`` is the episode as a file keeps it.
+        The result; ``usnet_env.replay.EpisodeRecord(**result.record)`` is the episode in the form that can be saved.
 
     Raises:
-        ArgumentError: an env of another kind, or no policy for an agent.
+        ArgumentError: ``env`` is not one of the games, or an agent has no policy.
     """
     if not isinstance(env, UsnetParallelEnv):
-        raise ArgumentError(f"env must be the parallel_env of a game of this project, got {quote(env)}.")
+        raise ArgumentError(f"env must be the parallel_env of a usnet_env game, got {quote(env)}.")
     observations, infos = env.reset(seed=seed)
     chosen = {}
     for agent in env.possible_agents:
-        policy = policies.get(agent, policies.get(role_of(agent)))
+        policy = policies.get(agent, policies.get(agent_role(agent)))
         if policy is None:
-            raise ArgumentError(f"policies must name {agent} or its role {role_of(agent)}, got {sorted(policies)}.")
+            raise ArgumentError(
+                f"policies must hold a policy for {agent} or its role {agent_role(agent)}, got {sorted(policies)}."
+            )
         chosen[agent] = policy
     uses = Counter(map(id, chosen.values()))
-    players = {agent: copy.deepcopy(one) if uses[id(one)] > 1 else one for agent, one in chosen.items()}
+    agents = {name: copy.deepcopy(policy) if uses[id(policy)] > 1 else policy for name, policy in chosen.items()}
     branches = np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(len(env.possible_agents), np.uint32)
-    for (agent, player), own in zip(players.items(), branches, strict=True):
-        player.reset(int(own), env.action_space(agent))
+    for (name, policy), own_seed in zip(agents.items(), branches, strict=True):
+        policy.reset(int(own_seed), env.action_space(name))
     returns = dict.fromkeys(env.possible_agents, 0.0)
     prices = dict.fromkeys(env.possible_agents, 0.0)
-    rounds: list[Decided] = []
+    rounds: list[RoundRecord] = []
     seconds: list[float] = []
     redundant = 0
     first = info = infos[env.possible_agents[0]]
     while env.agents:
         began = time.perf_counter()
-        actions = {agent: players[agent].act(observations[agent]) for agent in env.agents}
+        actions = {agent: agents[agent].act(observations[agent]) for agent in env.agents}
         spent = time.perf_counter() - began
         observations, rewards, _, _, infos = env.step(actions)
         for agent, reward in rewards.items():
@@ -106,11 +108,11 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, Acting], seed: int, 
             prices[agent] += float(infos[agent].get("price", 0.0))
         info = infos[env.possible_agents[0]]
         redundant += int(info["redundant"])
-        if env.decided is not None:  # not the opening, in which nothing is decided
-            rounds.append(env.decided)
+        if env.last_round is not None:  # None after the opening step, which is not a round
+            rounds.append(env.last_round)
             seconds.append(spent)
             first = info if len(rounds) == 1 else first
-    return Played(
+    return GameResult(
         returns=returns,
         prices=prices,
         J=float(info["J"]),
@@ -119,26 +121,26 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, Acting], seed: int, 
         first_hits=int(first["hits"]),
         first_redundant=int(first["redundant"]),
         redundant=redundant,
-        record=_record(env, rounds, seconds, seed, label),
+        record=_make_record(env, rounds, seconds, seed, label),
     )
 
 
-def _record(
-    env: UsnetParallelEnv, rounds: list[Decided], seconds: list[float], seed: int, label: str
+def _make_record(
+    env: UsnetParallelEnv, rounds: list[RoundRecord], seconds: list[float], seed: int, label: str
 ) -> dict[str, Any]:
     config = {name: getattr(env.config, name) for name in type(env.config).model_fields} | env.rules.model_dump()
     return {
-        "position": np.stack([one.sighting.position for one in rounds]),
-        "velocity": np.stack([one.sighting.velocity for one in rounds]),
-        "seen": np.stack([one.sighting.seen for one in rounds]),
-        "alive": np.stack([one.truth.alive for one in rounds]),
-        "leader": np.stack([one.truth.leader for one in rounds]),
-        "candidates": np.stack([one.candidates for one in rounds]),
-        "scores": np.stack([one.scores for one in rounds]),
-        "objective": np.array([one.objective for one in rounds]),
+        "position": np.stack([each.sighting.position for each in rounds]),
+        "velocity": np.stack([each.sighting.velocity for each in rounds]),
+        "seen": np.stack([each.sighting.seen for each in rounds]),
+        "alive": np.stack([each.truth.alive for each in rounds]),
+        "leader": np.stack([each.truth.leader for each in rounds]),
+        "candidates": np.stack([each.candidates for each in rounds]),
+        "scores": np.stack([each.scores for each in rounds]),
+        "objective": np.array([each.objective for each in rounds]),
         "head": rounds[0].truth.head,
-        "decoy": env.swarm.decoy,  # of the whole episode; who was one for a window only follows nobody in it
-        "over_budget": np.array([one.over_budget for one in rounds]),
+        "decoy": env.swarm.decoy,  # of the whole episode; a decoy of one window has itself as leader in it
+        "over_budget": np.array([each.over_budget for each in rounds]),
         "seconds": np.array(seconds),
         "problem": "P2",
         "env_id": str(env.metadata["name"]),

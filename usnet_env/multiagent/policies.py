@@ -1,7 +1,7 @@
-"""Scripted policies for every role, so that each game runs without training.
+"""Scripted policies for every role, so that both games can be played without training.
 
-A policy is reset with a seed and the agent's action space, and then answers observations. Detectors serve as observers
-in both games; they see a window that is made of the observation, and nothing else.
+A policy is reset with a seed and the action space of its agent, and then returns an action for each observation. A
+detector can act as an observer in both games; it receives a window made from the observation, and nothing else.
 """
 
 from __future__ import annotations
@@ -26,44 +26,44 @@ Array = NDArray[Any]
 
 
 class Policy(ABC):
-    """How one agent acts. Subclass it, or write anything with the same two methods."""
+    """Base class of policies for one agent; any class with the same two methods can be used instead."""
 
     def reset(self, seed: int, action_space: spaces.Space[Any]) -> None:
-        """Start a game: own a fresh generator ``self.rng``, and remember the actions that can be taken."""
+        """Start a game: create the generator ``self.rng`` and store the action space."""
         self.rng = np.random.default_rng(seed)
         self.action_space = action_space
 
     @abstractmethod
     def act(self, observation: Observation) -> Array:
-        """The action for one observation."""
+        """Return the action for one observation."""
 
 
 class TruthfulHead(Policy):
-    """A head that flies as it always does: 0 for every choice."""
+    """A head that never evades: it chooses 0 everywhere."""
 
     def act(self, observation: Observation) -> Array:
-        """Zeros."""
-        return np.zeros(len(_choices(self.action_space)), np.int64)
+        """Return zeros."""
+        return np.zeros(len(_choice_sizes(self.action_space)), np.int64)
 
 
 class RandomHead(Policy):
-    """A head that draws each choice anew for every window, uniformly from what it can carry out."""
+    """A head that draws each choice uniformly from the legal values, anew for every window."""
 
     def act(self, observation: Observation) -> Array:
-        """One legal value of every choice."""
+        """Return a random legal value of each choice."""
         return np.array(
-            [self.rng.choice(np.flatnonzero(mask)) for mask in _legal(observation, self.action_space)], np.int64
+            [self.rng.choice(np.flatnonzero(mask)) for mask in _split_masks(observation, self.action_space)], np.int64
         )
 
 
 class CamouflagedHead(Policy):
-    """A head that always hides in the same way.
+    """A head that evades in the same way in every window.
 
     Args:
-        mobility: index of the mobility; ``None``: the last on offer.
-        jitter: whether it flies with the followers' noise.
-        decoys: how many followers play decoys, as far as there are enough; ``None``: as many as can be.
-        delay: how late its followers follow; ``None``: as late as can be.
+        mobility: index of the mobility; ``None`` for the last one.
+        jitter: whether the head flies with the followers' noise.
+        decoys: number of followers that become decoys, limited by what is legal; ``None`` for the largest number.
+        delay: delay of its followers in steps; ``None`` for the largest delay.
     """
 
     def __init__(
@@ -75,38 +75,41 @@ class CamouflagedHead(Policy):
         self.delay = delay
 
     def act(self, observation: Observation) -> Array:
-        """The same choice every time, cut down to what can be carried out."""
+        """Return the same choices every time, reduced to the largest legal values where necessary."""
         wanted = (self.mobility, int(self.jitter), self.decoys, self.delay)
-        most = [int(np.flatnonzero(mask)[-1]) for mask in _legal(observation, self.action_space)]
-        return np.array([top if wish is None else min(wish, top) for wish, top in zip(wanted, most, strict=True)])
+        limits = [int(np.flatnonzero(mask)[-1]) for mask in _split_masks(observation, self.action_space)]
+        return np.array(
+            [limit if value is None else min(value, limit) for value, limit in zip(wanted, limits, strict=True)]
+        )
 
 
 class RandomObserver(Policy):
-    """An observer that names a few UAVs at random among those that it may name.
+    """An observer that names a few random UAVs among the legal ones.
 
     Args:
-        count: how many; all of them where there are fewer.
+        count: number of UAVs to name; if fewer are legal, it names them all.
     """
 
     def __init__(self, count: int = 1) -> None:
         self.count = count
 
     def act(self, observation: Observation) -> Array:
-        """The vote, and an empty message."""
+        """Return the vote, and a message of zeros."""
         legal = np.flatnonzero(observation["legal"])
         vote = np.zeros(len(observation["legal"]))
         vote[self.rng.permutation(legal)[: self.count]] = 1
-        return _vote(vote, self.action_space)
+        return _pad_vote(vote, self.action_space)
 
 
 class DetectorObserver(Policy):
-    """A detector as an observer: it looks at those UAVs that the observer saw, and its candidates are the vote.
+    """A detector as an observer: it receives the UAVs that the observer saw, and its candidates are the vote.
 
-    Where votes are scores, a UAV gets the detector's probability if it gives one (``extras["probability"]``), and else
-    its score relative to the lowest score among the candidates, at most 1: a candidate gets 1.
+    If votes are scores, the vote for a UAV is the detector's probability (``extras["probability"]``) if it returns one.
+    Otherwise it is the detector's score divided by the lowest score of a candidate, at most 1, so that each candidate
+    gets 1.
 
     Args:
-        detector: anything with ``reset(seed)`` and ``detect(window) -> Detection``; every agent gets a copy of it.
+        detector: an object with ``reset(seed)`` and ``detect(window) -> Detection``.
     """
 
     def __init__(self, detector: DetectorLike) -> None:
@@ -115,38 +118,38 @@ class DetectorObserver(Policy):
         self.detector = detector
 
     def reset(self, seed: int, action_space: spaces.Space[Any]) -> None:
-        """Start a game: reset the detector, with a seed that is not the game's."""
+        """Start a game: reset the detector with a seed drawn from the policy's generator."""
         super().reset(seed, action_space)
         self.detector.reset(int(self.rng.integers(2**31)))
 
     def act(self, observation: Observation) -> Array:
-        """The vote, and an empty message; nobody is named where nobody may be."""
+        """Return the vote, and a message of zeros; without a legal UAV the vote is empty."""
         window = Window.from_observation(observation)
         legal = np.asarray(observation["legal"]).astype(bool)
         if not legal.any():
-            return _vote(np.zeros(window.uavs), self.action_space)
+            return _pad_vote(np.zeros(window.uavs), self.action_space)
         seen = window.alive & legal & window.seen.any(axis=0)
-        part = Window(window.position, window.velocity, window.seen & seen, seen, window.round)
-        detection = self.detector.detect(part)
+        visible = Window(window.position, window.velocity, window.seen & seen, seen, window.round)
+        detection = self.detector.detect(visible)
         if not isinstance(detection, Detection) or detection.candidates.shape != (window.uavs,):
-            raise ArgumentError(f"detector must answer a Detection for {window.uavs} UAVs, got {quote(detection)}.")
+            raise ArgumentError(f"detect must return a Detection for {window.uavs} UAVs, got {quote(detection)}.")
         named = detection.candidates & legal
         as_scores = isinstance(self.action_space, spaces.Box)
-        return _vote(_shares(detection, named) if as_scores else named, self.action_space)
+        return _pad_vote(_scale_scores(detection, named) if as_scores else named, self.action_space)
 
 
-def _shares(detection: Detection, named: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Scores as numbers from 0 to 1."""
+def _scale_scores(detection: Detection, named: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Convert a detector's scores to numbers from 0 to 1."""
     if "probability" in detection.extras:
         return np.clip(np.asarray(detection.extras["probability"], np.float64), 0.0, 1.0)
     lowest = detection.scores[named].min() if named.any() else 0.0
-    if lowest <= 0:  # scores of another kind than votes: only the candidates are sure
+    if lowest <= 0:  # a ratio of such scores has no meaning: vote with the candidates
         return named.astype(np.float64)
     return np.clip(detection.scores / lowest, 0.0, 1.0)
 
 
-def _vote(vote: Array, space: spaces.Space[Any]) -> Array:
-    """A vote of N numbers in the form that the action space has, followed by zeros for a message."""
+def _pad_vote(vote: Array, space: spaces.Space[Any]) -> Array:
+    """Convert a vote of N numbers to an action of the space, with zeros for the message."""
     if not isinstance(space, spaces.MultiBinary | spaces.Box):
         raise ArgumentError(f"action_space must be MultiBinary or Box for an observer, got {quote(space)}.")
     action = np.zeros(space.shape, space.dtype)
@@ -154,13 +157,13 @@ def _vote(vote: Array, space: spaces.Space[Any]) -> Array:
     return action
 
 
-def _choices(space: spaces.Space[Any]) -> NDArray[np.int64]:
-    """How many values each of a head's choices has."""
+def _choice_sizes(space: spaces.Space[Any]) -> NDArray[np.int64]:
+    """Return the number of values of each choice of a head."""
     if not isinstance(space, spaces.MultiDiscrete):
         raise ArgumentError(f"action_space must be MultiDiscrete for a head, got {quote(space)}.")
     return np.asarray(space.nvec, np.int64)
 
 
-def _legal(observation: Observation, space: spaces.Space[Any]) -> list[Array]:
-    """The mask of each choice."""
-    return np.split(np.asarray(observation["legal"]), np.cumsum(_choices(space))[:-1])
+def _split_masks(observation: Observation, space: spaces.Space[Any]) -> list[Array]:
+    """Split ``legal`` into the mask of each choice."""
+    return np.split(np.asarray(observation["legal"]), np.cumsum(_choice_sizes(space))[:-1])

@@ -1,4 +1,4 @@
-"""The ids under which PettingZoo makes the games."""
+"""Register the games with PettingZoo."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ GAMES = ("usnet_observers_v0", "usnet_evasion_v0")
 
 
 def register_games() -> None:
-    """Register both games in both forms with PettingZoo; a second call changes nothing."""
+    """Register both games in AEC and Parallel form with PettingZoo; a second call changes nothing."""
     from pettingzoo import aec_registry, parallel_registry, register
 
-    for kind, registry, maker in (("aec", aec_registry, "env"), ("parallel", parallel_registry, "parallel_env")):
+    for form, registry, constructor in (("aec", aec_registry, "env"), ("parallel", parallel_registry, "parallel_env")):
         known = {spec.entry_point for spec in registry.values()}
         for game in GAMES:
-            if (entry_point := f"usnet_env.multiagent.{game}:{maker}") not in known:
-                register(kind, game, entry_point=entry_point)
+            if (entry_point := f"usnet_env.multiagent.{game}:{constructor}") not in known:
+                register(form, game, entry_point=entry_point)

@@ -1,4 +1,4 @@
-"""``usnet_observers_v0``: K observers see parts of one swarm, and vote."""
+"""``usnet_observers_v0``: K observers each see a part of one swarm, and vote."""
 
 from __future__ import annotations
 
@@ -12,67 +12,69 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
     AECEnv,
-    Decided,
     Observation,
+    RoundRecord,
     Step,
     UsnetParallelEnv,
-    in_turns,
-    in_turns_and_order,
-    rules_of,
-    scalars,
+    make_rules,
+    to_aec,
+    to_ordered_aec,
+    to_scalars,
 )
 from usnet_env.multiagent.fusion import fusion as fusion_rule
-from usnet_env.multiagent.sight import Eye, Sight, observe_from, team_sight
-from usnet_env.swarm import ObservationBatch, SwarmConfig
+from usnet_env.multiagent.sensors import Observer, SensorConfig, merge_sightings, sense_window
+from usnet_env.swarm import Sighting, SwarmConfig
 
 __all__ = ["env", "parallel_env", "raw_env"]
 
 
 class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
-    """Several observers, each with a part of the picture, find all heads of a swarm together (cooperative).
+    """Several observers, each of which sees a part of the swarm, find its heads together (cooperative).
 
     ## Description
-    The swarm and the rounds are those of `USNET/MultiCluster-v0`. K observers stand in the arena; each sees the UAVs
-    within its range, with sensing noise of its own, and votes. A fusion rule turns the votes into the round's
-    candidates, which are destroyed. Observers may send each other a short message, which arrives with the next
-    window. With one observer who sees everything the game is `USNET/MultiCluster-v0`.
+    The swarm and the rounds are those of `USNET/MultiCluster-v0`. K observers have fixed positions in the arena. Each
+    sees the UAVs within its range, with its own sensing noise, and votes. A fusion rule combines the votes into the
+    candidates of the round, which are destroyed. Observers may send each other a short message, which arrives with the
+    next window. With one observer that sees all UAVs the game equals `USNET/MultiCluster-v0`.
 
     ## Agents
-    `observer_0` to `observer_{K-1}`. All stay until the game ends.
+    `observer_0` to `observer_{K-1}`. All of them stay until the game ends.
 
     ## Action Space
-    The vote: `MultiBinary(N)`, or `Box(0, 1, (N,))` where `fusion` sums scores. A vote for a UAV that the observer
+    The vote: `MultiBinary(N)`, or `Box(0, 1, (N,))` if the fusion rule takes scores. A vote for a UAV that the observer
     did not see in this window, or that is destroyed, does not count. With `message_size` B the action has B more
-    entries of the same kind, the message.
+    values of the same type, the message.
 
     ## Observation Space
     `Dict` of
 
     | key | shape | dtype | unit | meaning |
     | --- | --- | --- | --- | --- |
-    | `position` | `(T_ob + 1, N, 3)` | float32 | m | where UAVs in range were seen; 0 if unseen |
-    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | velocity between two instants; 0 unless both ends were seen |
+    | `position` | `(T_ob + 1, N, 3)` | float32 | m | observed positions; 0 if unseen |
+    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | observed velocities; 0 unless seen at both instants |
     | `seen` | `(T_ob + 1, N)` | int8 | | 1 where the UAV was in range and detected |
     | `alive` | `(N,)` | int8 | | 1 unless destroyed |
     | `round` | `(1,)` | float32 | | number of the round, from 1 |
-    | `legal` | `(N,)` | int8 | | 1 for living UAVs that this observer saw: its votes for them count |
-    | `place` | `(3,)` | float32 | m | where this observer stands |
-    | `messages` | `(K, B)` | float32 | | what each observer sent in the round before; only if `message_size` > 0 |
+    | `legal` | `(N,)` | int8 | | 1 for the living UAVs that this observer saw: only votes for them count |
+    | `place` | `(3,)` | float32 | m | position of this observer |
+    | `messages` | `(K, B)` | float32 | | messages of all observers in the previous round; only if `message_size` > 0 |
 
-    The first five make a `usnet_env.Window`.
+    A `usnet_env.Window` can be made from the first five.
 
     ## Rewards
-    All observers get the reward of P2 for the fused candidates, −(1 + `redundancy_price` · redundant / N) a round;
-    the return at price 1 is −J_m.
+    In each round every observer gets the reward of P2 for the fused candidates, −(1 + `redundancy_price` · redundant /
+    N). With price 1 the return is −J_m.
 
-    `info` is the same for all: `hits`, `redundant`, `round`, `success`, `J`, `over_budget`,
+    `info` is the same for all observers: `hits`, `redundant`, `round`, `success`, `J`, `over_budget`,
     `reward_round`, `reward_redundancy`.
 
     ## Starting State
-    That of `USNET/MultiCluster-v0` with the same seed. Observers stand on a `grid` over the arena, or `uniform`ly.
+    That of `USNET/MultiCluster-v0` with the same seed. The observers are placed on a grid over the arena
+    (`grid`), or at random positions drawn for each game (`uniform`).
 
     ## Episode End
-    Terminates for all when no head is left (the windows are then empty); truncates after `max_rounds`.
+    The game terminates for all observers when no head is left (the last windows are empty). It is truncated after
+    `max_rounds` rounds.
 
     ## Arguments
     | name | default | meaning |
@@ -82,9 +84,9 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     | `position_noise` | 0 | standard deviation of observed positions, m; one number, or one for each |
     | `miss_rate` | 0 | probability of a missed detection in range; one number, or one for each |
     | `placement` | `"grid"` | `grid` or `uniform` |
-    | `message_size` | 0 | B, numbers sent in a round |
+    | `message_size` | 0 | B, how many numbers each observer sends in a round |
     | `fusion` | `"union"` | `union`, `majority`, `scores`, or a registered rule |
-    | `max_cycles` | `None` | most steps, if fewer than `max_rounds` |
+    | `max_cycles` | `None` | largest number of steps, if less than `max_rounds` |
 
     and of `USNET/MultiCluster-v0`: `follow`, `mobility`, `formation`, `clusters`, `uavs`, `cluster_sizes`,
     `observation_steps`, `memory`, `sample_every`, `decoys`, `head_jitter`, `follow_seed`, `max_rounds`,
@@ -124,15 +126,15 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         render_mode: str | None = None,
     ) -> None:
         self.fusion = fusion_rule(fusion)
-        self.sight = Sight(
+        self.sensor_config = SensorConfig(
             observers=observers,
-            sensing_range=sensing_range,  # type: ignore[arg-type]  # a list is taken and made a tuple
+            sensing_range=sensing_range,  # type: ignore[arg-type]  # a list is converted to a tuple
             position_noise=position_noise,  # type: ignore[arg-type]
             miss_rate=miss_rate,  # type: ignore[arg-type]
             placement=placement,
             message_size=message_size,
         )
-        rules = rules_of(max_rounds, max_cycles, 0, shot_budget, redundancy_price)
+        rules = make_rules(max_rounds, max_cycles, 0, shot_budget, redundancy_price)
         config = SwarmConfig(
             follow=follow,
             mobility=mobility,
@@ -147,15 +149,15 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             head_jitter=head_jitter,
             follow_seed=follow_seed,
         )
-        self._sensors = self.sight.sensors(config)
-        # One flight for all observers: every step of it, without noise; each then samples it by itself.
+        self._sensors = self.sensor_config.sensor_configs(config)
+        # The swarm flies once, with every step and without noise; then each observer samples this flight.
         every_step = {"sample_every": 1, "observation_steps": config.observation_steps * config.sample_every}
         self._flight = config.model_copy(update=every_step)
         noisiest = max(self._sensors, key=lambda sensor: sensor.position_noise)
         shape = dict(game.observation_space(noisiest, rules).spaces)
         far = noisiest.position_bound(rules.max_rounds)
         shape |= {"legal": spaces.MultiBinary(uavs), "place": spaces.Box(-far, far, (3,), np.float32)}
-        size = self.sight.message_size
+        size = self.sensor_config.message_size
         if size:
             shape["messages"] = spaces.Box(0, 1, (observers, size), np.float32)
         names = [f"observer_{k}" for k in range(observers)]
@@ -171,8 +173,8 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
                 for name in names
             },
         )
-        self._eyes: list[Eye] = []
-        self._sightings: list[ObservationBatch] = []
+        self._observers: list[Observer] = []
+        self._sightings: list[Sighting] = []
         self._messages = np.zeros((observers, size), np.float32)
 
     def reset(
@@ -181,28 +183,28 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         """Start a game and observe its first window.
 
         Args:
-            seed: seeds the game's own generator, 0 included; ``None`` goes on with the present one. The observers'
-                noise comes from branches of it, so that the swarm flies the same whoever looks.
-            options: none are known; ignored.
+            seed: seed of the game's generator; ``None`` keeps the current generator. The noise of the observers comes
+                from separate branches, so that the flight of the swarm does not depend on the observers.
+            options: ignored.
 
         Returns:
             Observations and infos by agent.
         """
-        rng = self._generator(seed)
-        places, *noises = rng.spawn(1 + self.sight.observers)
-        where = self.sight.places(places)
-        reaches = self.sight.each("sensing_range")
-        self._eyes = [Eye(*parts) for parts in zip(where, reaches, self._sensors, noises, strict=True)]
+        rng = self._get_generator(seed)
+        placement_rng, *noise_rngs = rng.spawn(1 + self.sensor_config.observers)
+        positions = self.sensor_config.draw_positions(placement_rng)
+        ranges = self.sensor_config.expand("sensing_range")
+        self._observers = [Observer(*parts) for parts in zip(positions, ranges, self._sensors, noise_rngs, strict=True)]
         self._messages = np.zeros_like(self._messages)
-        self.decided = None
+        self.last_round = None
         self.agents = list(self.possible_agents)
-        state = game.start_games(self.config, [rng])
-        metrics = game.initial_info(self.rules, state)
-        self._look(state)
-        return self._observations(), {agent: scalars(metrics) for agent in self.agents}
+        state = game.begin(self.config, [rng])
+        metrics = game.opening(self.rules, state)
+        self._sense_next_window(state)
+        return self._observations(), {agent: to_scalars(metrics) for agent in self.agents}
 
     def step(self, actions: Any) -> Step:
-        """Fuse the votes, destroy the candidates, score the round, and observe the next window.
+        """Combine the votes, destroy the candidates, score the round, and observe the next window.
 
         Args:
             actions: a vote for each living agent.
@@ -211,64 +213,63 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             Observations, rewards, terminations, truncations and infos by agent.
 
         Raises:
-            ArgumentError: no action for an agent or one of another shape or with other values, or a step after the
-                end.
+            ArgumentError: an action is missing, or has a wrong shape or wrong values, or the game has ended.
         """
-        given = self._checked(actions)
-        whole = np.stack([self._vote(agent, given[agent]) for agent in self.possible_agents])
-        before = self._running()
+        checked = self._check_actions(actions)
+        whole = np.stack([self._check_vote(agent, checked[agent]) for agent in self.possible_agents])
+        before = self._current_game()
         uavs = self.config.uavs
-        seen = np.stack([sighting.seen.any(axis=0) for sighting in self._sightings])  # the living only
+        seen = np.stack([sighting.seen.any(axis=0) for sighting in self._sightings])  # false for destroyed UAVs
         votes = whole[:, :uavs] * seen
-        candidates = self._fused(votes, seen)
-        state, turn = game.play_round(self.rules, before, candidates[None])
-        self.decided = Decided(
-            sighting=self._window(),
-            truth=self._truth(before),
+        candidates = self._fuse(votes, seen)
+        state, outcome = game.play(self.rules, before, candidates[None])
+        self.last_round = RoundRecord(
+            sighting=self._current_window(),
+            truth=self._reveal_swarm(before),
             candidates=candidates,
             scores=votes.sum(axis=0),
-            objective=float(turn.metrics["J"][0]),
-            over_budget=bool(turn.metrics["over_budget"][0]),
+            objective=float(outcome.metrics["J"][0]),
+            over_budget=bool(outcome.metrics["over_budget"][0]),
         )
         self._messages = whole[:, uavs:].astype(np.float32)
-        self._look(state)
-        now = self.agents
+        self._sense_next_window(state)
+        agents = self.agents
         terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
         result = (
             self._observations(),
-            dict.fromkeys(now, float(turn.reward[0])),
-            dict.fromkeys(now, terminated),
-            dict.fromkeys(now, truncated),
-            {agent: scalars(turn.metrics) for agent in now},
+            dict.fromkeys(agents, float(outcome.reward[0])),
+            dict.fromkeys(agents, terminated),
+            dict.fromkeys(agents, truncated),
+            {agent: to_scalars(outcome.metrics) for agent in agents},
         )
         if terminated or truncated:
             self.agents = []
         return result
 
-    def _look(self, state: game.GameState) -> None:
-        """Fly the next window and let every observer see its part; nobody sees anything of a game that is over."""
-        self._game, truth = game.observe_windows(self._flight, state, [self._generator(None)])
+    def _sense_next_window(self, state: game.GameState) -> None:
+        """Fly the next window and observe it with each observer; after the end of the game all windows are empty."""
+        self._game, truth = game.observe(self._flight, state, [self._get_generator(None)])
         if state.terminated[0]:
-            self._sightings = [self._empty() for _ in self._eyes]
+            self._sightings = [self._empty_window() for _ in self._observers]
         else:
             position, velocity = truth["position"][0], truth["velocity"][0]
             alive = truth["alive"][0].astype(bool)
-            self._sightings = [observe_from(eye, position, velocity, alive) for eye in self._eyes]
-        self._sighting = team_sight(self._sightings)
+            self._sightings = [sense_window(observer, position, velocity, alive) for observer in self._observers]
+        self._sighting = merge_sightings(self._sightings)
 
     def _observations(self) -> dict[str, Observation]:
-        every = {}
-        for agent, eye, sighting in zip(self.possible_agents, self._eyes, self._sightings, strict=True):
-            observation = self._seen_by(sighting, np.asarray(sighting.seen.any(axis=0)))
-            observation["place"] = eye.place.astype(np.float32)
-            if self.sight.message_size:
+        observations = {}
+        for agent, observer, sighting in zip(self.possible_agents, self._observers, self._sightings, strict=True):
+            observation = self._make_observation(sighting, np.asarray(sighting.seen.any(axis=0)))
+            observation["place"] = observer.position.astype(np.float32)
+            if self.sensor_config.message_size:
                 observation["messages"] = self._messages.copy()
-            every[agent] = observation
-        return every
+            observations[agent] = observation
+        return observations
 
-    def _vote(self, agent: str, action: Any) -> NDArray[np.float64]:
-        """The action as numbers from 0 to 1, one a UAV, then the message."""
-        length = self.config.uavs + self.sight.message_size
+    def _check_vote(self, agent: str, action: Any) -> NDArray[np.float64]:
+        """Check an action and convert it to numbers from 0 to 1: one for each UAV, then the message."""
+        length = self.config.uavs + self.sensor_config.message_size
         if self.fusion.vote == "candidates":
             return game.parse_candidates(action, (length,)).astype(np.float64)
         try:
@@ -279,8 +280,8 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             raise ArgumentError(f"action of {agent} must hold {length} numbers from 0 to 1, got {quote(action)}.")
         return values.astype(np.float64)
 
-    def _fused(self, votes: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The candidates; a rule of a stranger is checked."""
+    def _fuse(self, votes: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Apply the fusion rule, and check the candidates that it returns."""
         candidates = np.asarray(self.fusion.rule(votes, seen))
         if candidates.shape != (self.config.uavs,) or candidates.dtype != bool:
             raise ArgumentError(f"fusion rule must return {self.config.uavs} booleans, got {quote(candidates)}.")
@@ -288,10 +289,10 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
 
 
 def raw_env(**arguments: Any) -> AECEnv:
-    """The AEC form without the wrapper that enforces the order of calls; arguments as of :class:`parallel_env`."""
-    return in_turns(parallel_env(**arguments))
+    """Create the AEC form without the wrapper that enforces the order of calls; arguments of :class:`parallel_env`."""
+    return to_aec(parallel_env(**arguments))
 
 
 def env(**arguments: Any) -> AECEnv:
-    """The AEC form; arguments as of :class:`parallel_env`."""
-    return in_turns_and_order(parallel_env(**arguments))
+    """Create the AEC form; arguments of :class:`parallel_env`."""
+    return to_ordered_aec(parallel_env(**arguments))

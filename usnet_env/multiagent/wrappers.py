@@ -1,4 +1,4 @@
-"""Wrappers for frameworks that need another form of the same actions and observations."""
+"""Wrappers for frameworks that need a different form of the actions or observations."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _MOST_ACTIONS = 100_000
 
 
 class DiscreteActions(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo ships no types
-    """A game whose agents each choose one of n actions; the observation gets the key ``action_mask`` beside ``legal``.
+    """Convert every agent's actions to ``Discrete(n)``, and add an ``action_mask`` to its observations.
 
-    Who names UAVs chooses one of them, or N for nobody: ``Discrete(N + 1)`` (a message, where there is one, stays
-    empty). A head's choices are numbered together, the last one varying fastest: ``Discrete`` of their product. The
-    mask ``(n,)`` int8 is 1 for what is legal; ``action_space(agent).sample(mask)`` takes it.
+    An observer names one UAV by its index, or no UAV by N: ``Discrete(N + 1)``; its message, if the game has messages,
+    is 0. The choices of a head are numbered together, the last choice varying fastest: ``Discrete`` of the product of
+    their sizes. ``action_mask`` ``(n,)`` int8 is 1 for legal actions, as ``action_space(agent).sample(mask)`` takes it.
 
     Args:
-        env: one of the games' ``parallel_env``.
+        env: the ``parallel_env`` of one of the games.
 
     Raises:
-        ArgumentError: an env of another kind, one whose votes are scores, or one with too many actions.
+        ArgumentError: ``env`` is not one of the games, its votes are scores, or an agent has more than 100,000 actions.
     """
 
     def __init__(self, env: UsnetParallelEnv) -> None:
         if not isinstance(env, UsnetParallelEnv):
-            raise ArgumentError(f"env must be the parallel_env of a game of this project, got {quote(env)}.")
+            raise ArgumentError(f"env must be the parallel_env of a usnet_env game, got {quote(env)}.")
         super().__init__(env)
         self._actions: dict[str, spaces.Discrete] = {}
         self._observations: dict[str, spaces.Dict] = {}
@@ -51,34 +51,34 @@ class DiscreteActions(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo 
             self._observations[agent] = spaces.Dict({**seen.spaces, "action_mask": spaces.MultiBinary(count)})
 
     def action_space(self, agent: str) -> spaces.Discrete:
-        """The actions of an agent; the same object every time."""
+        """Return the action space of an agent; the same object every time."""
         return self._actions[agent]
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """The observations of an agent; the same object every time."""
+        """Return the observation space of an agent; the same object every time."""
         return self._observations[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, Any]]:
-        """Start a game; see the wrapped one."""
+        """Start a game; see the wrapped environment."""
         observations, infos = self.env.reset(seed=seed, options=options)
-        return {agent: self._masked(agent, one) for agent, one in observations.items()}, infos
+        return {agent: self._add_mask(agent, value) for agent, value in observations.items()}, infos
 
     def step(self, actions: Any) -> Step:
-        """A step with one number for each agent.
+        """Make a step with one number for each agent.
 
         Raises:
-            ArgumentError: a number out of range, or what the wrapped game refuses.
+            ArgumentError: a number is out of range, or the wrapped game refuses the actions.
         """
         if not isinstance(actions, dict):
             raise ArgumentError(f"actions must map agents to actions, got {quote(actions)}.")
-        inner = {agent: self._inner(agent, action) for agent, action in actions.items()}
+        inner = {agent: self._decode_action(agent, action) for agent, action in actions.items()}
         observations, *rest = self.env.step(inner)
-        return ({agent: self._masked(agent, one) for agent, one in observations.items()}, *rest)
+        return ({agent: self._add_mask(agent, value) for agent, value in observations.items()}, *rest)
 
-    def _inner(self, agent: str, action: Any) -> Any:
-        """The wrapped game's action."""
+    def _decode_action(self, agent: str, action: Any) -> Any:
+        """Convert a number to the action of the wrapped game."""
         if agent not in self._actions:
             return action
         count = int(self._actions[agent].n)
@@ -93,7 +93,7 @@ class DiscreteActions(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo 
             vote[value.item()] = 1
         return vote
 
-    def _masked(self, agent: str, observation: Observation) -> Observation:
+    def _add_mask(self, agent: str, observation: Observation) -> Observation:
         space, legal = self.env.action_space(agent), observation["legal"]
         if isinstance(space, spaces.MultiDiscrete):
             mask: NDArray[np.int8] = np.ones(1, np.int8)
@@ -105,51 +105,55 @@ class DiscreteActions(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo 
 
 
 class MultiDiscreteVotes(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo ships no types
-    """Votes as ``MultiDiscrete([2] * N)``, which SuperSuit and RLlib want for ``MultiBinary(N)``; the same bits.
+    """Convert votes from ``MultiBinary(N)`` to ``MultiDiscrete([2] * N)``, which SuperSuit and RLlib need.
+
+    The values of the actions do not change, and neither do the action spaces of heads.
 
     Args:
-        env: one of the games' ``parallel_env``, or a wrapper round it. Heads' actions stay as they are.
+        env: the ``parallel_env`` of one of the games, or a wrapper around it.
 
     Raises:
-        ArgumentError: an env of another kind, or one whose votes are scores.
+        ArgumentError: ``env`` is not one of the games, or its votes are scores.
     """
 
     def __init__(self, env: UsnetParallelEnv | BaseParallelWrapper) -> None:
-        super().__init__(_game(env))
-        self._actions = {agent: _multi_discrete(agent, env.action_space(agent)) for agent in env.possible_agents}
+        super().__init__(_check_game(env))
+        self._actions = {agent: _convert_space(agent, env.action_space(agent)) for agent in env.possible_agents}
 
     def action_space(self, agent: str) -> spaces.MultiDiscrete:
-        """The actions of an agent; the same object every time."""
+        """Return the action space of an agent; the same object every time."""
         return self._actions[agent]
 
 
 class ParallelBoxMasks(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo ships no types
-    """The masks in the observations as ``Box``, the observations unchanged; see ``usnet_env.envs.wrappers.BoxMasks``.
+    """Describe the masks in the observation spaces as ``Box``; see ``usnet_env.envs.wrappers.BoxMasks``.
+
+    The observations themselves do not change.
 
     Args:
-        env: one of the games' ``parallel_env``, or a wrapper round it such as :class:`DiscreteActions`.
+        env: the ``parallel_env`` of one of the games, or a wrapper around it such as :class:`DiscreteActions`.
 
     Raises:
-        ArgumentError: an env of another kind.
+        ArgumentError: ``env`` is not one of the games.
     """
 
     def __init__(self, env: UsnetParallelEnv | BaseParallelWrapper) -> None:
-        super().__init__(_game(env))
+        super().__init__(_check_game(env))
         self._observations = {agent: box_masks(env.observation_space(agent)) for agent in env.possible_agents}
 
     def observation_space(self, agent: str) -> spaces.Dict:
-        """The observations of an agent; the same object every time."""
+        """Return the observation space of an agent; the same object every time."""
         return self._observations[agent]
 
 
-def _game(env: Any) -> Any:
-    """``env``, if it is a game in Parallel form."""
+def _check_game(env: Any) -> Any:
+    """Return ``env`` if it is a game in Parallel form."""
     if not isinstance(env, UsnetParallelEnv | BaseParallelWrapper):
-        raise ArgumentError(f"env must be a parallel_env or a wrapper round it, got {quote(env)}.")
+        raise ArgumentError(f"env must be a parallel_env or a wrapper around it, got {quote(env)}.")
     return env
 
 
-def _multi_discrete(agent: str, space: Any) -> spaces.MultiDiscrete:
+def _convert_space(agent: str, space: Any) -> spaces.MultiDiscrete:
     if isinstance(space, spaces.MultiBinary):
         return spaces.MultiDiscrete(np.full(space.shape, 2))
     if not isinstance(space, spaces.MultiDiscrete):

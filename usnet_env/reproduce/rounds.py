@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from usnet_env.config import ArgumentError, unknown_name
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import TRIVIAL
+from usnet_env.evaluation.agents import Agent, Answer, as_agent
 from usnet_env.evaluation.episode import episode_seeds, play_episode, warm_up
-from usnet_env.evaluation.players import Answer, Player, as_player
 from usnet_env.objectives import rounds_hits_and_redundant
 from usnet_env.plugins import make_detector
 from usnet_env.reproduce.rows import Measurement, counter, flight_suffix, keep_report, measure, read_rows
@@ -128,7 +128,7 @@ def tasks_for(detectors: Sequence[str], cells: Sequence[Cell], episodes: int) ->
 class _Recorder:
     """A player whose candidates are remembered."""
 
-    def __init__(self, player: Player) -> None:
+    def __init__(self, player: Agent) -> None:
         self.player = player
         self.candidates: list[NDArray[np.bool_]] = []
         self.warm_up = player.warm_up
@@ -148,7 +148,7 @@ class _Recorder:
 @cache
 def _recorder(detector: str) -> _Recorder:
     """This process's player of that name, warmed up so that no episode's seconds hold compiling and loading."""
-    player = _Recorder(as_player(make_detector(detector)))
+    player = _Recorder(as_agent(make_detector(detector)))
     warm_up(MultiClusterEnv(), player, detector, 0)
     return player
 

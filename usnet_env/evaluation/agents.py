@@ -1,4 +1,4 @@
-"""Everything that can be evaluated, in one form: a player is reset and then answers observations, one a round."""
+"""One interface for everything that can be evaluated: an agent is reset, then answers one observation a round."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["Answer", "DetectorPlayer", "Player", "PolicyPlayer", "as_player"]
+__all__ = ["Agent", "Answer", "DetectorAgent", "PolicyAgent", "as_agent"]
 
 
 @dataclass(frozen=True)
 class Answer:
-    """One answer to one observation.
+    """The answer of an agent to one observation.
 
     Args:
-        candidates: ``(N,)`` bool.
-        scores: ``(N,)`` float64, higher is more head-like.
-        clusters: ``(N,)`` int64, or ``None``.
-        seconds: wall time that the answer took.
+        candidates: ``(N,)`` bool, the UAVs to destroy.
+        scores: ``(N,)`` float64, higher for UAVs that are more likely heads.
+        clusters: ``(N,)`` int64, a cluster for each UAV, or ``None``.
+        seconds: wall time of the answer.
     """
 
     candidates: NDArray[np.bool_]
@@ -35,21 +35,21 @@ class Answer:
     seconds: float
 
 
-class Player(Protocol):
-    """What the referee plays with."""
+class Agent(Protocol):
+    """What the evaluator needs of a detector or a policy."""
 
     def reset(self, seed: int) -> None:
-        """Start an episode with the player's own seed."""
+        """Start an episode; ``seed`` seeds the agent's own random numbers."""
 
     def answer(self, observation: Any) -> Answer:
         """Answer one observation of the environment."""
 
     def warm_up(self, observation: Any) -> None:
-        """Answer once, apart: what runs only the first time (compiling, loading) is in no episode's seconds."""
+        """Answer once without being timed, so that compiling and loading do not count as time of the first episode."""
 
 
-class DetectorPlayer:
-    """A detector: it sees a :class:`usnet_env.Window` made from the observation, and nothing else."""
+class DetectorAgent:
+    """A detector as an agent: it receives a :class:`usnet_env.Window` made from the observation, and nothing else."""
 
     def __init__(self, detector: Any) -> None:
         self.detector = detector
@@ -59,7 +59,7 @@ class DetectorPlayer:
         self.detector.reset(seed)
 
     def answer(self, observation: Any) -> Answer:
-        """The detector's answer; only ``detect`` is timed."""
+        """Return the detector's answer; only the call of ``detect`` is timed."""
         window = Window.from_observation(observation)
         begin = time.perf_counter()
         detection = self.detector.detect(window)
@@ -73,21 +73,21 @@ class DetectorPlayer:
         return Answer(detection.candidates, detection.scores, detection.clusters, seconds)
 
     def warm_up(self, observation: Any) -> None:
-        """Answer once with a copy."""
+        """Answer once with a copy of the detector."""
         try:
             detector = copy.deepcopy(self.detector)
-        except Exception:  # whatever stands in the way of a copy; reset forgets what this one sees
+        except Exception:  # it cannot be copied; its reset must then discard what it learns here
             detector = self.detector
-        player = DetectorPlayer(detector)
-        player.reset(0)
-        player.answer(observation)
+        agent = DetectorAgent(detector)
+        agent.reset(0)
+        agent.answer(observation)
 
 
-class PolicyPlayer:
-    """Anything with Stable-Baselines3's ``predict``: its state is handed back to it, its actions are deterministic.
+class PolicyAgent:
+    """Any object with the ``predict`` method of Stable-Baselines3, called with ``deterministic=True``.
 
-    A policy gives no scores: its candidates stand for them. It has no ``reset``, so draws of its own are not seeded
-    here.
+    A policy returns no scores, so its candidates serve as scores (0 and 1). It has no ``reset``, so its own random
+    numbers are not seeded here.
     """
 
     def __init__(self, policy: Any) -> None:
@@ -96,11 +96,11 @@ class PolicyPlayer:
         self._start = True
 
     def reset(self, seed: int) -> None:
-        """Start an episode; the seed is not used."""
+        """Start an episode with an empty state; the seed is not used."""
         self._state, self._start = None, True
 
     def answer(self, observation: Any) -> Answer:
-        """The policy's action; only ``predict`` is timed."""
+        """Return the policy's action; only the call of ``predict`` is timed."""
         begin = time.perf_counter()
         action, state = self.policy.predict(
             observation, state=self._state, episode_start=np.array([self._start]), deterministic=True
@@ -109,28 +109,28 @@ class PolicyPlayer:
         self._state, self._start = state, False
         values = np.asarray(action)
         if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
-            raise ArgumentError(f"predict must return an action of 0 and 1, got {quote(action)}.")
+            raise ArgumentError(f"predict must return an action that holds only 0 and 1, got {quote(action)}.")
         uavs = len(observation["alive"]) if isinstance(observation, Mapping) else values.size
         if values.shape != (uavs,):
             raise ArgumentError(f"predict must return an action of shape ({uavs},), got {values.shape}.")
         return Answer(values.astype(bool), values.astype(np.float64), None, seconds)
 
     def warm_up(self, observation: Any) -> None:
-        """Answer once; the state that comes back is dropped."""
-        PolicyPlayer(self.policy).answer(observation)
+        """Answer once and discard the state that ``predict`` returns."""
+        PolicyAgent(self.policy).answer(observation)
 
 
-def as_player(detector: Any) -> Player:
-    """The player for a detector, or for anything with ``predict``.
+def as_agent(detector: Any) -> Agent:
+    """Wrap a detector, or an object with ``predict``, as an agent.
 
     Raises:
-        ArgumentError: neither of the two, or a class in place of an object.
+        ArgumentError: the object is neither of the two, or it is a class instead of an object.
     """
     if not isinstance(detector, type):
         if callable(getattr(detector, "detect", None)) and callable(getattr(detector, "reset", None)):
-            return DetectorPlayer(detector)
+            return DetectorAgent(detector)
         if callable(getattr(detector, "predict", None)):
-            return PolicyPlayer(detector)
+            return PolicyAgent(detector)
     raise ArgumentError(
-        f"detector must be a name, or an object with detect and reset, or one with predict, got {quote(detector)}."
+        f"detector must be a name, an object with detect and reset, or an object with predict, got {quote(detector)}."
     )

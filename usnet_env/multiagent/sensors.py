@@ -1,4 +1,4 @@
-"""What each of K observers sees of one swarm: a place, a range, and sensing noise of its own."""
+"""The sensors of K observers: each has a position, a sensing range and its own sensing noise."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from usnet_env.swarm import ObservationBatch, SwarmConfig
 from usnet_env.swarm.formation import ARENA
 from usnet_env.swarm.sensing import sense
 
-__all__ = ["Eye", "Sight", "observe_from", "placements", "team_sight"]
+__all__ = ["Observer", "SensorConfig", "merge_sightings", "placements", "sense_window"]
 
 Number = Annotated[float, Field(ge=0, le=1e6)]
 Share = Annotated[float, Field(ge=0, lt=1)]
 Generators = Sequence[np.random.Generator]
 
 
-class Sight(Config):
-    """The observers of one swarm, and what each of them sees. Lengths in metres.
+class SensorConfig(Config):
+    """The number of observers of a swarm, and their sensors. Lengths in metres.
 
     Args:
         observers: K.
-        sensing_range: a UAV is seen up to this distance from the observer; one number for all, or one for each.
-        position_noise: standard deviation of the observed positions per axis, drawn apart for every observer; one
-            number for all, or one for each.
-        miss_rate: probability that a UAV in range is not detected at a sampling instant; one for all, or one for each.
-        placement: where the observers stand: ``"grid"`` or ``"uniform"``.
-        message_size: numbers that every observer sends to all others in a round; 0: none.
+        sensing_range: largest distance at which an observer sees a UAV; one number, or one for each observer.
+        position_noise: standard deviation of the observed positions per axis, drawn independently for each observer;
+            one number, or one for each observer.
+        miss_rate: probability that a UAV in range is not detected at a sampling instant; one number, or one for each
+            observer.
+        placement: name of the placement of the observers: ``"grid"`` or ``"uniform"``.
+        message_size: how many numbers each observer sends to all others in a round; 0 for no messages.
 
     Raises:
-        ArgumentError: a value of another type or out of its range, or a list whose length is not K.
+        ArgumentError: a value has a wrong type or is out of its range, or a list does not have K values.
     """
 
     observers: Annotated[int, Field(ge=1, le=1000)] = 4
@@ -47,7 +48,7 @@ class Sight(Config):
     message_size: Annotated[int, Field(ge=0, le=100_000)] = 0
 
     @model_validator(mode="after")
-    def _one_for_each(self) -> Self:
+    def _check_lengths(self) -> Self:
         for name in ("sensing_range", "position_noise", "miss_rate"):
             value = getattr(self, name)
             if isinstance(value, tuple) and len(value) != self.observers:
@@ -58,58 +59,58 @@ class Sight(Config):
             raise unknown_name("placement", self.placement, _PLACEMENTS)
         return self
 
-    def each(self, name: str) -> tuple[float, ...]:
-        """The K values of ``sensing_range``, ``position_noise`` or ``miss_rate``."""
+    def expand(self, name: str) -> tuple[float, ...]:
+        """Return the K values of ``sensing_range``, ``position_noise`` or ``miss_rate``."""
         value = getattr(self, name)
         return value if isinstance(value, tuple) else (value,) * self.observers
 
-    def sensors(self, config: SwarmConfig) -> list[SwarmConfig]:
-        """For every observer, the swarm with that observer's noise and missed detections."""
+    def sensor_configs(self, config: SwarmConfig) -> list[SwarmConfig]:
+        """Return the swarm's configuration once for each observer, with that observer's noise and miss rate."""
         parts = {name: getattr(config, name) for name in SwarmConfig.model_fields}
         return [
             SwarmConfig(**(parts | {"position_noise": noise, "miss_rate": miss}))
-            for noise, miss in zip(self.each("position_noise"), self.each("miss_rate"), strict=True)
+            for noise, miss in zip(self.expand("position_noise"), self.expand("miss_rate"), strict=True)
         ]
 
-    def places(self, rng: np.random.Generator) -> NDArray[np.float64]:
-        """``(K, 3)`` metres: where the observers stand in an episode."""
+    def draw_positions(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw the positions of the observers in an episode, ``(K, 3)`` in metres."""
         return _PLACEMENTS[self.placement](rng, self.observers)
 
 
 @dataclass(frozen=True)
-class Eye:
+class Observer:
     """One observer in an episode.
 
     Args:
-        place: ``(3,)`` metres.
-        reach: its sensing range, metres.
-        sensor: the swarm as it samples it: noise, missed detections, sampling.
-        rng: the generator of its own noise.
+        position: ``(3,)``, metres.
+        sensing_range: metres.
+        sensor: the swarm's configuration with the observer's noise, miss rate and sampling.
+        rng: the generator of the observer's noise.
     """
 
-    place: NDArray[np.float64]
-    reach: float
+    position: NDArray[np.float64]
+    sensing_range: float
     sensor: SwarmConfig
     rng: np.random.Generator
 
 
-def observe_from(
-    eye: Eye, position: NDArray[np.float32], velocity: NDArray[np.float32], alive: NDArray[np.bool_]
-) -> ObservationBatch:
-    """The window of one observer: what :func:`usnet_env.swarm.sensing.sense` gives, and only what is in range.
+def sense_window(
+    observer: Observer, position: NDArray[np.float32], velocity: NDArray[np.float32], alive: NDArray[np.bool_]
+) -> Sighting:
+    """Observe a window with one observer: :func:`usnet_env.swarm.sensing.sense`, limited to the UAVs in range.
 
     Args:
-        eye: the observer.
+        observer: the observer.
         position: ``(T_ob * k + 1, N, 3)`` float32, the true positions at every step of the window.
         velocity: ``(T_ob * k, N, 3)`` float32, the true velocities.
         alive: ``(N,)`` bool.
 
     Returns:
-        The sighting without a leading axis; the true distance decides what is in range.
+        The sighting without a leading axis. A UAV is in range if its true distance is at most the sensing range.
     """
-    sighting = sense(eye.sensor, position[None], velocity[None], alive[None], [eye.rng])
-    away = np.linalg.norm(position[:: eye.sensor.sample_every] - eye.place, axis=-1)
-    seen = sighting.seen[0] & (away <= eye.reach)
+    sighting = sense(observer.sensor, position[None], velocity[None], alive[None], [observer.rng])
+    distance = np.linalg.norm(position[:: observer.sensor.sample_every] - observer.position, axis=-1)
+    seen = sighting.seen[0] & (distance <= observer.sensing_range)
     both = seen[1:] & seen[:-1]
     return ObservationBatch(
         position=np.where(seen[..., None], sighting.position[0], np.float32(0.0)),
@@ -119,14 +120,14 @@ def observe_from(
     )
 
 
-def team_sight(sightings: Sequence[ObservationBatch]) -> ObservationBatch:
-    """What the observers saw together: for every sample, that of the first observer who has it.
+def merge_sightings(sightings: Sequence[Sighting]) -> Sighting:
+    """Merge the sightings of all observers: each sample is that of the first observer that saw the UAV.
 
     Args:
         sightings: K sightings without a leading axis.
 
     Returns:
-        One sighting, for pictures and records; no agent gets it.
+        One sighting, for pictures and records; no agent receives it.
     """
     first = sightings[0]
     position, velocity, seen = first.position, first.velocity, first.seen
@@ -140,7 +141,7 @@ def team_sight(sightings: Sequence[ObservationBatch]) -> ObservationBatch:
 
 
 def _grid(_rng: np.random.Generator, observers: int) -> NDArray[np.float64]:
-    """Spread evenly: the middles of equal fields of the arena, as square as K allows, at half its height."""
+    """Place the observers at the centres of K equal rectangles of the arena, at half its height."""
     rows = max(d for d in range(1, int(observers**0.5) + 1) if observers % d == 0)
     columns = observers // rows
     x = (np.arange(columns) + 0.5) / columns * ARENA[0]
@@ -150,7 +151,7 @@ def _grid(_rng: np.random.Generator, observers: int) -> NDArray[np.float64]:
 
 
 def _uniform(rng: np.random.Generator, observers: int) -> NDArray[np.float64]:
-    """Anywhere in the arena, drawn for each episode."""
+    """Draw the positions uniformly in the arena, anew for each episode."""
     return rng.uniform(0.0, ARENA, (observers, 3))
 
 
@@ -161,5 +162,5 @@ _PLACEMENTS: dict[str, Callable[[np.random.Generator, int], NDArray[np.float64]]
 
 
 def placements() -> Mapping[str, Callable[[np.random.Generator, int], NDArray[Any]]]:
-    """All placements ``(rng, K) -> (K, 3)`` metres, by name (a read-only view)."""
+    """Return all placements ``(rng, K) -> (K, 3)`` in metres by name, as a read-only view."""
     return MappingProxyType(_PLACEMENTS)

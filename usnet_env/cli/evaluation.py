@@ -1,0 +1,126 @@
+"""``usnet evaluate`` and ``usnet demo``: play episodes and score detectors."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import TYPE_CHECKING
+
+import click
+
+from usnet_env.cli.options import PairsCommand, WholeNumber, parse_pairs
+from usnet_env.cli.output import PIPE_WIDTH, show
+
+if TYPE_CHECKING:
+    from usnet_env.evaluation import EvaluationResult
+
+__all__ = ["demo", "evaluate"]
+
+
+@click.command(cls=PairsCommand, short_help="Play detectors against the same swarms and score them.")
+@click.option(
+    "--env",
+    "env_id",
+    default="USNET/MultiCluster-v0",
+    show_default=True,
+    metavar="ID",
+    help="Environment; see `usnet list envs`.",
+)
+@click.option(
+    "--detector",
+    "detectors",
+    multiple=True,
+    required=True,
+    metavar="NAME",
+    help="Detector, e.g. random, 'lagged-regression(clusters=5)' or module:Class. May be repeated.",
+)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE …",
+    help="Arguments of the environment, e.g. --set follow=f3 uavs=40. May be repeated.",
+)
+@click.option(
+    "--episodes", type=WholeNumber(1, 1_000_000), default=100, show_default=True, help="Episodes for each detector."
+)
+@click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the evaluation.")
+@click.option("--workers", type=WholeNumber(1, 256), default=1, show_default=True, help="Number of processes.")
+@click.option(
+    "--out", metavar="DIR", help="Folder for rows, summary and config; the same command resumes an interrupted run."
+)
+@click.option(
+    "--trivial", is_flag=True, help="Also evaluate the trivial policies destroy-all, none, random and one-per-round."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print only the summary, as JSON.")
+@click.pass_context
+def evaluate(
+    ctx: click.Context,
+    env_id: str,
+    detectors: tuple[str, ...],
+    settings: tuple[str, ...],
+    episodes: int,
+    seed: int,
+    workers: int,
+    out: str | None,
+    trivial: bool,
+    as_json: bool,
+) -> None:
+    """Play every detector against the same swarms, and print its metrics with 95 % intervals.
+
+    The arguments of an environment that --set takes are described in the documentation of the environments.
+    """
+    env_kwargs = parse_pairs(settings)
+    if out is not None:
+        ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes from there."
+    from usnet_env import evaluation
+
+    result = evaluation.evaluate(
+        env_id,
+        list(detectors),
+        episodes=episodes,
+        seed=seed,
+        env_kwargs=env_kwargs,
+        workers=workers,
+        trivial=trivial,
+        out=out,
+        progress=sys.stderr.isatty(),
+    )
+    if as_json:
+        click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
+        return
+    _print_result(result)
+    if out is not None:
+        click.echo(f"Rows, summary and config are in {out}.", err=True)
+
+
+def _print_result(result: EvaluationResult) -> None:
+    """Print one table, or several with some of the columns each if one is too wide for the terminal."""
+    from rich.console import Console
+
+    from usnet_env.evaluation import METRICS
+
+    console = Console()
+    width = console.width if console.is_terminal else PIPE_WIDTH
+    unlimited = console.options.update(max_width=10_000)
+    columns: list[str] = []
+    for name in METRICS:
+        if columns and console.measure(result.table([*columns, name]), options=unlimited).maximum > width:
+            show(result.table(columns))
+            columns = []
+        columns.append(name)
+    show(result.table(columns))
+
+
+@click.command(short_help="Play one episode; save a replay and a picture of it.")
+@click.option("--out", default="runs/demo", show_default=True, metavar="DIR", help="Folder for the files.")
+@click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the episode.")
+@click.option("--detector", metavar="NAME", help="Detector; by default follow-mixture.")
+def demo(out: str, seed: int, detector: str | None) -> None:
+    """Play one episode with 8 clusters and 185 UAVs, and save a replay and a picture of it."""
+    from usnet_env.replay.demo import run_demo
+
+    if detector is None:
+        run_demo(out, seed=seed)
+    else:
+        run_demo(out, seed=seed, detector=detector)

@@ -1,0 +1,89 @@
+"""``usnet list`` and ``usnet check-detector``: list the available parts, and test a detector."""
+
+from __future__ import annotations
+
+import click
+
+from usnet_env.cli.output import progress_bar, show
+from usnet_env.config import ArgumentError, quote
+
+__all__ = ["check_detector", "list_"]
+
+
+@click.command(name="check-detector", short_help="Test that a detector keeps the contract.")
+@click.argument("name", metavar="NAME")
+@click.option(
+    "--expect",
+    "expected",
+    multiple=True,
+    metavar="CHECK=REASON",
+    help="A check that this detector is expected to fail, and the reason. May be repeated.",
+)
+@click.option(
+    "--seconds",
+    type=float,
+    default=10.0,
+    show_default=True,
+    metavar="S",
+    help="Time limit for one answer with 82 UAVs.",
+)
+@click.pass_context
+def check_detector(ctx: click.Context, name: str, expected: tuple[str, ...], seconds: float) -> None:
+    """Test that a detector keeps the contract of usnet_env detectors.
+
+    NAME is a detector's name, with or without arguments, or module:Class. The exit status is 1 if a check fails.
+    """
+    reasons: dict[str, str] = {}
+    for text in expected:
+        check, equals, reason = text.partition("=")
+        if not equals:
+            raise ArgumentError(f"--expect must be written check=reason, got {quote(text)}.")
+        reasons[check.strip()] = reason.strip()
+    from detectors import checks
+    from usnet_env.plugins import make_detector
+
+    results: list[checks.CheckResult] = []
+    with progress_bar("checks") as progress:
+
+        def count(result: checks.CheckResult) -> None:
+            results.append(result)
+            progress(len(results), len(checks.CHECKS))
+
+        checks.check_detector(
+            make_detector(name), expected_failed_checks=reasons, seconds=seconds, on_fail=None, callback=count
+        )
+    show(checks.results_table(results))
+    ctx.exit(checks.exit_status(results))
+
+
+@click.command(name="list", short_help="List envs, detectors, follow strategies, mobilities.")
+@click.argument("part", type=click.Choice(["envs", "detectors", "follow", "mobility"]))
+def list_(part: str) -> None:
+    """List the available environments, detectors, follow strategies or mobilities, with one line about each."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for name, description in _describe_parts(part):
+        table.add_row(Text(name), Text(description))
+    show(table)
+
+
+def _describe_parts(part: str) -> list[tuple[str, str]]:
+    """Return the names of all parts of this type, each with a description of one line."""
+    if part == "detectors":
+        from usnet_env.plugins import describe_detectors
+
+        return sorted(describe_detectors().items())
+    if part == "follow":
+        from usnet_env.swarm import follow_strategies
+
+        control = ("none", "no UAV follows: followers fly like heads (a control)")
+        return [*((name, strategy.equation) for name, strategy in follow_strategies().items()), control]
+    if part == "mobility":
+        from usnet_env.swarm import mobilities
+
+        return [(name, law.description) for name, law in mobilities().items()]
+    from usnet_env.evaluation.environments import describe_environment, usnet_ids
+
+    return [(name, describe_environment(name)) for name in usnet_ids()]
