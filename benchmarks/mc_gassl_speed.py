@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from detectors.gassl.input_pooling import InputPooling
 from speed_helpers import LITERAL_STEPS, MEMORY, literal_loop, peak_memory, play, write_json
 from speed_helpers import seconds as seconds_by
 from speed_helpers import window_of as first_window
@@ -29,7 +30,6 @@ import usnet_env
 from detectors.clustering import clusterers, compute_gap_statistic, estimate_count_by_eigengap, make_clusterer
 from detectors.clustering.affinity import compute_affinity
 from detectors.clustering.features import compute_features
-from detectors.gassl.input_pooling import InputPooling
 from detectors.mc_gassl.features import MODES, gru_features
 from detectors.mc_gassl.gru import GruSizes, draw_parameters
 from usnet_env.plugins import make_detector

@@ -130,7 +130,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         self.state_space = spaces.Box(np.append(low, first), np.append(high, last), dtype=np.float32)
         self._rng: np.random.Generator | None = None
         self._game: GameState | None = None
-        self._sighting: Sighting | None = None  # the current window
+        self._sighting: ObservationBatch | None = None  # the current window
         self.last_round: RoundRecord | None = None
 
     def observation_space(self, agent: str) -> spaces.Dict:
@@ -227,11 +227,11 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         """Return a copy of the true swarm, without a leading axis, as it was in the window that ``state`` ends with."""
         return state.swarm.episode()
 
-    def _current_window(self) -> Sighting:
+    def _current_window(self) -> ObservationBatch:
         """Return the current window; an empty one before the first window."""
         return self._sighting if self._sighting is not None else self._empty_window()
 
-    def _empty_window(self) -> Sighting:
+    def _empty_window(self) -> ObservationBatch:
         """Return a window in which no UAV is seen."""
         instants, uavs = self.config.observation_steps + 1, self.config.uavs
         return ObservationBatch(
@@ -241,7 +241,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             alive=self._current_game().swarm.alive[0].copy(),
         )
 
-    def _make_observation(self, sighting: Sighting, legal: NDArray[np.bool_]) -> Observation:
+    def _make_observation(self, sighting: ObservationBatch, legal: NDArray[np.bool_]) -> Observation:
         """Return an observation with the arrays of a window and the mask ``legal``; all arrays are copies."""
         return {
             "position": sighting.position.copy(),

@@ -178,7 +178,7 @@ class DelayedFollow(FollowStrategy):
         """Return the direction of the strategy, whose inputs are then those of the ghost."""
         return self.strategy.direction(inputs)
 
-    def fly(self, flight: Flight) -> None:
+    def fly(self, flight: TrajectoryBatch) -> None:
         """Fly with the ghosts appended to the UAVs, and remove them afterwards."""
         heads = np.flatnonzero(self.delay)
         if not len(heads):
@@ -276,7 +276,7 @@ def fly_window(
     flown: NDArray[np.int64],
     plan: Plan,
     rngs: Sequence[np.random.Generator],
-) -> tuple[SwarmState, Sighting, NDArray[np.int64]]:
+) -> tuple[SwarmState, ObservationBatch, NDArray[np.int64]]:
     """Fly the next window as the heads planned it; otherwise the same as :func:`usnet_env.swarm.advance`.
 
     Args:

@@ -96,7 +96,7 @@ class Observer:
 
 def sense_window(
     observer: Observer, position: NDArray[np.float32], velocity: NDArray[np.float32], alive: NDArray[np.bool_]
-) -> Sighting:
+) -> ObservationBatch:
     """Observe a window with one observer: :func:`usnet_env.swarm.sensing.sense`, limited to the UAVs in range.
 
     Args:
@@ -120,7 +120,7 @@ def sense_window(
     )
 
 
-def merge_sightings(sightings: Sequence[Sighting]) -> Sighting:
+def merge_sightings(sightings: Sequence[ObservationBatch]) -> ObservationBatch:
     """Merge the sightings of all observers: each sample is that of the first observer that saw the UAV.
 
     Args:

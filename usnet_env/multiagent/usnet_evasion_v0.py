@@ -22,7 +22,7 @@ from usnet_env.multiagent.base import (
     to_scalars,
 )
 from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, count_followers, fly_window, select_decoys
-from usnet_env.swarm import Sighting, SwarmConfig, SwarmState
+from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 
 __all__ = ["env", "parallel_env", "raw_env"]
 
@@ -213,12 +213,12 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         Returns:
             Observations and infos by agent.
         """
-        self._game = game.begin(self.config, [self._get_generator(seed)])
+        self._game = game.start_games(self.config, [self._get_generator(seed)])
         self._flown = np.zeros(self.config.clusters, np.int64)
         self._decoys = np.empty(0, np.intp)
         self._sighting, self.last_round = None, None
         self.agents = list(self.possible_agents)
-        metrics = game.opening(self.rules, self._game)
+        metrics = game.initial_info(self.rules, self._game)
         infos = {agent: {**to_scalars(metrics), "price": 0.0} for agent in self.agents}
         return {agent: self._observation(agent) for agent in self.agents}, infos
 
@@ -236,7 +236,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             ArgumentError: an action is missing, or has a wrong shape or wrong values, or the game has ended.
         """
         checked = self._check_actions(actions)
-        named = game.candidates_from(checked[OBSERVER], (self.config.uavs,))
+        named = game.parse_candidates(checked[OBSERVER], (self.config.uavs,))
         plan = Plan.from_choices(np.stack([self._check_choice(name, checked.get(name)) for name in self.heads]))
         before = self._current_game()
         opening = self._sighting is None
@@ -244,7 +244,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             state, metrics = before, game.initial_info(self.rules, before)
             reward = 0.0
         else:
-            state, outcome = game.play(self.rules, before, named[None])
+            state, outcome = game.play_round(self.rules, before, named[None])
             metrics, reward = outcome.metrics, float(outcome.reward[0])
             self.last_round = RoundRecord(
                 sighting=self._current_window(),

@@ -23,7 +23,7 @@ from usnet_env.multiagent.base import (
 )
 from usnet_env.multiagent.fusion import fusion as fusion_rule
 from usnet_env.multiagent.sensors import Observer, SensorConfig, merge_sightings, sense_window
-from usnet_env.swarm import Sighting, SwarmConfig
+from usnet_env.swarm import ObservationBatch, SwarmConfig
 
 __all__ = ["env", "parallel_env", "raw_env"]
 
@@ -174,7 +174,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             },
         )
         self._observers: list[Observer] = []
-        self._sightings: list[Sighting] = []
+        self._sightings: list[ObservationBatch] = []
         self._messages = np.zeros((observers, size), np.float32)
 
     def reset(
@@ -198,8 +198,8 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         self._messages = np.zeros_like(self._messages)
         self.last_round = None
         self.agents = list(self.possible_agents)
-        state = game.begin(self.config, [rng])
-        metrics = game.opening(self.rules, state)
+        state = game.start_games(self.config, [rng])
+        metrics = game.initial_info(self.rules, state)
         self._sense_next_window(state)
         return self._observations(), {agent: to_scalars(metrics) for agent in self.agents}
 
@@ -222,7 +222,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         seen = np.stack([sighting.seen.any(axis=0) for sighting in self._sightings])  # false for destroyed UAVs
         votes = whole[:, :uavs] * seen
         candidates = self._fuse(votes, seen)
-        state, outcome = game.play(self.rules, before, candidates[None])
+        state, outcome = game.play_round(self.rules, before, candidates[None])
         self.last_round = RoundRecord(
             sighting=self._current_window(),
             truth=self._reveal_swarm(before),
@@ -248,7 +248,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
 
     def _sense_next_window(self, state: game.GameState) -> None:
         """Fly the next window and observe it with each observer; after the end of the game all windows are empty."""
-        self._game, truth = game.observe(self._flight, state, [self._get_generator(None)])
+        self._game, truth = game.observe_windows(self._flight, state, [self._get_generator(None)])
         if state.terminated[0]:
             self._sightings = [self._empty_window() for _ in self._observers]
         else:

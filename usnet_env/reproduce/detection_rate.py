@@ -50,7 +50,7 @@ class Row:
         explained: share of the squared velocity that the detector's fit explains, mean over UAVs; NaN without a fit.
         seconds: of the batch, by episode.
         batch: first episode and number of episodes that the detector answered together, such as ``42+21``. It is
-            ``42+1`` for a detector whose ``detect_batch`` answers one window after another.
+            ``42+1`` for a detector that is not ``side_by_side``.
     """
 
     detector: str
@@ -116,13 +116,14 @@ def play(task: Task, seed: int) -> list[Row]:
         observation, _ = env.reset(seed=_seeds(seed, task.cell, episode, 0))
         windows.append(Window.from_observation(observation))
         heads.append(env.swarm.head)
-    size = task.count if answers_together(detector) else 1
+    answer_batch = getattr(detector, "detect_batch", None) if getattr(detector, "side_by_side", False) else None
+    size = task.count if answer_batch else 1
     rows: list[Row] = []
     for first in range(0, task.count, size):
         batch = windows[first : first + size]
         detector.reset(_seeds(seed, task.cell, episodes[first], 1))
         begun = time.perf_counter()
-        detections = [detector.detect(batch[0])] if size == 1 else detector.detect_batch(batch)
+        detections = answer_batch(batch) if answer_batch else [detector.detect(batch[0])]
         seconds = (time.perf_counter() - begun) / len(batch)
         rows += [
             Row(
@@ -138,11 +139,6 @@ def play(task: Task, seed: int) -> list[Row]:
             for number, detection in enumerate(detections)
         ]
     return rows
-
-
-def answers_together(detector: object) -> bool:
-    """Whether a detector has a ``detect_batch`` that says so by ``side_by_side``: it trains on all windows together."""
-    return bool(getattr(detector, "side_by_side", False)) and callable(getattr(detector, "detect_batch", None))
 
 
 def measure(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import usnet_env.envs  # noqa: F401  # registers the environments
-from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, draw_round, last_seen, new_figure
+from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, draw_round, last_seen_position, new_figure
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.plugins import make_detector
 from usnet_env.replay import EpisodeRecord, record_episode
@@ -88,7 +88,7 @@ def _draw_attention_round(axes: Axes, record: EpisodeRecord, number: int, skippe
 
     r = number - 1
     alive, head, candidates = record.alive[r], record.head, record.candidates[r]
-    place = last_seen(record.position[r], record.seen[r] & alive)[:, :2]
+    place = last_seen_position(record.position[r], record.seen[r] & alive)[:, :2]
     shown = np.isfinite(place[:, 0])
     if record.attention is not None:
         weight = np.where(np.eye(record.uavs, dtype=bool), 0.0, record.attention[r]) * (shown & shown[:, None])

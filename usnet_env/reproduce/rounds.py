@@ -22,8 +22,8 @@ from usnet_env.reproduce.rows import Measurement, counter, flight_suffix, keep_r
 
 __all__ = ["DETECTORS", "STUDIES", "Cell", "Row", "Task", "cells_of", "play", "reproduce", "tasks_for"]
 
-#: Ours by default, the paper's as written, and a training-free one; the trivial policies stand beside them.
-DETECTORS = ("mc-gassl", "mc-gassl(preset='paper')", "lagged-regression")
+#: The paper's Algorithm 2, our variant of it, and a training-free detector; the trivial policies stand beside them.
+DETECTORS = ("mc-gassl", "lead-votes", "lagged-regression")
 _EPISODES_A_TASK = 2  # few: an episode takes up to minutes, and an interruption loses those of a task
 
 
@@ -126,7 +126,7 @@ def tasks_for(detectors: Sequence[str], cells: Sequence[Cell], episodes: int) ->
 
 
 class _Recorder:
-    """A player whose candidates are remembered."""
+    """An agent that keeps its candidates."""
 
     def __init__(self, player: Agent) -> None:
         self.player = player

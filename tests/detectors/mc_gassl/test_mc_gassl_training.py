@@ -6,8 +6,8 @@ from mc_gassl_inputs import clustered, generator, parameters
 
 from detectors.mc_gassl.gru import GruParameters
 from detectors.mc_gassl.meta import OfflineTraining, Task, joint_step, meta_step, train_offline
-from detectors.mc_gassl.triplet import Metric, batch_loss
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
+from detectors.mc_gassl.triplet import Metric, batch_loss
 from usnet_env.config import ArgumentError
 
 # Every hinge is far from its kink, so that differences are derivatives; hard triplets don't depend on the weights.
