@@ -59,7 +59,6 @@ class Cell:
         kind: ``P2`` (a game), ``P1``, ``silence`` (nobody follows: nobody may be named) or ``shifted`` (every track
             moved in time by an amount of its own: nobody may be named).
         episodes: how many the contract asks for.
-        detector: arguments of ours.
     """
 
     tier: str
@@ -67,7 +66,6 @@ class Cell:
     env: dict[str, Any] = field(default_factory=dict)
     kind: str = "P2"
     episodes: int = 50
-    detector: dict[str, Any] = field(default_factory=dict)
 
 
 def cells() -> list[Cell]:
@@ -93,21 +91,20 @@ def cells() -> list[Cell]:
     for rate in (0.1, 0.3):
         found += [Cell("missed", f"{f}-{rate}", {"follow": f, "miss_rate": rate}) for f in PAPER]
     found += [Cell("sampled", f"{f}-2", {"follow": f, "sample_every": 2}, episodes=20) for f in PAPER]
-    silent = {"policy": "map"}
     for mobility in EVERY_MOBILITY:
         for jitter in (True, False):
             env = {"mobility": mobility, "head_jitter": jitter}
             name = f"{mobility}-{'jitter' if jitter else 'bare'}"
-            found.append(Cell("silence", f"none-{name}", {"follow": "none", **env}, "silence", 100, silent))
+            found.append(Cell("silence", f"none-{name}", {"follow": "none", **env}, "silence", 100))
         for f in PAPER:
             env = {"follow": f, "mobility": mobility, "head_jitter": True, **LONG}
-            found.append(Cell("shifted", f"{f}-{mobility}", env, "shifted", 30, silent))
+            found.append(Cell("shifted", f"{f}-{mobility}", env, "shifted", 30))
     for decoys in (1, 3, 10):
         for mobility in ("iid", "gauss_markov"):
             env = {"mobility": mobility, "head_jitter": mobility != "iid", "decoys": decoys, "uavs": 82 + decoys}
-            found += [Cell("decoys", f"{f}-{mobility}-{decoys}", {"follow": f, **env}, "P2", 50, silent) for f in PAPER]
+            found += [Cell("decoys", f"{f}-{mobility}-{decoys}", {"follow": f, **env}) for f in PAPER]
     found += [
-        Cell("P1", f"{f}-m{m}-d{d}", {"follow": f, "followers": m, "decoys": d}, "P1", 100, {"objective": "P1"})
+        Cell("P1", f"{f}-m{m}-d{d}", {"follow": f, "followers": m, "decoys": d}, "P1", 100)
         for f in PAPER
         for m, d in ((2, 1), (2, 0), (15, 1))
     ]
@@ -206,13 +203,6 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return [row for row in csv.DictReader(file) if row["seconds"]]  # a row cut off in writing lacks its end
 
 
-def ours(name: str, cell: Cell) -> tuple[Any, str]:
-    """A detector for a cell, and its label. Ours gets the cell's arguments where it was not given others."""
-    plain, bracket, given = detector_label(name).partition("(")
-    more = {key: value for key, value in cell.detector.items() if f"{key}=" not in given} if plain == OURS else {}
-    return make_detector(name, **more), plain.rpartition(":")[2] + bracket + given
-
-
 def measure(wanted: list[Cell], detectors: list[str], episodes: int | None, seed: int, results: Path) -> None:
     """Play what is missing and append its rows."""
     results.mkdir(parents=True, exist_ok=True)
@@ -231,7 +221,7 @@ def measure(wanted: list[Cell], detectors: list[str], episodes: int | None, seed
             if new:
                 writer.writeheader()
             for name in detectors:
-                detector, label = ours(name, cell)
+                detector, label = make_detector(name), detector_label(name)
                 for episode in range(cell.episodes if episodes is None else episodes):
                     if (cell.name, label, seed, episode) not in there:
                         writer.writerow(play(cell, detector, label, seed, episode))

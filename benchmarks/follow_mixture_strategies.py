@@ -92,14 +92,14 @@ def majority(inputs: FollowInputs) -> Array:
 Array = NDArray[np.float32]
 
 
-def osprey(inputs: FollowInputs) -> Array:
+def constant_turn(inputs: FollowInputs) -> Array:
     """Where the head flies next if it keeps turning in the plane and by the angle of its last turn."""
     now, before = inputs.head_velocity[:, 0], inputs.head_velocity[:, 1]
     cosine = (now * before).sum(axis=1, keepdims=True)
     return (2.0 * cosine * now - before).astype(np.float32)
 
 
-def heron(inputs: FollowInputs) -> Array:
+def parallel_navigation(inputs: FollowInputs) -> Array:
     """Parallel navigation: across the line of sight as the head (two lags), along it always towards the head."""
     gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
     distance = np.sqrt((gap * gap).sum(axis=1, keepdims=True))
@@ -109,7 +109,7 @@ def heron(inputs: FollowInputs) -> Array:
     return (velocity + (np.abs(along) - along) * sight).astype(np.float32)
 
 
-def curlew(inputs: FollowInputs) -> Array:
+def track_guidance(inputs: FollowInputs) -> Array:
     """Track guidance: along the head's course (two lags), and back onto its track line by the cross-track error."""
     course = inputs.head_velocity[:, 0] + inputs.head_velocity[:, 1]
     course = course / np.maximum(np.sqrt((course * course).sum(axis=1, keepdims=True)), 1e-3)
@@ -118,7 +118,7 @@ def curlew(inputs: FollowInputs) -> Array:
     return (course + error / np.sqrt((error * error).sum(axis=1, keepdims=True) + 80.0**2)).astype(np.float32)
 
 
-def dunlin(inputs: FollowInputs) -> Array:
+def limited_turn_rate(inputs: FollowInputs) -> Array:
     """A limited turn rate: from its own last velocity towards the head's (two lags), by at most 0.9 radians a step."""
     own = inputs.own_position[:, 0] - inputs.own_position[:, 1]
     own = own / np.maximum(np.sqrt((own * own).sum(axis=1, keepdims=True)), 1e-3)
@@ -142,15 +142,15 @@ def _register() -> tuple[str, ...]:
         ("pursuit", pursuit, 2),
         ("swerve", swerve, 1),
         ("majority", majority, 3),
-        ("osprey", osprey, 2),  # this one and the next three were written by another hand as well
-        ("heron", heron, 2),
-        ("curlew", curlew, 2),
-        ("dunlin", dunlin, 2),
+        ("constant_turn", constant_turn, 2),  # this one and the next three were written by another hand as well
+        ("parallel_navigation", parallel_navigation, 2),
+        ("track_guidance", track_guidance, 2),
+        ("limited_turn_rate", limited_turn_rate, 2),
     ):
         register_follow_strategy(name, function, lags=lags)
     return "own_delays", "turned", "saturated", "products", "absolute", "formation_offset", "median", "pursuit"
 
 
 OUT_OF_LIST = _register()
-LOOKED_AT = ("swerve", "majority", "osprey", "heron")  # unseen by earlier builds, which did badly on two of them
-UNSEEN = ("curlew", "dunlin")  # that nothing was built for, nor looked at before the rows that are published
+LOOKED_AT = ("swerve", "majority", "constant_turn", "parallel_navigation")  # unseen by earlier builds, which did badly on two of them
+UNSEEN = ("track_guidance", "limited_turn_rate")  # that nothing was built for, nor looked at before the rows that are published
