@@ -28,6 +28,7 @@ from result_pages import (
     strategies,
     tiers,
 )
+from result_pages.text import table_alone
 
 from usnet_env.files import atomic_write
 
@@ -46,6 +47,12 @@ PAGES = {
     "docs/results/multiagent.md": multiagent.text,
     "docs/results/speed.md": speed.text,
     "benchmarks/README.md": commands_page.text,
+    # Tables alone, which pages of docs include.
+    "benchmarks/results/learned.md": lambda: table_alone(learned.games()),
+    "benchmarks/results/ppo_observer.md": lambda: table_alone(learned.trained()),
+    "benchmarks/results/multiagent_payoff.md": lambda: table_alone(multiagent.payoff()),
+    "benchmarks/results/multiagent_ppo.md": lambda: table_alone(multiagent.trained()),
+    "benchmarks/results/multiagent_observers.md": lambda: table_alone(multiagent.observers()),
 }
 BEGIN, END = "<!-- results:begin -->\n", "<!-- results:end -->"
 

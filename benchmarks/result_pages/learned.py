@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from result_pages.text import RESULTS, Row, exact_of, grouped, mean_of, page, read_csv, share_of, source, table
 
 EIGHT = "eight others"
-PPO_SHOWN = ("ppo", "learned", "follow-mixture", "lagged-regression", "one-per-round", "destroy-all", "random")
 
 
 def pivot(rows: Sequence[Row], episode: str) -> str:
@@ -69,10 +68,20 @@ def _variant(row: Row) -> tuple[str, str, str]:
     return row["tier"], "" if row["tier"] == "shifted" else variant, row["detector"]
 
 
+def games() -> str:
+    """The tables of learned.csv."""
+    rows = read_csv(RESULTS / "learned.csv")
+    return f"{pivot(rows, 'seed')}\n\n{exact(rows)}"
+
+
+def trained() -> str:
+    """The tables of ppo_observer.csv."""
+    rows = read_csv(RESULTS / "ppo_observer.csv")
+    return f"{pivot(rows, 'episode')}\n\n{exact(rows)}"
+
+
 def text() -> str:
     """The page."""
-    rows = read_csv(RESULTS / "learned.csv")
-    ppo = read_csv(RESULTS / "ppo_observer.csv")
     return page(
         "learned, and an observer trained by PPO",
         "`learned` was trained with labels on random follow strategies; it shows what labels are worth. M = 5, N = "
@@ -84,8 +93,7 @@ def text() -> str:
         "with tuning seeds, and features were added for that reason. `follow-mixture` was developed further after rows "
         "of an earlier build had been published for these seeds, so they are not new to it. `own_delays`, `turned`, "
         "`products` and `constant_turn` lie inside its [feature classes](strategies.md).",
-        pivot(rows, "seed"),
-        exact(rows),
+        games(),
         "## Harder swarms",
         "The cells of `benchmarks/follow_mixture.py`, from seed 2022: short windows (T: steps), position noise in "
         "metres, "
@@ -97,8 +105,7 @@ def text() -> str:
         "## An observer trained by PPO",
         "A small P2, M = 3 and N = 20, at most 10 rounds; destroying all UAVs costs J_m = 1.85. The observer `ppo` was "
         "trained from the reward alone, on random follow strategies with iid heads.",
-        pivot(ppo, "episode"),
-        exact(ppo),
+        trained(),
         "## Raw rows and commands",
         source(
             ["learned.csv", "learned_limits.csv", "learned_losses.csv", "ppo_observer.csv", "ppo_observer_curve.csv"]

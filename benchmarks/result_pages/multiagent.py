@@ -25,10 +25,27 @@ FIRST = {"first_hits": "heads hit in round 1", "first_redundant": "redundant in 
 CHOICES = {name: name for name in ("mobility", "jitter", "decoys", "delay")}
 
 
+PAID = {"J": "J_m", "swarm_payoff": "J_m minus the price", "success": "all heads hit"}
+SEEN = {"J": "J_m", "success": "all heads hit", **FIRST, "seen_in_round_1": "UAVs seen in round 1"}
+
+
+def payoff() -> str:
+    """The table of multiagent_payoff.csv."""
+    return means(read_csv(RESULTS / "multiagent_payoff.csv"), ("follow", "observer", "swarm"), {**PAID, **FIRST})
+
+
+def trained() -> str:
+    """The table of multiagent_ppo.csv."""
+    return means(read_csv(RESULTS / "multiagent_ppo.csv"), ("detector", "follow", "swarm"), {**PAID, **CHOICES})
+
+
+def observers() -> str:
+    """The table of multiagent_observers.csv."""
+    return means(read_csv(RESULTS / "multiagent_observers.csv"), ("range", "observers", "fusion"), SEEN)
+
+
 def text() -> str:
     """The page."""
-    paid = {"J": "J_m", "swarm_payoff": "J_m minus the price", "success": "all heads hit"}
-    seen = {"J": "J_m", "success": "all heads hit", **FIRST, "seen_in_round_1": "UAVs seen in round 1"}
     return page(
         "Games of several agents",
         "Seeds from 2022; M = 5, N = 82. `follow-mixture` was developed further after rows of an earlier build had "
@@ -37,15 +54,15 @@ def text() -> str:
         "## Scripted swarms",
         "`usnet_evasion_v0`, at most 10 rounds: every observer against every swarm policy. `late`: a delay of 4 steps; "
         "`camouflaged`: smooth turns, 2 decoys and a delay of 4 steps. The swarm pays a price for what its heads do.",
-        means(read_csv(RESULTS / "multiagent_payoff.csv"), ("follow", "observer", "swarm"), {**paid, **FIRST}),
+        payoff(),
         "## A swarm trained by PPO",
         "All heads make the same choice; one training for each line. The matches against `follow-mixture` were played "
         "with an earlier build of it.",
-        means(read_csv(RESULTS / "multiagent_ppo.csv"), ("detector", "follow", "swarm"), {**paid, **CHOICES}),
+        trained(),
         "![Learning curves](../../benchmarks/results/multiagent_ppo.png)",
         "## Several observers",
         "`usnet_observers_v0`, f1, at most 20 rounds, all observers with `lagged-regression`. `range` is in metres.",
-        means(read_csv(RESULTS / "multiagent_observers.csv"), ("range", "observers", "fusion"), seen),
+        observers(),
         "## Raw rows and commands",
         source(["multiagent_payoff.csv", "multiagent_ppo.csv", "multiagent_ppo_curve.csv", "multiagent_observers.csv"]),
     )

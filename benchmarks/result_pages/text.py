@@ -28,6 +28,7 @@ __all__ = [
     "share_of",
     "source",
     "table",
+    "table_alone",
 ]
 
 Row = Mapping[str, str]
@@ -113,6 +114,11 @@ def source(files: Sequence[str], more: str = "") -> str:
 def page(title: str, *parts: str) -> str:
     """A page: notice, title, paragraphs."""
     return "\n\n".join([NOTICE, f"# {title}", *parts]) + "\n"
+
+
+def table_alone(markdown: str) -> str:
+    """A file that holds tables and no heading, for pages that include it."""
+    return f"{NOTICE}\n\n{markdown}\n"
 
 
 def demoted(markdown: str, levels: int = 1) -> str:
