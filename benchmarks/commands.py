@@ -177,6 +177,17 @@ RESULTS: tuple[Result, ...] = (
         ("python benchmarks/multiagent_observers.py",),
     ),
     Result(
+        "tables that pages of docs include",
+        (
+            "learned.md",
+            "ppo_observer.md",
+            "multiagent_payoff.md",
+            "multiagent_ppo.md",
+            "multiagent_observers.md",
+        ),
+        ("python benchmarks/tables.py",),
+    ),
+    Result(
         "speed and memory of the simulator (needs the extra bench)", ("speed.json",), ("python benchmarks/speed.py",)
     ),
     _table2(

@@ -70,11 +70,9 @@ def readme(old: str) -> str:
     return f"{before}{BEGIN}\n{index.summary(short=True)}\n\n{END}{after}"
 
 
-def differing(folder: Path = ROOT) -> dict[Path, str]:
-    """The files whose text differs from what the rows say, and what they should hold."""
-    wanted = {folder / name: text() for name, text in PAGES.items()}
-    found = folder / "README.md"
-    wanted[found] = readme(found.read_text(encoding="utf-8"))
+def differing() -> dict[Path, str]:
+    """The pages whose text differs from what the rows say, and what they should hold."""
+    wanted = {ROOT / name: text() for name, text in PAGES.items()}
     return {
         path: text for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text
     }
@@ -86,11 +84,15 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a table differs")
     parser.add_argument("--figures", action="store_true", help="also draw the pictures")
     arguments = parser.parse_args()
+    changed, failed = differing(), False
     try:
-        changed = differing()
+        path = ROOT / "README.md"
+        old = path.read_text(encoding="utf-8")
+        if (new := readme(old)) != old:
+            changed[path] = new
     except ValueError as error:
         print(error, file=sys.stderr)
-        return 1
+        failed = True
     for path, text in changed.items():
         if arguments.check:
             print(f"{path.relative_to(ROOT)} differs from the rows: run python benchmarks/tables.py", file=sys.stderr)
@@ -101,7 +103,7 @@ def main() -> int:
     if arguments.figures:
         with atomic_write(tiers.FIGURE) as aside:
             tiers.reliability_figure().savefig(aside, format="png", dpi=100)
-    return int(arguments.check and bool(changed))
+    return int(failed or (arguments.check and bool(changed)))
 
 
 if __name__ == "__main__":
