@@ -91,8 +91,8 @@ def text() -> str:
         "Seeds 2022 to 2041. `learned` was not tuned on them, with one exception: an earlier network failed on "
         "`products` "
         "with tuning seeds, and features were added for that reason. `follow-mixture` was developed further after rows "
-        "of an earlier build had been published for these seeds, so they are not new to it. `own_delays`, `turned`, "
-        "`products` and `constant_turn` lie inside its [feature classes](strategies.md).",
+        "of an earlier build had been published for these seeds, so they are not new to it. Half of the eight other "
+        "strategies lie inside its [feature classes](strategies.md).",
         games(),
         "## Harder swarms",
         "The cells of `benchmarks/follow_mixture.py`, from seed 2022: short windows (T: steps), position noise in "

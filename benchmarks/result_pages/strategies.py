@@ -80,12 +80,15 @@ def text() -> str:
         "On `majority` an earlier build failed; it was changed until it did not.",
         games(SEEN_IN_DEVELOPMENT),
         "## Inside a class",
-        "A feature class contains these strategies exactly. The class that contains `constant_turn` was added after an "
-        "earlier build had failed on it.",
+        "A feature class contains the first four exactly, `own_delays` with one law for each follower; what it leaves "
+        "unexplained of `formation_offset` and `swerve` is less than the followers' noise. The class that contains "
+        "`constant_turn` was added after an earlier build had failed on it.",
         games(IN_A_CLASS),
         "## Which class contains a strategy",
         "R² of a least-squares fit of the followers' noise-free direction on the features of each class, from the true "
-        "head; the best class is shown. *Contained* means R² ≥ 0.9999.",
+        "head, over 200 steps; the best class is shown, and with one law for each follower the follower with the "
+        "smallest "
+        "R². *Contained* means R² ≥ 0.9925: the rest is less than the followers' own noise.",
         classes(),
         "## Raw rows and commands",
         source(["follow_mixture/strategies.csv", "follow_mixture/classes.csv"]),
