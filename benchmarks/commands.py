@@ -49,12 +49,6 @@ _TIERS = {
     "P1": "P1 with and without a decoy",
     "strategies": "P2 with follow strategies beside f1 to f7",
 }
-OURS, MAP = "follow-mixture", "\"follow-mixture(policy='map')\""
-LEARNED = "learned \"learned(policy='map')\""
-FEW = "3 --detectors granger factions random none"
-REST = "3 --detectors granger factions"
-PEERS = "lagged-regression destroy-all"
-
 _SHORT_CELLS = ",".join(f"f{f}:{m}" for f in range(1, 8) for m in (2, 3, 5, 10, 15))
 _LONG_CELLS = ",".join(f"f{f}:{m}" for f in range(1, 8) for m in (20, 25, 30, 40, 50))
 _SIZES = {
@@ -78,52 +72,103 @@ _WAYPOINT = "--mobility waypoint --head-jitter"
 
 RESULTS: tuple[Result, ...] = (
     Result("P2 on the paper's tier", ("multi_cluster/",), ("benchmarks/multi_cluster.sh",)),
-    _tier("paper", f"300 --detectors {OURS} {PEERS}", "30 --detectors random none", f"5 --detectors {MAP}", REST),
-    _tier("sizes", f"50 --detectors {OURS} {PEERS}", f"5 --detectors {MAP}", FEW),
-    _tier("smooth", f"50 --detectors {OURS} {PEERS}", f"5 --detectors {MAP}", FEW),
+    _tier(
+        "paper",
+        "300 --detectors follow-mixture",
+        "5 --detectors \"follow-mixture(policy='map')\"",
+        "30 --detectors lagged-regression destroy-all",
+        "3 --detectors random none granger factions",
+    ),
+    _tier(
+        "sizes",
+        "50 --detectors follow-mixture",
+        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "3 --detectors random none granger factions",
+    ),
+    _tier(
+        "smooth",
+        "50 --detectors follow-mixture",
+        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "3 --detectors random none granger factions",
+    ),
     _tier(
         "straight",
-        f"50 --cell jitter --detectors {OURS}",
-        f"5 --cell bare --detectors {OURS}",
-        f"5 --cell jitter --detectors {MAP}",
-        f"30 --detectors {PEERS}",
-        FEW,
-        f"100 --cell jitter --seed 8088 --detectors {OURS}",
+        "50 --cell jitter --detectors follow-mixture",
+        "5 --detectors follow-mixture lagged-regression destroy-all",
+        "5 --cell jitter --detectors \"follow-mixture(policy='map')\"",
+        "3 --detectors random none granger factions",
+        "100 --cell jitter --seed 8088 --detectors follow-mixture",
     ),
-    _tier("short", f"50 --detectors {OURS} {PEERS}", f"5 --detectors {MAP}", FEW),
+    _tier(
+        "short",
+        "50 --detectors follow-mixture",
+        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "3 --detectors random none granger factions",
+    ),
     _tier(
         "noise",
-        f"30 --detectors {OURS} {PEERS}",
-        f"100 --cell f1-gauss_markov-0.5 f2-gauss_markov-0.5 f3-gauss_markov-0.5 --detectors {OURS}",
-        f"2 --detectors {MAP}",
-        f"3 --cell gauss_markov-0.3 --detectors {MAP}",
-        "5 --cell "
-        + " ".join(f"f{f}-{sigma}" for sigma in ("0.1", "0.3", "0.5", "1.0") for f in range(1, 8))
-        + f" gauss_markov-0.1 f1-gauss_markov-0.3 f2-gauss_markov-0.3 f3-gauss_markov-0.3 --detectors {MAP}",
-        FEW,
+        "100 --cell f1-gauss_markov-0.5 f2-gauss_markov-0.5 f3-gauss_markov-0.5 --detectors follow-mixture",
+        "30 --detectors follow-mixture",
+        "5 --cell f1-0.1 f2-0.1 f3-0.1 f4-0.1 f5-0.1 f6-0.1 f7-0.1 f1-0.3 f2-0.3 f3-0.3 f4-0.3 f5-0.3 f6-0.3 f7-0.3 "
+        "f1-0.5 f2-0.5 f3-0.5 f4-0.5 f5-0.5 f6-0.5 f7-0.5 f1-1.0 f2-1.0 f3-1.0 f4-1.0 f5-1.0 f6-1.0 f7-1.0 "
+        "f1-gauss_markov-0.1 f2-gauss_markov-0.1 f3-gauss_markov-0.1 f4-gauss_markov-0.1 f5-gauss_markov-0.1 "
+        "f6-gauss_markov-0.1 f7-gauss_markov-0.1 f1-gauss_markov-0.3 f2-gauss_markov-0.3 f3-gauss_markov-0.3 "
+        "--detectors \"follow-mixture(policy='map')\"",
+        "3 --cell f1-0.1 f2-0.1 f3-0.1 f4-0.1 f5-0.1 f6-0.1 f7-0.1 f1-0.3 f2-0.3 f3-0.3 f4-0.3 f5-0.3 f6-0.3 f7-0.3 "
+        "f1-0.5 f2-0.5 f3-0.5 f4-0.5 f5-0.5 f6-0.5 f7-0.5 f1-1.0 f2-1.0 f3-1.0 f4-1.0 f5-1.0 f6-1.0 f7-1.0 "
+        "f1-gauss_markov-0.1 f2-gauss_markov-0.1 f3-gauss_markov-0.1 f4-gauss_markov-0.1 f5-gauss_markov-0.1 "
+        "f6-gauss_markov-0.1 f7-gauss_markov-0.1 f1-gauss_markov-0.3 f2-gauss_markov-0.3 f3-gauss_markov-0.3 "
+        "f4-gauss_markov-0.3 f5-gauss_markov-0.3 f6-gauss_markov-0.3 f7-gauss_markov-0.3 --detectors "
+        "\"follow-mixture(policy='map')\"",
+        "2 --detectors \"follow-mixture(policy='map')\"",
+        "5 --detectors lagged-regression destroy-all",
+        "3 --detectors random none granger factions",
     ),
-    _tier("missed", f"50 --detectors {OURS} {PEERS}", f"5 --detectors {MAP}", FEW),
-    _tier("sampled", f"20 --detectors {OURS} {PEERS}", FEW),
+    _tier(
+        "missed",
+        "50 --detectors follow-mixture",
+        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "3 --detectors random none granger factions",
+    ),
+    _tier(
+        "sampled",
+        "20 --detectors follow-mixture",
+        "5 --detectors lagged-regression destroy-all",
+        "3 --detectors random none granger factions",
+    ),
     _tier(
         "decoys",
-        f"30 --detectors {MAP} {PEERS} random none",
-        f"10 --detectors {OURS} {LEARNED}",
-        REST,
+        "5 --detectors follow-mixture learned \"learned(policy='map')\" random none",
+        "30 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "3 --detectors granger factions",
     ),
     _tier(
         "silence",
-        f"100 --detectors {MAP} {PEERS}",
-        f"30 --detectors {OURS} {LEARNED} random none",
-        REST,
+        "10 --cell none-iid-jitter none-iid-bare none-gauss_markov-jitter none-gauss_markov-bare "
+        "none-smooth_turn-jitter --detectors follow-mixture",
+        "5 --detectors follow-mixture learned \"learned(policy='map')\" random none",
+        "100 --detectors \"follow-mixture(policy='map')\"",
+        "30 --detectors lagged-regression destroy-all",
+        "3 --detectors granger factions",
     ),
-    _tier("shifted", f"10 --detectors {MAP} {PEERS}", f"3 --detectors {OURS}", FEW),
+    _tier(
+        "shifted",
+        "10 --detectors \"follow-mixture(policy='map')\"",
+        "5 --detectors lagged-regression destroy-all",
+        "3 --detectors random none granger factions",
+    ),
     _tier(
         "P1",
-        f"100 --detectors \"follow-mixture(objective='P1')\" {PEERS} random none",
-        f"30 --detectors {OURS} {MAP} {LEARNED}",
-        REST,
+        "10 --detectors follow-mixture \"follow-mixture(policy='map')\" learned \"learned(policy='map')\" random none",
+        "100 --detectors \"follow-mixture(objective='P1')\" lagged-regression destroy-all",
+        "3 --detectors granger factions",
     ),
-    _tier("strategies", f"50 --detectors {OURS} {PEERS}", f"5 --detectors {MAP}", FEW),
+    _tier(
+        "strategies",
+        "50 --detectors follow-mixture",
+        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "3 --detectors random none granger factions",
+    ),
     Result(
         "which feature class of follow-mixture contains a strategy",
         ("follow_mixture/classes.csv",),
