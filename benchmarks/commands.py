@@ -237,45 +237,45 @@ RESULTS: tuple[Result, ...] = (
     ),
     _table2(
         "episodes-seed2022",
-        "--seed 2022 --preset default --preset lagged-regression",
-        f"--seed 2022 --preset paper --episodes 20 --cells {_SHORT_CELLS}",
-        f"--seed 2022 --preset paper --episodes 10 --cells {_LONG_CELLS}",
+        '--seed 2022 --detector neural-granger --detector "lagged-regression(clusters=1)"',
+        f"--seed 2022 --detector gassl --episodes 20 --cells {_SHORT_CELLS}",
+        f"--seed 2022 --detector gassl --episodes 10 --cells {_LONG_CELLS}",
     ),
     _table2(
         "episodes-decoys1-seed2022",
-        f"--seed 2022 --decoys 1 --preset default --episodes 50 --cells {_SIZES['2-10']}",
-        f"--seed 2022 --decoys 1 --preset default --episodes 30 --cells {_SIZES['15-50']}",
-        f"--seed 2022 --decoys 1 --preset paper --episodes 20 --cells {_SIZES['2-15']}",
+        f"--seed 2022 --decoys 1 --detector neural-granger --episodes 50 --cells {_SIZES['2-10']}",
+        f"--seed 2022 --decoys 1 --detector neural-granger --episodes 30 --cells {_SIZES['15-50']}",
+        f"--seed 2022 --decoys 1 --detector gassl --episodes 20 --cells {_SIZES['2-15']}",
     ),
-    _table2("episodes-decoys3-seed2022", "--seed 2022 --decoys 3 --preset default --episodes 10"),
+    _table2("episodes-decoys3-seed2022", "--seed 2022 --decoys 3 --detector neural-granger --episodes 10"),
     _table2(
         "episodes-gauss_markov-jitter-seed2022",
-        f"--seed 2022 {_SMOOTH} --preset default --episodes 20 --cells {_SIZES['2-15']},{_SIZES['50']}",
+        f"--seed 2022 {_SMOOTH} --detector neural-granger --episodes 20 --cells {_SIZES['2-15']},{_SIZES['50']}",
     ),
     _table2(
         "episodes-decoys1-gauss_markov-jitter-seed2022",
-        f"--seed 2022 --decoys 1 {_SMOOTH} --preset default --episodes 40 --cells {_SIZES['2-15']}",
-        f"--seed 2022 --decoys 1 {_SMOOTH} --preset default --episodes 20 --cells {_SIZES['50']}",
+        f"--seed 2022 --decoys 1 {_SMOOTH} --detector neural-granger --episodes 40 --cells {_SIZES['2-15']}",
+        f"--seed 2022 --decoys 1 {_SMOOTH} --detector neural-granger --episodes 20 --cells {_SIZES['50']}",
     ),
     _table2(
         "episodes-waypoint-jitter-seed2022",
-        f"--seed 2022 {_WAYPOINT} --preset default --episodes 20 --cells {_SIZES['2-15']},{_SIZES['50']}",
+        f"--seed 2022 {_WAYPOINT} --detector neural-granger --episodes 20 --cells {_SIZES['2-15']},{_SIZES['50']}",
     ),
     _table2(
         "episodes-decoys1-waypoint-jitter-seed2022",
-        f"--seed 2022 --decoys 1 {_WAYPOINT} --preset default --episodes 60 --cells {_SIZES['2-15']}",
-        f"--seed 2022 --decoys 1 {_WAYPOINT} --preset default --episodes 20 --cells {_SIZES['50']}",
+        f"--seed 2022 --decoys 1 {_WAYPOINT} --detector neural-granger --episodes 60 --cells {_SIZES['2-15']}",
+        f"--seed 2022 --decoys 1 {_WAYPOINT} --detector neural-granger --episodes 20 --cells {_SIZES['50']}",
     ),
     Result(
         "P2: rounds against strategy, M and N",
         tuple(f"rounds/rounds-seed2022.{kind}" for kind in ("csv", "md", "png")),
         (
             "usnet reproduce rounds --out benchmarks/results/rounds --seed 2022 --study follow --study clusters "
-            "--study example --detector mc-gassl --detector lagged-regression --episodes 10",
+            "--study example --detector lead-votes --detector lagged-regression --episodes 10",
             "usnet reproduce rounds --out benchmarks/results/rounds --seed 2022 --study uavs "
-            "--detector mc-gassl --detector lagged-regression --episodes 5",
-            "usnet reproduce rounds --out benchmarks/results/rounds --seed 2022 --study follow --study example "
-            "--detector \"mc-gassl(preset='paper')\" --no-trivial --episodes 3",
+            "--detector lead-votes --detector lagged-regression --episodes 5",
+            "usnet reproduce rounds --out benchmarks/results/rounds --seed 2022 --study follow --study clusters "
+            "--detector mc-gassl --no-trivial --episodes 10",
         ),
     ),
     Result(
@@ -283,7 +283,7 @@ RESULTS: tuple[Result, ...] = (
         tuple(f"rounds/rounds-gauss_markov-jitter-seed2022.{kind}" for kind in ("csv", "md", "png")),
         (
             f"usnet reproduce rounds --out benchmarks/results/rounds --seed 2022 --study follow {_SMOOTH} "
-            "--detector mc-gassl --detector lagged-regression --episodes 5",
+            "--detector lead-votes --detector lagged-regression --episodes 5",
         ),
     ),
     Result(

@@ -129,8 +129,7 @@ def parameters(words: list[str], command: str) -> dict[str, Any]:
 
 def table2_keys(asked: dict[str, Any]) -> set[Key]:
     """Detector, cell and episode of every row that a command asks for."""
-    presets = getattr(table2, "DETECTORS", {})
-    names = asked.get("detectors") or [presets[name] for name in asked.get("presets") or presets]
+    names = asked["detectors"] or table2.DETECTORS
     flight = (str(asked["decoys"]), asked["mobility"], str(asked["head_jitter"]))
     return {
         (name, follow, str(followers), *flight, str(episode))
