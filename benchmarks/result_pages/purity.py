@@ -14,13 +14,13 @@ def text() -> str:
     for path in sorted((RESULTS / "purity").glob("purity*.csv")):
         rows = read_rows(path, Row)
         picture = f"../../benchmarks/results/purity/{path.with_suffix('.png').name}"
-        parts += [demoted(purity_report.markdown(rows, ""), 0), f"![Purity]({picture})"]
+        parts += [demoted(purity_report.format_markdown(rows, ""), 0), f"![Purity]({picture})"]
         made.append(f"purity/{path.name}")
     losses = []
     for path in sorted((RESULTS / "metric_learning").glob("losses*.csv")):
         rows = read_rows(path, metric_learning.Row)
         picture = f"../../benchmarks/results/metric_learning/{path.with_suffix('.png').name}"
-        losses += [metric_learning.markdown(rows).strip(), f"![Losses]({picture})"]
+        losses += [metric_learning.format_markdown(rows).strip(), f"![Losses]({picture})"]
         made.append(f"metric_learning/{path.name}")
     spaces = []
     for path in sorted((RESULTS / "metric_learning").glob("features*.png")):
