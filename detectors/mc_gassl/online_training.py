@@ -55,8 +55,8 @@ def train_online(
         generator: where all draws come from.
 
     Returns:
-        The trained parameters, and the loss before each step. Where no triplet can be drawn (one cluster, or no
-        cluster with two UAVs), the parameters come back as they were and the losses are 0.
+        The trained parameters, and the loss before each step. Where no triplet can be drawn (one cluster, or
+        clusters of one UAV only), the parameters are returned unchanged and the losses are 0.
 
     Raises:
         ArgumentError: ``labels`` has another length than n.
