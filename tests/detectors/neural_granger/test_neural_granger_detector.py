@@ -15,6 +15,13 @@ FEW = {"steps": 5}  # for tests in which the candidate does not matter
 SHORT = {"steps": 60}  # enough for an easy head
 
 
+def quick_and_slow(count):
+    """A test with six windows and few training steps, and as a slow test with ``count`` windows and the defaults."""
+    return pytest.mark.parametrize(
+        ("count", "arguments"), [(6, SHORT), pytest.param(count, {}, marks=pytest.mark.slow)]
+    )
+
+
 def detector(seed=0, **arguments):
     made = NeuralGranger(**arguments)
     made.reset(seed)
@@ -37,15 +44,17 @@ def same(one, two):
 
 
 @pytest.mark.parametrize("follow", ["f1", "f4"])
-def test_finds_the_head(follow):
-    windows, heads = clusters(12, follow=follow, followers=4)
-    assert rate(detector().detect_batch(windows), heads) == 1.0
+@quick_and_slow(12)
+def test_finds_the_head(follow, count, arguments):
+    windows, heads = clusters(count, follow=follow, followers=4)
+    assert rate(detector(**arguments).detect_batch(windows), heads) == 1.0
 
 
 @pytest.mark.parametrize("follow", ["f4", "f5"])
-def test_a_decoy_is_not_named(follow):
-    windows, heads = clusters(40, follow=follow, followers=2, decoys=1)
-    found = detector().detect_batch(windows)
+@quick_and_slow(40)
+def test_a_decoy_is_not_named(follow, count, arguments):
+    windows, heads = clusters(count, follow=follow, followers=2, decoys=1)
+    found = detector(**arguments).detect_batch(windows)
     assert rate(found, heads) >= 0.95
 
 
@@ -57,41 +66,46 @@ def test_names_the_head_beside_a_decoy(follow, followers):
     assert rate(detector().detect_batch(windows), heads) >= 0.95
 
 
-def test_missing_samples():
-    windows, heads = clusters(20, followers=4, miss_rate=0.2)
-    assert rate(detector().detect_batch(windows), heads) >= 0.8
+@quick_and_slow(20)
+def test_missing_samples(count, arguments):
+    windows, heads = clusters(count, followers=4, miss_rate=0.2)
+    assert rate(detector(**arguments).detect_batch(windows), heads) >= 0.8
 
 
-def test_the_gate_names_no_uav_where_none_is_followed():
+@quick_and_slow(20)
+def test_the_gate_names_no_uav_where_none_is_followed(count, arguments):
     # Without followers every UAV moves by itself; the head of the environment flies like all others.
-    windows, _ = clusters(20, follow="none", followers=4)
-    gated = detector(gate=True).detect_batch(windows)
+    windows, _ = clusters(count, follow="none", followers=4)
+    gated = detector(gate=True, **arguments).detect_batch(windows)
     assert np.mean(named(gated) == -1) >= 0.95
     for detection in gated:
         assert detection.extras["followed"] == detection.candidates.any()
-    assert (named(detector().detect_batch(windows)) >= 0).all()  # without the gate, the best guess
+    assert (named(detector(**arguments).detect_batch(windows)) >= 0).all()  # without the gate, the best guess
 
 
 @pytest.mark.parametrize("follow", ["f1", "f4"])
-def test_the_gate_lets_a_head_through(follow):
-    windows, heads = clusters(12, follow=follow, followers=3)
-    assert rate(detector(gate=True).detect_batch(windows), heads) == 1.0
+@quick_and_slow(12)
+def test_the_gate_lets_a_head_through(follow, count, arguments):
+    windows, heads = clusters(count, follow=follow, followers=3)
+    assert rate(detector(gate=True, **arguments).detect_batch(windows), heads) == 1.0
 
 
-def test_the_smallest_cluster():
-    windows, heads = clusters(20, followers=2)
+@quick_and_slow(20)
+def test_the_smallest_cluster(count, arguments):
+    windows, heads = clusters(count, followers=2)
     assert windows[0].uavs == 3
-    assert rate(detector().detect_batch(windows), heads) >= 0.95
+    assert rate(detector(**arguments).detect_batch(windows), heads) >= 0.95
 
 
-def test_no_index_is_favoured():
+@quick_and_slow(20)
+def test_no_index_is_favoured(count, arguments):
     """Renumbering the UAVs renumbers the answer: the head is found at whatever index it sits, by as many votes."""
-    windows, heads = clusters(20, followers=3)
+    windows, heads = clusters(count, followers=3)
     order = np.array([2, 0, 3, 1])
     turned = [
         changed(w, position=w.position[:, order], velocity=w.velocity[:, order], seen=w.seen[:, order]) for w in windows
     ]
-    before, after = detector().detect_batch(windows), detector().detect_batch(turned)
+    before, after = detector(**arguments).detect_batch(windows), detector(**arguments).detect_batch(turned)
     np.testing.assert_array_equal(order[named(after)], named(before))
     assert rate(before, heads) == 1.0
     scores = np.array([d.scores for d in before])[:, order] - np.array([d.scores for d in after])
@@ -131,13 +145,13 @@ def test_shapes_and_ranges():
 @pytest.mark.parametrize("memory", [1, 2])
 def test_another_memory(memory):
     window, _ = cluster(followers=3)
-    assert detector(memory=memory).detect(window).candidates.sum() == 1
+    assert detector(memory=memory, **FEW).detect(window).candidates.sum() == 1
 
 
 def test_what_is_explained():
     """A rate gained while predicting nothing is visible: followers are explained, a UAV that moves at random is not."""
-    windows, heads = clusters(6, follow="f1", followers=4, decoys=1)
-    for window, head, got in zip(windows, heads, detector().detect_batch(windows), strict=True):
+    windows, heads = clusters(3, follow="f1", followers=4, decoys=1)
+    for window, head, got in zip(windows, heads, detector(**SHORT).detect_batch(windows), strict=True):
         followers = np.flatnonzero(got.leader == head)
         assert len(followers) >= 4
         explained = np.sort(got.extras["explained"])
@@ -172,15 +186,15 @@ def test_destroyed_uavs_are_left_out():
     np.testing.assert_allclose(np.delete(got.attention, gone, axis=0).sum(axis=1), 1.0, atol=1e-5)
 
 
-def test_finds_the_head_among_those_that_are_left():
-    windows, heads = clusters(6, followers=6)
+def test_finds_the_head_of_the_living_uavs():
+    windows, heads = clusters(3, followers=6)
     left = [
         without(window, [i for i in range(7) if i != head][:2]) for window, head in zip(windows, heads, strict=True)
     ]
-    np.testing.assert_array_equal(named(detector().detect_batch(left)), heads)
+    np.testing.assert_array_equal(named(detector(**SHORT).detect_batch(left)), heads)
 
 
-def test_whatever_stands_where_nothing_was_seen_is_not_read():
+def test_values_that_were_not_seen_are_not_read():
     window, _ = cluster(followers=4, miss_rate=0.2)
     gone = without(window, [1])
     noise = np.random.default_rng(0)
@@ -205,7 +219,7 @@ def test_a_uav_that_lives_but_was_never_seen():
         velocity=np.where(there[..., None], window.velocity, 0),
         seen=seen,
     )
-    got = detector().detect(unseen)
+    got = detector(**SHORT).detect(unseen)
     assert named([got]) == [head]
     assert got.scores[hidden] == 0 or np.isfinite(got.scores[hidden])
 
@@ -219,11 +233,11 @@ def test_a_part_of_the_swarm():
     assert not found.candidates[~members].any()
     assert (found.attention[~members] == 0).all()
     same(found, detector(**FEW).detect(without(window, np.flatnonzero(~members))))
-    assert named([detector().detect_among(window, members)]) == [head]
+    assert named([detector(**SHORT).detect_among(window, members)]) == [head]
 
 
 @pytest.mark.parametrize("alive", [1, 2])
-def test_one_or_two_that_are_left_hold_no_evidence(alive):
+def test_one_or_two_living_uavs_give_no_evidence(alive):
     window, _ = cluster(followers=4)
     left = without(window, list(range(5 - alive)))
     picked = {int(named([detector(seed).detect(left)])[0]) for seed in range(20)}
@@ -254,7 +268,7 @@ def test_a_batch_keeps_its_order_over_sizes_and_lengths():
     short = cluster(9, followers=4, observation_steps=70)
     pairs.insert(2, short)
     pairs.append((without(pairs[0][0], [0, 1, 2]), None))
-    found = detector().detect_batch([window for window, _ in pairs])
+    found = detector(**SHORT).detect_batch([window for window, _ in pairs])
     for (window, head), got in zip(pairs, found, strict=True):
         assert len(got.candidates) == window.uavs
         if head is not None:
@@ -325,13 +339,13 @@ def test_by_name():
 
 def test_plays_with_the_referee():
     arguments = {"follow": "f4", "followers": 3}
-    result = evaluate("USNET/SingleCluster-v0", "neural-granger", episodes=4, env_kwargs=arguments)
+    result = evaluate("USNET/SingleCluster-v0", "neural-granger", episodes=2, env_kwargs=arguments)
     assert result["neural-granger"]["success"]["mean"] == 1.0
     assert result["neural-granger"]["J"]["mean"] == 0.0
 
 
 def test_one_cluster_of_the_multi_cluster_world():
-    result = evaluate("USNET/MultiCluster-v0", "neural-granger", episodes=3, env_kwargs={"clusters": 1, "uavs": 5})
+    result = evaluate("USNET/MultiCluster-v0", "neural-granger", episodes=2, env_kwargs={"clusters": 1, "uavs": 5})
     assert result["neural-granger"]["J"]["mean"] == 1.0
 
 
@@ -344,7 +358,7 @@ def test_as_a_policy():
         "alive": window.alive.astype(np.int8),
         "round": np.ones(1, np.float32),
     }
-    action, _ = NeuralGranger().as_policy().predict(observation)
+    action, _ = NeuralGranger(**SHORT).as_policy().predict(observation)
     assert action.tolist() == [int(i == head) for i in range(4)]
 
 
@@ -395,7 +409,7 @@ def test_a_gpu_that_is_not_there():
     with pytest.raises(ArgumentError, match=r"^device must be 'cpu' or 'auto' on .*, got 'cuda'\.$"):
         NeuralGranger(device="cuda").reset(0)
     window, head = cluster(followers=2)
-    assert named([detector(device="auto").detect(window)]) == [head]
+    assert named([detector(device="auto", **SHORT).detect(window)]) == [head]
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")

@@ -30,7 +30,9 @@ def generator(seed=0):
     return torch.Generator().manual_seed(seed)
 
 
-@pytest.mark.parametrize("follow", ["f1", "f4", "f7"])
+@pytest.mark.parametrize(
+    "follow", [pytest.param("f1", marks=pytest.mark.slow), "f4", pytest.param("f7", marks=pytest.mark.slow)]
+)
 def test_followers_choose_their_head_and_heads_gain_nothing(follow):
     batch, head = swarm(follow)
     all_uavs = torch.arange(12)
