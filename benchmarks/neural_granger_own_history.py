@@ -1,12 +1,12 @@
-"""How much of a follower's flight is there to be found beyond its own history? The limit of every detector.
+"""Measure how much evidence for its head a follower's flight holds, beyond its own history: the limit of all detectors.
 
-    OMP_NUM_THREADS=1 python benchmarks/gassl_own_history.py      # writes benchmarks/results/gassl_own_history.csv
+    OMP_NUM_THREADS=1 python benchmarks/neural_granger_own_history.py
 
-For every follower: the error of its own history (GASSL's null, a cross-fitted ridge regression), and the error of the
-true follow strategy put to the true head's flight, which no detector can beat. The logarithm of their ratio is the
-evidence a sample, in nats, that knowing the strategy and the head would give. Where it is near 0, as for f4 and f5
-behind a head that flies nearly straight, a detector that has to learn the strategy from one window has little to learn
-from.
+writes benchmarks/results/neural_granger_own_history.csv. For each follower it compares two errors: that of the null
+model of ``neural-granger``, a cross-fitted ridge regression on the follower's own past, and that of the true strategy
+applied to the flight of the true head, which no detector can surpass. The logarithm of their ratio is the evidence in
+nats a sample that knowledge of the strategy and the head would give. Where it is near 0, as for f4 and f5 with a head
+that flies nearly straight, a detector that has to learn the strategy from one window has little to learn from.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 import torch
 
 import usnet_env
-from detectors.gassl.inputs import samples_of
-from detectors.gassl.prediction_pooling import own_history
+from detectors.neural_granger.inputs import build_samples
+from detectors.neural_granger.per_candidate import predict_from_own_history
 from usnet_env.swarm import FollowInputs, follow_strategies
 
 MEMORY = 4
@@ -31,7 +31,7 @@ CELLS = (("iid", False), ("gauss_markov", True), ("waypoint", True))
 HEADER = ("follow", "mobility", "head_jitter", "episode", "follower", "own_history_error", "strategy_error")
 
 
-def true_predictions(env: object, window: usnet_env.Window, follow: str, followers: np.ndarray) -> np.ndarray:
+def predict_with_truth(env: object, window: usnet_env.Window, follow: str, followers: np.ndarray) -> np.ndarray:
     """norm(f) of every follower at every time, ``(n, T_ob - T_0, 3)``."""
     strategy, head = follow_strategies()[follow], int(np.flatnonzero(env.swarm.head)[0])
     rows = []
@@ -52,6 +52,7 @@ def true_predictions(env: object, window: usnet_env.Window, follow: str, followe
 
 
 def main() -> None:
+    """Measure, print and write the rows."""
     rows = []
     for mobility, jitter in CELLS:
         for follow in FOLLOW:
@@ -63,10 +64,10 @@ def main() -> None:
                 observation, _ = env.reset(seed=SEED + episode)
                 window = usnet_env.Window.from_observation(observation)
                 followers = np.flatnonzero(~env.swarm.head)
-                samples = samples_of([window], [followers], MEMORY, torch.device("cpu"))
+                samples = build_samples([window], [followers], MEMORY, torch.device("cpu"))
                 target = samples.target[0].numpy()
-                null = ((own_history(samples, 1.0)[0].numpy() - target) ** 2).sum(-1).mean(1)
-                truth = ((true_predictions(env, window, follow, followers) - target) ** 2).sum(-1).mean(1)
+                null = ((predict_from_own_history(samples, 1.0)[0].numpy() - target) ** 2).sum(-1).mean(1)
+                truth = ((predict_with_truth(env, window, follow, followers) - target) ** 2).sum(-1).mean(1)
                 gains += list(np.log(null / truth))
                 rows += [
                     (follow, mobility, jitter, episode, i, f"{a:.6f}", f"{b:.6f}")
@@ -76,7 +77,7 @@ def main() -> None:
             print(
                 f"{mobility}{' with jitter' * jitter}, {follow}: {middle:.2f} nats a sample ({low:.2f} to {high:.2f})"
             )
-    out = Path(__file__).parent / "results" / "gassl_own_history.csv"
+    out = Path(__file__).parent / "results" / "neural_granger_own_history.csv"
     aside = out.with_suffix(".part")
     with aside.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

@@ -1,19 +1,19 @@
-"""Pooling of predictions: each piece against a slow reading of what it says."""
+"""One network for each candidate: each function against a slow and literal one."""
 
 import numpy as np
 import pytest
 import torch
-from gassl_windows import clusters, samples
+from single_cluster_windows import clusters, samples
 
-from detectors.gassl import prediction_pooling
-from detectors.gassl.prediction_pooling import (
+from detectors.neural_granger import per_candidate
+from detectors.neural_granger.per_candidate import (
     AdditiveNetwork,
-    PredictionPooling,
+    PerCandidate,
     Problem,
-    all_errors,
-    fit_prediction_pooling,
-    held_out_times,
-    own_history,
+    compute_all_errors,
+    fit_per_candidate,
+    predict_from_own_history,
+    split_times,
 )
 
 CPU = torch.device("cpu")
@@ -25,9 +25,9 @@ def batch_of(count=2, followers=3, **arguments):
 
 
 @pytest.mark.parametrize("miss_rate", [0.0, 0.2])
-def test_the_null_is_a_ridge_regression_on_other_times(miss_rate):
+def test_the_null_model_is_a_ridge_regression_on_other_times(miss_rate):
     batch, _ = batch_of(follow="f6", miss_rate=miss_rate)
-    got = own_history(batch, ridge=1.0)
+    got = predict_from_own_history(batch, ridge=1.0)
     times = batch.times
     for e in range(2):
         for i in range(4):
@@ -42,11 +42,11 @@ def test_the_null_is_a_ridge_regression_on_other_times(miss_rate):
                 np.testing.assert_allclose(got[e, i, inside], features[inside] @ solution, atol=2e-4)
 
 
-def test_the_null_predicts_smooth_flight_and_not_random_flight():
+def test_the_null_model_predicts_smooth_flight_and_not_random_flight():
     def explained(batch):
-        return 1 - ((own_history(batch, 1.0) - batch.target) ** 2).sum() / (batch.target**2).sum()
+        return 1 - ((predict_from_own_history(batch, 1.0) - batch.target) ** 2).sum() / (batch.target**2).sum()
 
-    # A head moves by itself, so the null is put to a window in which nobody follows.
+    # A head moves by itself, so the null model is applied to a window without followers.
     smooth, _ = batch_of(follow="none", mobility="gauss_markov")
     random, _ = batch_of(follow="none")
     assert explained(smooth) > 0.5
@@ -55,7 +55,7 @@ def test_the_null_predicts_smooth_flight_and_not_random_flight():
 
 @pytest.mark.parametrize(("times", "blocks"), [(96, 4), (100, 4), (70, 4), (58, 3), (46, 2), (30, 1), (16, 1), (12, 0)])
 def test_held_out_times_are_apart_from_those_of_training(times, blocks):
-    used, held = held_out_times(times, blocks=4, gap=4, device=CPU)
+    used, held = split_times(times, blocks=4, gap=4, device=CPU)
     assert len(held) == max(1, blocks) * (times // (5 * max(1, blocks)))
     assert sorted(set(held.tolist())) == held.tolist()
     assert len(used) >= times // 3
@@ -65,7 +65,7 @@ def test_held_out_times_are_apart_from_those_of_training(times, blocks):
 
 @pytest.mark.parametrize("times", [1, 2, 5, 9])
 def test_very_short_windows_still_have_times_of_both_kinds(times):
-    used, held = held_out_times(times, blocks=4, gap=4, device=CPU)
+    used, held = split_times(times, blocks=4, gap=4, device=CPU)
     assert len(used) >= 1
     assert len(held) >= 1
     assert used.max() < times
@@ -99,33 +99,33 @@ def literal_error(network, problem, batch, e, i, j, times):
 
 @pytest.mark.parametrize("entries", [4_000_000, 1])
 def test_errors_of_all_pairs(monkeypatch, entries):
-    monkeypatch.setattr(prediction_pooling, "_CHUNK_ENTRIES", entries)
+    monkeypatch.setattr(per_candidate, "_CHUNK_ENTRIES", entries)
     batch, _ = batch_of(follow="f6", miss_rate=0.1)
-    problem = Problem(batch, PredictionPooling())
+    problem = Problem(batch, PerCandidate())
     network = AdditiveNetwork(8, 12, 6, torch.Generator().manual_seed(0))
     for parameter in (*network.weights, *network.free):
         parameter.data += 0.3 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(1))
     times = torch.arange(10, 24)
-    got = all_errors(problem, network.rows(torch.arange(8)), torch.arange(4), times)
+    got = compute_all_errors(problem, network.select(torch.arange(8)), torch.arange(4), times)
     for e in range(2):
         for i in range(4):
             for j in range(4):
-                expected = literal_error(network.rows(torch.arange(8)), problem, batch, e, i, j, times)
+                expected = literal_error(network.select(torch.arange(8)), problem, batch, e, i, j, times)
                 assert float(got[e, i, j]) == pytest.approx(expected, rel=1e-4)
 
 
 def test_gains_are_log_ratios_of_the_nulls_error(monkeypatch):
     batch, _ = batch_of(miss_rate=0.1)
-    settings = PredictionPooling(steps=3)
+    settings = PerCandidate(steps=3)
     seen = []
 
     def watched(problem, network, voters, times):
-        errors = all_errors(problem, network, voters, times)
+        errors = compute_all_errors(problem, network, voters, times)
         seen.append((problem, times, errors))
         return errors
 
-    monkeypatch.setattr(prediction_pooling, "all_errors", watched)
-    fit = fit_prediction_pooling(batch, settings, torch.Generator().manual_seed(0))
+    monkeypatch.setattr(per_candidate, "compute_all_errors", watched)
+    fit = fit_per_candidate(batch, settings, torch.Generator().manual_seed(0))
     used, held, untrained = (times for _, times, _ in seen)  # the last for the choice of the winner
     assert sorted([*used.tolist(), *untrained.tolist()]) == list(range(batch.times))
     assert set(held.tolist()) < set(untrained.tolist())
@@ -137,9 +137,9 @@ def test_gains_are_log_ratios_of_the_nulls_error(monkeypatch):
             assert float(gain[e, i, j]) == pytest.approx(expected, abs=1e-5)
 
 
-def test_the_winner_and_attention():
+def test_the_winner_is_the_head_and_its_followers_attend_to_it():
     batch, heads = batch_of(count=4, followers=4, follow="f4")
-    fit = fit_prediction_pooling(batch, PredictionPooling(), torch.Generator().manual_seed(0))
+    fit = fit_per_candidate(batch, PerCandidate(), torch.Generator().manual_seed(0))
     np.testing.assert_array_equal(fit.winner, heads)
     np.testing.assert_allclose(fit.attention.sum(2), 1.0, atol=1e-5)
     np.testing.assert_allclose(fit.attention, torch.softmax(fit.log_likelihood, dim=2), atol=1e-6)
@@ -152,17 +152,17 @@ def test_the_winner_and_attention():
     assert (fit.held_out_gain.diagonal(dim1=1, dim2=2) == 0).all()
 
 
-def test_noise_on_the_sources_is_a_share_of_what_their_own_history_leaves():
-    smooth = Problem(batch_of(follow="none", mobility="gauss_markov")[0], PredictionPooling())
-    random = Problem(batch_of(follow="none")[0], PredictionPooling())
+def test_noise_on_the_sources_is_a_share_of_the_error_of_the_null_model():
+    smooth = Problem(batch_of(follow="none", mobility="gauss_markov")[0], PerCandidate())
+    random = Problem(batch_of(follow="none")[0], PerCandidate())
     assert smooth.noise.mean() < 0.7 * random.noise.mean()
     np.testing.assert_allclose(random.noise, 0.2, rtol=0.2)  # unit variance after scaling, nothing predicted
-    assert (Problem(batch_of()[0], PredictionPooling(input_noise=0.0)).noise == 0).all()
+    assert (Problem(batch_of()[0], PerCandidate(input_noise=0.0)).noise == 0).all()
 
 
-def test_rows_are_copies_without_gradient():
+def test_selected_networks_are_copies_without_gradient():
     network = AdditiveNetwork(3, 12, 2, torch.Generator().manual_seed(0))
-    part = network.rows(torch.tensor([2, 0]))
+    part = network.select(torch.tensor([2, 0]))
     for whole, some in zip((*network.weights, *network.free), (*part.weights, *part.free), strict=True):
         np.testing.assert_array_equal(some, whole.detach()[[2, 0]])
         assert not some.requires_grad
