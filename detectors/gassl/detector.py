@@ -127,6 +127,7 @@ class Gassl(Detector):
             attends to itself most; ``attention_heads`` ``(T_0 + 1, N, N)``, alpha_l; ``explained`` ``(N,)``, the share
             of the squared velocity that the fit explains on the training times; ``loss`` ``(N, Ω)``.
         """
+        self.settings()
         members = check_window(window, self.memory)
         rng = getattr(self, "rng", None) or np.random.default_rng()
         uavs = window.uavs

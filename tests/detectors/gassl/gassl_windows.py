@@ -1,13 +1,11 @@
-"""Windows of single clusters for the tests of GASSL, and who leads them."""
+"""Windows of single clusters for the tests of GASSL, and the heads of the clusters."""
 
 from __future__ import annotations
 
 import gymnasium as gym
 import numpy as np
-import torch
 
 import usnet_env
-from detectors.gassl.inputs import Samples, samples_of
 
 
 def cluster(seed=0, follow="f1", followers=4, **arguments):
@@ -25,12 +23,8 @@ def clusters(count, first_seed=0, **arguments):
 
 
 def named(detections):
-    """The candidate of each detection; -1 where none is named."""
-    return np.array([int(np.flatnonzero(d.candidates)[0]) if d.candidates.any() else -1 for d in detections])
-
-
-def samples(windows, memory=4) -> Samples:
-    return samples_of(windows, [np.arange(window.uavs) for window in windows], memory, torch.device("cpu"))
+    """The first candidate of each detection."""
+    return np.array([int(np.flatnonzero(d.candidates)[0]) for d in detections])
 
 
 def changed(window, **arrays):

@@ -1,4 +1,4 @@
-"""GASSL as a detector: what it answers, what it leaves untouched, and what it refuses."""
+"""GASSL as a detector: its candidates, what it must not depend on, and what it refuses."""
 
 import random
 
@@ -8,17 +8,22 @@ import torch
 from gassl_windows import changed, cluster, clusters, named, without
 from sklearn.base import clone
 
-from detectors.gassl import PRESETS, Gassl
+from detectors.gassl import Gassl
 from detectors.gassl.votes import RULES
 from usnet_env import ArgumentError, Window, evaluate, make_detector
 
-FEW = {"steps": 5}  # where it doesn't matter whom it names
+FEW = {"steps": 5}  # where the candidates don't matter
 
 
 def detector(seed=0, **arguments):
     made = Gassl(**arguments)
     made.reset(seed)
     return made
+
+
+def detect_each(windows, **arguments):
+    made = detector(**arguments)
+    return [made.detect(window) for window in windows]
 
 
 def rate(found, heads):
@@ -33,168 +38,90 @@ def same(one, two):
         np.testing.assert_array_equal(value, two.extras[name])
 
 
-# whom it names
+# candidates
 
 
-@pytest.mark.parametrize("follow", ["f1", "f4"])
-def test_finds_the_head(follow):
-    windows, heads = clusters(12, follow=follow, followers=4)
-    assert rate(detector().detect_batch(windows), heads) == 1.0
+@pytest.mark.parametrize("followers", [5, 10])
+def test_finds_the_head(followers):
+    windows, heads = clusters(10, follow="f1", followers=followers)
+    assert rate(detect_each(windows), heads) >= 0.8
 
 
-@pytest.mark.parametrize("follow", ["f4", "f5"])
-def test_a_decoy_is_not_named(follow):
-    windows, heads = clusters(40, follow=follow, followers=2, decoys=1)
-    found = detector().detect_batch(windows)
-    assert rate(found, heads) >= 0.95
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("follow", [f"f{k}" for k in range(1, 8)])
-@pytest.mark.parametrize("followers", [2, 5])
-def test_names_the_head_beside_a_decoy(follow, followers):
-    windows, heads = clusters(100, follow=follow, followers=followers, decoys=1)
-    assert rate(detector().detect_batch(windows), heads) >= 0.95
-
-
-def test_the_papers_preset_finds_a_head_that_is_followed_linearly():
-    windows, heads = clusters(10, follow="f3", followers=4)
-    assert rate(detector(preset="paper").detect_batch(windows), heads) >= 0.8
-
-
-def test_missing_samples():
-    windows, heads = clusters(20, followers=4, miss_rate=0.2)
-    assert rate(detector().detect_batch(windows), heads) >= 0.8
-
-
-def test_the_gate_names_nobody_where_nobody_is_followed():
-    # Without followers every UAV moves by itself; the head that the world keeps is one among equals.
-    windows, _ = clusters(20, follow="none", followers=4)
-    gated = detector(gate=True).detect_batch(windows)
-    assert np.mean(named(gated) == -1) >= 0.95
-    for detection in gated:
-        assert detection.extras["followed"] == detection.candidates.any()
-    assert (named(detector().detect_batch(windows)) >= 0).all()  # without the gate, the best guess
-
-
-@pytest.mark.parametrize("follow", ["f1", "f4"])
-def test_the_gate_lets_a_head_through(follow):
-    windows, heads = clusters(12, follow=follow, followers=3)
-    assert rate(detector(gate=True).detect_batch(windows), heads) == 1.0
-
-
-def test_the_smallest_cluster():
-    windows, heads = clusters(20, followers=2)
-    assert windows[0].uavs == 3
-    assert rate(detector().detect_batch(windows), heads) >= 0.95
+def test_finds_the_head_if_samples_are_missing():
+    windows, heads = clusters(10, follow="f1", followers=5, miss_rate=0.1)
+    assert rate(detect_each(windows), heads) >= 0.6  # 0.17 by chance
 
 
 def test_no_index_is_favoured():
-    """Renumbering the UAVs renumbers the answer: the head is found at whatever index it sits, by as many votes."""
-    windows, heads = clusters(20, followers=3)
-    order = np.array([2, 0, 3, 1])
+    """The head is found at whatever index it is, and without evidence all indices are named alike."""
+    windows, heads = clusters(10, follow="f1", followers=5)
+    order = np.array([2, 0, 5, 3, 1, 4])
     turned = [
         changed(w, position=w.position[:, order], velocity=w.velocity[:, order], seen=w.seen[:, order]) for w in windows
     ]
-    before, after = detector().detect_batch(windows), detector().detect_batch(turned)
-    np.testing.assert_array_equal(order[named(after)], named(before))
-    assert rate(before, heads) == 1.0
-    scores = np.array([d.scores for d in before])[:, order] - np.array([d.scores for d in after])
-    assert abs(scores.mean(axis=0)).max() < 0.05
+    found = detect_each(turned)
+    assert np.mean(order[named(found)] == heads) >= 0.8
+    guesses, _ = clusters(90, follow="none", followers=2, observation_steps=12)
+    counts = np.bincount(named(detect_each(guesses, steps=1)), minlength=3)
+    assert (np.abs(counts - 30) < 5 * np.sqrt(30 * 2 / 3)).all()
 
 
-def test_guesses_without_evidence_favour_no_index():
-    windows, _ = clusters(150, follow="none", followers=2)
-    counts = np.bincount(named(detector(**FEW).detect_batch(windows)), minlength=3)
-    assert (np.abs(counts - 50) < 5 * np.sqrt(50 * 2 / 3)).all()
+def test_a_rule_without_votes_for_oneself_finds_the_head():
+    windows, heads = clusters(6, follow="f1", followers=6)
+    assert rate(detect_each(windows, rule="exclude-self"), heads) >= 0.8
 
 
 # the shape of an answer
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_shapes_and_ranges(preset):
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("memory", [4, 2])
+def test_an_answer_is_made_of_the_attention(rule, memory):
     window, _ = cluster(followers=4)
-    got = detector(preset=preset, **FEW).detect(window)
-    assert got.candidates.shape == got.scores.shape == (5,)
+    got = detector(rule=rule, memory=memory, **FEW).detect(window)
+    assert got.candidates.shape == (5,)
     assert got.candidates.sum() == 1
     assert got.scores[got.candidates] == got.scores.max()
-    assert got.attention.shape == (5, 5)
     np.testing.assert_allclose(got.attention.sum(axis=1), 1.0, atol=1e-5)
-    np.testing.assert_array_equal(got.extras["choice"], got.attention.argmax(axis=1))
     others = got.attention - 2 * np.eye(5)
     np.testing.assert_array_equal(got.leader, others.argmax(axis=1))
+    choice = got.attention.argmax(axis=1) if rule == "paper" else got.leader
+    np.testing.assert_array_equal(got.extras["choice"], choice)
+    votes = [sum(choice[other] == i for other in range(5) if other != i) / 5 for i in range(5)]  # equation (20)
+    np.testing.assert_allclose(got.scores, votes)
+    attn_heads = got.extras["attention_heads"]
+    assert attn_heads.shape == (memory + 1, 5, 5)
+    np.testing.assert_allclose(attn_heads.mean(axis=0), got.attention, atol=1e-6)  # equation (12)
+    assert got.extras["loss"].shape == (5, 5)
     assert got.extras["explained"].shape == (5,)
     assert got.extras["explained"].max() <= 1
-    assert (got.scores >= 0).all()
-    assert got.scores.sum() <= 1 + 1e-6
-    if preset == "paper":
-        heads = got.extras["attention_heads"]
-        assert heads.shape == (5, 5, 5)
-        np.testing.assert_allclose(heads.sum(axis=2), 1.0, atol=1e-5)
-        np.testing.assert_allclose(heads.mean(axis=0), got.attention, atol=1e-6)
-        votes = [
-            sum(got.extras["choice"][other] == i for other in range(5) if other != i) / 5 for i in range(5)
-        ]  # c_i as the paper has it
-        np.testing.assert_allclose(got.scores, votes)
-    else:
-        assert got.extras["gain"].shape == (5,)
-        assert isinstance(got.extras["followed"], bool)
 
 
-@pytest.mark.parametrize("memory", [1, 2])
-def test_another_memory(memory):
-    window, _ = cluster(followers=3)
-    got = detector(preset="paper", memory=memory, **FEW).detect(window)
-    assert got.extras["attention_heads"].shape == (memory + 1, 4, 4)
-    assert detector(memory=memory).detect(window).candidates.sum() == 1
+def test_votes_count_uavs_and_not_attention():
+    """Attention that one UAV gets from a few UAVs must not outweigh the number of votes."""
+    windows, _ = clusters(12, followers=6, observation_steps=20)
+    for got in detect_each(windows, steps=30):
+        votes = np.bincount(got.extras["choice"][got.extras["choice"] != np.arange(7)], minlength=7)
+        assert votes[got.candidates] == votes.max()
+        np.testing.assert_allclose(got.scores, votes / 7)
 
 
-def test_what_is_explained():
-    """A rate gained while predicting nothing is visible: followers are explained, who moves at random is not."""
-    windows, heads = clusters(6, follow="f1", followers=4, decoys=1)
-    for window, head, got in zip(windows, heads, detector().detect_batch(windows), strict=True):
-        followers = np.flatnonzero(got.leader == head)
-        assert len(followers) >= 4
-        explained = np.sort(got.extras["explained"])
-        assert (explained[-4:] > 0.6).all()
-        assert got.extras["explained"][head] < 0.3
-        assert window.uavs == len(explained) == 6
-
-
-@pytest.mark.parametrize("pooling", ["predictions", "inputs"])
-@pytest.mark.parametrize("rule", RULES)
-def test_every_rule_with_every_pooling(pooling, rule):
-    window, _ = cluster(followers=3)
-    got = detector(pooling=pooling, rule=rule, **FEW).detect(window)
-    assert got.candidates.sum() == 1
-    assert (got.scores >= 0).all()
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_every_rule_finds_an_easy_head(rule):
-    windows, heads = clusters(10, followers=4)
-    assert rate(detector(rule=rule).detect_batch(windows), heads) >= 0.9
-
-
-@pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("top_k", [1, 3, 50])
-def test_top_k(preset, top_k):
+def test_the_top_k_are_named(top_k):
     window, _ = cluster(followers=4)
-    got = detector(preset=preset, top_k=top_k, **FEW).detect(window)
+    got = detector(top_k=top_k, **FEW).detect(window)
     assert got.candidates.sum() == min(top_k, 5)
     if top_k == 3:
         assert got.scores[got.candidates].min() >= got.scores[~got.candidates].max()
 
 
-# masks and subsets
+# masks
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_destroyed_uavs_are_left_out(preset):
+def test_destroyed_uavs_are_left_out():
     window, head = cluster(followers=6)
     gone = [i for i in range(7) if i != head][1:3]
-    got = detector(preset=preset, top_k=7, **FEW).detect(without(window, gone))
+    got = detector(top_k=7, **FEW).detect(without(window, gone))
     assert not got.candidates[gone].any()
     assert got.candidates.sum() == 5
     assert (got.scores[gone] == 0).all()
@@ -205,15 +132,7 @@ def test_destroyed_uavs_are_left_out(preset):
     np.testing.assert_allclose(np.delete(got.attention, gone, axis=0).sum(axis=1), 1.0, atol=1e-5)
 
 
-def test_finds_the_head_among_those_that_are_left():
-    windows, heads = clusters(6, followers=6)
-    left = [
-        without(window, [i for i in range(7) if i != head][:2]) for window, head in zip(windows, heads, strict=True)
-    ]
-    np.testing.assert_array_equal(named(detector().detect_batch(left)), heads)
-
-
-def test_whatever_stands_where_nothing_was_seen_is_not_read():
+def test_masked_values_are_not_read():
     window, _ = cluster(followers=4, miss_rate=0.2)
     gone = without(window, [1])
     noise = np.random.default_rng(0)
@@ -223,11 +142,10 @@ def test_whatever_stands_where_nothing_was_seen_is_not_read():
         position=np.where(there[..., None], gone.position, noise.normal(size=gone.position.shape)),
         velocity=np.where(gone.velocity_seen[..., None], gone.velocity, noise.normal(size=gone.velocity.shape)),
     )
-    for preset in PRESETS:
-        same(detector(preset=preset, **FEW).detect(gone), detector(preset=preset, **FEW).detect(dirty))
+    same(detector(**FEW).detect(gone), detector(**FEW).detect(dirty))
 
 
-def test_a_uav_that_lives_but_was_never_seen():
+def test_a_living_uav_that_was_never_seen():
     window, head = cluster(followers=5)
     hidden = (head + 1) % 6
     seen = window.seen.copy()
@@ -239,77 +157,50 @@ def test_a_uav_that_lives_but_was_never_seen():
         velocity=np.where(there[..., None], window.velocity, 0),
         seen=seen,
     )
-    got = detector().detect(unseen)
-    assert named([got]) == [head]
-    assert np.isfinite(detector(preset="paper", **FEW).detect(unseen).scores).all()
-
-
-@pytest.mark.parametrize("preset", PRESETS)
-def test_a_part_of_the_swarm(preset):
-    windows, heads = clusters(2, followers=7)
-    window, head = windows[0], heads[0]
-    members = np.zeros(8, bool)
-    members[[head, (head + 2) % 8, (head + 3) % 8, (head + 5) % 8]] = True
-    found = detector(preset=preset, **FEW).detect_among(window, members)
-    assert not found.candidates[~members].any()
-    assert (found.attention[~members] == 0).all()
-    same(found, detector(preset=preset, **FEW).detect(without(window, np.flatnonzero(~members))))
-    assert named([detector().detect_among(window, members)]) == [head]
+    got = detector(**FEW).detect(unseen)
+    assert got.candidates.sum() == 1
+    assert np.isfinite(got.attention).all()
 
 
 @pytest.mark.parametrize("alive", [1, 2])
-def test_one_or_two_that_are_left_hold_no_evidence(alive):
+def test_one_or_two_living_uavs_give_no_evidence(alive):
     window, _ = cluster(followers=4)
-    left = without(window, list(range(5 - alive)))
-    picked = {int(named([detector(seed).detect(left)])[0]) for seed in range(20)}
+    few = without(window, list(range(5 - alive)))
+    picked = {int(named([detector(seed).detect(few)])[0]) for seed in range(20)}
     assert picked == set(range(5 - alive, 5))
-    assert not detector(gate=True).detect(left).candidates.any()
 
 
-# batches, generators and threads
+# state
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_the_same_seed_gives_the_same_answers(preset):
-    windows, _ = clusters(3, followers=3)
-    first, second = (detector(7, preset=preset, **FEW).detect_batch(windows) for _ in range(2))
+def test_the_seed_decides():
+    windows, _ = clusters(2, followers=3)
+    first, second = (detect_each(windows, seed=7, **FEW) for _ in range(2))
     for one, two in zip(first, second, strict=True):
         same(one, two)
-    other = detector(8, preset=preset, **FEW).detect_batch(windows)
+    other = detect_each(windows, seed=8, **FEW)
     assert any((one.attention != two.attention).any() for one, two in zip(first, other, strict=True))
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_a_batch_of_one_is_one_window(preset):
-    window, _ = cluster(followers=3)
-    same(detector(preset=preset, **FEW).detect(window), detector(preset=preset, **FEW).detect_batch([window])[0])
+def test_nothing_but_the_generator_is_carried_from_window_to_window():
+    """Whatever the first window shows, the second gets the same answer."""
+    second, *firsts = (cluster(seed, followers=3)[0] for seed in range(3))
+    one, two = (detect_each([first, second], **FEW)[1] for first in firsts)
+    same(one, two)
 
 
-def test_a_batch_keeps_its_order_over_sizes_and_lengths():
-    sizes = [4, 2, 4, 3, 2]
-    pairs = [cluster(seed, followers=followers) for seed, followers in enumerate(sizes)]
-    short = cluster(9, followers=4, observation_steps=70)
-    pairs.insert(2, short)
-    pairs.append((without(pairs[0][0], [0, 1, 2]), None))
-    found = detector().detect_batch([window for window, _ in pairs])
-    for (window, head), got in zip(pairs, found, strict=True):
-        assert len(got.candidates) == window.uavs
-        if head is not None:
-            assert named([got]) == [head]
-    assert detector().detect_batch([]) == []
-
-
-def test_windows_of_a_batch_do_not_change_each_other_but_by_the_draws():
-    """The first window of a batch gets the same answer whatever the second shows."""
-    first, _ = cluster(0, followers=3)
-    second, third = cluster(1, followers=3)[0], cluster(2, followers=3)[0]
-    for preset in PRESETS:
-        one, two = (detector(preset=preset, **FEW).detect_batch([first, other])[0] for other in (second, third))
-        np.testing.assert_allclose(one.attention, two.attention, atol=1e-5)
+def test_a_learning_rate_that_overflows_gives_even_attention():
+    window, _ = cluster(followers=4)
+    got = detector(learning_rate=1e30).detect(window)
+    np.testing.assert_allclose(got.attention, 0.2, atol=1e-6)
+    assert got.candidates.sum() == 1
+    assert np.isfinite(got.scores).all()
+    assert np.isfinite(got.extras["explained"]).all()
+    assert np.isfinite(got.extras["attention_heads"]).all()
 
 
 def test_nothing_global_is_touched():
-    windows, _ = clusters(2, followers=3)
+    window, _ = cluster(followers=3)
 
     def world():
         kind, keys, *rest = np.random.get_state()  # noqa: NPY002  the generator that must stay untouched
@@ -318,35 +209,24 @@ def test_nothing_global_is_touched():
             (kind, keys.tolist(), rest),
             random.getstate(),
             torch.get_num_threads(),
-            torch.get_num_interop_threads(),
-            torch.get_default_dtype(),
             torch.is_grad_enabled(),
-            torch.are_deterministic_algorithms_enabled(),
         )
 
     before = world()
-    for preset in PRESETS:
-        detector(preset=preset, **FEW).detect_batch(windows)
-        Gassl(preset=preset, **FEW).detect(windows[0])  # without a reset it has a generator of its own as well
-    assert world() == before
-
-
-def test_the_window_is_left_as_it_is():
-    window, _ = cluster(followers=3)
     kept = window.position.copy(), window.velocity.copy()
-    detector(**FEW).detect(window)
+    Gassl(**FEW).detect(window)  # without a reset it has a generator of its own
+    assert world() == before
     np.testing.assert_array_equal(window.position, kept[0])
     np.testing.assert_array_equal(window.velocity, kept[1])
 
 
-# scikit-learn's rule, names, and the referee
+# arguments
 
 
 def test_arguments_are_stored_and_cloned():
-    made = Gassl(preset="paper", top_k=2, ifsn_hidden=(8, 8), learning_rate=0.01)
+    made = Gassl(rule="exclude-self", top_k=2, ifsn_hidden=9, learning_rate=0.01)
     arguments = made.get_params()
-    assert arguments["ifsn_hidden"] == (8, 8)
-    assert arguments["steps"] is None
+    assert arguments["ifsn_hidden"] == 9
     copy = clone(made)
     assert copy.get_params() == arguments
     assert copy.set_params(top_k=3).top_k == 3
@@ -355,81 +235,42 @@ def test_arguments_are_stored_and_cloned():
 
 
 def test_by_name():
-    made = make_detector("gassl(preset='paper', steps=3)", top_k=2)
+    made = make_detector("gassl(rule='exclude-self', steps=3)", top_k=2)
     assert isinstance(made, Gassl)
-    assert (made.preset, made.steps, made.top_k) == ("paper", 3, 2)
+    assert (made.rule, made.steps, made.top_k) == ("exclude-self", 3, 2)
     made.reset(0)
     assert made.detect(cluster(followers=3)[0]).candidates.sum() == 2
 
 
-def test_plays_with_the_referee():
-    result = evaluate("USNET/SingleCluster-v0", "gassl", episodes=4, env_kwargs={"follow": "f4", "followers": 3})
-    assert result["gassl"]["success"]["mean"] == 1.0
-    assert result["gassl"]["J"]["mean"] == 0.0
-
-
-def test_one_cluster_of_the_multi_cluster_world():
-    result = evaluate("USNET/MultiCluster-v0", "gassl", episodes=3, env_kwargs={"clusters": 1, "uavs": 5})
-    assert result["gassl"]["J"]["mean"] == 1.0
-
-
-def test_as_a_policy():
-    window, head = cluster(followers=3)
-    observation = {
-        "position": window.position,
-        "velocity": window.velocity,
-        "seen": window.seen.astype(np.int8),
-        "alive": window.alive.astype(np.int8),
-        "round": np.ones(1, np.float32),
-    }
-    action, _ = Gassl().as_policy().predict(observation)
-    assert action.tolist() == [int(i == head) for i in range(4)]
-
-
-# what is refused
+def test_it_is_evaluated():
+    result = evaluate("USNET/SingleCluster-v0", "gassl", episodes=4, env_kwargs={"follow": "f1", "followers": 6})
+    assert result["gassl"]["success"]["mean"] >= 0.5  # 0.14 by chance
 
 
 @pytest.mark.parametrize(
     ("arguments", "argument"),
     [
-        ({"preset": "papers"}, "preset"),
-        ({"preset": None}, "preset"),
-        ({"pooling": "input"}, "pooling"),
-        ({"pooling": ""}, "pooling"),
-        ({"pooling": 3}, "pooling"),
         ({"rule": "argmax"}, "rule"),
         ({"rule": ""}, "rule"),
         ({"rule": ["paper"]}, "rule"),
         ({"top_k": 0}, "top_k"),
         ({"top_k": 1.5}, "top_k"),
         ({"top_k": True}, "top_k"),
-        ({"gate": 1}, "gate"),
-        ({"gate": True, "pooling": "inputs"}, "gate"),
-        ({"gate_threshold": -0.1}, "gate_threshold"),
-        ({"gate_threshold": float("nan")}, "gate_threshold"),
-        ({"gate_threshold": "high"}, "gate_threshold"),
-        ({"device": "tpu"}, "device"),
-        ({"device": 0}, "device"),
+        ({"implementation": "fast"}, "implementation"),
         ({"memory": 0}, "memory"),
         ({"memory": "4"}, "memory"),
         ({"steps": 0}, "steps"),
         ({"steps": "many"}, "steps"),
-        ({"times": 2.5}, "times"),
         ({"learning_rate": 0.0}, "learning_rate"),
         ({"learning_rate": float("inf")}, "learning_rate"),
-        ({"weight_decay": -1.0}, "weight_decay"),
-        ({"input_noise": None, "voters": 1}, "voters"),
-        ({"units": 0}, "units"),
-        ({"blocks": 0}, "blocks"),
-        ({"ridge": 0.0}, "ridge"),
-        ({"floor": -1.0}, "floor"),
-        ({"query_hidden": 8}, "query_hidden"),
-        ({"ifsn_hidden": (8,)}, "ifsn_hidden"),
-        ({"preset": "paper", "ifsn_hidden": 8}, "ifsn_hidden"),
-        ({"preset": "paper", "similarity_hidden": (8, 8, 8)}, "similarity_hidden"),
-        ({"preset": "paper", "query": 0}, "query"),
-        ({"preset": "paper", "voters": 4}, "voters"),
-        ({"preset": "paper", "ridge": 1.0}, "ridge"),
+        ({"learning_rate": float("nan")}, "learning_rate"),
+        ({"ifsn_hidden": 0}, "ifsn_hidden"),
+        ({"ifsn_hidden": (8, 8)}, "ifsn_hidden"),
+        ({"similarity_hidden": (8, 8, 8)}, "similarity_hidden"),
+        ({"query_hidden": 0}, "query_hidden"),
+        ({"query": 0}, "query"),
+        ({"key": -1}, "key"),
+        ({"gain": 0.0}, "gain"),
     ],
 )
 def test_an_argument_is_refused_in_one_sentence(arguments, argument):
@@ -444,25 +285,6 @@ def test_an_argument_is_refused_in_one_sentence(arguments, argument):
         assert "got " in sentence
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_a_gpu_that_is_not_there():
-    with pytest.raises(ArgumentError, match=r"^device must be .*'cuda' without a GPU\.$"):
-        Gassl(device="cuda").reset(0)
-    window, head = cluster(followers=2)
-    assert named([detector(device="auto").detect(window)]) == [head]
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-@pytest.mark.parametrize("preset", PRESETS)
-def test_on_a_gpu(preset):
-    windows, heads = clusters(8, followers=4, follow="f3")
-    found = detector(preset=preset, device="cuda").detect_batch(windows)
-    again = detector(preset=preset, device="auto").detect_batch(windows)
-    assert rate(found, heads) >= 0.75
-    for one, two in zip(found, again, strict=True):
-        np.testing.assert_allclose(one.scores, two.scores, atol=0.25)
-
-
 def test_windows_that_are_refused():
     window, _ = cluster(followers=4)
     two = changed(
@@ -474,47 +296,27 @@ def test_windows_that_are_refused():
     for refused, sentence in [
         (two, r"^window must hold at least 3 UAVs, got 2\.$"),
         (short, r"^window must hold more than memory = 4 velocities, got 4\.$"),
-        (masked, r"^window must show at least one UAV that lives, got one in which all are masked\.$"),
-        (unseen, r"^window must show at least one UAV that lives, got one in which all are masked\.$"),
+        (masked, r"^window must show at least one living UAV, got one in which all samples are masked\.$"),
+        (unseen, r"^window must show at least one living UAV, got one in which all samples are masked\.$"),
     ]:
-        for preset in PRESETS:
-            with pytest.raises(ArgumentError, match=sentence):
-                detector(preset=preset).detect(refused)
-            with pytest.raises(ArgumentError, match=sentence):
-                detector(preset=preset).detect_batch([window, refused])
+        with pytest.raises(ArgumentError, match=sentence):
+            detector().detect(refused)
 
 
-def test_a_window_with_nan_is_refused_at_the_border():
-    window, _ = cluster(followers=2)
-    broken = window.velocity.copy()
-    broken[3, 1, 0] = np.nan
-    with pytest.raises(ArgumentError, match=r"^velocity must be finite, got NaN or infinity\.$"):
-        changed(window, velocity=broken)
-
-
-@pytest.mark.parametrize("members", [np.ones(4, bool), np.ones(3, int), None, [True, False]])
-def test_members_that_are_refused(members):
-    window, _ = cluster(followers=2)
-    with pytest.raises(ArgumentError, match=r"^members must be 3 booleans, got .*\.$"):
-        detector().detect_among(window, members)
-
-
-@pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("steps", [5, 6, 12])
-def test_the_shortest_windows(preset, steps):
+def test_the_shortest_windows(steps):
     window, _ = cluster(followers=2)
     short = Window(
         window.position[: steps + 1], window.velocity[:steps], window.seen[: steps + 1], window.alive, window.round
     )
-    got = detector(preset=preset, **FEW).detect(short)
+    got = detector(**FEW).detect(short)
     assert got.candidates.sum() == 1
     assert np.isfinite(got.extras["explained"]).all()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", PRESETS)
-def test_five_hundred_uavs(preset):
+def test_five_hundred_uavs():
     window, _ = cluster(followers=499)
-    got = detector(preset=preset, steps=2).detect(window)
+    got = detector(steps=1).detect(window)
     assert got.attention.shape == (500, 500)
     assert got.candidates.sum() == 1

@@ -1,0 +1,119 @@
+"""The topology matrix of equation (5), the batch of Algorithm 1, and its standardised form."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gassl_windows import changed, cluster, without
+
+from detectors.baselines.trivial import NoCandidates
+from detectors.gassl.topology_matrix import build_batch, topology_matrix
+from detectors.gassl.training import prepare_inputs
+from usnet_env import ArgumentError, Window
+from usnet_env.replay import record_episode
+
+
+@pytest.mark.parametrize(("memory", "time"), [(4, 3), (4, 11), (1, 0), (2, 7)])
+def test_the_topology_matrix_is_equation_5(memory, time):
+    window, _ = cluster(followers=4, observation_steps=12)
+    x = topology_matrix(window, time, memory=memory)
+    assert x.shape == (3 * 5, memory + 1)
+    assert x.dtype == np.float32
+    for i in range(5):
+        for axis in range(3):
+            printed = [window.position[time - memory + 1, i, axis]]
+            printed += [window.velocity[t, i, axis] for t in range(time - memory + 1, time + 1)]
+            assert x[3 * i + axis].tolist() == printed
+
+
+def test_the_topology_matrix_of_a_cluster_has_the_rows_of_its_members():
+    window, _ = cluster(followers=4, observation_steps=12)
+    part = topology_matrix(window, 8, np.array([4, 1]))
+    rows = topology_matrix(window, 8).reshape(5, 3, 5)
+    np.testing.assert_array_equal(part.reshape(2, 3, 5), rows[[4, 1]])
+    living = topology_matrix(without(window, [2]), 8)
+    np.testing.assert_array_equal(living.reshape(4, 3, 5), rows[[0, 1, 3, 4]])
+
+
+def test_a_missing_velocity_is_0_and_a_missing_position_the_nearest_one():
+    window, _ = cluster(followers=2, observation_steps=12)
+    seen = window.seen.copy()
+    seen[5, 1] = False
+    holed = changed(window, seen=seen)
+    x = topology_matrix(holed, 8).reshape(3, 3, 5)[1]  # p at instant 5, v at 5 to 8
+    assert x[:, 0].tolist() in (window.position[4, 1].tolist(), window.position[6, 1].tolist())
+    assert x[:, 1].tolist() == [0, 0, 0]
+    np.testing.assert_array_equal(x[:, 2:], window.velocity[6:9, 1].T)
+
+
+@pytest.mark.parametrize("time", [2, 12, -1, 3.0, True, None])
+def test_a_time_without_all_columns_is_refused(time):
+    window, _ = cluster(followers=2, observation_steps=12)
+    with pytest.raises(ArgumentError, match=r"^time must be a whole number from 3 to 11, got .*\.$"):
+        topology_matrix(window, time)
+
+
+def test_the_topology_matrix_is_that_of_a_recorded_episode():
+    env = gym.make("USNET/MultiCluster-v0", clusters=2, uavs=9, observation_steps=12, max_rounds=1)
+    episode = record_episode(env, NoCandidates(), 3, 0)
+    arrays = (episode.position[0], episode.velocity[0], episode.seen[0], episode.alive[0])
+    window = Window(*arrays)
+    for time in (3, 7, 11):
+        np.testing.assert_array_equal(topology_matrix(window, time), episode.topology_matrix(1, time, memory=4))
+        head = int(np.flatnonzero(episode.head)[0])
+        members = np.flatnonzero((episode.leader[0] == head) | (np.arange(9) == head))
+        found = topology_matrix(window, time, members)
+        np.testing.assert_array_equal(found, episode.topology_matrix(1, time, head=head, memory=4))
+
+
+@pytest.mark.parametrize("memory", [4, 2])
+def test_a_batch_is_the_matrices_of_all_times_and_the_next_velocities(memory):
+    window, _ = cluster(followers=3, miss_rate=0.2, observation_steps=15)
+    members = np.array([3, 0, 1])
+    batch = build_batch(window, members, memory)
+    assert (batch.times, batch.uavs, batch.memory) == (15 - memory, 3, memory)
+    filled = np.stack([topology_matrix(window, t, memory=1).reshape(4, 3, 2)[:, :, 0] for t in range(15)])
+    for r in range(batch.times):
+        t = r + memory - 1  # the newest velocity of the matrix, v_t
+        x = topology_matrix(window, t, members, memory).reshape(3, 3, memory + 1)
+        np.testing.assert_array_equal(batch.position[r], x[:, :, 0])
+        np.testing.assert_array_equal(batch.velocity[r], x[:, :, 1:].swapaxes(1, 2))
+        for place, i in enumerate(members):
+            seen = window.velocity_seen[t + 1, i]
+            assert batch.weight[r, place] == seen
+            np.testing.assert_array_equal(batch.target[r, place], window.velocity[t + 1, i] * seen)
+            instants = [t - memory + 1 + k for k in range(memory + 1)]  # up to t + 1
+            np.testing.assert_array_equal(batch.own[r, place], filled[instants, i])
+    assert 0 < batch.weight.mean() < 1
+
+
+def test_a_batch_needs_more_velocities_than_the_memory():
+    window, _ = cluster(followers=2, observation_steps=5)
+    assert build_batch(window).times == 1
+    with pytest.raises(ArgumentError, match=r"^window must hold more than memory = 5 velocities, got 5\.$"):
+        build_batch(window, memory=5)
+
+
+def test_inputs_are_the_standardised_batch():
+    window, _ = cluster(followers=3, observation_steps=15, miss_rate=0.1)
+    batch = build_batch(window)
+    inputs = prepare_inputs(batch)
+    velocity = (batch.velocity - batch.velocity.mean()) / batch.velocity.std()
+    position = (batch.position - batch.position.mean(axis=(0, 1))) / batch.position.std(axis=(0, 1))
+    assert inputs.entries == 6 * 5
+    for t in range(batch.times):
+        for i in range(4):
+            columns = [*(velocity[t, i, 3 - lag] for lag in range(4)), position[t, i]]  # newest first
+            np.testing.assert_allclose(inputs.history[i, t], np.concatenate(columns), atol=1e-4)
+            np.testing.assert_allclose(inputs.value[:, t, :, i], columns, atol=1e-4)
+            mean = batch.own[:, i].mean(axis=(0, 1))
+            np.testing.assert_allclose(inputs.own[i, t], (batch.own[t, i] - mean).ravel(), atol=1e-3)
+            np.testing.assert_array_equal(inputs.target[i, t], batch.target[t, i])
+            assert inputs.weight[i, t] == batch.weight[t, i]
+
+
+def test_uavs_that_do_not_move_have_finite_inputs():
+    window, _ = cluster(followers=2, observation_steps=12)
+    still = changed(window, position=np.ones_like(window.position), velocity=np.zeros_like(window.velocity))
+    inputs = prepare_inputs(build_batch(still))
+    for values in (inputs.history, inputs.value, inputs.own):
+        assert np.isfinite(values).all()

@@ -1,0 +1,118 @@
+"""Equations (37) and (38) against loops over all pairs, and the clusters of the on-line dataset."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+import torch
+from mc_gassl_inputs import swarm_window
+
+from detectors.gassl.ifsn import VARIANCE_FLOOR, IfsnSizes, draw_ifsn, pair_losses, standardise
+from detectors.gassl.topology_matrix import build_batch
+from detectors.gassl.training import prepare_inputs
+from detectors.mc_gassl.reclustering import best_heads, count_scores, recluster
+
+
+def inputs_of_swarm(seed=0, **config):
+    config = {"uavs": 8, "clusters": 2, "observation_steps": 14, "follow": "f1"} | config
+    window, _ = swarm_window(seed, **config)
+    return prepare_inputs(build_batch(window))
+
+
+def draw_gamma(inputs, hidden=8, seed=0):
+    return 3.0 * draw_ifsn(IfsnSizes(hidden=hidden), inputs.entries, np.random.default_rng(seed))
+
+
+def predicted(gamma, hidden, values):
+    """The IFSN of one standardised concatenation, in float64: three hidden layers and a linear output."""
+    rest = torch.from_numpy(gamma).double()
+    for layer in range(4):
+        rows, columns = len(values), hidden if layer < 3 else 3
+        matrix, bias, rest = rest.split([rows * columns, columns, len(rest) - (rows + 1) * columns])
+        values = matrix.view(rows, columns).T @ values + bias
+        values = torch.tanh(values) if layer < 3 else values
+    return values
+
+
+def loss_of_pair(inputs, gamma, hidden, i, other):
+    """The squared error of UAV i's velocities if ``other`` is its head, one time after another."""
+    times = inputs.target.shape[1]
+    rows = []
+    for t in range(times):
+        own = torch.from_numpy(inputs.own[i, t]).double()  # P_i
+        source = [torch.from_numpy(inputs.value[column, t, :, other]).double() for column in range(len(inputs.value))]
+        rows.append(torch.cat([own, *source]))  # V_{i'}, newest first, and p_{i'}
+    mean = sum(rows) / times
+    variance = sum((row - mean) ** 2 for row in rows) / times
+    total = 0.0
+    for t, row in enumerate(rows):
+        error = predicted(gamma, hidden, (row - mean) / (variance + VARIANCE_FLOOR) ** 0.5)
+        total += inputs.weight[i, t] * ((error - torch.from_numpy(inputs.target[i, t]).double()) ** 2).sum().item()
+    return total
+
+
+@pytest.mark.parametrize(("seed", "hidden", "miss_rate"), [(0, 8, 0.0), (1, 5, 0.3), (2, 8, 0.0)])
+def test_best_heads_are_equation_37(seed, hidden, miss_rate):
+    inputs = inputs_of_swarm(seed, miss_rate=miss_rate)
+    gamma = draw_gamma(inputs, hidden, seed)
+    kept = [inputs.own.copy(), inputs.value.copy()]
+    chosen = best_heads(inputs, gamma)
+    for i in range(8):
+        losses = {other: loss_of_pair(inputs, gamma, hidden, i, other) for other in range(8) if other != i}
+        assert chosen[i] == min(losses, key=losses.get)
+    assert len(set(chosen.tolist())) > 1
+    np.testing.assert_array_equal(inputs.own, kept[0])
+    np.testing.assert_array_equal(inputs.value, kept[1])
+
+
+def test_losses_of_pairs_are_those_of_the_loop():
+    inputs = inputs_of_swarm(3, uavs=6, miss_rate=0.2)
+    gamma = draw_gamma(inputs)
+    own = inputs.own.copy()
+    source = np.ascontiguousarray(inputs.value.transpose(3, 1, 0, 2)).reshape(6, inputs.target.shape[1], -1)
+    for values in (*own, *source):
+        standardise(values, np.empty(values.shape[1], np.float32))
+    found = pair_losses(gamma, own, source, inputs.target, inputs.weight)
+    for i in range(6):
+        for other in range(6):
+            assert found[i, other] == pytest.approx(loss_of_pair(inputs, gamma, 8, i, other), rel=1e-4)
+
+
+def test_no_uav_is_its_own_head_even_if_nothing_can_be_compared():
+    inputs = inputs_of_swarm(0)
+    broken = np.full_like(draw_gamma(inputs), np.nan)
+    for gamma in (draw_gamma(inputs), np.zeros_like(broken)):
+        assert (best_heads(inputs, gamma) != np.arange(8)).all()
+    assert best_heads(inputs, broken).shape == (8,)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_scores_are_equation_38(seed):
+    chosen = np.random.default_rng(seed).integers(0, 9, 9)
+    scores = count_scores(chosen)
+    assert scores.tolist() == [sum(one == i for one in chosen.tolist()) for i in range(9)]
+
+
+CHOSEN = np.array([4, 7, 4, 4, 7, 7, 1, 4, 1, 7, 7])  # scores: 2 of UAV 1, 4 of UAV 4, 5 of UAV 7
+
+
+def test_the_highest_scores_become_heads_of_the_uavs_that_chose_them():
+    labels = recluster(CHOSEN, 2, np.random.default_rng(0))
+    # 7 is the first head, 4 the second, each of a cluster of its own; 6 and 8 chose UAV 1, which is no head
+    assert labels.tolist() == [1, 0, 1, 1, 1, 0, -1, 0, -1, 0, 0]
+    three = recluster(CHOSEN, 3, np.random.default_rng(0))
+    assert three.tolist() == [1, 2, 1, 1, 1, 0, 2, 0, 2, 0, 0]
+
+
+def test_one_cluster_and_more_clusters_than_uavs():
+    assert recluster(CHOSEN, 1, np.random.default_rng(0)).tolist() == [-1, 0, -1, -1, 0, 0, -1, 0, -1, 0, 0]
+    everything = recluster(CHOSEN, 20, np.random.default_rng(0))
+    assert sorted(everything.tolist()) == list(range(11))  # every UAV is a head
+
+
+def test_ties_of_scores_favour_no_index():
+    counts = Counter(
+        tuple(recluster(np.array([1, 2, 3, 0]), 1, np.random.default_rng(seed)).tolist()) for seed in range(400)
+    )
+    assert set(counts) == {(0, 0, -1, -1), (-1, 0, 0, -1), (-1, -1, 0, 0), (0, -1, -1, 0)}  # a head and its follower
+    assert min(counts.values()) > 50
