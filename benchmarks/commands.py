@@ -297,30 +297,25 @@ RESULTS: tuple[Result, ...] = (
         ("usnet reproduce meta --out benchmarks/results/metric_learning --seed 2022 --strategies 30 --episodes 1000",),
     ),
     Result(
-        "feature spaces",
-        ("metric_learning/features-f1-seed2022.png", "metric_learning/features-f4-seed2022.png"),
-        ("usnet reproduce features --out benchmarks/results/metric_learning --seed 2022 --follow f1 --follow f4",),
+        "gassl by the initial scale of its attention, on tuning seeds",
+        tuple(f"gassl_gain/episodes-seed100.{kind}" for kind in ("csv", "md", "png")),
+        (
+            "usnet reproduce table2 --out benchmarks/results/gassl_gain --seed 100 --episodes 10 "
+            '--cells f1:2,f1:5,f1:10,f4:2,f4:5,f4:10,f6:2,f6:5,f6:10 --detector "gassl(gain=0.5)" '
+            '--detector "gassl(gain=1.0)" --detector "gassl(gain=2.0)" --detector gassl --detector "gassl(gain=4.0)"',
+        ),
     ),
     Result(
-        "the fast GASSL against the loop of Algorithm 1: time and memory",
-        ("gassl_speed.json",),
-        ("python benchmarks/gassl_speed.py",),
-    ),
-    Result("the same: how often the head is named", ("gassl_quality.csv",), ("python benchmarks/gassl_quality.py",)),
-    Result(
-        "what a head adds to a follower's own history",
-        ("gassl_own_history.csv",),
-        ("python benchmarks/gassl_own_history.py",),
+        "what a head adds to a follower's own past",
+        ("neural_granger_own_history.csv",),
+        ("python benchmarks/neural_granger_own_history.py",),
     ),
     Result(
-        "GASSL with a strategy of products of axes", ("gassl_products.csv",), ("python benchmarks/gassl_products.py",)
+        "neural-granger with a strategy of products of axes",
+        ("neural_granger_products.csv",),
+        ("python benchmarks/neural_granger_products.py",),
     ),
-    Result("GASSL's gate", ("gassl_gate.csv",), ("python benchmarks/gassl_gate.py",)),
-    Result(
-        "a round of MC-GASSL and its parts: time and memory",
-        ("mc_gassl_speed.json",),
-        ("python benchmarks/mc_gassl_speed.py",),
-    ),
+    Result("the gate of neural-granger", ("neural_granger_gate.csv",), ("python benchmarks/neural_granger_gate.py",)),
 )
 
 
