@@ -1,4 +1,4 @@
-"""MC-GASSL as a detector: whole rounds and games, every stage exchanged, and what happens at the edges."""
+"""MC-GASSL as a detector: whole games by Algorithm 2, other stages, and small or empty clusters."""
 
 import gymnasium as gym
 import numpy as np
@@ -7,18 +7,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import usnet_env
-from detectors.baselines.trivial import NoCandidates, RandomDetector
 from detectors.clustering import Clustering
 from detectors.gassl import Gassl
-from detectors.mc_gassl import PRESETS, McGassl
+from detectors.mc_gassl import McGassl
 from usnet_env import ArgumentError
 
-SMALL = {"head_detector": Gassl(steps=3, times=8, voters=4), "gate_steps": 3, "passes": 1, "online_steps": 2}
+SMALL = {"gassl": {"steps": 2}}
 
 
 def game(seed=0, **arguments):
-    """A swarm of the first round: its env, its window."""
-    arguments = {"follow": "f1", "clusters": 2, "uavs": 14, "observation_steps": 60} | arguments
+    """The environment and the first window of a swarm."""
+    arguments = {"follow": "f1", "clusters": 2, "uavs": 14, "observation_steps": 40} | arguments
     env = gym.make("USNET/MultiCluster-v0", **arguments).unwrapped
     observation, _ = env.reset(seed=seed)
     return env, usnet_env.Window.from_observation(observation)
@@ -38,8 +37,13 @@ def played(detector, seed=0, **arguments):
     return detections, info
 
 
-class OneLabel:
-    """A clusterer that sees one cluster, or as many as it is told, in the order of the indices."""
+def part_of(window, alive):
+    """The window if only some UAVs are alive."""
+    return usnet_env.Window(window.position, window.velocity, window.seen & alive, alive, 3)
+
+
+class InOrder:
+    """A clusterer that divides the living UAVs by index into ``count`` clusters."""
 
     def __init__(self, count=1):
         self.count = count
@@ -51,116 +55,133 @@ class OneLabel:
         return Clustering(labels, self.count)
 
 
-@pytest.mark.parametrize("follow", ["f1", "f4", "f6"])
-def test_it_finds_all_heads_at_once(follow):
-    detections, info = played(McGassl(), follow=follow, observation_steps=100)
-    assert info["success"] == 1
-    assert len(detections) == 1
-    found = detections[0]
-    assert found.extras["count"] == 2
-    assert (found.extras["followed"][found.candidates] >= 2).all()
-    assert found.scores[found.candidates].min() > found.scores[~found.candidates].max()
-
-
-class Halves:
-    """A clusterer that knows the clusters and parts each of them."""
+class Known:
+    """A clusterer that knows the clusters."""
 
     def __init__(self, leader):
         self.leader = leader
 
     def cluster(self, window, rng):
-        labels = np.unique(self.leader, return_inverse=True)[1] * 2
-        for cluster in np.unique(labels):
-            members = np.flatnonzero(labels == cluster)
-            labels[members[: len(members) // 2]] += 1
+        labels = np.unique(self.leader, return_inverse=True)[1]
         return Clustering(labels, int(labels.max()) + 1)
 
 
-def test_the_gate_stops_followers_that_a_wrong_clustering_proposes():
-    env, window = game(observation_steps=100, uavs=24)
-    head = env.swarm.head
-    open_gate, closed = (McGassl(clusterer=Halves(env.swarm.leader), gate=gate) for gate in ("none", "ifsn"))
-    for detector in (open_gate, closed):
-        detector.reset(3)
-    free, kept = open_gate.detect(window), closed.detect(window)
-    np.testing.assert_array_equal(free.candidates, free.extras["proposed"])
-    assert free.candidates.sum() == 4
-    np.testing.assert_array_equal(kept.candidates, head)
-    assert (kept.candidates <= kept.extras["proposed"]).all()
+@pytest.mark.parametrize("seed", range(2))
+def test_algorithm_2_with_the_papers_stages_finds_all_heads(seed):
+    """All heads of three clusters within a few rounds; random candidates of this number hit 1 head in 9."""
+    detections, info = played(McGassl(), seed, clusters=3, uavs=27, observation_steps=60, max_rounds=20)
+    assert info["success"] == 1
+    assert len(detections) <= 3
+    assert sum(int(answer.candidates.sum()) for answer in detections) <= 12
+    assert all(len(answer.extras["online_loss"]) == 1 for answer in detections)
 
 
-def test_on_line_training_changes_the_features_of_the_next_round_and_a_reset_undoes_it():
-    detector = McGassl(preset="paper", **SMALL)
+def test_it_finds_the_heads_if_the_clusters_are_right():
+    found = []
+    for seed in range(3):
+        env, window = game(seed, clusters=3, uavs=27, observation_steps=100)
+        detector = McGassl(clusterer=Known(env.swarm.leader))
+        detector.reset(seed)
+        answer = detector.detect(window)
+        assert answer.candidates.sum() == 3
+        found.append((answer.candidates & env.swarm.head).sum())
+    assert sum(found) >= 7  # of 9; one by chance
+
+
+def test_an_answer_stays_within_the_clusters():
     _, window = game()
-    detector.reset(1)
-    before = [tensor.clone() for tensor in detector._parameters.tensors()]
-    answer = detector.detect(window)
-    assert len(answer.extras["online_loss"]) == 2
-    after = detector._parameters.tensors()
-    assert max(float((old - new).abs().max()) for old, new in zip(before, after, strict=True)) > 0
-    detector.reset(1)
-    for old, new in zip(before, detector._parameters.tensors(), strict=True):
-        np.testing.assert_array_equal(old, new)
-
-
-def test_without_gru_features_nothing_is_learned_on_line():
-    detector = McGassl(online=True, **SMALL)
-    _, window = game()
+    labels = InOrder(3).cluster(window, None).labels
+    detector = McGassl(clusterer=InOrder(3), **SMALL)
     detector.reset(0)
-    assert detector.detect(window).extras["online_loss"] == []
+    answer = detector.detect(window)
+    np.testing.assert_array_equal(answer.clusters, labels)
+    assert [int(answer.candidates[labels == label].sum()) for label in range(3)] == [1, 1, 1]
+    other = labels[:, None] != labels
+    assert (answer.attention[other] == 0).all()
+    np.testing.assert_allclose(answer.attention.sum(axis=1), 1.0, atol=1e-5)
+    assert (labels[answer.leader] == labels).all()
+    assert (answer.leader != np.arange(14)).all()
+    for label in range(3):
+        members = labels == label
+        assert answer.scores[answer.candidates & members] == answer.scores[members].max()
+    assert answer.extras["followed"].sum() == 14  # every UAV has one best head, equation (38)
+    assert answer.extras["count"] == 3
 
 
-def test_a_random_start_differs_from_the_meta_learned_one():
-    starts = {}
-    for start in ("meta", "random"):
-        detector = McGassl(preset="paper", start=start)
-        detector.reset(0)
-        starts[start] = detector._parameters.reset
-    assert not np.array_equal(starts["meta"], starts["random"])
+def test_one_gamma_goes_through_all_clusters(monkeypatch):
+    begins, ends = [], []
+    original = Gassl.fit_cluster
+
+    def spy(self, window, members, gamma, rng):
+        fit = original(self, window, members, gamma, rng)
+        begins.append(gamma.copy())
+        ends.append(fit.gamma.copy())
+        return fit
+
+    monkeypatch.setattr(Gassl, "fit_cluster", spy)
+    detector = McGassl(clusterer=InOrder(3), **SMALL)
+    detector.reset(0)
+    detector.detect(game()[1])
+    assert len(begins) == 3
+    for end, begin in zip(ends, begins[1:], strict=False):
+        np.testing.assert_array_equal(end, begin)
+    assert not np.array_equal(begins[0], begins[1])
 
 
-@pytest.mark.parametrize("gate", ["ifsn", "none"])
 @pytest.mark.parametrize("count", [1, 6, 14])
-def test_clusters_of_any_size(gate, count):
+def test_clusters_of_any_size_have_one_candidate_each(count):
     _, window = game()
-    detector = McGassl(clusterer=OneLabel(count), gate=gate, **SMALL)
+    detector = McGassl(clusterer=InOrder(count), **SMALL)
     detector.reset(0)
     answer = detector.detect(window)
-    assert answer.candidates.any()
-    assert (answer.candidates <= answer.extras["proposed"]).all()
-    if gate == "none":
-        assert answer.candidates.sum() == count  # one of each
+    assert answer.candidates.sum() == count
+    labels = answer.clusters
+    assert len(set(labels[answer.candidates].tolist())) == count
+
+
+def test_the_candidate_of_a_small_cluster_is_random():
+    _, window = game()
+    named = set()
+    for seed in range(12):
+        detector = McGassl(clusterer=InOrder(7), online_steps=0, **SMALL)
+        detector.reset(seed)
+        named |= set(np.flatnonzero(detector.detect(window).candidates).tolist())
+    assert named == set(range(14))
 
 
 @pytest.mark.parametrize("alive", [0, 1, 2])
-def test_hardly_anybody_lives(alive):
+def test_fewer_than_three_living_uavs(alive):
     _, window = game()
     some = np.arange(14) < alive
-    part = usnet_env.Window(window.position, window.velocity, window.seen & some, some, 3)
     detector = McGassl(**SMALL)
     detector.reset(0)
-    answer = detector.detect(part)
+    answer = detector.detect(part_of(window, some))
     assert answer.candidates.sum() == min(1, alive)
     assert not (answer.candidates & ~some).any()
 
 
-def test_a_head_detector_of_ones_own_and_one_that_names_nobody():
+def test_a_random_start_is_not_the_meta_trained_one():
     _, window = game()
-    for head_detector in (RandomDetector(), NoCandidates()):
-        detector = McGassl(head_detector=head_detector, gate_steps=3, passes=1)
+    losses = {}
+    for start in ("meta", "random"):
+        detector = McGassl(start=start, count=2, **SMALL)
         detector.reset(0)
-        assert detector.detect(window).candidates.sum() >= 1  # the best one, where the gate has nobody to look at
-    nobody = McGassl(head_detector=NoCandidates(), gate="none")
-    nobody.reset(0)
-    assert not nobody.detect(window).candidates.any()
+        losses[start] = detector.detect(window).extras["online_loss"]
+    assert losses["meta"] != losses["random"]
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_the_seed_decides(preset):
+@pytest.mark.parametrize("steps", [0, 1, 3])
+def test_there_is_one_loss_for_each_step_of_online_training(steps):
+    detector = McGassl(online_steps=steps, count=2, **SMALL)
+    detector.reset(0)
+    assert len(detector.detect(game()[1]).extras["online_loss"]) == steps
+
+
+def test_the_seed_decides():
     _, window = game()
     answers = []
     for _ in range(2):
-        detector = McGassl(preset=preset, **SMALL)
+        detector = McGassl(**SMALL)
         detector.reset(7)
         answers.append(detector.detect(window))
     for field in ("candidates", "scores", "clusters", "leader", "attention"):
@@ -170,24 +191,37 @@ def test_the_seed_decides(preset):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"preset": "best"}, "preset must be one of"),
         ({"clusterer": "k-means"}, "clusterer must be one of"),
         ({"clusterer": 3}, "clusterer must be a name or have cluster"),
-        ({"head_detector": 3}, "head_detector must have reset"),
-        ({"gate": "open"}, "gate must be one of"),
         ({"gru_mode": "last"}, "gru_mode must be one of"),
         ({"start": "cold"}, "start must be one of"),
-        ({"sampling": "easy"}, "sampling"),
-        ({"count": 0}, "count"),
-        ({"passes": 0}, "passes"),
-        ({"followers": 0}, "followers"),
-        ({"online_rate": 0.0}, "online_rate"),
-        ({"memory": 0}, "memory"),
+        ({"sampling": "easy"}, "sampling must "),
+        ({"count": 0}, "count must "),
+        ({"online_rate": 0.0}, "online_rate must "),
+        ({"online_steps": -1}, "online_steps must "),
+        ({"memory": 0}, "memory must "),
+        ({"gassl": {"units": 3}}, "gassl must hold arguments of Gassl other than memory, got 'units'"),
+        ({"gassl": {"memory": 3}}, "gassl must hold arguments of Gassl other than memory, got 'memory'"),
+        ({"gassl": {"steps": 0}}, "steps must "),
     ],
 )
-def test_bad_arguments(arguments, sentence):
-    with pytest.raises(ArgumentError, match=sentence):
+def test_bad_arguments_are_refused(arguments, sentence):
+    with pytest.raises(ArgumentError, match=f"^{sentence}"):
         McGassl(**arguments).reset(0)
+
+
+def test_windows_that_are_refused():
+    _, window = game()
+    short = usnet_env.Window(window.position[:5], window.velocity[:4], window.seen[:5], window.alive, 1)
+    unseen = usnet_env.Window(window.position, window.velocity, np.zeros_like(window.seen), window.alive, 1)
+    for refused, sentence in (
+        (short, r"^window must hold more than memory = 4 velocities, got 4\.$"),
+        (unseen, r"^window must show at least one living UAV, "),
+    ):
+        detector = McGassl(**SMALL)
+        detector.reset(0)
+        with pytest.raises(ArgumentError, match=sentence):
+            detector.detect(refused)
 
 
 ANY_GAME = given(
@@ -198,17 +232,17 @@ ANY_GAME = given(
     miss_rate=st.sampled_from([0.0, 0.3]),
     decoys=st.integers(0, 2),
     rounds=st.integers(1, 4),
-    preset=st.sampled_from(list(PRESETS)),
-    clusterer=st.sampled_from([None, "kmeans", "spectral", "agglomerative", "hdbscan", "snmf"]),
-    gate=st.sampled_from([None, "ifsn", "none"]),
+    clusterer=st.sampled_from(["kmeans", "spectral", "agglomerative", "hdbscan", "snmf"]),
+    features=st.sampled_from(["gru", "raw"]),
     seed=st.integers(0, 2**31 - 1),
 )
 
 
-def play_any(uavs, clusters, follow, steps, miss_rate, decoys, rounds, preset, clusterer, gate, seed):
+def play_any(uavs, clusters, follow, steps, miss_rate, decoys, rounds, clusterer, features, seed):
     clusters = max(1, min(clusters, (uavs - decoys) // 3)) if follow != "none" else 1
     uavs = max(uavs, 3 * clusters + decoys)
-    detector = McGassl(preset=preset, clusterer=clusterer, gate=gate, **SMALL)
+    count = "own" if clusterer == "hdbscan" else "gap-one-se"
+    detector = McGassl(clusterer=clusterer, features=features, count=count, **SMALL)
     detections, info = played(
         detector, seed, uavs=uavs, clusters=clusters, follow=follow, observation_steps=steps, miss_rate=miss_rate,
         decoys=decoys, max_rounds=rounds,
@@ -217,22 +251,26 @@ def play_any(uavs, clusters, follow, steps, miss_rate, decoys, rounds, preset, c
     assert info["round"] == len(detections)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @ANY_GAME
 def test_any_game_is_played_to_its_end(**arguments):
     play_any(**arguments)
 
 
-def test_a_cluster_of_which_nothing_was_seen_is_played_on():
-    """Found by the thousand games below: three UAVs share a cluster, and none was seen twice in a row."""
-    play_any(
-        uavs=13, clusters=2, follow="f1", steps=6, miss_rate=0.3, decoys=2, rounds=1, preset="default",
-        clusterer="spectral", gate=None, seed=6,
-    )  # fmt: skip
+def test_a_cluster_of_which_no_velocity_was_seen():
+    """Three UAVs share a cluster, and none of them was seen at two successive instants."""
+    _, window = game()
+    seen = window.seen.copy()
+    seen[::2, :7] = False
+    detector = McGassl(clusterer=InOrder(2), **SMALL)
+    detector.reset(0)
+    answer = detector.detect(usnet_env.Window(window.position, window.velocity, seen, window.alive, 1))
+    assert answer.candidates[:7].sum() == 1
+    assert answer.candidates[7:].sum() == 1
 
 
 @pytest.mark.slow
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=500, deadline=None)
 @ANY_GAME
-def test_a_thousand_games_are_played_to_their_end(**arguments):
+def test_hundreds_of_games_are_played_to_their_end(**arguments):
     play_any(**arguments)
