@@ -1,13 +1,13 @@
-"""What follow-mixture finds, cell by cell, beside lagged regression and the trivial policies. Resumable.
+"""Plays follow-mixture, learned, lagged-regression and the trivial policies in groups of swarms, the tiers. Resumable.
 
-OMP_NUM_THREADS=1 python benchmarks/follow_mixture.py --tier paper --episodes 20 --detectors follow-mixture
-python benchmarks/follow_mixture.py --list            # the cells
-python benchmarks/follow_mixture.py --table           # only the table of the rows that are there
-python benchmarks/follow_mixture.py --reliability     # head probabilities against what was so: reliability.{md,png}
-python benchmarks/follow_mixture.py --policies        # J of policy='cost' and 'map' where both played an episode
+    OMP_NUM_THREADS=1 python benchmarks/follow_mixture.py --tier paper --episodes 300 --detectors follow-mixture
+    python benchmarks/follow_mixture.py --list            # the cells of every tier
 
-Rows go to benchmarks/results/follow_mixture/<tier>.csv, one an episode, as they come; episodes that are there are not
-played again. Swarm seeds come from --seed (7077 by default; below 1000 for tuning) and the episode's number.
+Each episode is one row of ``benchmarks/results/follow_mixture/<tier>.csv``, written when it ends. Episodes that the
+file holds are not played again. The column ``detector`` is the detector's full name with every argument that differs
+from its default. The seeds of swarm and detector come from ``--seed`` (7077 by default) and the number of the episode,
+so that all detectors meet the same swarms. ``benchmarks/tables.py`` makes the tables; ``benchmarks/README.md`` lists
+the exact command of every file.
 """
 
 from __future__ import annotations
@@ -15,31 +15,23 @@ from __future__ import annotations
 import argparse
 import csv
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from follow_mixture_strategies import LOOKED_AT, OUT_OF_LIST, UNSEEN
+from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
 
 from usnet_env import Window
-from usnet_env.drawing import new_figure
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
-from usnet_env.evaluation.statistics import mean_interval, rate_interval
-from usnet_env.files import atomic_write
 from usnet_env.objectives import average_precision, multi_cluster_objective, single_cluster_objective
 from usnet_env.plugins import detector_label, make_detector
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 RESULTS = Path(__file__).parent / "results" / "follow_mixture"
-OURS = "follow-mixture"
-PEERS = ("lagged-regression", "granger", "factions", "destroy-all", "random", "none")
-SEED = 7077  # of the rows that are published: nothing was tuned on it, nor looked at before
+DETECTORS = ("follow-mixture", "lagged-regression", "granger", "factions", "destroy-all", "random", "none")
+SEED = 7077  # of the published rows; seeds below 1000 are for tuning
 PAPER = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 SMOOTH = ("gauss_markov", "smooth_turn", "local_waypoint")
 LONG = {"clusters": 3, "uavs": 30, "observation_steps": 900}  # 30 samples a UAV: five autocorrelation times
@@ -54,12 +46,12 @@ class Cell:
 
     Args:
         tier: name of the group, and of the file.
-        name: within the tier.
+        name: within the tier; it begins with the follow strategy.
         env: arguments of the environment.
-        kind: ``P2`` (a game), ``P1``, ``silence`` (nobody follows: nobody may be named) or ``shifted`` (every track
-            moved in time by an amount of its own: nobody may be named).
-        episodes: how many the contract asks for.
-        detector: arguments of ours.
+        kind: ``P2`` (a game of several rounds), ``P1``, ``silence`` (no UAV follows another: the right answer is empty)
+            or ``shifted`` (every track is shifted in time by a different amount: the right answer is empty). Of the
+            last two kinds one window is played.
+        episodes: the default number of episodes.
     """
 
     tier: str
@@ -67,10 +59,10 @@ class Cell:
     env: dict[str, Any] = field(default_factory=dict)
     kind: str = "P2"
     episodes: int = 50
-    detector: dict[str, Any] = field(default_factory=dict)
 
 
 def cells() -> list[Cell]:
+    """All cells, tier by tier."""
     found = [Cell("paper", f, {"follow": f}, episodes=300) for f in PAPER]
     sizes = ((2, 20), (3, 45), (5, 50), (8, 185), (10, 120), (20, 237))
     found += [Cell("sizes", f"{f}-M{m}-N{n}", {"follow": f, "clusters": m, "uavs": n}) for f in PAPER for m, n in sizes]
@@ -93,28 +85,27 @@ def cells() -> list[Cell]:
     for rate in (0.1, 0.3):
         found += [Cell("missed", f"{f}-{rate}", {"follow": f, "miss_rate": rate}) for f in PAPER]
     found += [Cell("sampled", f"{f}-2", {"follow": f, "sample_every": 2}, episodes=20) for f in PAPER]
-    silent = {"policy": "map"}
     for mobility in EVERY_MOBILITY:
         for jitter in (True, False):
             env = {"mobility": mobility, "head_jitter": jitter}
             name = f"{mobility}-{'jitter' if jitter else 'bare'}"
-            found.append(Cell("silence", f"none-{name}", {"follow": "none", **env}, "silence", 100, silent))
+            found.append(Cell("silence", f"none-{name}", {"follow": "none", **env}, "silence", 100))
         for f in PAPER:
             env = {"follow": f, "mobility": mobility, "head_jitter": True, **LONG}
-            found.append(Cell("shifted", f"{f}-{mobility}", env, "shifted", 30, silent))
+            found.append(Cell("shifted", f"{f}-{mobility}", env, "shifted", 30))
     for decoys in (1, 3, 10):
         for mobility in ("iid", "gauss_markov"):
             env = {"mobility": mobility, "head_jitter": mobility != "iid", "decoys": decoys, "uavs": 82 + decoys}
-            found += [Cell("decoys", f"{f}-{mobility}-{decoys}", {"follow": f, **env}, "P2", 50, silent) for f in PAPER]
+            found += [Cell("decoys", f"{f}-{mobility}-{decoys}", {"follow": f, **env}) for f in PAPER]
     found += [
-        Cell("P1", f"{f}-m{m}-d{d}", {"follow": f, "followers": m, "decoys": d}, "P1", 100, {"objective": "P1"})
+        Cell("P1", f"{f}-m{m}-d{d}", {"follow": f, "followers": m, "decoys": d}, "P1", 100)
         for f in PAPER
         for m, d in ((2, 1), (2, 0), (15, 1))
     ]
-    found += [Cell("unlisted", f, {"follow": f}) for f in (*OUT_OF_LIST, *LOOKED_AT, *UNSEEN)]
+    found += [Cell("strategies", f, {"follow": f}) for f in STRATEGIES]
     found += [
-        Cell("unlisted", f"{f}-gauss_markov", {"follow": f, "mobility": "gauss_markov", "head_jitter": True})
-        for f in (*OUT_OF_LIST, *LOOKED_AT, *UNSEEN)
+        Cell("strategies", f"{f}-gauss_markov", {"follow": f, "mobility": "gauss_markov", "head_jitter": True})
+        for f in STRATEGIES
     ]
     return found
 
@@ -126,28 +117,28 @@ COLUMNS = (
 
 
 def shifted_tracks(window: Window, seed: int) -> Window:
-    """Every UAV's velocities moved circularly by an amount of its own; tracks are flown anew from their start.
+    """The window with every UAV's velocities shifted circularly by a different amount, and positions integrated anew.
 
-    Any two UAVs are moved by T_ob / N samples or more against each other: two fellows moved by less than the memory
-    would be a follower and its head.
+    The shifts of any two UAVs differ by at least T_ob / N samples: two followers of one head whose shifts differ by
+    less than the memory would look like a head and its follower.
     """
     steps, uavs = window.observation_steps, window.uavs
     velocity = window.velocity.copy()
-    for uav, place in enumerate(np.random.default_rng(seed).permutation(uavs)):
-        velocity[:, uav] = np.roll(velocity[:, uav], place * (steps // uavs), axis=0)
+    for uav, order in enumerate(np.random.default_rng(seed).permutation(uavs)):
+        velocity[:, uav] = np.roll(velocity[:, uav], order * (steps // uavs), axis=0)
     position = np.concatenate([window.position[:1], window.position[:1] + np.cumsum(velocity, axis=0)])
     return Window(position, velocity, window.seen, window.alive, window.round)
 
 
 def binned(probability: NDArray[np.float64], head: NDArray[np.bool_]) -> str:
-    """``bin:uavs:heads`` of every bin between :data:`EDGES` that is not empty, joined by spaces."""
+    """``bin:UAVs:heads`` for every non-empty bin between :data:`EDGES`, separated by spaces."""
     bins = np.digitize(probability, EDGES[1:-1])
-    uavs, heads = (np.bincount(some, minlength=len(EDGES) - 1) for some in (bins, bins[head]))
-    return " ".join(f"{place}:{uavs[place]}:{heads[place]}" for place in np.flatnonzero(uavs))
+    uavs, heads = (np.bincount(part, minlength=len(EDGES) - 1) for part in (bins, bins[head]))
+    return " ".join(f"{number}:{uavs[number]}:{heads[number]}" for number in np.flatnonzero(uavs))
 
 
 def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict[str, Any]:
-    """One episode; its row."""
+    """Play one episode and return its row. ``J`` is J_m (P2), J_s (P1), or the number of candidates (other kinds)."""
     env = (SingleClusterEnv if cell.kind == "P1" else MultiClusterEnv)(**cell.env)
     swarm_seed, detector_seed = episode_seeds(seed, episode)
     observation, _ = env.reset(seed=swarm_seed)
@@ -199,303 +190,74 @@ def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict
     }
 
 
-def rows_of(path: Path) -> list[dict[str, str]]:
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The complete rows of a file; none if there is no file."""
     if not path.exists():
         return []
     with path.open(newline="", encoding="utf-8") as file:
-        return [row for row in csv.DictReader(file) if row["seconds"]]  # a row cut off in writing lacks its end
+        return [row for row in csv.DictReader(file) if row["seconds"]]  # an interrupted write leaves a row incomplete
 
 
-def ours(name: str, cell: Cell) -> tuple[Any, str]:
-    """A detector for a cell, and its label. Ours gets the cell's arguments where it was not given others."""
-    plain, bracket, given = detector_label(name).partition("(")
-    more = {key: value for key, value in cell.detector.items() if f"{key}=" not in given} if plain == OURS else {}
-    return make_detector(name, **more), plain.rpartition(":")[2] + bracket + given
+def label_of(name: str) -> str:
+    """The label of a detector's rows: its name with the arguments that differ from their defaults."""
+    return detector_label(make_detector(name))
 
 
 def measure(wanted: list[Cell], detectors: list[str], episodes: int | None, seed: int, results: Path) -> None:
-    """Play what is missing and append its rows."""
+    """Play the episodes that the files lack, and append their rows."""
     results.mkdir(parents=True, exist_ok=True)
     for cell in wanted:
         path = results / f"{cell.tier}.csv"
-        there = {(r["cell"], r["detector"], int(r["seed"]), int(r["episode"])) for r in rows_of(path)}
+        there = {(r["cell"], r["detector"], int(r["seed"]), int(r["episode"])) for r in read_rows(path)}
         new = not path.exists()
         if not new:
             with path.open(newline="", encoding="utf-8") as file:
                 if next(csv.reader(file), None) != list(COLUMNS):
-                    raise SystemExit(
-                        f"{path.name} has other columns than are written now: measure into another folder."
-                    )
+                    raise SystemExit(f"{path.name} has other columns than this script writes: choose another folder.")
         with path.open("a", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
             if new:
                 writer.writeheader()
             for name in detectors:
-                detector, label = ours(name, cell)
+                detector, label = make_detector(name), label_of(name)
                 for episode in range(cell.episodes if episodes is None else episodes):
                     if (cell.name, label, seed, episode) not in there:
                         writer.writerow(play(cell, detector, label, seed, episode))
                         file.flush()
 
 
-def table(wanted: list[Cell], results: Path, seed: int) -> Iterator[str]:
-    """One line a cell and detector, with 95 % intervals."""
-    yield "| tier | cell | detector | n | exact (95 %) | mean J (95 %) | false | missed | decoys | AP | ms |"
-    yield "| --- |" + " --- |" * 10
-    for tier in dict.fromkeys(cell.tier for cell in wanted):
-        rows = [row for row in rows_of(results / f"{tier}.csv") if int(row["seed"]) == seed]
-        for cell in (cell for cell in wanted if cell.tier == tier):
-            own = [row for row in rows if row["cell"] == cell.name]
-            for label in dict.fromkeys(row["detector"] for row in own):
-                some = [row for row in own if row["detector"] == label]
-                exact = rate_interval([int(row["exact"]) for row in some])
-                cost = mean_interval([float(row["J"]) for row in some])
-                means = [
-                    np.mean([float(row[name]) for row in some])
-                    for name in ("false_first", "missed_first", "decoys_named", "ap")
-                ]
-                yield (
-                    f"| {tier} | {cell.name} | {label} | {len(some)} "
-                    f"| {exact.mean:.3f} ({exact.low:.3f}-{exact.high:.3f}) "
-                    f"| {cost.mean:.3f} ({cost.low:.3f}-{cost.high:.3f}) | "
-                    + " | ".join(f"{mean:.2f}" for mean in means)
-                    + f" | {1e3 * np.median([float(row['seconds']) for row in some]):.0f} |"
-                )
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--tier", nargs="*", help="only these tiers")
+    made.add_argument("--cell", nargs="*", help="only cells whose names contain one of these")
+    made.add_argument("--episodes", type=int, help="of each cell; by default the cell's own number")
+    made.add_argument("--seed", type=int, default=SEED)
+    made.add_argument("--detectors", nargs="*", default=list(DETECTORS))
+    made.add_argument("--results", type=Path, default=RESULTS)
+    made.add_argument("--list", action="store_true", help="list the cells and play nothing")
+    return made
 
 
-def policy_of(cell: Cell, label: str) -> str | None:
-    """``"cost"`` or ``"map"``: what ours, with no other argument, played in a cell; ``None`` for anything else."""
-    if label == OURS:
-        return str(cell.detector.get("policy", "cost"))
-    return {f"{OURS}(policy='{policy}')": policy for policy in ("cost", "map")}.get(label)
-
-
-def policies(wanted: list[Cell], results: Path, seed: int) -> Iterator[str]:
-    """Mean J of both policies in every cell of P2, over the episodes that both played, and the paired difference."""
-    yield "| tier | cell | n | J, cost | J, map | map - cost (95 %) |"
-    yield "| --- |" + " --- |" * 5
-    for tier in dict.fromkeys(cell.tier for cell in wanted):
-        rows = [row for row in rows_of(results / f"{tier}.csv") if int(row["seed"]) == seed]
-        for cell in (cell for cell in wanted if cell.tier == tier and cell.kind == "P2"):
-            played: dict[str, dict[int, float]] = {"cost": {}, "map": {}}
-            for row in rows:
-                policy = policy_of(cell, row["detector"]) if row["cell"] == cell.name else None
-                if policy is not None:
-                    played[policy][int(row["episode"])] = float(row["J"])
-            both = sorted(played["cost"].keys() & played["map"].keys())
-            if both:
-                cost, best = (np.array([played[policy][episode] for episode in both]) for policy in ("cost", "map"))
-                gap = mean_interval(best - cost)
-                yield (
-                    f"| {tier} | {cell.name} | {len(both)} | {cost.mean():.3f} | {best.mean():.3f} "
-                    f"| {gap.mean:+.3f} ({gap.low:+.3f} to {gap.high:+.3f}) |"
-                )
-
-
-def scores(rows: Iterable[Mapping[str, str]], column: str) -> list[float]:
-    return [float(row[column]) for row in rows]
-
-
-def rate_of(rows: Sequence[Mapping[str, str]], kind: str) -> str:
-    """Exact rounds (silent ones where nobody follows), with a 95 % interval."""
-    column = "exact" if kind in ("P2", "P1") else "named"
-    hits = [value > 0 for value in scores(rows, column)]
-    rate = rate_interval(hits if column == "exact" else [not hit for hit in hits])
-    return f"{100 * rate.mean:.1f} % ({100 * rate.low:.1f}-{100 * rate.high:.1f})"
-
-
-def cost_of(rows: Sequence[Mapping[str, str]]) -> str:
-    cost = mean_interval(scores(rows, "J"))
-    return f"{cost.mean:.3f} ({cost.low:.3f}-{cost.high:.3f})"
-
-
-def beside(wanted: list[Cell], results: Path, seed: int) -> Iterator[str]:
-    """A line a cell: ours with 95 % intervals, and the mean J of the others, with n."""
-    for tier in dict.fromkeys(cell.tier for cell in wanted):
-        rows = [row for row in rows_of(results / f"{tier}.csv") if int(row["seed"]) == seed]
-        others = [name for name in dict.fromkeys(row["detector"] for row in rows) if not name.startswith(OURS)]
-        if not rows:
-            continue
-        kinds = {cell.kind for cell in wanted if cell.tier == tier}
-        measure = "heads named" if kinds <= {"silence", "shifted"} else "J"
-        yield f"\n**{tier}**; of others the mean {measure} (n)\n"
-        lines = [f"| {' | '.join(['cell', 'n', 'right (95 %)', f'mean {measure} (95 %)', *others])} |"]
-        lines.append("| --- |" + " --- |" * (3 + len(others)))
-        for cell in (cell for cell in wanted if cell.tier == tier):
-            own = [row for row in rows if row["cell"] == cell.name]
-            mine = [row for row in own if row["detector"] == OURS]
-            if not mine:
-                continue
-            line = [cell.name, str(len(mine)), rate_of(mine, cell.kind), cost_of(mine)]
-            for name in others:
-                theirs = scores((row for row in own if row["detector"] == name), "J")
-                line.append(f"{np.mean(theirs):.2f} ({len(theirs)})" if theirs else "")
-            lines.append(f"| {' | '.join(line)} |")
-        yield "\n".join(lines)
-
-
-@dataclass(frozen=True)
-class Reliability:
-    """First windows of a tier.
-
-    Args:
-        brier: of every window.
-        uavs: ``(bins,)``.
-        heads: ``(bins,)``, of these.
-    """
-
-    brier: list[float]
-    uavs: NDArray[np.int64]
-    heads: NDArray[np.int64]
-
-
-def by_variant(wanted: list[Cell], results: Path, seed: int) -> Iterator[str]:
-    """A line for the cells of a tier that differ in the strategy alone: f1 to f6, f7 and those out of list apart."""
-    yield "| tier | variant | strategies | episodes | right (95 %) | mean J (95 %) | worst cell |"
-    yield "| --- |" + " --- |" * 6
-    groups: dict[tuple[str, str, str], list[Cell]] = {}
-    for cell in wanted:
-        follow, _, variant = cell.name.partition("-")
-        strategies = "f1-f6" if follow in PAPER[:6] else follow if follow in PAPER else "out of list"
-        groups.setdefault((cell.tier, variant, "none" if follow == "none" else strategies), []).append(cell)
-    tiers = {tier: [r for r in rows_of(results / f"{tier}.csv") if int(r["seed"]) == seed] for tier, _, _ in groups}
-    for (tier, variant, strategies), cells_there in groups.items():
-        played = {
-            cell.name: [row for row in tiers[tier] if row["cell"] == cell.name and row["detector"] == OURS]
-            for cell in cells_there
-        }
-        played = {name: rows for name, rows in played.items() if rows}
-        if played:
-            every = [row for rows in played.values() for row in rows]
-            worst, rows = max(played.items(), key=lambda one: np.mean(scores(one[1], "J")))
-            yield (
-                f"| {tier} | {variant} | {strategies} | {len(every)} | {rate_of(every, cells_there[0].kind)} "
-                f"| {cost_of(every)} | {worst}: {np.mean(scores(rows, 'J')):.3f} |"
-            )
-
-
-def reliability(tiers: Sequence[str], results: Path, seed: int) -> dict[str, Reliability]:
-    """Of every tier that has rows of ours, whatever policy was played: it does not change a first window."""
-    found = {}
-    for tier in tiers:
-        counts = np.zeros((2, len(EDGES) - 1), np.int64)
-        brier, known = [], set()
-        for row in rows_of(results / f"{tier}.csv"):
-            window = row["cell"], row["episode"]
-            if row["detector"].partition("(")[0] == OURS and int(row["seed"]) == seed and window not in known:
-                known.add(window)
-                brier.append(float(row["brier"]))
-                for entry in row["reliability"].split():
-                    place, uavs, heads = map(int, entry.split(":"))
-                    counts[:, place] += uavs, heads
-        if brier:
-            found[tier] = Reliability(brier, *counts)
-    return found
-
-
-def reliability_tables(found: Mapping[str, Reliability]) -> str:
-    """Brier scores by tier, and heads among the UAVs of every bin."""
-    lines = ["| tier | windows | UAVs | Brier (95 %) |", "| --- | --- | --- | --- |"]
-    for tier, own in found.items():
-        score = mean_interval(own.brier)
-        interval = f"{score.mean:.4f} ({score.low:.4f}-{score.high:.4f})"
-        lines.append(f"| {tier} | {len(own.brier)} | {own.uavs.sum()} | {interval} |")
-    lines += ["", f"| probability | {' | '.join(found)} |", "| --- |" + " --- |" * len(found)]
-    for place in range(len(EDGES) - 1):
-        shares = [
-            f"{own.heads[place] / own.uavs[place]:.4f} of {own.uavs[place]}" if own.uavs[place] else ""
-            for own in found.values()
-        ]
-        lines.append(f"| {EDGES[place]}-{EDGES[place + 1]} | {' | '.join(shares)} |")
-    return "\n".join([*lines, ""])
-
-
-def reliability_figure(found: Mapping[str, Reliability]) -> Figure:
-    """A panel a tier: in every bin the share of heads, on bars from edge to edge, which should cross it."""
-    across = min(4, len(found))
-    down = -(-len(found) // across)
-    figure = new_figure(3.4 * across, 3.0 * down)
-    panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
-    for axes in panels[len(found) :]:
-        axes.set_visible(False)
-    bins = np.arange(len(EDGES) - 1)
-    low, high = np.array(EDGES[:-1], float), np.array(EDGES[1:], float)
-    for axes, (tier, own) in zip(panels, found.items(), strict=False):
-        some = own.uavs > 0
-        share = own.heads[some] / own.uavs[some]
-        axes.bar(bins, high - low, bottom=low, width=0.9, color="#cccccc", label="probability")
-        axes.scatter(
-            bins[some], share, s=6 * np.log10(1 + own.uavs[some]) ** 2, color="#0072b2", label="share of heads"
-        )
-        axes.set_yscale("symlog", linthresh=1e-3)
-        axes.set_ylim(0, 1.3)
-        axes.set_xticks(bins[::3], [f"{edge}" for edge in EDGES[:-1:3]], fontsize=7)
-        axes.set_title(f"{tier}, {len(own.brier)} windows", fontsize=9)
-        axes.tick_params(labelbottom=True)  # of panels above none as well
-        axes.grid(alpha=0.3)
-    panels[0].legend(fontsize=7)
-    figure.supxlabel("probability of being a head, from", fontsize=9)
-    figure.supylabel("share of heads", fontsize=9)
-    figure.tight_layout()
-    return figure
+def chosen(arguments: argparse.Namespace) -> list[Cell]:
+    """The cells that the command line asks for."""
+    return [
+        cell
+        for cell in cells()
+        if (not arguments.tier or cell.tier in arguments.tier)
+        and (not arguments.cell or any(part in cell.name for part in arguments.cell))
+    ]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tier", nargs="*", help="only these tiers")
-    parser.add_argument("--cell", nargs="*", help="only cells whose names contain one of these")
-    parser.add_argument("--episodes", type=int, help="a cell; by default what the contract asks for")
-    parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--detectors", nargs="*", default=[OURS, *PEERS])
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    parser.add_argument("--table", action="store_true", help="play nothing")
-    parser.add_argument(
-        "--summary",
-        action="store_true",
-        help="play nothing; write the tables",
-    )
-    parser.add_argument("--reliability", action="store_true", help="play nothing; write reliability.md and .png")
-    parser.add_argument("--policies", action="store_true", help="play nothing; compare both policies")
-    parser.add_argument("--list", action="store_true", help="list the cells")
-    asked = parser.parse_args()
-    wanted = [
-        cell
-        for cell in cells()
-        if (not asked.tier or cell.tier in asked.tier)
-        and (not asked.cell or any(part in cell.name for part in asked.cell))
-    ]
-    if asked.list:
+    """List the cells, or play."""
+    arguments = parser().parse_args()
+    wanted = chosen(arguments)
+    if arguments.list:
         for cell in wanted:
             print(cell.tier, cell.name, cell.kind, cell.episodes, cell.env)
         return
-    if asked.reliability:
-        found = reliability(list(dict.fromkeys(cell.tier for cell in wanted)), asked.results, asked.seed)
-        if not found:
-            raise SystemExit("There are no rows yet: play some cells first.")
-        with atomic_write(asked.results / "reliability.md") as aside:
-            aside.write_text(reliability_tables(found), encoding="utf-8")
-        with atomic_write(asked.results / "reliability.png") as aside:
-            reliability_figure(found).savefig(aside, format="png", dpi=100)
-        print(reliability_tables(found))
-        return
-    if asked.summary:
-        out_of_list = [cell for cell in wanted if cell.tier == "unlisted"]
-        pages = (
-            ("cells.md", beside, wanted),
-            ("tiers.md", by_variant, wanted),
-            ("unlisted.md", beside, out_of_list),
-            ("policies.md", policies, wanted),
-        )
-        for name, lines, some in pages:
-            with atomic_write(asked.results / name) as aside:
-                aside.write_text("\n".join([*lines(some, asked.results, asked.seed), ""]).lstrip(), encoding="utf-8")
-        return
-    if asked.policies:
-        print("\n".join(policies(wanted, asked.results, asked.seed)))
-        return
-    if not asked.table:
-        measure(wanted, asked.detectors, asked.episodes, asked.seed, asked.results)
-    print("\n".join(table(wanted, asked.results, asked.seed)))
+    measure(wanted, arguments.detectors, arguments.episodes, arguments.seed, arguments.results)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Speed and memory of follow-mixture, as ratios within one run, and whether it finds the heads meanwhile.
 
-    OMP_NUM_THREADS=1 python benchmarks/follow_mixture_speed.py  # writes results/follow_mixture_speed.{json,md}
+    OMP_NUM_THREADS=1 python benchmarks/follow_mixture_speed.py  # writes results/follow_mixture_speed.json
 
-Four measurements:
+Four measurements (``benchmarks/tables.py`` makes the tables):
 
 * ``window``: one window of 82 UAVs in 5 clusters against one pass of ``lagged-correlation`` (matrix products over all
   pairs and lags) over the same windows;
@@ -29,7 +29,6 @@ from speed_helpers import seconds as seconds_by
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.statistics import rate_interval
-from usnet_env.files import atomic_write
 from usnet_env.objectives import exact, multi_cluster_objective
 from usnet_env.plugins import make_detector
 from usnet_env.provenance import machine, versions
@@ -43,8 +42,6 @@ SIZES = (82, 200, 500, 1000, 2000, 5000, 10_000)
 SERIES = ("clusters fixed", "clusters in proportion")
 LARGEST = 10_000
 FOLLOWERS = 50
-WINDOW_BAR, WINDOW_AIM = 10.0, {"f7": 100.0}
-GROWTH_BAR, MEMORY_BAR, GASSL_BAR = 1.2, 1.5 * 2**30, 100.0
 PATIENCE = 30.0  # seconds after which a size is timed no further
 
 seconds = partial(seconds_by, clock=time.process_time)
@@ -83,7 +80,6 @@ def windows(turns: int, count: int) -> dict[str, object]:
             "ratio_by_window": np.median(taken[..., 0] / taken[..., 1], axis=0).tolist(),
             "windows": count,
             "exact": float(np.mean(found)),
-            **({"aim": WINDOW_AIM[follow]} if follow in WINDOW_AIM else {"bar": WINDOW_BAR}),
         }
         print(f"{follow}: {1e3 * own:.1f} ms, {answer[follow]['ratio']:.1f} passes of {PEER}", flush=True)
     return answer
@@ -139,7 +135,6 @@ def growth(series: str, sizes: tuple[int, ...], turns: int, count: int) -> dict[
         "exponents_between": {
             f"{low}-{high}": float(power) for low, high, power in zip(sizes, sizes[1:], between, strict=False)
         },
-        "bar": GROWTH_BAR,
     }
 
 
@@ -153,12 +148,11 @@ def memory(series: str) -> dict[str, object]:
             f"gym.make('USNET/MultiCluster-v0', follow='f1', clusters={clusters}, uavs={LARGEST})",
             f"make_detector({OURS!r})",
         ),
-        "bar": MEMORY_BAR,
     }
 
 
 def beside_gassl(episodes: int) -> dict[str, object]:
-    """One head, ``FOLLOWERS`` followers: seconds of both, and which names the head and nobody else."""
+    """One head and ``FOLLOWERS`` followers: seconds of both, and how often each names the head alone."""
     detectors = {"gassl": make_detector("gassl"), OURS: make_detector(P1)}
     answer: dict[str, object] = {}
     for follow in FOLLOW:
@@ -183,38 +177,9 @@ def beside_gassl(episodes: int) -> dict[str, object]:
             "ratio": float(np.median(ratios)),
             "ratios": ratios.tolist(),
             **rates,
-            "bar": GASSL_BAR,
         }
         print(f"{follow}: {answer[follow]['ratio']:.0f} times as fast as GASSL", flush=True)
     return answer
-
-
-def tables(result: dict[str, object]) -> str:
-    """The figures in Markdown."""
-    lines = ["| follow | ms | passes | bar | exact |", "| --- | --- | --- | --- | --- |"]
-    for follow, row in result["window"].items():
-        bar = f"{row['bar']:.0f}" if "bar" in row else f"aim {row['aim']:.0f}"
-        lines.append(f"| {follow} | {1e3 * row['seconds']:.1f} | {row['ratio']:.1f} | {bar} | {row['exact']:.2f} |")
-    for series, grown in result["growth"].items():
-        lines += ["", f"| N ({series}) | M | s | N^ | exact | J of a round |", "| --- | --- | --- | --- | --- | --- |"]
-        powers = ["", *(f"{power:.2f}" for power in grown["exponents_between"].values())]
-        for power, (uavs, row) in zip(powers, grown["sizes"].items(), strict=True):
-            found = f"{row['exact']:.2f} | {row['objective']:.3f}"
-            lines.append(f"| {uavs} | {row['clusters']} | {row['seconds']:.3f} | {power} | {found} |")
-        ends, fitted = grown["exponent"], grown["exponent_fitted"]
-        lines.append(f"| all | | | {ends:.2f}, fitted {fitted:.2f} (bar {GROWTH_BAR}) | | |")
-    lines += ["", "| memory | M | GiB | bar |", "| --- | --- | --- | --- |"]
-    for series, row in result["memory"].items():
-        lines.append(f"| {series} | {row['clusters']} | {row['bytes'] / 2**30:.2f} | {row['bar'] / 2**30:.1f} |")
-    lines += [
-        "",
-        "| follow | times GASSL | bar | head named | by GASSL | n |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
-    for follow, row in result["gassl"].items():
-        named = [f"{row[k]['named']:.2f} ({row[k]['low']:.2f}–{row[k]['high']:.2f})" for k in (OURS, "gassl")]
-        lines.append(f"| {follow} | {row['ratio']:.0f} | {GASSL_BAR:.0f} | {' | '.join(named)} | {row['episodes']} |")
-    return "\n".join(lines)
 
 
 def main() -> None:
@@ -238,9 +203,6 @@ def main() -> None:
         "gassl": beside_gassl(arguments.episodes),
     }
     write_json(arguments.out, result)
-    with atomic_write(arguments.out.with_suffix(".md")) as aside:
-        aside.write_text(tables(result) + "\n", encoding="utf-8")
-    print(f"\n{tables(result)}")
 
 
 if __name__ == "__main__":

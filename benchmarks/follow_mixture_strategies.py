@@ -1,4 +1,10 @@
-"""Follow strategies that no list of the detector contains; importing this registers them as `own_...`."""
+"""Fourteen follow strategies beside f1 to f7, for the benchmarks; importing this module registers all of them.
+
+``follow-mixture`` fits follow strategies of a few *feature classes*. Six of the strategies here lie inside such a
+class (:data:`IN_A_CLASS`; ``strategy_classes.py`` measures it): what it leaves unexplained is less than the followers'
+noise. The others do not. Six of the others were in use while rules and constants of the detector were chosen
+(:data:`SEEN_IN_DEVELOPMENT`), two were not (:data:`UNSEEN_IN_DEVELOPMENT`).
+"""
 
 from __future__ import annotations
 
@@ -7,19 +13,19 @@ from numpy.typing import NDArray
 
 from usnet_env.swarm import FollowInputs, FollowStrategy, register_follow_strategy
 
-__all__ = ["LOOKED_AT", "OUT_OF_LIST", "UNSEEN"]
+__all__ = ["FIRST_EIGHT", "IN_A_CLASS", "SEEN_IN_DEVELOPMENT", "STRATEGIES", "UNSEEN_IN_DEVELOPMENT"]
 
 Array = NDArray[np.float32]
 
 
 class OwnDelays(FollowStrategy):
-    """Every follower copies its head with a delay of its own, of one to three steps."""
+    """Every follower copies its head with its own delay of one to three steps."""
 
     equation = "v_{i,t+1} = norm(v_{iL,t-d_i} + κ_n n)"
     lags = 3
 
     def direction(self, inputs: FollowInputs) -> Array:
-        # A row is one follower, always at the same place while nobody is destroyed.
+        # A row is one follower; it keeps its place as long as no UAV is destroyed.
         delay = np.arange(len(inputs.own_position)) % 3
         return inputs.head_velocity[np.arange(len(delay)), delay]
 
@@ -49,7 +55,7 @@ def products(inputs: FollowInputs) -> Array:
 
 
 def absolute(inputs: FollowInputs) -> Array:
-    """|v| on every axis, less the velocity before."""
+    """|v| on every axis, minus 0.7 times the velocity before."""
     return np.abs(inputs.head_velocity[:, 0]) - 0.7 * inputs.head_velocity[:, 1]
 
 
@@ -57,7 +63,7 @@ OFFSET = np.array([20.0, -15.0, 5.0], np.float32)
 
 
 def formation(inputs: FollowInputs) -> Array:
-    """The head's velocity, and a pull towards a place beside the head."""
+    """The head's velocity, plus a pull towards a place at a fixed offset from the head."""
     gap = inputs.head_position[:, 1] + OFFSET - inputs.own_position[:, 1]
     distance = np.sqrt((gap * gap).sum(axis=1, keepdims=True))
     return inputs.head_velocity[:, 0] + 0.5 * gap / np.maximum(distance, 5.0)
@@ -69,14 +75,14 @@ def median(inputs: FollowInputs) -> Array:
 
 
 def pursuit(inputs: FollowInputs) -> Array:
-    """Towards where the head was two steps ago, and half of its velocity's sign."""
+    """The direction to the head's position two steps ago, plus half the sign of its velocity."""
     gap = inputs.head_position[:, 2] - inputs.own_position[:, 0]
     distance = np.sqrt((gap * gap).sum(axis=1, keepdims=True))
     return gap / np.maximum(distance, 1.0) + 0.5 * np.sign(inputs.head_velocity[:, 0])
 
 
 def swerve(inputs: FollowInputs) -> Array:
-    """The head's velocity, turned about the vertical by an angle that grows with the distance."""
+    """The head's velocity, rotated about the vertical by an angle proportional to the distance."""
     gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
     angle = np.sqrt((gap * gap).sum(axis=1)) / 300.0
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -85,22 +91,19 @@ def swerve(inputs: FollowInputs) -> Array:
 
 
 def majority(inputs: FollowInputs) -> Array:
-    """On every axis the sign of the head's last three velocities together."""
+    """On every axis the sign of the sum of the head's last three velocities."""
     return np.sign(inputs.head_velocity[:, :3].sum(axis=1))
 
 
-Array = NDArray[np.float32]
-
-
-def osprey(inputs: FollowInputs) -> Array:
-    """Where the head flies next if it keeps turning in the plane and by the angle of its last turn."""
+def constant_turn(inputs: FollowInputs) -> Array:
+    """Constant-turn prediction: the head's next velocity if it repeats the plane and the angle of its last turn."""
     now, before = inputs.head_velocity[:, 0], inputs.head_velocity[:, 1]
     cosine = (now * before).sum(axis=1, keepdims=True)
     return (2.0 * cosine * now - before).astype(np.float32)
 
 
-def heron(inputs: FollowInputs) -> Array:
-    """Parallel navigation: across the line of sight as the head (two lags), along it always towards the head."""
+def parallel_navigation(inputs: FollowInputs) -> Array:
+    """Parallel navigation: the head's velocity (two lags), its component along the line of sight towards the head."""
     gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
     distance = np.sqrt((gap * gap).sum(axis=1, keepdims=True))
     sight = gap / np.maximum(distance, 5.0)  # fades when close, where the line of sight has no direction
@@ -109,8 +112,8 @@ def heron(inputs: FollowInputs) -> Array:
     return (velocity + (np.abs(along) - along) * sight).astype(np.float32)
 
 
-def curlew(inputs: FollowInputs) -> Array:
-    """Track guidance: along the head's course (two lags), and back onto its track line by the cross-track error."""
+def track_guidance(inputs: FollowInputs) -> Array:
+    """Track guidance: the head's course (two lags), plus a correction of the cross-track error."""
     course = inputs.head_velocity[:, 0] + inputs.head_velocity[:, 1]
     course = course / np.maximum(np.sqrt((course * course).sum(axis=1, keepdims=True)), 1e-3)
     gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
@@ -118,8 +121,8 @@ def curlew(inputs: FollowInputs) -> Array:
     return (course + error / np.sqrt((error * error).sum(axis=1, keepdims=True) + 80.0**2)).astype(np.float32)
 
 
-def dunlin(inputs: FollowInputs) -> Array:
-    """A limited turn rate: from its own last velocity towards the head's (two lags), by at most 0.9 radians a step."""
+def limited_turn_rate(inputs: FollowInputs) -> Array:
+    """A limited turn rate: from its last velocity towards the head's (two lags), by at most 0.9 radians a step."""
     own = inputs.own_position[:, 0] - inputs.own_position[:, 1]
     own = own / np.maximum(np.sqrt((own * own).sum(axis=1, keepdims=True)), 1e-3)
     wanted = inputs.head_velocity[:, 0] + 0.7 * inputs.head_velocity[:, 1]
@@ -130,7 +133,34 @@ def dunlin(inputs: FollowInputs) -> Array:
     return (np.cos(angle) * own + np.sin(angle) * aside / np.maximum(across, 1e-6)).astype(np.float32)
 
 
-def _register() -> tuple[str, ...]:
+STRATEGIES = (
+    "own_delays",
+    "turned",
+    "saturated",
+    "products",
+    "absolute",
+    "formation_offset",
+    "median",
+    "pursuit",
+    "swerve",
+    "majority",
+    "constant_turn",
+    "parallel_navigation",
+    "track_guidance",
+    "limited_turn_rate",
+)
+#: The strategies of the first measurements of ``learned`` and ``follow-mixture``.
+FIRST_EIGHT = STRATEGIES[:8]
+#: A feature class of ``follow-mixture`` contains the first four exactly and the last two nearly; ``own_delays`` and
+#: ``swerve`` with one law for each follower.
+IN_A_CLASS = ("own_delays", "turned", "products", "constant_turn", "formation_offset", "swerve")
+#: Outside the classes; rows of them were looked at while rules of ``follow-mixture`` were chosen.
+SEEN_IN_DEVELOPMENT = ("saturated", "absolute", "median", "pursuit", "majority", "parallel_navigation")
+#: Outside the classes; first played for the published rows, after the detector was finished.
+UNSEEN_IN_DEVELOPMENT = ("track_guidance", "limited_turn_rate")
+
+
+def _register() -> None:
     register_follow_strategy("own_delays", OwnDelays())
     register_follow_strategy("turned", Turned())
     for name, function, lags in (
@@ -138,19 +168,16 @@ def _register() -> tuple[str, ...]:
         ("products", products, 2),
         ("absolute", absolute, 2),
         ("formation_offset", formation, 1),
-        ("median", median, 3),  # this one and the next were written by another hand than the detector
+        ("median", median, 3),
         ("pursuit", pursuit, 2),
         ("swerve", swerve, 1),
         ("majority", majority, 3),
-        ("osprey", osprey, 2),  # this one and the next three were written by another hand as well
-        ("heron", heron, 2),
-        ("curlew", curlew, 2),
-        ("dunlin", dunlin, 2),
+        ("constant_turn", constant_turn, 2),
+        ("parallel_navigation", parallel_navigation, 2),
+        ("track_guidance", track_guidance, 2),
+        ("limited_turn_rate", limited_turn_rate, 2),
     ):
         register_follow_strategy(name, function, lags=lags)
-    return "own_delays", "turned", "saturated", "products", "absolute", "formation_offset", "median", "pursuit"
 
 
-OUT_OF_LIST = _register()
-LOOKED_AT = ("swerve", "majority", "osprey", "heron")  # unseen by earlier builds, which did badly on two of them
-UNSEEN = ("curlew", "dunlin")  # that nothing was built for, nor looked at before the rows that are published
+_register()

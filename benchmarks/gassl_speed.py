@@ -1,12 +1,11 @@
-"""Speed and memory of GASSL, as ratios within one run.
+"""Measure the time and memory of ``gassl``, compiled and as printed, and of ``neural-granger``.
 
-    python benchmarks/gassl_speed.py            # writes benchmarks/results/gassl_speed.json
+    OMP_NUM_THREADS=1 python benchmarks/gassl_speed.py  # writes benchmarks/results/gassl_speed.json
 
-Algorithm 1 as the paper writes it (``tests/detectors/gassl/literal.py``: one UAV after another, all 96 times in every
-step) takes minutes an episode, so a few steps of some UAVs are timed and scaled up linearly to all UAVs and as many
-steps as the detector takes. A shared machine is noisy: contestants take turns, each turn gives one ratio, and the
-median counts. Threads are as PyTorch sets them; where other work runs on the same cores, ``OMP_NUM_THREADS=1`` keeps
-its threads from waiting for each other.
+``gassl(implementation='printed')`` is Algorithm 1 as a readable loop over PyTorch tensors; ``gassl`` computes the same
+in compiled loops. Both answer the same windows, with the same small number of steps for each UAV, because the printed
+loop is slow. ``gassl`` and ``neural-granger`` also answer them with their default numbers of steps. Seconds are
+processor time. Contestants take turns, each turn gives one ratio, and the median counts.
 """
 
 from __future__ import annotations
@@ -18,116 +17,92 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from speed_helpers import LITERAL_STEPS, literal_loop, peak_memory, play, seconds, window_of, write_json
+from speed_helpers import peak_memory, play, take_turns, window_of, write_json
 
-from detectors.gassl import Gassl
-from detectors.gassl.input_pooling import InputPooling
+from usnet_env.plugins import make_detector
 from usnet_env.provenance import machine, versions
 
-LITERAL_UAVS = {5: 6, 50: 4}
-BARS = {5: {"default": 1 / 5, "paper": 1 / 5}, 50: {"default": 1 / 15, "paper": 1 / 10}}
-FEWER_STEPS = 20  # of the paper preset where it would take minutes
+STEPS = {5: 10, 50: 2}  # of both implementations, for each number of followers
+DEFAULTS = ("gassl", "neural-granger")
+GROWTH = (50, 200)  # followers
+GROWTH_STEPS = 5
+MEMORY_UAVS = 201
 
 
-def episode(followers: int, **arguments: object) -> Callable[[], object]:
-    """An episode of GASSL beside one head and its followers."""
-    return partial(play, Gassl(**arguments), window_of("SingleCluster", follow="f1", followers=followers))
+def episode(detector: str, followers: int) -> Callable[[], object]:
+    """An episode with one head and its followers."""
+    return partial(play, make_detector(detector), window_of("SingleCluster", follow="f1", followers=followers))
 
 
-def against_the_loop(followers: int, turns: int) -> dict[str, object]:
-    """Both presets against the literal loop."""
-    window = window_of("SingleCluster", follow="f1", followers=followers)
-    loop = literal_loop(window, InputPooling(), LITERAL_UAVS[followers])
-    players = {preset: episode(followers, preset=preset) for preset in ("default", "paper")}
-    for player in (loop, *players.values()):
-        player()
-    taken = [(loop(), *(seconds(player) for player in players.values())) for _ in range(turns)]
-    table = np.array(taken)
-    answer: dict[str, object] = {
-        "what": f"seconds an episode of {followers + 1} UAVs over those of the literal loop with as many steps",
-        "literal_seconds": float(np.median(table[:, 0])),
-        "literal_scaled_from": {
-            "steps": LITERAL_STEPS,
-            "uavs": LITERAL_UAVS[followers],
-            "to_steps": InputPooling().steps,
-        },
-    }
-    for column, preset in enumerate(players, start=1):
-        ratios = table[:, column] / table[:, 0]
-        answer[preset] = {
-            "seconds": float(np.median(table[:, column])),
-            "ratio": float(np.median(ratios)),
-            "ratios": ratios.tolist(),
-            "bar": BARS[followers][preset],
-        }
-    return answer
-
-
-def growth(turns: int, **arguments: object) -> dict[str, object]:
-    """The power of N with which an episode's time grows from 50 to 200 followers."""
-    small, large = (episode(followers, **arguments) for followers in (50, 200))
-    for player in (small, large):
-        player()
-    taken = np.array([[seconds(small), seconds(large)] for _ in range(turns)])
-    exponents = np.log(taken[:, 1] / taken[:, 0]) / np.log(201 / 51)
+def compare_implementations(followers: int, turns: int) -> dict[str, object]:
+    """Compare the implementations of ``gassl`` with equal steps, and time the defaults."""
+    steps = STEPS[followers]
+    compiled, printed = f"gassl(steps={steps})", f"gassl(steps={steps}, implementation='printed')"
+    taken = take_turns({name: episode(name, followers) for name in (compiled, printed, *DEFAULTS)}, turns)
+    ratios = taken[printed] / taken[compiled]
     return {
-        "what": "power of N with which the seconds of an episode grow from 51 to 201 UAVs",
-        "arguments": arguments,
-        "seconds": dict(zip(("51", "201"), np.median(taken, axis=0).tolist(), strict=True)),
+        "what": f"processor seconds of an episode of {followers + 1} UAVs",
+        "seconds": {name: float(np.median(values)) for name, values in taken.items()},
+        "printed_over_compiled": float(np.median(ratios)),
+        "ratios": ratios.tolist(),
+    }
+
+
+def measure_growth(detector: str, turns: int) -> dict[str, object]:
+    """Measure the power of N with which the time of an episode grows."""
+    small, large = (followers + 1 for followers in GROWTH)
+    taken = take_turns({str(uavs): episode(detector, uavs - 1) for uavs in (small, large)}, turns)
+    exponents = np.log(taken[str(large)] / taken[str(small)]) / np.log(large / small)
+    return {
+        "what": f"power of N with which the processor seconds of an episode grow from {small} to {large} UAVs",
+        "seconds": {uavs: float(np.median(values)) for uavs, values in taken.items()},
         "exponent": float(np.median(exponents)),
         "exponents": exponents.tolist(),
-        "bar": 2.0,
     }
 
 
-def memory(**arguments: object) -> dict[str, object]:
-    """Peak resident memory of a process that answers one window of 201 UAVs, and what its imports take of it."""
+def measure_memory(detector: str) -> dict[str, object]:
+    """Measure the peak memory of a process that answers one window."""
     return {
-        "what": "peak resident bytes of a process that answers one window of 201 UAVs",
-        "arguments": arguments,
+        "what": f"peak resident bytes of a process that answers one window of {MEMORY_UAVS} UAVs",
         **peak_memory(
-            ["from detectors.gassl import Gassl"],
-            "gym.make('USNET/SingleCluster-v0', followers=200)",
-            f"Gassl(**{arguments!r})",
+            ["from usnet_env.plugins import make_detector", "import torch"],
+            f"gym.make('USNET/SingleCluster-v0', followers={MEMORY_UAVS - 1})",
+            f"make_detector({detector!r})",
         ),
-        "bar": 1.5 * 2**30,
     }
 
 
 def main() -> None:
+    """Measure, print and write the file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "gassl_speed.json")
     arguments = parser.parse_args()
-    loops = {str(followers): against_the_loop(followers, arguments.turns) for followers in (5, 50)}
-    grown = {
-        "default": growth(arguments.turns),
-        "paper": growth(1, preset="paper", steps=FEWER_STEPS),
-    }
-    peaks = {"default": memory(), "paper": memory(preset="paper", steps=FEWER_STEPS)}
+    compared = {}
+    for followers in STEPS:
+        row = compared[str(followers)] = compare_implementations(followers, arguments.turns)
+        ratio = row["printed_over_compiled"]
+        print(f"m={followers}: the printed loop takes {ratio:.0f} times as long as the compiled one", flush=True)
+        for name, value in row["seconds"].items():
+            print(f"  {name}: {value:.3f} s", flush=True)
+    growth, memory = {}, {}
+    for detector in (f"gassl(steps={GROWTH_STEPS})", "neural-granger(steps=20)"):
+        growth[detector] = measure_growth(detector, arguments.turns)
+        memory[detector] = measure_memory(detector)
+        print(f"{detector}: time grows as N^{growth[detector]['exponent']:.2f}", flush=True)
+        print(f"{detector}: peak {memory[detector]['bytes'] / 2**30:.2f} GiB for {MEMORY_UAVS} UAVs", flush=True)
     result = {
         "machine": machine(),
         "versions": versions(("torch",)),
+        "seconds": "processor time",
         "torch_threads": torch.get_num_threads(),
         "turns": arguments.turns,
-        "against_the_loop": loops,
-        "growth": grown,
-        "memory": peaks,
+        "implementations": compared,
+        "growth": growth,
+        "memory": memory,
     }
     write_json(arguments.out, result)
-    for followers, row in loops.items():
-        print(
-            f"m={followers}: literal loop {row['literal_seconds']:.1f} s (scaled up linearly from {LITERAL_STEPS} steps"
-            f" of {LITERAL_UAVS[int(followers)]} UAVs)"
-        )
-        for preset in ("default", "paper"):
-            one = row[preset]
-            print(f"  {preset}: {one['seconds']:.2f} s, 1/{1 / one['ratio']:.1f} of it (bar 1/{1 / one['bar']:.0f})")
-    for preset, row in grown.items():
-        print(f"{preset}: time grows as N^{row['exponent']:.2f} (bar 2)")
-    for preset, row in peaks.items():
-        above = row["bytes_above_imports"] / 2**30
-        print(f"{preset}: peak {row['bytes'] / 2**30:.2f} GiB (bar 1.5), {above:.2f} GiB above the imports")
 
 
 if __name__ == "__main__":

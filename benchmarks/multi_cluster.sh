@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# P2 on the paper's tier (iid heads, M=5, N=82): every built-in detector and the trivial policies, 100 episodes each.
-# An interrupted run goes on where it stopped. Then: python benchmarks/readme_table.py
+# P2 on the paper's tier (iid heads, M=5, N=82): the lagged detectors and the trivial policies, 100 episodes each.
+# An interrupted run goes on where it stopped.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 usnet=${USNET:-.venv/bin/usnet}

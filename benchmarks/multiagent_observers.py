@@ -1,6 +1,6 @@
-"""usnet_observers_v0: rules of fusion, numbers of observers and ranges, against one observer that sees all.
+"""usnet_observers_v0: fusion rules, numbers of observers and ranges, beside one observer that sees the whole swarm.
 
-OMP_NUM_THREADS=1 python benchmarks/multiagent_observers.py      # writes benchmarks/results/multiagent_observers.*
+OMP_NUM_THREADS=1 python benchmarks/multiagent_observers.py      # writes benchmarks/results/multiagent_observers.csv
 """
 
 from __future__ import annotations
@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from multiagent_table import RESULTS, play_cells, table
+from multiagent_table import RESULTS, play_cells
 
 from usnet_env import make_detector
-from usnet_env.files import atomic_write
 from usnet_env.multiagent.play import play_game
 from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.multiagent.usnet_observers_v0 import parallel_env
@@ -38,28 +37,22 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    """Play and print."""
-    cells = [{"range": EVERYTHING, "observers": 1, "fusion": "union"}]
-    cells += [
+def cells() -> list[dict[str, Any]]:
+    """One observer that sees the whole swarm, and every range, number of observers and fusion rule."""
+    found: list[dict[str, Any]] = [{"range": EVERYTHING, "observers": 1, "fusion": "union"}]
+    found += [
         {"range": reach, "observers": observers, "fusion": fusion}
         for reach in RANGES
         for observers in OBSERVERS
         for fusion in FUSIONS
     ]
-    rows = play_cells(RESULTS / "multiagent_observers.csv", cells, lambda cell: GAMES, play)
-    columns = {
-        "J": "J_m",
-        "success": "all heads hit",
-        "first_hits": "heads hit in round 1",
-        "first_redundant": "redundant in round 1",
-        "seen_in_round_1": "UAVs seen in round 1",
-    }
-    text = table(rows, ["range", "observers", "fusion"], columns)
-    with atomic_write(RESULTS / "multiagent_observers.md") as aside:
-        aside.write_text(text + "\n", encoding="utf-8")
-    print(text)
+    return found
+
+
+def games(cell: Mapping[str, Any]) -> int:
+    """How many games a cell has."""
+    return GAMES
 
 
 if __name__ == "__main__":
-    main()
+    play_cells(RESULTS / "multiagent_observers.csv", cells(), games, play)

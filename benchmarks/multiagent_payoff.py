@@ -1,6 +1,6 @@
-"""Pay-offs of usnet_evasion_v0: every observer against every swarm policy, on the same seeds.
+"""Pay-offs of usnet_evasion_v0: every observer against every swarm policy, with the same seeds.
 
-OMP_NUM_THREADS=1 python benchmarks/multiagent_payoff.py      # writes benchmarks/results/multiagent_payoff.*
+OMP_NUM_THREADS=1 python benchmarks/multiagent_payoff.py      # writes benchmarks/results/multiagent_payoff.csv
 """
 
 from __future__ import annotations
@@ -8,14 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from multiagent_table import RESULTS, play_cells, table
+from multiagent_table import RESULTS, play_cells
 
 from usnet_env import make_detector
-from usnet_env.files import atomic_write
 from usnet_env.multiagent.play import play_game
 from usnet_env.multiagent.policies import CamouflagedHead, DetectorObserver, Policy, RandomHead, TruthfulHead
 from usnet_env.multiagent.usnet_evasion_v0 import parallel_env
-from usnet_env.plugins import detector_names
 
 MAX_ROUNDS = 10
 FOLLOW = ("f1", "f3", "f6")
@@ -29,7 +27,7 @@ SWARMS: dict[str, Policy] = {
 
 
 def games(cell: Mapping[str, Any]) -> int:
-    """Fewer for the slow one."""
+    """How many games a cell has; fewer with follow-mixture, which is slow against such swarms."""
     return 20 if cell["observer"] == "follow-mixture" else 40
 
 
@@ -50,29 +48,15 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    """Play and print."""
-    known = detector_names()
-    observers = [name for name in OBSERVERS if name.partition("(")[0] in known]
-    cells = [
+def cells() -> list[dict[str, Any]]:
+    """Every strategy, observer and swarm policy."""
+    return [
         {"follow": follow, "observer": observer, "swarm": swarm}
         for follow in FOLLOW
-        for observer in observers
+        for observer in OBSERVERS
         for swarm in SWARMS
     ]
-    rows = play_cells(RESULTS / "multiagent_payoff.csv", cells, games, play)
-    columns = {
-        "J": "J_m",
-        "swarm_payoff": "J_m less the price",
-        "success": "all heads hit",
-        "first_hits": "heads hit in round 1",
-        "first_redundant": "redundant in round 1",
-    }
-    text = table(rows, ["follow", "observer", "swarm"], columns)
-    with atomic_write(RESULTS / "multiagent_payoff.md") as aside:
-        aside.write_text(text + "\n", encoding="utf-8")
-    print(text)
 
 
 if __name__ == "__main__":
-    main()
+    play_cells(RESULTS / "multiagent_payoff.csv", cells(), games, play)

@@ -1,9 +1,9 @@
-"""A swarm trained by PPO against a detector in usnet_evasion_v0: does it raise J_m over the truthful swarm's?
+"""A swarm trained by PPO against a detector in usnet_evasion_v0: does it raise J_m above the truthful swarm's?
 
-The swarm plays as one: every head makes the same choice. Trained on seeds below 1000, measured on seeds from 2022.
-Matches whose rows are there are not played again.
+    OMP_NUM_THREADS=1 python benchmarks/multiagent_ppo.py      # writes benchmarks/results/multiagent_ppo*
 
-OMP_NUM_THREADS=1 python benchmarks/multiagent_ppo.py      # writes benchmarks/results/multiagent_ppo*
+All heads make the same choice. Trained with seeds below 1000, measured with seeds from 2022. Matches that the files
+hold are not played again.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import torch
 from gymnasium import spaces
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from multiagent_table import RESULTS, SEED, table
+from multiagent_table import RESULTS, SEED
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -41,7 +41,7 @@ CHOICES = ("mobility", "jitter", "decoys", "delay")
 
 
 class SwarmAsOne(gym.Env[Any, Any]):
-    """The whole swarm as one agent, the observer a detector; an observation is what the swarm knows of the game."""
+    """The swarm as one agent against a detector; an observation is what the swarm knows of the game."""
 
     def __init__(self, detector: str, follow: str, seeds: Iterable[int]) -> None:
         self.game = parallel_env(follow=follow, max_rounds=MAX_ROUNDS)
@@ -62,7 +62,7 @@ class SwarmAsOne(gym.Env[Any, Any]):
         return self._known(infos[OBSERVER], np.zeros(4, np.int64)), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """The same choice for every head; the reward is the swarm's."""
+        """Make the same choice for every head; the reward is the swarm's."""
         actions = {agent: np.asarray(action) for agent in self.game.agents if agent != OBSERVER}
         actions[OBSERVER] = self.observer.act(self.seen[OBSERVER])
         self.seen, rewards, ended, cut, infos = self.game.step(actions)
@@ -114,7 +114,7 @@ def training_seeds() -> Iterable[int]:
 
 
 def measured(detector: str, follow: str, swarm: str, choose: Any) -> list[dict[str, Any]]:
-    """A row for each of the games from 2022 on."""
+    """One row for each game, with seeds from 2022."""
     env = SwarmAsOne(detector, follow, range(SEED, SEED + GAMES))
     rows = []
     for seed in range(SEED, SEED + GAMES):
@@ -148,7 +148,7 @@ def write(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def draw(curves: list[dict[str, Any]]) -> Figure:
-    """A panel a match: J_m and the swarm's payoff, means over the games of a batch; 1 is truthful."""
+    """One panel for each match: J_m and the swarm's payoff, means over the games of a batch; 1 is truthful."""
     matches = list(dict.fromkeys((row["detector"], row["follow"]) for row in curves))
     figure = Figure(figsize=(3.2 * len(matches), 3.2), layout="constrained")
     FigureCanvasAgg(figure)
@@ -156,7 +156,7 @@ def draw(curves: list[dict[str, Any]]) -> Figure:
         own = [row for row in curves if (row["detector"], row["follow"]) == match]
         steps = [int(row["steps"]) for row in own]
         axes.plot(steps, [float(row["J"]) for row in own], color="#0072b2", label="J_m")
-        axes.plot(steps, [float(row["swarm_payoff"]) for row in own], color="#d55e00", label="J_m less the price")
+        axes.plot(steps, [float(row["swarm_payoff"]) for row in own], color="#d55e00", label="J_m minus the price")
         axes.axhline(1.0, color="black", lw=0.8, ls=":", label="truthful")
         axes.set_title(f"{match[0]}, {match[1]}", fontsize=9)
         axes.set_ylim(bottom=0)
@@ -168,7 +168,7 @@ def draw(curves: list[dict[str, Any]]) -> Figure:
 
 
 def main() -> None:
-    """Train, measure and print."""
+    """Train, measure and draw."""
     torch.set_num_threads(1)  # a program of its own, not the library: small networks wait for each other on more
     curves, rows = earlier(RESULTS / "multiagent_ppo_curve.csv"), earlier(RESULTS / "multiagent_ppo.csv")
     for (detector, follow), steps in MATCHES.items():
@@ -195,13 +195,8 @@ def main() -> None:
         )
         write(RESULTS / "multiagent_ppo_curve.csv", curves)
         write(RESULTS / "multiagent_ppo.csv", rows)
-    columns = {"J": "J_m", "swarm_payoff": "J_m less the price", "success": "all heads hit"}
-    text = table(rows, ["detector", "follow", "swarm"], {**columns, **{name: name for name in CHOICES}})
-    with atomic_write(RESULTS / "multiagent_ppo.md") as aside:
-        aside.write_text(text + "\n", encoding="utf-8")
     with atomic_write(RESULTS / "multiagent_ppo.png") as aside:
         draw(curves).savefig(aside, format="png", dpi=100)
-    print(text)
 
 
 if __name__ == "__main__":

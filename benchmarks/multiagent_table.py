@@ -1,18 +1,17 @@
-"""What both benchmarks of games of several agents share: play a grid of cells, keep a row a game, print means."""
+"""What several benchmarks share: play the games of a grid of cells, and keep one row for each game."""
 
 from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from usnet_env.evaluation.statistics import mean_interval, rate_interval
 from usnet_env.files import atomic_write
 
 RESULTS = Path(__file__).parent / "results"
-SEED = 2022  # of the first game; seeds of published games were not used for tuning
+SEED = 2022  # of the first game; seeds below 1000 are for tuning
 
 
 def play_cells(
@@ -21,9 +20,9 @@ def play_cells(
     games: Callable[[Mapping[str, Any]], int],
     play: Callable[[Mapping[str, Any], int], Mapping[str, Any]],
 ) -> list[dict[str, str]]:
-    """Play the games of every cell, all on the same seeds, and write a row each after every cell.
+    """Play the games of every cell, all with the same seeds, and write their rows after each cell.
 
-    Rows that the file has already are kept and not played again: delete it to measure anew.
+    Games that the file holds are not played again: delete it to measure anew.
     """
     rows: list[dict[str, str]] = []
     if path.exists():
@@ -43,25 +42,3 @@ def play_cells(
                 writer.writerows(rows)
             print(*plain.values(), f"{time.perf_counter() - began:.1f} s", flush=True)
     return rows
-
-
-def table(rows: Iterable[Mapping[str, Any]], keys: Sequence[str], columns: Mapping[str, str]) -> str:
-    """A Markdown table: a row for every combination of ``keys``, a mean with its 95 % interval for every column.
-
-    Args:
-        rows: of the file.
-        keys: columns that make a cell.
-        columns: columns to average, and their titles; ``success`` is a rate.
-    """
-    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
-    lines = [f"| {' | '.join([*keys, 'n', *columns.values()])} |", f"|{' --- |' * (len(keys) + 1 + len(columns))}"]
-    for cell, members in groups.items():
-        numbers = []
-        for name in columns:
-            values = [float(row[name]) for row in members]
-            mean, low, high = (rate_interval if name == "success" else mean_interval)(values)
-            numbers.append(f"{mean:.2f} ({low:.2f}–{high:.2f})")
-        lines.append(f"| {' | '.join([*map(str, cell), str(len(members)), *numbers])} |")
-    return "\n".join(lines)

@@ -1,11 +1,10 @@
 """An observer trained by PPO in a small P2 (M=3, N=20), scored beside the detectors.
 
-OMP_NUM_THREADS=1 python benchmarks/ppo_observer.py        # writes benchmarks/results/ppo_observer*
+    OMP_NUM_THREADS=1 python benchmarks/ppo_observer.py        # writes benchmarks/results/ppo_observer*
 
-It is trained on seeds below 1000, with heads that fly iid and follow strategies drawn by random_follow_strategy, and
-scored from seed 2022 on, on f1 to f7, which it never saw, in swarms as it saw them and in others. Its only teacher is
-the reward of the game, -1 a round and -1/N a redundant candidate. Its weights are kept as safetensors; where they are
-there, they are scored and not trained again.
+It is trained with seeds below 1000, iid heads and follow strategies drawn by random_follow_strategy, from the reward
+of the game alone (-1 for each round, -1/N for each redundant candidate). It is scored with seeds from 2022 on f1 to f7,
+which it was not trained on. Its weights are kept as safetensors; if they exist, they are scored and not trained again.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium import spaces
-from learned import DETECTORS, KEPT, pivot
+from learned import DETECTORS, KEPT
 from multiagent_table import RESULTS, SEED
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
@@ -35,7 +34,6 @@ from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.agents import as_agent
 from usnet_env.evaluation.episode import play_episode
-from usnet_env.evaluation.statistics import mean_interval, rate_interval
 from usnet_env.files import atomic_write
 from usnet_env.plugins import make_detector
 from usnet_env.swarm.random_follow import random_follow_strategy
@@ -54,7 +52,7 @@ WIDTH = 16
 
 
 def observe(window: Window) -> dict[str, np.ndarray]:
-    """The observation of the trained policy: statistics of all pairs, 0 for the destroyed, and who lives."""
+    """The observation of the policy: statistics of all pairs of UAVs, 0 for destroyed ones, and which UAVs live."""
     living = np.flatnonzero(window.alive)
     pairs = np.zeros((window.uavs, window.uavs, PAIR_FEATURES), np.float32)
     pairs[np.ix_(living, living)] = pair_features(window, living)
@@ -82,7 +80,7 @@ class SmallGame(gym.Env[Any, Any]):
         return self._observed(seen), info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Name the living ones among the action's bits."""
+        """Name the living UAVs among the action's bits."""
         named = np.asarray(action).astype(bool) & self.alive
         seen, reward, ended, cut, info = self.game.step(named.astype(np.int8))
         return self._observed(seen), reward, ended, cut, info
@@ -105,7 +103,7 @@ class Attention(BaseFeaturesExtractor):
         self.uav = nn.Linear(2 * WIDTH, WIDTH)
 
     def forward(self, seen: dict[str, Tensor]) -> Tensor:
-        """UAV i attends to all j; j sums up who attends to it, i whom it attends to."""
+        """Attention of every UAV i over all j, summed once over i and once over j."""
         pairs, alive = seen["pairs"], seen["alive"]
         x = torch.tanh(self.mixed(torch.tanh(self.pair(torch.cat([pairs, pairs.transpose(1, 2)], dim=3)))))
         legal = alive[:, :, None] * alive[:, None, :] * (1 - torch.eye(alive.shape[1]))
@@ -116,7 +114,7 @@ class Attention(BaseFeaturesExtractor):
 
 
 class PerUav(nn.Module):
-    """One logit for each UAV by the same weights; the likeliest living one is always named, as a head is left."""
+    """One logit for each UAV by the same weights; the most probable living UAV is always named."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -145,7 +143,7 @@ class Whole(nn.Module):
 
 
 class EquivariantPolicy(MultiInputActorCriticPolicy):
-    """Numbering the UAVs otherwise numbers the action's bits otherwise."""
+    """Permuting the UAVs permutes the action's bits in the same way."""
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
@@ -189,7 +187,7 @@ def untrained() -> PPO:
 
 
 def trained() -> EquivariantPolicy:
-    """The policy of the file, which is made first where it is missing."""
+    """The policy of the weights file, which is trained first if there is none."""
     agent = untrained()
     if WEIGHTS.exists():
         agent.policy.load_state_dict(read_arrays(WEIGHTS), strict=False)  # shared layers are in the file once
@@ -203,7 +201,7 @@ def trained() -> EquivariantPolicy:
 
 
 def measured(detectors: Mapping[str, Any], games: int) -> list[dict[str, Any]]:
-    """A row for each swarm, follow strategy, detector and game from 2022 on."""
+    """One row for each swarm, follow strategy, detector and game, with seeds from 2022."""
     rows = []
     for swarm, more in SWARMS.items():
         for follow in FOLLOW:
@@ -224,27 +222,14 @@ def write(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def main() -> None:
-    """Train, measure and print."""
+    """Train and measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--games", type=int, default=GAMES, help="for each detector and follow strategy")
     games = parser.parse_args().games
     torch.set_num_threads(1)  # a program of its own, not the library: small networks wait for each other on more
     detectors = {"ppo": PolicyDetector(trained(), observe=observe)}
-    detectors |= {label: make_detector(name) for label, name in DETECTORS.items()}
-    rows = measured(detectors, games)
-    write(RESULTS / "ppo_observer.csv", rows)
-    keys = ("swarm", "follow")
-    text = "\n\n".join(
-        [
-            f"M=3, N=20, at most {SMALL['max_rounds']} rounds. J_m, mean (95 % interval); destroying all costs 1.85.",
-            pivot(rows, keys, "J", mean_interval, list(detectors)),
-            "Share of games whose round 1 names the heads, no more and no less (95 % interval).",
-            pivot(rows, keys, "exact", rate_interval, list(detectors)),
-        ]
-    )
-    with atomic_write(RESULTS / "ppo_observer.md") as aside:
-        aside.write_text(text + "\n", encoding="utf-8")
-    print(text)
+    detectors |= {name: make_detector(name) for name in DETECTORS}
+    write(RESULTS / "ppo_observer.csv", measured(detectors, games))
 
 
 if __name__ == "__main__":

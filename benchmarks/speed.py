@@ -2,8 +2,8 @@
 
     python benchmarks/speed.py                  # writes benchmarks/results/speed.json
 
-A shared machine is noisy, so contestants take turns, each turn gives one ratio, and the median ratio counts. All runs
-in one thread (the parts are NumPy and Numba without threads); VMAS may use as many threads as PyTorch likes.
+The speed of a shared machine drifts, so contestants take turns, each turn gives one ratio, and the median counts. All
+run in one thread, except VMAS, which uses PyTorch's threads.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from usnet_env.swarm import SwarmConfig, advance, start
 
 EPISODES, UAVS = 256, 82
 FOLLOW = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
-BARS = {**dict.fromkeys(FOLLOW[:6], 1 / 2), "f7": 1 / 20}
 
 
 def seconds(function: Callable[[], object]) -> float:
@@ -61,7 +60,6 @@ def stepping(follow: str, turns: int) -> dict[str, object]:
         "normals_per_second": EPISODES * normals / float(np.median(taken[:, 1])),
         "ratio": float(np.median(ratios)),
         "ratios": ratios.tolist(),
-        "bar": BARS[follow],
     }
 
 
@@ -108,12 +106,10 @@ def peers(turns: int) -> dict[str, object]:
         "over_simple_tag_v3": {
             "ratio": float(np.median(rates["usnet"] / rates["simple_tag_v3"])),
             "ratios": (rates["usnet"] / rates["simple_tag_v3"]).tolist(),
-            "bar": 500,
         },
         "over_vmas_flocking": {
             "ratio": float(np.median(rates["usnet"] / rates["vmas_flocking"])),
             "ratios": (rates["usnet"] / rates["vmas_flocking"]).tolist(),
-            "bar": 10,
         },
     }
 
@@ -128,7 +124,7 @@ def memory() -> dict[str, object]:
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)\n"
     )
     peak = int(subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout)
-    return {"what": "peak resident bytes, 1,000 swarms of 82 UAVs", "bytes": peak, "bar": 2 * 2**30}
+    return {"what": "peak resident bytes, 1,000 swarms of 82 UAVs", "bytes": peak}
 
 
 def main() -> None:
@@ -152,11 +148,11 @@ def main() -> None:
     aside.replace(arguments.out)
     for follow, row in result["stepping"].items():
         rate = row["uav_steps_per_second"] / 1e6
-        print(f"{follow}: {rate:6.1f} M UAV-steps/s, ratio {row['ratio']:.3f} (bar {row['bar']:.2f})")
+        print(f"{follow}: {rate:6.1f} M UAV-steps/s, ratio {row['ratio']:.3f}")
     if "peers" in result:
         for name in ("over_simple_tag_v3", "over_vmas_flocking"):
-            print(f"{name}: {result['peers'][name]['ratio']:.1f} (bar {result['peers'][name]['bar']})")
-    print(f"memory: {result['memory']['bytes'] / 2**30:.2f} GiB (bar 2)")
+            print(f"{name}: {result['peers'][name]['ratio']:.1f}")
+    print(f"memory: {result['memory']['bytes'] / 2**30:.2f} GiB")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Cluster a swarm by votes for leads, find a head in each cluster, and test each against the whole swarm."""
+"""The detector ``lead-votes``: clusters by votes, a head in each cluster, and a test of each head."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.clustering import Clustering, make_clusterer
 from detectors.neural_granger import NeuralGranger
-from detectors.neural_granger.inputs import samples_of
+from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate
 from detectors.neural_granger.shared_network import Following, follow_by_shared_network
 from usnet_env.config import ArgumentError, Config, quote
@@ -22,12 +22,12 @@ from usnet_env.window import Window
 __all__ = ["LeadVotes"]
 
 _LEAST_UAVS = 3  # of a cluster in which a head can be found
-_BATCH_UAVS = 256  # UAVs whose clusters train side by side
-_ALL_SOURCES = 256  # up to so many UAVs, each may be chosen as leader; above, the candidates
+_BATCH_UAVS = 256  # UAVs of the clusters that are trained side by side
+_ALL_SOURCES = 256  # up to this number of UAVs, each can be a leader; in larger swarms, only the candidates can
 
 
 class _Arguments(Config):
-    """The plain arguments, checked."""
+    """The arguments that no other config checks."""
 
     clusterer: str | Any
     features: str | Any
@@ -41,36 +41,41 @@ class _Arguments(Config):
 
 
 class LeadVotes(Detector):
-    """Clusters by votes for leads, neural Granger causality in each cluster, and a gate over the whole swarm (P2).
+    """Clusters by votes, neural Granger causality in each cluster, and a gate over the whole swarm (P2).
 
-    A round: each UAV votes for the UAV whose past predicts it best, which gives the clusters and their number M̂; in
-    each cluster :class:`detectors.neural_granger.NeuralGranger` finds a head; the gate keeps those candidates that a
-    network shared by all UAVs finds followed. The order of the stages is that of the paper's Algorithm 2
-    (:class:`detectors.mc_gassl.McGassl`), the stages are not: there is no GRU network and no metric learning, and the
-    candidates are tested before they are destroyed.
+    In each round
 
-    Edge cases: all UAVs of a cluster of one or two are candidates for the gate; without the gate one of them is named
-    at random. If no candidate passes the gate, the one with the most followers is named, as in the game a head is
-    always left. With fewer than three living UAVs, one is named at random; with none, the answer is empty.
+    1. each UAV votes for the UAV whose past predicts it best; the votes give the clusters and their number M̂;
+    2. :class:`detectors.neural_granger.NeuralGranger` proposes a head in each cluster;
+    3. the gate keeps the proposed heads that have followers: a network shared by the whole swarm finds each UAV's
+       leader.
+
+    The order of the stages is that of the paper's Algorithm 2 (:class:`detectors.mc_gassl.McGassl`), but the stages are
+    different: there is no GRU network and no metric learning, and the candidates are tested before they are destroyed.
+
+    Edge cases: in a cluster of one or two UAVs, or of which no velocity was seen, all UAVs are proposed to the gate;
+    without the gate, one of them is named at random. If no proposed UAV passes the gate, the one with the highest score
+    is named, because at least one head is alive until the game ends. With fewer than three living UAVs, one is named at
+    random; with none, the answer is empty.
 
     Args:
         clusterer: a name of :func:`detectors.clustering.clusterers`, or an object with ``cluster(window, rng)``.
-        features: what is clustered, see :class:`detectors.clustering.Clusterer`.
-        count: M̂: a whole number, or a rule's name, see :class:`detectors.clustering.Clusterer`; ``None``: as the
-            clusterer finds it (``"lead-votes"`` and ``"hdbscan"``), ``"eigengap"`` for the others.
-        head_detector: the detector that looks at one cluster, with ``reset`` and ``detect_batch``; ``None``:
+        features: of the UAVs, see :class:`detectors.clustering.Clusterer`.
+        count: M̂: a whole number, or the name of a rule, see :class:`detectors.clustering.Clusterer`; ``None``: the
+            number that the clusterer finds (``"lead-votes"`` and ``"hdbscan"``), ``"eigengap"`` for the others.
+        head_detector: the detector for one cluster, with ``reset(seed)`` and ``detect_batch(windows)``; ``None``:
             :class:`detectors.neural_granger.NeuralGranger`.
-        gate: whether candidates are tested against the whole swarm.
-        followers: how many UAVs must be predicted best from a candidate for the gate to keep it.
-        gate_threshold: by how much at least, over their own past, as the logarithm of the errors' ratio on times that
-            were not trained on.
-        passes, gate_steps: trainings of the shared network and steps of each, see
+        gate: whether the proposed heads are tested on the whole swarm.
+        followers: the number of followers that a UAV needs to pass the gate.
+        gate_threshold: the gain that a UAV needs to count as a follower of its leader: the logarithm of the null
+            model's error divided by the network's error, on times that were not trained on.
+        passes, gate_steps: the number of trainings of the shared network and the steps of each, see
             :func:`detectors.neural_granger.shared_network.follow_by_shared_network`.
         memory: T_0.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or a window with clusters to
-            look at has no more than T_0 velocities.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is invalid, or a window has no more than T_0
+            velocities.
     """
 
     def __init__(
@@ -98,7 +103,7 @@ class LeadVotes(Detector):
         self.memory = memory
 
     def _make_clusterer(self) -> Any:
-        """The clusterer; checks every argument."""
+        """Check all arguments and return the clusterer."""
         plain = _Arguments(**{name: getattr(self, name) for name in _Arguments.model_fields})
         if self.head_detector is not None and not callable(getattr(self.head_detector, "detect_batch", None)):
             raise ArgumentError(
@@ -118,7 +123,7 @@ class LeadVotes(Detector):
         """Start an episode.
 
         Raises:
-            ArgumentError: an argument of the constructor is refused.
+            ArgumentError: an argument of the constructor is invalid.
         """
         self._make_clusterer()
         super().reset(seed)
@@ -129,10 +134,10 @@ class LeadVotes(Detector):
         """Answer one round.
 
         Returns:
-            Candidates; scores: with the gate the number of UAVs that are predicted best from each UAV plus the head
-            detector's score as a fraction below 1, else that score; clusters; leader; attention within the clusters;
-            in ``extras``: ``count`` (M̂), ``proposed`` (the candidates before the gate, ``(N,)`` bool), and ``followed``
-            ``(N,)``, how many UAVs are predicted best from each.
+            Candidates; scores: with the gate, the number of followers of each UAV plus the head detector's score,
+            scaled to a fraction below 1; without the gate, the head detector's score; clusters; leader; attention
+            within the clusters; in ``extras``: ``count`` (M̂), ``proposed`` ``(N,)`` bool, the candidates before the
+            gate, and ``followed`` ``(N,)``, the number of followers of each UAV (0 without the gate).
         """
         clusterer = self._make_clusterer()
         if not hasattr(self, "_heads"):
@@ -148,7 +153,7 @@ class LeadVotes(Detector):
         proposed, score, leader, attention = self._propose_heads(window, clustering)
         candidates = proposed
         if self.gate:
-            following = self._follow(window, clustering, proposed, score, living)
+            following = self._find_leaders(window, clustering, proposed, score, living)
             followed[living] = following.count_followers(self.gate_threshold).double().numpy()
             leader = np.full(window.uavs, -1, np.int64)
             leader[living] = living[following.leader.numpy()]
@@ -160,7 +165,11 @@ class LeadVotes(Detector):
     def _propose_heads(
         self, window: Window, clustering: Clustering
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-        """The head detector in every cluster: candidates, scores, choices ``(N,)`` and attention ``(N, N)``."""
+        """Apply the head detector to every cluster.
+
+        Returns:
+            Candidates ``(N,)``, scores ``(N,)``, leaders ``(N,)``, -1 without one, and attention ``(N, N)``.
+        """
         uavs = window.uavs
         proposed, score = np.zeros(uavs, bool), np.zeros(uavs)
         leader, attention = np.full(uavs, -1, np.int64), np.zeros((uavs, uavs))
@@ -193,7 +202,7 @@ class LeadVotes(Detector):
         chosen[self.rng.choice(np.flatnonzero(members))] = True
         return chosen
 
-    def _follow(
+    def _find_leaders(
         self,
         window: Window,
         clustering: Clustering,
@@ -201,8 +210,8 @@ class LeadVotes(Detector):
         score: NDArray[np.float64],
         living: NDArray[np.intp],
     ) -> Following:
-        """The shared network over the whole swarm: the UAV from which each living UAV is predicted best."""
-        samples = samples_of([window], [living], self.memory, torch.device("cpu"))
+        """Train the shared network on the whole swarm and find the leader of each living UAV."""
+        samples = build_samples([window], [living], self.memory, torch.device("cpu"))
         labels, named = clustering.labels[living], np.flatnonzero(proposed[living])
         head = np.arange(len(living))
         for label in range(clustering.count):
@@ -229,7 +238,7 @@ class LeadVotes(Detector):
         score: NDArray[np.float64],
         alive: NDArray[np.bool_],
     ) -> NDArray[np.bool_]:
-        """The candidates that enough UAVs follow; the best one if there are none."""
+        """Keep the proposed UAVs that have enough followers; the one with the highest score if there are none."""
         passed = proposed & (followed >= self.followers)
         if passed.any():
             return passed

@@ -97,7 +97,7 @@ def run_round(
 
 
 def detect_heads(window: Window, clustering: Clustering, gassl: Gassl, rng: np.random.Generator) -> Heads:
-    """Line 4: Algorithm 1 in every cluster; one Γ is handed through all UAVs of all clusters."""
+    """Line 4: Algorithm 1 in every cluster; one Γ is handed through all UAVs of all clusters (decision (z))."""
     uavs = window.uavs
     candidates, scores = np.zeros(uavs, bool), np.zeros(uavs)
     leader, attention = np.full(uavs, -1, np.int64), np.zeros((uavs, uavs))

@@ -1,7 +1,7 @@
 """The GRU network of §IV-A: T_0 cells of equations (26) to (29), which are not ``torch.nn.GRU``'s.
 
-The paper's numbers are counted in its source; issue and decisions count one more. The cell has no biases, the reset
-gate acts before W_h, and the first hidden state is not zero: it is where the UAV was.
+The cell has no biases, the reset gate acts before W_h, and the first hidden state is the UAV's position, not zero
+(decision (g)). Equation numbers are those of the paper's LaTeX source.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ class OnlineTraining(Config):
         metric: batches and loss.
     """
 
-    steps: Annotated[int, Field(ge=0, le=1_000_000)] = 100
+    steps: Annotated[int, Field(ge=0, le=1_000_000)] = 1
     rate: Annotated[float, Field(gt=0)] = 1.0
     metric: Metric = Metric()
 
@@ -55,8 +55,8 @@ def train_online(
         generator: where all draws come from.
 
     Returns:
-        The trained parameters, and the loss before each step. Where no triplet can be drawn (one cluster, or nobody
-        with a fellow), the parameters come back as they were and the losses are 0.
+        The trained parameters, and the loss before each step. Where no triplet can be drawn (one cluster, or
+        clusters of one UAV only), the parameters are returned unchanged and the losses are 0.
 
     Raises:
         ArgumentError: ``labels`` has another length than n.

@@ -148,7 +148,7 @@ def batch_loss(
         raise ArgumentError(f"labels must have shape ({inputs.uavs},), got {tuple(labels.shape)}.")
     batch = inputs.at(torch.randperm(inputs.times, generator=generator)[: metric.times])
     triplets = draw_triplets(metric, parameters, batch, labels, generator)
-    # The Siamese network: the same cells for the anchors, the positives and the negatives, and for nobody else.
+    # The Siamese network: the same cells for anchors, positives and negatives, and for no other UAV.
     members = torch.stack([triplets.anchor, triplets.positive, triplets.negative])
     scale = batch.position.new_tensor(metric.scale)
     features = gru(parameters, batch.position[triplets.time, members] / scale, batch.velocity[triplets.time, members])

@@ -1,4 +1,4 @@
-"""Neural Granger causality with one additive network for each candidate head, as a detector for one cluster."""
+"""The detector ``neural-granger``: one additive network for each candidate head of a single cluster."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.neural_granger.inputs import samples_of
+from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate, fit_per_candidate
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.detection import Detection
@@ -35,28 +35,32 @@ class _Arguments(Config):
 
 
 class NeuralGranger(Detector):
-    """Which UAV's past predicts the others beyond their own past? One additive network for each candidate head.
+    """Neural Granger causality: the head is the UAV whose past predicts the other UAVs better than their own past does.
 
-    Neural Granger causality (Tank, Covert, Foti, Shojaie and Fox, 2022): for each candidate a network predicts the
-    next velocity of all UAVs from the candidate's past, and is compared on held-out times with a ridge regression on
-    the UAV's own past. UAV i attends to the candidates in proportion to their likelihoods (the posterior of a mixture),
-    its own past being one of them; a candidate's score is the attention that it receives. The method grew out of
-    GASSL (see :mod:`detectors.gassl`), from which it keeps the self-supervision and the votes; it pools predictions
-    where GASSL pools inputs. Made for one cluster (P1); :meth:`detect_among` looks at a part of a swarm.
+    For each candidate a network predicts the next velocity of all other UAVs from the candidate's past. The network
+    that is best, compared with the null model, wins; the null model is a ridge regression on the UAV's own past.
+    Then the winner's network predicts each UAV i from the past of each other UAV j, and i attends to j in proportion to
+    the likelihood of its flight; to itself by the likelihood of the null model. The score of a UAV is the attention
+    that it receives. Made for one cluster (P1); :meth:`detect_among` takes a part of a swarm.
+
+    The idea is that of Tank, Covert, Foti, Shojaie and Fox, "Neural Granger causality", IEEE Transactions on Pattern
+    Analysis and Machine Intelligence 44(8), 2022. The training on the observed window itself and the votes are those of
+    the paper's GASSL (:mod:`detectors.gassl`), which pools inputs; this detector pools predictions.
 
     Args:
         top_k: the number of candidates.
-        gate: whether the answer is empty where no UAV seems to be followed. Without it the best guess is named.
-        gate_threshold: how much better than by its own past the second best of a candidate's followers must be
-            predicted on held-out times, as the logarithm of the errors' ratio (a head has two followers or more).
+        gate: whether the answer is empty if no UAV seems to be followed. Without the gate, ``top_k`` UAVs are named in
+            every window.
+        gate_threshold: the gain that at least two UAVs must have from the best candidate for the gate to open. A gain
+            is the logarithm of the null model's error divided by the network's error, on held-out times.
         device: ``"cpu"``, ``"cuda"`` or ``"auto"`` (a GPU if there is one).
         memory: T_0.
-        steps, times, voters, units, learning_rate, weight_decay, input_noise, blocks, ridge, floor: of training; see
-            :class:`detectors.neural_granger.per_candidate.PerCandidate`. ``None``: its default.
+        steps, times, voters, units, learning_rate, weight_decay, input_noise, blocks, ridge, floor: settings of the
+            training, see :class:`detectors.neural_granger.per_candidate.PerCandidate`; ``None`` for the default.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, the device is not there, or the
-            window has fewer than 3 UAVs, no UAV that was seen, or no more than T_0 velocities.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is invalid, the device does not exist, or the
+            window has fewer than 3 UAVs, no visible living UAV, or no more than T_0 velocities.
     """
 
     side_by_side: ClassVar[bool] = True
@@ -96,52 +100,53 @@ class NeuralGranger(Detector):
         self.floor = floor
 
     def settings(self) -> PerCandidate:
-        """The settings of training; checks every argument.
+        """Check all arguments and return the settings of the training.
 
         Raises:
-            ArgumentError: an argument is refused.
+            ArgumentError: an argument is invalid.
         """
         _Arguments(**{name: getattr(self, name) for name in _Arguments.model_fields})
         names = PerCandidate.model_fields
         return PerCandidate(**{name: getattr(self, name) for name in names if getattr(self, name) is not None})
 
-    def _device(self) -> torch.device:
+    def _resolve_device(self) -> torch.device:
         if self.device == "auto":
             return torch.device("cuda" if torch.cuda.is_available() else "cpu")
         if self.device not in ("cpu", "cuda"):
             raise ArgumentError(f"device must be 'cpu', 'cuda' or 'auto', got {quote(self.device)}.")
         if self.device == "cuda" and not torch.cuda.is_available():
-            raise ArgumentError("device must be one that is there ('cpu' or 'auto'), got 'cuda' without a GPU.")
+            raise ArgumentError("device must be 'cpu' or 'auto' on a machine without a GPU, got 'cuda'.")
         return torch.device(self.device)
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode.
 
         Raises:
-            ArgumentError: an argument of the constructor is refused.
+            ArgumentError: an argument of the constructor is invalid.
         """
         self.settings()
-        self._device()
+        self._resolve_device()
         super().reset(seed)
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
 
         Returns:
-            Candidates (``top_k`` of them; none if the gate closes), scores (the attention that a UAV receives, divided
-            by n), ``leader`` (the other UAV that each UAV attends to most), attention alpha, and in ``extras``:
-            ``choice`` ``(N,)``, with a UAV's own index where it attends to its own past most; ``explained`` ``(N,)``,
-            the share of the squared velocity that the fit explains on held-out times; ``gain`` ``(N,)``, the held-out
-            evidence that each UAV is followed (what the gate looks at); ``followed`` (bool), whether the gate opens.
+            Candidates (``top_k`` of them; none if the gate is closed), scores (the attention that a UAV receives from
+            the others, divided by the number n of living UAVs), ``leader`` (the other UAV to which each UAV attends
+            most), attention alpha, and in ``extras``: ``choice`` ``(N,)``, as ``leader``, but a UAV's own index if it
+            attends most to its own past; ``explained`` ``(N,)``, the fraction of the squared velocity that the fit
+            explains on held-out times; ``gain`` ``(N,)``, the second largest gain that other UAVs have from each UAV,
+            which the gate compares with ``gate_threshold``; ``followed`` (bool), whether it reaches the threshold.
         """
         return self.detect_batch([window])[0]
 
     def detect_among(self, window: Window, members: NDArray[np.bool_]) -> Detection:
-        """Look at a part of the swarm only; the other UAVs are taken as absent.
+        """Name the candidates of a part of the swarm, as if the other UAVs were absent.
 
         Args:
-            window: the whole swarm's.
-            members: ``(N,)`` bool.
+            window: of the whole swarm.
+            members: ``(N,)`` bool, the UAVs of the part.
         """
         mask = np.asarray(members)
         if mask.shape != (window.uavs,) or mask.dtype != bool:
@@ -150,18 +155,18 @@ class NeuralGranger(Detector):
         return self.detect(part)
 
     def detect_batch(self, windows: Sequence[Window]) -> list[Detection]:
-        """Train on several windows side by side: much faster for small swarms than one after another.
+        """Train on several windows side by side, which is much faster for small swarms than one after another.
 
-        Windows with equal T_ob and equally many living UAVs share a batch. The draws of a batch come from one
-        generator, so an answer depends on what it is batched with.
+        Windows with equal T_ob and equal numbers of living UAVs share a batch. All random numbers of a batch come from
+        one generator, so the answer for a window depends on the batch that it is in.
         """
         settings = self.settings()
-        device = self._device()
+        device = self._resolve_device()
         rng = getattr(self, "rng", None) or np.random.default_rng()
         groups: dict[tuple[int, int], list[int]] = {}
         members = []
         for number, window in enumerate(windows):
-            index = self._members(window)
+            index = self._select_members(window)
             members.append(index)
             groups.setdefault((len(index), window.observation_steps), []).append(number)
         answers: dict[int, Detection] = {}
@@ -169,14 +174,17 @@ class NeuralGranger(Detector):
             chosen = [windows[number] for number in numbers]
             among = [members[number] for number in numbers]
             if count < _LEAST_UAVS:
-                found = [self._too_few(window, index, rng) for window, index in zip(chosen, among, strict=True)]
+                found = [
+                    self._answer_without_evidence(window, index, rng)
+                    for window, index in zip(chosen, among, strict=True)
+                ]
             else:
-                found = self._fit(chosen, among, settings, device, rng)
+                found = self._fit_group(chosen, among, settings, device, rng)
             answers.update(zip(numbers, found, strict=True))
         return [answers[number] for number in range(len(windows))]
 
-    def _members(self, window: Window) -> NDArray[np.intp]:
-        """Indices of the UAVs that can be looked at."""
+    def _select_members(self, window: Window) -> NDArray[np.intp]:
+        """Check the window and return the indices of its living UAVs."""
         if window.uavs < _LEAST_UAVS:
             raise ArgumentError(f"window must hold at least {_LEAST_UAVS} UAVs, got {window.uavs}.")
         if window.observation_steps <= self.memory:
@@ -184,16 +192,16 @@ class NeuralGranger(Detector):
                 f"window must hold more than memory = {self.memory} velocities, got {window.observation_steps}."
             )
         if not window.velocity_seen.any():
-            raise ArgumentError("window must show at least one UAV that lives, got one in which all are masked.")
+            raise ArgumentError("window must show at least one living UAV, got one in which all samples are masked.")
         return np.flatnonzero(window.alive)
 
-    def _too_few(self, window: Window, index: NDArray[np.intp], rng: np.random.Generator) -> Detection:
-        """One or two UAVs hold no evidence: one of them is named at random, decision (x)."""
+    def _answer_without_evidence(self, window: Window, index: NDArray[np.intp], rng: np.random.Generator) -> Detection:
+        """One or two UAVs give no evidence: ``top_k`` of them are named at random, decision (x)."""
         candidates = np.zeros(window.uavs, bool)
         candidates[rng.permutation(index)[: self.top_k]] = not self.gate
         return Detection(candidates=candidates, scores=np.zeros(window.uavs), extras={"followed": False})
 
-    def _fit(
+    def _fit_group(
         self,
         windows: list[Window],
         members: list[NDArray[np.intp]],
@@ -201,7 +209,7 @@ class NeuralGranger(Detector):
         device: torch.device,
         rng: np.random.Generator,
     ) -> list[Detection]:
-        samples = samples_of(windows, members, self.memory, device)
+        samples = build_samples(windows, members, self.memory, device)
         generator = torch.Generator(device).manual_seed(int(rng.integers(2**63)))
         fit = fit_per_candidate(samples, settings, generator)
         attention = fit.attention.double()
@@ -213,17 +221,11 @@ class NeuralGranger(Detector):
             explained = fit.explained[e].double().cpu().numpy()
             whole.append({"gain": gain, "followed": followed, "explained": explained})
         return [
-            self._answer(
-                window,
-                index,
-                attention[e].cpu().numpy(),
-                whole[e],
-                rng,
-            )
+            self._make_detection(window, index, attention[e].cpu().numpy(), whole[e], rng)
             for e, (window, index) in enumerate(zip(windows, members, strict=True))
         ]
 
-    def _answer(
+    def _make_detection(
         self,
         window: Window,
         index: NDArray[np.intp],
@@ -231,7 +233,7 @@ class NeuralGranger(Detector):
         extras: dict[str, Any],
         rng: np.random.Generator,
     ) -> Detection:
-        """Votes of the n UAVs looked at, written out for all N of the window."""
+        """Turn the attention ``(n, n)`` of the living UAVs into a detection for all N UAVs of the window."""
         uavs = window.uavs
         choice, own = _choose(attention, False, rng), _choose(attention, True, rng)
         c = attention.copy()
@@ -244,20 +246,20 @@ class NeuralGranger(Detector):
         leader, chosen = np.full(uavs, -1, np.int64), np.full(uavs, -1, np.int64)
         leader[index], chosen[index] = index[own], index[choice]
         spread = {
-            name: _spread(value, index, uavs) if isinstance(value, np.ndarray) else value
+            name: _expand(value, index, uavs) if isinstance(value, np.ndarray) else value
             for name, value in extras.items()
         }
         return Detection(
             candidates=candidates,
             scores=scores,
             leader=leader,
-            attention=_spread(attention, index, uavs),
+            attention=_expand(attention, index, uavs),
             extras={"choice": chosen, **spread},
         )
 
 
-def _spread(values: Floats, index: NDArray[np.intp], uavs: int) -> Floats:
-    """``(n,)`` or ``(..., n, n)`` written out for all N UAVs, 0 elsewhere."""
+def _expand(values: Floats, index: NDArray[np.intp], uavs: int) -> Floats:
+    """Expand ``(n,)`` or ``(..., n, n)`` from the living UAVs to all N UAVs, with 0 elsewhere."""
     if values.ndim == 1:
         wide = np.zeros(uavs)
         wide[index] = values

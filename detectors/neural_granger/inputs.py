@@ -1,4 +1,4 @@
-"""What the networks learn from: lagged velocities and positions at every time, for a batch of windows of equal size."""
+"""Inputs and targets of the networks: lagged velocities and positions for a batch of windows of equal size."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import Tensor
 from detectors.series.gaps import fill_with_nearest
 from usnet_env.window import Window
 
-__all__ = ["Samples", "samples_of"]
+__all__ = ["Samples", "build_samples"]
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Samples:
 
     Args:
         velocity: ``(E, n, R, T_0, 3)`` metres per step, V_{i,t}: v_{i,t}, ..., v_{i,t-T_0+1}; 0 where unseen.
-        position: ``(E, n, R, 3)`` metres, p_{i,t-T_0+1}; where unseen, the nearest seen one in time.
+        position: ``(E, n, R, 3)`` metres, p_{i,t-T_0+1}; where unseen, the seen position that is nearest in time.
         position_now: ``(E, n, R, 3)`` metres, p_{i,t}, filled in the same way.
         target: ``(E, n, R, 3)`` metres per step, v_{i,t+1}; 0 where unseen.
         weight: ``(E, n, R)``, 1 where the target was seen.
@@ -50,16 +50,16 @@ class Samples:
         return int(self.target.shape[2])
 
 
-def samples_of(
+def build_samples(
     windows: Sequence[Window], members: Sequence[NDArray[np.intp]], memory: int, device: torch.device
 ) -> Samples:
-    """Samples of some UAVs of each window.
+    """Build the samples of some UAVs of each window.
 
     Args:
         windows: E windows of one T_ob.
         members: for each window the indices of the UAVs to use, n of them.
         memory: T_0.
-        device: where the tensors go.
+        device: of the tensors.
     """
     stacked: list[list[NDArray[np.float32]]] = []
     for window, index in zip(windows, members, strict=True):

@@ -1,16 +1,18 @@
-"""Pooling of predictions: attention weighs what the IFSN predicts from each candidate's window, not the windows.
+"""One network for each candidate head, and attention from how well each network predicts each UAV.
 
-The paper pools inputs: v̂ is an average of all UAVs' velocities, and a soft average of velocities destroys the squares
-of f4 and f5 before the IFSN sees them. Here the IFSN predicts UAV i from the window of each candidate j apart, and UAV
-i attends to the candidates in proportion to how well that went. Attention that does not vary with time has a closed
-form then: alpha_ij is the softmax of the log-likelihoods of i's flight under the candidates, its own history being the
-candidate for "nobody".
+The paper's GASSL pools inputs: its attention averages the velocities of all UAVs, and one network predicts from the
+average. An average of velocities no longer contains the squares that f4 and f5 need. Here each candidate j has a
+network of its own, which predicts all other UAVs from the past of j alone. The null model predicts a UAV from its own
+past.
 
-Training starts once from every candidate (all UAVs attend to j, which trains IFSN Γ_j), for all candidates at once.
-The IFSN is additive over the coordinates of the candidate's window: with some hundred samples the shape of the
-network, not attention, decides what it can learn. A start is judged by how much better than their own histories it
-predicts the UAVs, on the times that it was trained on and, counting twice, on those that it was not; for the gate on
-times held out, with gaps around them.
+All networks are trained at the same time. They are additive over the coordinates of the candidate's past, because a
+window has only about a hundred samples. The candidate whose network predicts the other UAVs best, compared with the
+null model, is the winner: times that the network was trained on count once, all other times twice. The gate looks at
+held-out times only, with gaps around them.
+
+The winner's network is then applied to the past of every UAV, as all followers use the same strategy. Attention that
+does not vary with time has a closed form: alpha_ij is the softmax over j of the log-likelihoods of the flight of UAV i,
+with the null model in the place of j = i.
 """
 
 from __future__ import annotations
@@ -30,10 +32,10 @@ __all__ = [
     "Fit",
     "PerCandidate",
     "Problem",
+    "compute_weighted_mean",
+    "find_untrained_times",
     "fit_per_candidate",
-    "held_out_times",
-    "other_times",
-    "weighted_mean",
+    "split_times",
 ]
 
 Positive = Annotated[float, Field(gt=0)]
@@ -50,15 +52,15 @@ class PerCandidate(Config):
     Args:
         steps: training steps.
         times: random times a step.
-        voters: random UAVs a step whose flight each candidate's network must predict.
-        units: tanh units for each coordinate of the candidate's window.
-        learning_rate: AdamW's, falling to 0 as a cosine.
-        weight_decay: of all weights but biases, the null's gain and the output's scale.
-        input_noise: standard deviation of the noise on a candidate's velocities, as a share of what its own history
-            does not predict of them (so that smooth flight is not drowned).
+        voters: random UAVs a step that each candidate's network must predict.
+        units: tanh units for each coordinate of the candidate's past.
+        learning_rate: of AdamW; a cosine schedule lowers it to 0.
+        weight_decay: of all weights except biases, the gain of the null model and the scale of the output.
+        input_noise: standard deviation of the noise on a candidate's velocities, as a fraction of the root mean
+            square error of its null model (so that the noise stays small for smooth flight).
         blocks: contiguous blocks of times that are held out, a fifth of all times, with gaps of T_0 on both sides.
-        ridge: penalty of the null, the ridge regression of a UAV on its own history.
-        floor: squared error, in (metres per step)², below which nothing is gained.
+        ridge: penalty of the null model, a ridge regression of a UAV's velocity on its own past.
+        floor: squared error, in (metres per step)², that is added to all errors before their logarithm is taken.
     """
 
     steps: Annotated[int, Field(ge=1, le=100_000)] = 200
@@ -75,17 +77,18 @@ class PerCandidate(Config):
 
 @dataclass(frozen=True)
 class Fit:
-    """What training gives, for E windows of n UAVs.
+    """The result of training, for E windows of n UAVs.
 
     Args:
-        trained_gain: ``(E, n, n)`` entry (i, j): log ratio of the null's error to that of candidate j's own network
-            on UAV i, on the times of training.
-        held_out_gain: the same on the times held out.
-        attention: ``(E, n, n)`` alpha, row i; the diagonal is the weight of i's own history, the null.
-        log_likelihood: ``(E, n, n)`` of UAV i's flight from candidate j's window by the winning network; the diagonal
-            is the null's.
-        winner: ``(E,)`` the start whose network predicts best.
-        explained: ``(E, n)`` share of the held-out squared velocity that UAV i's most attended candidate explains.
+        trained_gain: ``(E, n, n)`` entry (i, j): logarithm of the null model's error for UAV i, divided by the error of
+            candidate j's network for UAV i, on the training times.
+        held_out_gain: the same on the held-out times.
+        attention: ``(E, n, n)`` entry (i, j): alpha_ij; the diagonal is the weight of the null model.
+        log_likelihood: ``(E, n, n)`` entry (i, j): of the flight of UAV i when the winner's network predicts it from
+            the past of candidate j; the diagonal is that of the null model.
+        winner: ``(E,)`` the candidate whose network predicts best.
+        explained: ``(E, n)`` fraction of the squared velocity of UAV i that is explained on held-out times by the
+            candidate to which i attends most.
     """
 
     trained_gain: Tensor
@@ -97,10 +100,11 @@ class Fit:
 
 
 class AdditiveNetwork:
-    """S additive IFSNs side by side: each coordinate of the source's window has a learned basis of its own.
+    """S additive networks side by side; each coordinate of the source's past has its own hidden units.
 
-    o = sum_c B_c tanh(w_c u_c + b_c) + A u + C [(p_j - p_i) / 300, its direction] + D null_i + b, and the prediction
-    is o / sqrt(|o|² + e^c): between o itself, small where little is known, and a unit vector.
+    For the past u of source j, o = sum_c B_c tanh(w_c u_c + b_c) + A u + C [(p_j - p_i) / 300, its direction]
+    + D null_i + b, where null_i is the prediction of the null model. The network predicts o / sqrt(|o|² + e^s), which
+    is close to a unit vector where o is large, and close to a multiple of o where o is small.
     """
 
     def __init__(self, networks: int, coordinates: int, units: int, generator: torch.Generator) -> None:
@@ -124,42 +128,42 @@ class AdditiveNetwork:
         for parameter in (*self.weights, *self.free):
             parameter.requires_grad_(True)
 
-    def rows(self, index: Tensor) -> AdditiveNetwork:
-        """Some of the networks, without gradient."""
+    def select(self, index: Tensor) -> AdditiveNetwork:
+        """Copy some of the networks, without gradient."""
         some = object.__new__(AdditiveNetwork)
         some.weights = [parameter.detach()[index] for parameter in self.weights]
         some.free = [parameter.detach()[index] for parameter in self.free]
         return some
 
-    def copies(self, count: int) -> AdditiveNetwork:
-        """``count`` times the only network, whose gradients add up."""
+    def repeat(self, count: int) -> AdditiveNetwork:
+        """Repeat the only network ``count`` times; the gradients of the copies add up."""
         same = object.__new__(AdditiveNetwork)
         same.weights = [parameter.expand(count, *parameter.shape[1:]) for parameter in self.weights]
         same.free = [parameter.expand(count, *parameter.shape[1:]) for parameter in self.free]
         return same
 
-    def optimiser(self, settings: PerCandidate) -> torch.optim.AdamW:
-        """AdamW on its parameters, decay only where it belongs."""
+    def make_optimiser(self, settings: PerCandidate) -> torch.optim.AdamW:
+        """AdamW for all parameters, with weight decay for ``weights`` only."""
         groups = [
             {"params": self.weights, "weight_decay": settings.weight_decay},
             {"params": self.free, "weight_decay": 0.0},
         ]
         return torch.optim.AdamW(groups, lr=settings.learning_rate)
 
-    def from_source(self, window: Tensor) -> Tensor:
-        """The part that depends on the source alone: ``(S, t, C)`` to ``(S, t, 3)``."""
+    def encode_source(self, window: Tensor) -> Tensor:
+        """Compute the terms that depend on the source alone: ``(S, t, C)`` to ``(S, t, 3)``."""
         slope, readout, linear, _ = self.weights
         shift, bias, _, _ = self.free
         hidden = torch.tanh(window.unsqueeze(-1) * slope.unsqueeze(1) + shift.unsqueeze(1)).flatten(2)
         return torch.baddbmm(torch.baddbmm(bias, hidden, readout), window, linear)
 
     def predict(self, source: Tensor, offset: Tensor, null: Tensor) -> Tensor:
-        """Predictions ``(S, v, t, 3)`` of v UAVs.
+        """Predict the velocities ``(S, v, t, 3)`` of v UAVs.
 
         Args:
-            source: ``(S, t, 3)`` from :meth:`from_source`.
+            source: ``(S, t, 3)`` from :meth:`encode_source`.
             offset: ``(S, v, t, 3)`` p_j - p_i, metres.
-            null: ``(S, v, t, 3)`` what each UAV's own history predicts.
+            null: ``(S, v, t, 3)`` predictions of the null model.
         """
         networks, voters, times, _ = offset.shape
         distance = offset.norm(dim=-1, keepdim=True)
@@ -170,23 +174,33 @@ class AdditiveNetwork:
         return output * torch.rsqrt((output * output).sum(-1, keepdim=True) + self.free[3].exp().unsqueeze(1))
 
 
-def held_out_times(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Indices of the times to train on, and of those held out: a fifth of all, in blocks with gaps on both sides.
+def split_times(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Split the times into training times and held-out times.
 
-    In a window in which that would leave less than a third of the times for training there are fewer blocks, and
-    longer ones, as every block costs two gaps; where even one block costs too much, there are no gaps.
+    A fifth of all times is held out, in evenly spread blocks with gaps on both sides. If less than a third of the times
+    would remain for training, there are fewer and longer blocks, because every block costs two gaps. If even one block
+    leaves too few times, there are no gaps.
+
+    Args:
+        times: R, the number of times.
+        blocks: held-out blocks.
+        gap: times on each side of a block that are neither trained on nor held out.
+        device: of the result.
+
+    Returns:
+        Indices of the training times and of the held-out times.
     """
     for fewer in range(min(blocks, times), 0, -1):
-        held, near = _blocks(times, fewer, gap, device)
+        held, near = _mark_blocks(times, fewer, gap, device)
         if (~near).sum() >= max(1, times // 3):
             return (~near).nonzero()[:, 0], held.nonzero()[:, 0]
-    held, _ = _blocks(times, 1, gap, device)
+    held, _ = _mark_blocks(times, 1, gap, device)
     used = ~held if times > 1 else held
     return used.nonzero()[:, 0], held.nonzero()[:, 0]
 
 
-def _blocks(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Which times lie in evenly spread blocks, a fifth of all together, and which in a block or its gaps."""
+def _mark_blocks(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Masks of the times in evenly spread blocks, a fifth of all times together, and in the blocks or their gaps."""
     held = torch.zeros(times, dtype=torch.bool, device=device)
     near = torch.zeros(times, dtype=torch.bool, device=device)
     length = max(1, times // (5 * blocks))
@@ -197,15 +211,19 @@ def _blocks(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Te
     return held, near
 
 
-def other_times(used: Tensor, times: int) -> Tensor:
-    """Indices of the times that are not trained on; all of them where none is left."""
+def find_untrained_times(used: Tensor, times: int) -> Tensor:
+    """Indices of the times that are not training times; of all times if there are no others."""
     rest = torch.ones(times, dtype=torch.bool, device=used.device)
     rest[used] = False
     return (rest if rest.any() else ~rest).nonzero()[:, 0]
 
 
-def own_history(samples: Samples, ridge: float, folds: int = 8) -> Tensor:
-    """The null: each UAV's next velocity from its own last ones, ``(E, n, R, 3)``, by cross-fitted ridge regression."""
+def predict_from_own_history(samples: Samples, ridge: float, folds: int = 8) -> Tensor:
+    """Predict each UAV's next velocity from its own last velocities: the null model, ``(E, n, R, 3)``.
+
+    A ridge regression that is cross-fitted: the times of a fold are predicted by a fit to the other folds, without the
+    T_0 times on each side of the fold.
+    """
     windows, uavs, times = samples.windows, samples.uavs, samples.times
     features = _VELOCITY_SCALE * samples.velocity.flatten(3)
     features = torch.cat([features, torch.ones_like(features[..., :1])], dim=-1)
@@ -226,16 +244,16 @@ def own_history(samples: Samples, ridge: float, folds: int = 8) -> Tensor:
     return prediction.view(windows, uavs, times, 3)
 
 
-def weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
-    """Mean over the last axis with weights; 0 where all weights are 0."""
+def compute_weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
+    """Mean over the last axis; 0 where all weights are 0."""
     return (values * weight).sum(-1) / weight.sum(-1).clamp(min=1.0)
 
 
-def _centred(velocity: Tensor) -> Tensor:
-    """Velocities ``(E, n, R, T_0, 3)`` less each UAV's mean; 0 where unseen.
+def _centre(velocity: Tensor) -> Tensor:
+    """Subtract each UAV's mean velocity from its velocities ``(E, n, R, T_0, 3)``; 0 where unseen.
 
-    The network's biases can undo it. Without it, the small turns of a UAV that flies nearly straight are hard to tell
-    from its mean flight, which weights are then busy with.
+    This loses nothing, as the network has biases. A UAV that flies nearly straight turns little, and without this step
+    its mean velocity would dominate the inputs.
     """
     seen = (velocity != 0).any(-1, keepdim=True)
     mean = velocity.sum((2, 3), keepdim=True) / seen.sum((2, 3), keepdim=True).clamp(min=1)
@@ -243,26 +261,26 @@ def _centred(velocity: Tensor) -> Tensor:
 
 
 class Problem:
-    """The tensors of one fit, and errors of pairs from them.
+    """The tensors of one fit, and the prediction errors of pairs of UAVs.
 
     Args:
         samples: E windows of n UAVs.
         settings: sizes and rates.
-        centre: whether sources are looked at without their mean velocities, which biases make up for where a network
-            has one source to learn from; a network of several sources needs the means.
+        centre: whether the mean velocity of each source is subtracted. A network with one source replaces the mean by
+            its biases; a network with several sources needs the means.
     """
 
     def __init__(self, samples: Samples, settings: PerCandidate, centre: bool = True) -> None:
         self.samples, self.settings = samples, settings
-        self.null = own_history(samples, settings.ridge)
+        self.null = predict_from_own_history(samples, settings.ridge)
         self.null_error = ((self.null - samples.target) ** 2).sum(-1)  # (E, n, R)
         windows, uavs, times = samples.windows, samples.uavs, samples.times
-        velocity = _centred(samples.velocity) if centre else samples.velocity
+        velocity = _centre(samples.velocity) if centre else samples.velocity
         self.source = _VELOCITY_SCALE * velocity.reshape(windows * uavs, times, -1)
-        surprise = (weighted_mean(self.null_error, samples.weight) / 3.0).sqrt()
+        surprise = (compute_weighted_mean(self.null_error, samples.weight) / 3.0).sqrt()
         self.noise = (settings.input_noise * _VELOCITY_SCALE * surprise).reshape(-1, 1, 1)
 
-    def errors(
+    def compute_errors(
         self,
         network: AdditiveNetwork,
         columns: Tensor,
@@ -270,14 +288,14 @@ class Problem:
         times: Tensor,
         generator: torch.Generator | None = None,
     ) -> Tensor:
-        """Squared errors ``(E, c, v, t)`` of predicting the voters from the columns, one network a row of (E, c).
+        """Squared errors ``(E, c, v, t)`` of predicting the voters from the columns, with E * c networks.
 
         Args:
             network: E * c networks.
             columns: ``(c,)`` or ``(E, c)`` indices of the sources.
             voters: ``(v,)`` indices of the predicted UAVs.
             times: ``(t,)`` indices of times.
-            generator: noise on the sources comes from it; none for ``None``.
+            generator: of the noise on the sources; ``None`` for no noise.
         """
         samples, windows, uavs = self.samples, self.samples.windows, self.samples.uavs
         columns = columns.expand(windows, -1) if columns.dim() == 1 else columns
@@ -291,73 +309,73 @@ class Problem:
         own = samples.position_now[:, voters][:, :, times].unsqueeze(1)
         offset = (theirs - own).reshape(windows * count, *shape)
         null = self.null[:, voters][:, :, times].unsqueeze(1).expand(windows, count, *shape)
-        predicted = network.predict(network.from_source(source), offset, null.reshape(windows * count, *shape))
+        predicted = network.predict(network.encode_source(source), offset, null.reshape(windows * count, *shape))
         target = samples.target[:, voters][:, :, times].unsqueeze(1)
         return ((predicted.view(windows, count, *shape) - target) ** 2).sum(-1)
 
 
 def fit_per_candidate(samples: Samples, settings: PerCandidate, generator: torch.Generator) -> Fit:
-    """Train a network from every candidate, take the best start, and attend by it.
+    """Train a network for every candidate, select the winner, and compute attention with the winner's network.
 
     Args:
         samples: E windows of n UAVs.
         settings: sizes and rates.
-        generator: where all draws come from; its device is the samples'.
+        generator: of all random numbers; on the same device as the samples.
     """
     windows, uavs = samples.windows, samples.uavs
     device = samples.target.device
     problem = Problem(samples, settings)
-    used, held = held_out_times(samples.times, settings.blocks, samples.velocity.shape[3], device)
+    used, held = split_times(samples.times, settings.blocks, samples.velocity.shape[3], device)
     network = AdditiveNetwork(windows * uavs, problem.source.shape[2], settings.units, generator)
     _train(problem, network, used, generator)
 
-    everyone = torch.arange(uavs, device=device)
+    all_uavs = torch.arange(uavs, device=device)
     with torch.no_grad():
         gains = []
-        for times in (used, held, other_times(used, samples.times)):
+        for times in (used, held, find_untrained_times(used, samples.times)):
             weight = samples.weight[:, :, times]
-            null = weighted_mean(problem.null_error[:, :, times], weight)
-            errors = all_errors(problem, network, everyone, times)
+            null = compute_weighted_mean(problem.null_error[:, :, times], weight)
+            errors = compute_all_errors(problem, network, all_uavs, times)
             gains.append(torch.log((null.unsqueeze(2) + settings.floor) / (errors + settings.floor)))
         trained, held_out, untrained = gains
         for gain in gains:
             gain.diagonal(dim1=1, dim2=2).zero_()
             gain.mul_((samples.weight.sum(-1) > 0).unsqueeze(2))
-        # All times together, UAV by UAV: who is fitted well and predicted badly adds nothing. Times that were not
-        # trained on, the gaps among them, tell more (measured on nearly straight flight).
+        # Gains are added before they are clamped, so a UAV that is fitted well and predicted badly adds nothing. The
+        # other times, which include the gaps, are the stronger evidence (measured on nearly straight flight).
         better = (trained + 2.0 * untrained).clamp(min=0).sum(1)
-        ties = better == better.max(1, keepdim=True).values  # all of them where no start beats the null
+        ties = better == better.max(1, keepdim=True).values  # all candidates if none beats the null model
         winner = (ties * (1.0 - torch.rand(ties.shape, generator=generator, device=device))).argmax(1)
         likelihood, explained = _attend(problem, network, winner, held)
     return Fit(trained, held_out, torch.softmax(likelihood, dim=2), likelihood, winner, explained)
 
 
 def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: torch.Generator) -> None:
-    """Every candidate's network learns to predict the others; errors count by their logarithm.
+    """Train every candidate's network to predict the other UAVs; the loss is the mean logarithm of the UAVs' errors.
 
-    The logarithm of a UAV's mean error is its Gaussian likelihood with a variance of its own: a UAV that nobody can
-    predict (a decoy) then weighs no more than the others.
+    The logarithm of a UAV's mean error is a Gaussian log-likelihood in which each UAV has its own variance. A UAV that
+    no network can predict, such as a decoy, then has no more weight than the others.
     """
     settings, samples = problem.settings, problem.samples
     device = samples.target.device
-    optimiser = network.optimiser(settings)
+    optimiser = network.make_optimiser(settings)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
     columns = torch.arange(samples.uavs, device=device)
     for _ in range(settings.steps):
         times = used[torch.randperm(len(used), generator=generator, device=device)[: settings.times]]
         voters = torch.randperm(samples.uavs, generator=generator, device=device)[: settings.voters]
-        errors = problem.errors(network, columns, voters, times, generator)
+        errors = problem.compute_errors(network, columns, voters, times, generator)
         weight = samples.weight[:, voters][:, :, times].unsqueeze(1)
         others = (columns[:, None] != voters[None]) & (weight.sum(-1) > 0)
-        loss = (torch.log(weighted_mean(errors, weight) + settings.floor) * others).sum() / len(voters)
+        loss = (torch.log(compute_weighted_mean(errors, weight) + settings.floor) * others).sum() / len(voters)
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         optimiser.step()
         schedule.step()
 
 
-def all_errors(problem: Problem, network: AdditiveNetwork, voters: Tensor, times: Tensor) -> Tensor:
-    """Mean squared error ``(E, n, n)``, entry (i, j): UAV i from candidate j by j's own network; in bounded memory."""
+def compute_all_errors(problem: Problem, network: AdditiveNetwork, voters: Tensor, times: Tensor) -> Tensor:
+    """Mean squared errors ``(E, n, n)`` in bounded memory; entry (i, j): of UAV i, by the network of candidate j."""
     samples = problem.samples
     windows, uavs = samples.windows, samples.uavs
     step = max(1, _CHUNK_ENTRIES // max(1, windows * uavs * len(times) * 3))
@@ -366,15 +384,17 @@ def all_errors(problem: Problem, network: AdditiveNetwork, voters: Tensor, times
     for first in range(0, uavs, step):
         columns = torch.arange(first, min(first + step, uavs), device=times.device)
         rows = (torch.arange(windows, device=times.device)[:, None] * uavs + columns).reshape(-1)
-        parts.append(weighted_mean(problem.errors(network.rows(rows), columns, voters, times), weight))
+        parts.append(
+            compute_weighted_mean(problem.compute_errors(network.select(rows), columns, voters, times), weight)
+        )
     return torch.cat(parts, dim=1).transpose(1, 2)
 
 
 def _attend(problem: Problem, network: AdditiveNetwork, winner: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
-    """Log-likelihoods ``(E, n, n)`` of all pairs under the winning network, and the explained shares ``(E, n)``."""
+    """Log-likelihoods ``(E, n, n)`` of all pairs by the winner's network, and the explained fractions ``(E, n)``."""
     samples, floor = problem.samples, problem.settings.floor
     windows, uavs, device = samples.windows, samples.uavs, winner.device
-    everyone = torch.arange(uavs, device=device)
+    all_uavs = torch.arange(uavs, device=device)
     all_times = torch.arange(samples.times, device=device)
     rows = torch.arange(windows, device=device) * uavs + winner
 
@@ -382,21 +402,23 @@ def _attend(problem: Problem, network: AdditiveNetwork, winner: Tensor, held: Te
         step = max(1, _CHUNK_ENTRIES // max(1, windows * uavs * len(times) * 3))
         parts = []
         for first in range(0, uavs, step):
-            columns = everyone[first : first + step]
+            columns = all_uavs[first : first + step]
             weight = samples.weight[:, :, times].unsqueeze(1)
-            errors = problem.errors(network.rows(rows.repeat_interleave(len(columns))), columns, everyone, times)
-            parts.append(weighted_mean(errors, weight))
+            errors = problem.compute_errors(
+                network.select(rows.repeat_interleave(len(columns))), columns, all_uavs, times
+            )
+            parts.append(compute_weighted_mean(errors, weight))
         return torch.cat(parts, dim=1).transpose(1, 2)
 
     error = shared(all_times)
-    null = weighted_mean(problem.null_error, samples.weight)
+    null = compute_weighted_mean(problem.null_error, samples.weight)
     error.diagonal(dim1=1, dim2=2).copy_(null)
     seen = samples.weight.sum(-1)
     likelihood = -1.5 * seen.unsqueeze(2) * torch.log(error + floor)
     choice = likelihood.argmax(2)
     weight = samples.weight[:, :, held]
     left = shared(held)
-    left.diagonal(dim1=1, dim2=2).copy_(weighted_mean(problem.null_error[:, :, held], weight))
-    power = weighted_mean((samples.target[:, :, held] ** 2).sum(-1), weight)
+    left.diagonal(dim1=1, dim2=2).copy_(compute_weighted_mean(problem.null_error[:, :, held], weight))
+    power = compute_weighted_mean((samples.target[:, :, held] ** 2).sum(-1), weight)
     chosen = left.gather(2, choice.unsqueeze(2)).squeeze(2)
     return likelihood, 1.0 - chosen / power.clamp(min=1e-12)

@@ -6,12 +6,36 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from usnet_env import ArgumentError
-from usnet_env.reproduce import detection_rate
+from detectors import Detector
+from usnet_env import ArgumentError, Detection, make_detector
+from usnet_env.reproduce import detection_rate, table2
 from usnet_env.reproduce.detection_rate import Cell, measure, play, rate_of, read_rows, tasks_for, write_rows
 
+HERE = __name__
 CELLS = [Cell("f1", 2), Cell("f4", 5, decoys=1)]
 NAMES = ["lagged-regression(clusters=1)", "destroy-all"]
+
+
+class Together(Detector):
+    """Names a random UAV in each window; the draw depends on the whole batch."""
+
+    side_by_side = True
+
+    def detect_batch(self, windows):
+        found = []
+        for draw in self.rng.permutation(len(windows)):
+            chosen = np.arange(windows[0].uavs) == draw % windows[0].uavs
+            found.append(Detection(candidates=chosen, scores=chosen.astype(float), extras={"explained": len(windows)}))
+        return found
+
+    def detect(self, window):
+        return self.detect_batch([window])[0]
+
+
+class Apart(Together):
+    """The same detector, but its answers do not depend on the batch."""
+
+    side_by_side = False
 
 
 def tasks(episodes=30):
@@ -113,3 +137,38 @@ def test_a_fit_s_explained_share_is_kept(tmp_path):
     assert np.isfinite([row.explained for row in rows]).all()
     with (tmp_path / "rows.csv").open(encoding="utf-8", newline="") as file:
         assert {row["detector"] for row in csv.DictReader(file)} == {small}
+
+
+def test_a_detector_that_is_side_by_side_gets_batches_which_its_rows_record(tmp_path):
+    cell = Cell("f1", 2)  # 3 UAVs: 64 // 3 = 21 windows in a batch
+    rows = measure(tasks_for([f"{HERE}:Together"], [cell], lambda cell: 50), 7, tmp_path / "rows.csv", 1)
+    assert [row.episode for row in rows] == list(range(50))
+    assert [row.batch for row in rows] == ["0+21"] * 21 + ["21+21"] * 21 + ["42+8"] * 8
+    assert [row.explained for row in rows] == [float(row.batch.partition("+")[2]) for row in rows]
+    assert {row.batch for row in read_rows(tmp_path / "rows.csv")} == {"0+21", "21+21", "42+8"}
+
+
+def test_any_other_detector_answers_each_episode_alone(tmp_path):
+    names = [f"{HERE}:Apart", "random"]
+    rows = measure(tasks_for(names, [Cell("f1", 2)], lambda cell: 25), 7, tmp_path / "rows.csv", 1)
+    assert [row.batch for row in rows] == [f"{episode}+1" for episode in range(25)] * 2
+    assert {row.explained for row in rows if row.detector == names[0]} == {1.0}
+
+
+def test_answers_do_not_depend_on_how_many_episodes_are_asked_for(tmp_path):
+    """That of a detector that is side_by_side may, in the last batch, which its rows show."""
+    cell, names = Cell("f1", 20), ["random", "gassl(steps=2)", f"{HERE}:Together"]
+
+    def answers(episodes):
+        rows = measure(tasks_for(names, [cell], lambda cell: episodes), 7, tmp_path / f"{episodes}.csv", 1)
+        return {(row.detector, row.episode): (row.hit, row.named, row.explained, row.batch) for row in rows}
+
+    few, many = answers(4), answers(11)
+    different = {key for key in few if repr(few[key]) != repr(many[key])}
+    assert different == {(names[2], 3)}
+    assert (few[names[2], 3][-1], many[names[2], 3][-1]) == ("3+1", "3+3")
+
+
+def test_the_detectors_that_train_windows_together_say_so():
+    found = {name: getattr(make_detector(name), "side_by_side", False) for name in table2.DETECTORS}
+    assert found == {"gassl": False, "neural-granger": True, "lagged-regression(clusters=1)": False}

@@ -6,7 +6,9 @@ import sys
 import numpy as np
 import pytest
 
-from usnet_env import ArgumentError
+from detectors.gassl import Gassl
+from detectors.mc_gassl import McGassl
+from usnet_env import ArgumentError, make_detector
 from usnet_env.cli import main
 from usnet_env.drawing import MissingExtraError, new_figure
 from usnet_env.reproduce import example, figures, metric_learning, purity, purity_report
@@ -54,6 +56,20 @@ def purity_rows(**values):
 
 def test_every_figure_of_the_paper_has_a_name():
     assert set(FIGURES) == NAMES
+
+
+def test_the_detectors_are_the_paper_s_algorithms_with_their_defaults():
+    settings = Settings()
+    assert type(make_detector(settings.detector_p1)) is Gassl
+    assert type(make_detector(settings.detector_p2)) is McGassl
+    assert (settings.detector_p1, settings.detector_p2) == ("gassl", "mc-gassl")
+
+
+def test_the_example_shows_the_attention_of_mc_gassl():
+    record = example.play_example("mc-gassl(gassl={'steps': 1}, count=2)", 7, clusters=2, uavs=12)
+    assert record.attention.shape == (record.rounds, 12, 12)
+    living = record.alive[0]
+    np.testing.assert_allclose(record.attention[0][living].sum(axis=1), 1.0, atol=1e-3)
 
 
 def test_a_figure_is_written_as_png_and_pdf_and_twice_the_same(tmp_path):
@@ -116,9 +132,7 @@ def test_figures_of_attention_share_one_answer(tmp_path, monkeypatch):
     real = figures.attention.make_detector
     figures.attention.detect_head.cache_clear()
     monkeypatch.setattr(figures.attention, "make_detector", lambda name: asked.append(name) or real(name))
-    settings = Settings(
-        detector_p1="gassl(preset='paper', steps=1)" if "paper" in figures.DETECTOR_P1 else "gassl(steps=1)"
-    )
+    settings = Settings(detector_p1="gassl(steps=1)")
     for name in ("hierarchy-f1-m15", "attention-heads-f1-m15"):
         FIGURES[name](settings)
     assert asked == [settings.detector_p1]

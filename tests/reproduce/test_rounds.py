@@ -81,11 +81,29 @@ def test_rounds_add_up(detector):
         assert pytest.approx(len(named) + made.redundant / 20) == made.J
 
 
-def test_destroying_everybody_costs_what_it_must():
+def test_destroying_all_uavs_costs_what_it_must():
     (made,) = play(Task("destroy-all", SMALL, 0, 1), 3)
     assert made.each_round() == [(14, 2)]
     assert pytest.approx(1 + 12 / 14) == made.J
     assert np.isnan(made.purity_first)
+
+
+def test_by_default_the_paper_s_algorithm_is_measured_beside_two_other_detectors(monkeypatch, tmp_path):
+    asked = []
+
+    def stop(what, tasks, *arguments):
+        asked.extend(tasks)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rounds, "measure", stop)
+    with pytest.raises(KeyboardInterrupt):
+        reproduce(tmp_path)
+    assert [*dict.fromkeys(task.detector for task in asked)] == [
+        "mc-gassl",
+        "lead-votes",
+        "lagged-regression",
+        *TRIVIAL,
+    ]
 
 
 def test_the_paper_s_words():
@@ -152,7 +170,9 @@ def test_rows_are_the_same_on_two_processes(tmp_path, small_studies):
     ("arguments", "said"),
     [
         ({"studies": ["sizes"]}, "study"),
-        ({"detectors": ["nobody"]}, "nobody"),
+        ({"detectors": ["mc-gasl"]}, "did you mean 'mc-gassl'"),
+        ({"detectors": ["mc-gassl(preset='paper')"]}, "has no argument 'preset'"),
+        ({"detectors": ["mc-gassl(gassl={'steps': 0})"]}, "steps"),
         ({"mobility": "iids"}, "mobility"),
         ({"episodes": 0}, "episodes"),
         ({"detectors": [], "trivial": False}, "detectors"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from usnet_env import ArgumentError
+from usnet_env import ArgumentError, make_detector
 from usnet_env.cli import main
 from usnet_env.evaluation.statistics import Interval
 from usnet_env.reproduce import table2
@@ -38,13 +38,13 @@ def test_cells_are_cells_or_rows():
 
 def test_the_command_makes_rows_a_table_and_a_picture(tmp_path, capsys):
     words = ["reproduce", "table2", "--out", str(tmp_path), "--cells", "f1:2", "--episodes", "4", "--workers", "1"]
-    assert main([*words, "--preset", "lagged-regression"]) == 0
+    assert main([*words, "--detector", "lagged-regression(clusters=1)"]) == 0
     shown = capsys.readouterr().out
     assert "98.1" in shown  # the paper's
     assert "100.0 (51.0–100.0; 4)" in shown  # ours, with Wilson's interval and n
     assert {path.suffix for path in tmp_path.iterdir()} == {".csv", ".md", ".png"}
     assert (tmp_path / "episodes-seed2022.png").read_bytes().startswith(b"\x89PNG")
-    assert main([*words, "--preset", "lagged-regression", "--decoys", "1"]) == 0
+    assert main([*words, "--detector", "lagged-regression(clusters=1)", "--decoys", "1"]) == 0
     assert "paper's table" not in (tmp_path / "episodes-decoys1-seed2022.md").read_text(encoding="utf-8")
 
 
@@ -52,7 +52,10 @@ def test_the_command_makes_rows_a_table_and_a_picture(tmp_path, capsys):
     ("words", "name"),
     [
         (["--cells", "f9"], "--cells"),
-        (["--preset", "best"], "--preset"),
+        (["--detector", "gasl"], "did you mean 'gassl'?"),
+        (["--detector", "gassl(preset='paper')"], "has no argument 'preset'"),
+        (["--detector", "random", "--detector", "gassl(steps=0)"], "steps"),
+        (["--preset", "paper"], "--preset"),
         (["--episodes", "0"], "--episodes"),
         (["--mobility", "iids"], "mobility"),
         (["--decoys", "-1"], "--decoys"),
@@ -69,10 +72,44 @@ def test_bad_words_are_one_sentence(tmp_path, capsys, words, name):
 
 
 def test_a_second_measurement_joins_the_first_in_the_table(tmp_path, capsys):
-    words = ["reproduce", "table2", "--out", str(tmp_path), "--workers", "1", "--preset", "lagged-regression"]
+    words = [
+        "reproduce",
+        "table2",
+        "--out",
+        str(tmp_path),
+        "--workers",
+        "1",
+        "--detector",
+        "lagged-regression(clusters=1)",
+    ]
     for cell in ("f1:2", "f2:3"):
         assert main([*words, "--cells", cell, "--episodes", "2"]) == 0
     table = (tmp_path / "episodes-seed2022.md").read_text(encoding="utf-8")
     assert "| f1 | lagged-regression(clusters=1) | 100.0" in table
     assert "| f2 | lagged-regression(clusters=1) |  | 100.0" in table
     capsys.readouterr()
+
+
+def test_each_detector_has_its_own_row_on_the_same_episodes(tmp_path):
+    detectors = ["lagged-regression(clusters=1)", "destroy-all"]
+    rows, report = table2.reproduce(tmp_path, episodes=3, cells="f1:2,f1:3", detectors=detectors)
+    assert {(row.detector, row.followers, row.episode) for row in rows} == {
+        (detector, followers, episode) for detector in detectors for followers in (2, 3) for episode in range(3)
+    }
+    table = report.read_text(encoding="utf-8")
+    assert "| f1 | lagged-regression(clusters=1) | 100.0 (43.9–100.0; 3) | 100.0 (43.9–100.0; 3) |" in table
+    assert "| f1 | destroy-all | 0.0 (0.0–56.1; 3) **below** | 0.0 (0.0–56.1; 3) **below** |" in table
+
+
+def test_by_default_the_paper_s_algorithm_is_measured_beside_two_other_detectors(tmp_path, monkeypatch):
+    asked = []
+
+    def measure(tasks, *arguments):
+        asked.extend(tasks)
+        return []
+
+    monkeypatch.setattr(table2, "measure", measure)
+    table2.reproduce(tmp_path)
+    assert {task.detector for task in asked} == {"gassl", "neural-granger", "lagged-regression(clusters=1)"}
+    assert sum(task.count for task in asked) == 3 * 7 * (5 * 100 + 5 * 30)
+    assert all(make_detector(task.detector) for task in asked[:3])

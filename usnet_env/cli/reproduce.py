@@ -87,7 +87,13 @@ def _print_report(text: str, out: Path) -> None:
     "--episodes", type=WholeNumber(1, 1_000_000), help="Episodes in each cell; by default 100 up to m=15, else 30."
 )
 @click.option("--cells", metavar="LIST", help="Cells such as f1:2,f4:15 or rows such as f1; by default all 70.")
-@click.option("--decoys", type=WholeNumber(0, 1000), default=0, show_default=True, help="Number of decoys.")
+@click.option(
+    "--decoys",
+    type=WholeNumber(0, 1000),
+    default=0,
+    show_default=True,
+    help="Number of decoys: UAVs without followers that fly like heads.",
+)
 @_add_head_motion
 @click.option("--fast", is_flag=True, help="Only 10 episodes in each cell, and only cells up to m=15.")
 @_add_workers

@@ -42,15 +42,15 @@ class Row:
     """One episode of one detector in one cell.
 
     Args:
-        detector: as it was named.
+        detector: its name, with its arguments.
         follow, followers, decoys, mobility, head_jitter: the cell.
         episode: number of the episode.
-        named: whether any UAV was named.
-        hit: whether the head was named, and nobody else: J_s = 0.
+        named: whether there was a candidate.
+        hit: whether the head was the only candidate: J_s = 0.
         explained: share of the squared velocity that the detector's fit explains, mean over UAVs; NaN without a fit.
-        seconds: of the batch, by episode.
-        batch: first episode and number of episodes that the detector answered together, such as ``42+21``. It is
-            ``42+1`` for a detector that is not ``side_by_side``.
+        seconds: time of the batch divided by its number of episodes.
+        batch: first episode and number of episodes that the detector answered together, such as ``42+21``. A detector
+            that is not ``side_by_side`` answers each episode alone: ``43+1`` for episode 43.
     """
 
     detector: str
@@ -85,8 +85,9 @@ class Task:
 def tasks_for(detectors: Sequence[str], cells: Sequence[Cell], episodes: Callable[[Cell], int]) -> list[Task]:
     """Tasks of all cells, the small swarms first.
 
-    A detector that trains on several windows side by side answers the episodes of a task as one batch; its answers
-    depend on the batch, which its rows therefore record.
+    A detector that is ``side_by_side`` answers the episodes of a task as one batch, so its answers depend on the batch,
+    and the last batch of a cell depends on the number of episodes. The rows therefore record the batch. The answers of
+    other detectors depend on neither.
     """
     tasks = []
     for cell in sorted(cells, key=lambda cell: (cell.uavs, cell.follow)):
@@ -100,7 +101,7 @@ def tasks_for(detectors: Sequence[str], cells: Sequence[Cell], episodes: Callabl
 
 
 def _seeds(seed: int, cell: Cell, episode: int, branch: int) -> int:
-    """Seed of an episode's swarm (branch 0) or detector (branch 1); every detector meets the same swarms."""
+    """Seed of an episode's swarm (branch 0) or detector (branch 1); every detector gets the same swarms."""
     name = int.from_bytes(f"{cell.follow}/{cell.mobility}".encode(), "little")
     key = (name % 2**61, cell.followers, cell.decoys, int(cell.head_jitter), episode, branch)
     return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0])
@@ -152,7 +153,7 @@ def measure(
 
     Args:
         tasks: from :func:`tasks_for`.
-        seed: of the whole measurement; a file of another seed is not told apart, so its name should hold it.
+        seed: of the whole measurement. The rows do not contain it, so the name of the file should.
         path: the CSV of rows, appearing whole each time it is written.
         workers: processes.
         advance: called with the number of episodes that are newly done.

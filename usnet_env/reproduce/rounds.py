@@ -22,7 +22,7 @@ from usnet_env.reproduce.rows import Measurement, counter, flight_suffix, keep_r
 
 __all__ = ["DETECTORS", "STUDIES", "Cell", "Row", "Task", "cells_of", "play", "reproduce", "tasks_for"]
 
-#: The paper's Algorithm 2, our variant of it, and a training-free detector; the trivial policies stand beside them.
+#: The paper's Algorithm 2, a variant of it, and a detector without training; the trivial policies are added to them.
 DETECTORS = ("mc-gassl", "lead-votes", "lagged-regression")
 _EPISODES_A_TASK = 2  # few: an episode takes up to minutes, and an interruption loses those of a task
 
@@ -52,11 +52,11 @@ class Row:
     """One episode of one detector in one cell; metrics by the names of :data:`usnet_env.evaluation.METRICS`.
 
     Args:
-        detector: as it was named.
+        detector: its name, with its arguments.
         follow, clusters, uavs, mobility, head_jitter: the cell.
         episode: number of the episode.
         redundant: redundant candidates of all rounds.
-        named, hits: candidates of each round, and those of them that were heads, with spaces between.
+        named, hits: number of candidates in each round, and how many of them were heads, separated by spaces.
     """
 
     detector: str
@@ -103,7 +103,7 @@ class Task:
 
 
 def cells_of(studies: Sequence[str], mobility: str = "iid", head_jitter: bool = False) -> list[Cell]:
-    """The cells of some studies; those that several share stand once.
+    """The cells of some studies, each cell once.
 
     Raises:
         ArgumentError: no such study.
@@ -116,7 +116,7 @@ def cells_of(studies: Sequence[str], mobility: str = "iid", head_jitter: bool = 
 
 
 def tasks_for(detectors: Sequence[str], cells: Sequence[Cell], episodes: int) -> list[Task]:
-    """Tasks of all cells, the first episodes of all of them first: an interruption leaves all cells alike."""
+    """Tasks of all cells, the first episodes of all cells first: an interruption leaves them equally full."""
     return [
         Task(detector, cell, first, min(_EPISODES_A_TASK, episodes - first))
         for first in range(0, episodes, _EPISODES_A_TASK)
@@ -126,7 +126,7 @@ def tasks_for(detectors: Sequence[str], cells: Sequence[Cell], episodes: int) ->
 
 
 class _Recorder:
-    """An agent that keeps its candidates."""
+    """An agent that records its candidates."""
 
     def __init__(self, player: Agent) -> None:
         self.player = player
@@ -147,7 +147,7 @@ class _Recorder:
 
 @cache
 def _recorder(detector: str) -> _Recorder:
-    """This process's player of that name, warmed up so that no episode's seconds hold compiling and loading."""
+    """This process's player of that name, warmed up so that the seconds of an episode exclude compiling and loading."""
     player = _Recorder(as_agent(make_detector(detector)))
     warm_up(MultiClusterEnv(), player, detector, 0)
     return player
@@ -193,7 +193,7 @@ def reproduce(
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Row]:
-    """Measure the studies' cells; an interrupted measurement goes on where it stopped.
+    """Measure the studies' cells; an interrupted measurement continues where it stopped.
 
     Args:
         folder: gets ``rounds[-mobility][-jitter]-seedS.csv``, ``.md`` and ``.png``; table and picture are of all rows
@@ -201,7 +201,7 @@ def reproduce(
         studies: names of :data:`STUDIES`.
         detectors: names of detectors.
         trivial: also play the trivial policies.
-        episodes: a cell and detector.
+        episodes: of each detector in each cell.
         mobility: how the heads fly.
         head_jitter: whether they have the followers' noise.
         seed: of the episodes; the reporting seed is one that nothing was tuned on.
@@ -209,7 +209,7 @@ def reproduce(
         progress: called with the episodes done and to do.
 
     Returns:
-        The rows that were asked for.
+        The rows of these studies and detectors.
 
     Raises:
         ArgumentError: an argument was refused.
@@ -220,9 +220,9 @@ def reproduce(
     cells = cells_of(studies, mobility, head_jitter)
     names = list(dict.fromkeys([*detectors, *(TRIVIAL if trivial else ())]))
     if not cells or not names or episodes < 1:
-        raise ArgumentError("studies, detectors and episodes must leave something to play, got none of one of them.")
+        raise ArgumentError("studies, detectors and episodes must not be empty or 0.")
     for name in names:
-        make_detector(name)
+        make_detector(name).reset(seed)  # a wrong name or argument is refused before anything is measured
     MultiClusterEnv(**asdict(cells[0]))
     tasks = tasks_for(names, cells, episodes)
     suffix = flight_suffix(mobility, head_jitter)

@@ -47,7 +47,7 @@ _TITLES = {
     "uavs": "Against the number of UAVs (f3, M=5)",
     "example": "The example (f1, M=8, N=185), round by round",
 }
-_SAID = ("rounds", "redundant", "redundancy", "J")  # columns that the paper has words on
+_SAID = ("rounds", "redundant", "redundancy", "J")  # columns on which the paper says something
 _ROUNDS_SHOWN = 5
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 _MARKS = dict(zip(TRIVIAL, "xv1d", strict=True))
@@ -55,13 +55,13 @@ _MARKS = dict(zip(TRIVIAL, "xv1d", strict=True))
 
 @dataclass(frozen=True)
 class Words:
-    """What the paper says of a study: bounds of the mean rounds and of the redundant UAVs, and its words.
+    """What the paper says about a study: bounds of the mean rounds and of the redundant UAVs, and a summary.
 
     Args:
         rounds: lowest and highest.
         redundant: lowest and highest.
-        at_most: only the highest are said; the lowest are then what is possible.
-        words: ours, for its figures.
+        at_most: whether the paper gives only the highest; the lowest are then the lowest possible values.
+        words: a summary in our words.
     """
 
     rounds: tuple[float, float]
@@ -107,14 +107,15 @@ def interval_of(rows: Sequence[Row], field: str) -> Interval | None:
 
 
 def found_by_round(rows: Sequence[Row], rounds: int) -> list[tuple[list[float], list[float]]]:
-    """UAVs named in each of the first rounds, and heads found until then; every episode counts in every round.
+    """Candidates of each of the first rounds, and heads found until then; every episode counts in every round.
 
     Args:
         rows: at least one.
         rounds: how many.
 
     Returns:
-        For each round two lists with a value for each episode: named in that round (0 after the end), found so far.
+        For each round two lists with a value for each episode: candidates in that round (0 after the end), heads found
+        so far.
     """
     table = []
     for number in range(rounds):
@@ -142,7 +143,7 @@ def _detectors(rows: Sequence[Row]) -> list[str]:
 
 
 def _place(study: str, cell: tuple[str, int, int]) -> str:
-    """What tells a cell of a study from its others."""
+    """What distinguishes a cell from the others of its study."""
     follow, clusters, uavs = cell
     return {"follow": follow, "clusters": f"M={clusters}", "uavs": f"N={uavs}", "example": "M=8, N=185"}[study]
 
@@ -157,7 +158,7 @@ def markdown(rows: Sequence[Row], title: str, with_paper: bool, columns: Columns
         f"# {title}",
         "",
         "Means over all episodes, unfinished ones included, with 95 % intervals (Wilson for rates, bootstrap else). "
-        "J_m alone is won by destroying everything: the trivial policies stand beside the detectors.",
+        "A policy that destroys all UAVs has a good J_m; compare each detector with the trivial policies.",
     ]
     words = paper_words()
     for study, cells in STUDIES.items():
@@ -196,7 +197,7 @@ def _line(place: str, detector: str, rows: Sequence[Row], columns: Columns) -> l
 def _round_by_round(rows: Sequence[Row], with_paper: bool) -> list[str]:
     heads = STUDIES["example"][0][1]
     shown = min(_ROUNDS_SHOWN, max(2, *(row.rounds for row in rows)))
-    lines = ["", f"UAVs named in a round / share of the {heads} heads found until then, %:", ""]
+    lines = ["", f"Candidates of a round / share of the {heads} heads found until then, %:", ""]
     lines += ["| detector | " + " | ".join(f"round {number + 1}" for number in range(shown)) + " |"]
     lines += ["|---|" + "---|" * shown]
     if with_paper:
@@ -211,7 +212,7 @@ def _round_by_round(rows: Sequence[Row], with_paper: bool) -> list[str]:
 
 
 def draw(rows: Sequence[Row], title: str, with_paper: bool) -> Figure:
-    """A row of panels a study: R, redundancy and J_m with 95 % intervals; the paper's words are the grey bands."""
+    """One row of panels for each study: R, redundancy and J_m with 95 % intervals; the paper's bounds in grey."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -35,7 +35,7 @@ FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 FOLLOWERS = (2, 3, 5, 10, 15, 20, 25, 30, 40, 50)
 PAPER_RUNS = 1000  # episodes behind each value of the paper
 
-#: The paper's Algorithm 1, our variant of it, and a training-free detector on the same episodes.
+#: The paper's Algorithm 1, a variant of it, and a detector without training, on the same episodes.
 DETECTORS = ("gassl", "neural-granger", "lagged-regression(clusters=1)")
 _FEW, _MANY = 30, 100  # episodes a cell: above 15 followers, and up to 15
 
@@ -119,14 +119,14 @@ def reproduce(
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[list[Row], Path]:
-    """Measure the table's cells; an interrupted measurement goes on where it stopped.
+    """Measure the table's cells; an interrupted measurement continues where it stopped.
 
     Args:
         folder: gets ``episodes[-decoysK][-mobility][-jitter]-seedS.csv``, ``.md`` and ``.png``.
-        episodes: a cell; ``None``: 100 up to m = 15, 30 above.
+        episodes: in each cell; ``None``: 100 up to m = 15, 30 above.
         cells: as :func:`parse_cells` takes them.
         detectors: as :func:`usnet_env.make_detector` takes them.
-        decoys: UAVs that fly like heads and lead nobody.
+        decoys: UAVs without followers that fly like heads.
         mobility: how the head flies.
         head_jitter: whether it has the followers' noise.
         seed: of the episodes; the reporting seed is one that nothing was tuned on.
@@ -137,7 +137,7 @@ def reproduce(
         The rows of these detectors, and the path of the report.
     """
     for detector in detectors:
-        make_detector(detector)  # a wrong name or argument is refused before anything is measured
+        make_detector(detector).reset(seed)  # a wrong name or argument is refused before anything is measured
     grid = [Cell(follow, followers, decoys, mobility, head_jitter) for follow, followers in parse_cells(cells)]
 
     def count(cell: Cell) -> int:
@@ -158,12 +158,13 @@ def _percent(value: float) -> str:
 
 
 def markdown(table: Sequence[Entry], title: str, with_paper: bool) -> str:
-    """The table in Markdown: a row a follow strategy and detector, percent with 95 % intervals, n in the heading."""
+    """The table in Markdown: one row for each follow strategy and detector; rates in percent."""
     sizes = [size for size in FOLLOWERS if any(entry.followers == size for entry in table)]
     lines = [
         f"# {title}",
         "",
-        "Percent of episodes in which the head alone was named, with 95 % Wilson intervals and n.",
+        "Percent of episodes in which the head was the only candidate, with 95 % Wilson intervals and n, the number of "
+        "episodes.",
         "",
     ]
     lines += ["| f | detector | " + " | ".join(f"m={size}" for size in sizes) + " |", "|---|---|" + "---|" * len(sizes)]
@@ -189,7 +190,7 @@ def markdown(table: Sequence[Entry], title: str, with_paper: bool) -> str:
 
 
 def draw(table: Sequence[Entry], title: str, with_paper: bool) -> Figure:
-    """A panel a follow strategy: rates against m with 95 % intervals, the paper's as open circles."""
+    """One panel for each follow strategy: rates against m with 95 % intervals, the paper's as open circles."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -229,6 +230,6 @@ def draw(table: Sequence[Entry], title: str, with_paper: bool) -> Figure:
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower right", bbox_to_anchor=(0.98, 0.12), fontsize=9)
     figure.supxlabel("followers m")
-    figure.supylabel("head alone named, %")
+    figure.supylabel("head is the only candidate, %")
     figure.suptitle(title)
     return figure

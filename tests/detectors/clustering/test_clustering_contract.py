@@ -270,6 +270,6 @@ def test_a_custom_clusterer():
 
 
 def test_a_clustering_refuses_labels_that_skip_a_number():
-    with pytest.raises(ArgumentError, match="labels must be"):
+    with pytest.raises(ArgumentError, match="labels must use every number from 0 to count - 1 = 1"):
         Clustering(np.array([0, 2]), 2)
     assert Clustering(np.array([-1, -1]), 0).count == 0

@@ -84,7 +84,7 @@ def test_a_compiled_run_is_the_readable_run(case):
 
 def test_one_gamma_is_handed_from_uav_to_uav():
     """The first loss of the second UAV is that of the Γ which the first UAV left, and of its own initial Φ."""
-    inputs, phi, gamma, agat, ifsn = problem(followers=2)
+    inputs, phi, gamma, agat, _ = problem(followers=2)
     fit = train(inputs, phi, gamma, agat, Training(steps=3))
     handed_on = gamma.copy()
     phi_0 = phi[0].copy()

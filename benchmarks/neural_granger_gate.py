@@ -1,0 +1,34 @@
+"""Measure the gate of ``neural-granger``: how often it names no UAV, in swarms without and with followers.
+
+OMP_NUM_THREADS=1 python benchmarks/neural_granger_gate.py  # writes benchmarks/results/neural_granger_gate.csv
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from usnet_env.reproduce.detection_rate import Cell, measure, rate_of, tasks_for
+
+GATED = "neural-granger(gate=True)"
+FOLLOWERS = (2, 5, 15)
+FOLLOW = ("none", "f1", "f2", "f3", "f4", "f5", "f6", "f7")
+SEED = 2022
+
+
+def main() -> None:
+    """Measure and print."""
+    cells = [Cell(follow, followers, decoys) for follow in FOLLOW for followers in FOLLOWERS for decoys in (0, 1)]
+    path = Path(__file__).parent / "results" / "neural_granger_gate.csv"
+    tasks = tasks_for([GATED], cells, lambda cell: 200 if cell.follow == "none" else 60)
+    rows = measure(tasks, SEED, path, os.cpu_count() or 1)
+    for name, some in (("without followers", ("none",)), ("with followers", FOLLOW[1:])):
+        for followers in FOLLOWERS:
+            rate = rate_of((row for row in rows if row.follow in some and row.followers == followers), "named")
+            if rate is not None:
+                n, (mean, low, high) = rate
+                print(f"{name}, m={followers}: no UAV named in {1 - mean:.3f} ({1 - high:.3f}-{1 - low:.3f}), n={n}")
+
+
+if __name__ == "__main__":
+    main()

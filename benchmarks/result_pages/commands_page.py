@@ -1,0 +1,38 @@
+"""benchmarks/README.md: every file of results with the commands that make it."""
+
+from __future__ import annotations
+
+import commands
+
+from result_pages.text import NOTICE
+
+
+def text() -> str:
+    """The page."""
+    parts = [
+        NOTICE,
+        "# Benchmarks",
+        "Every committed file of `results/` with the exact commands that make it, row for row. Run them from the "
+        "root of "
+        "the repository, with `OMP_NUM_THREADS=1` where cores are shared with other work. A command goes on from the "
+        "rows "
+        "that are there; to measure anew, give another folder or delete the file. Columns of seconds depend on the "
+        "machine. The tables are in `docs/results/`; `python benchmarks/tables.py` writes them from these files, and "
+        "`python benchmarks/tables.py --check` finds tables that differ.",
+        "**Seeds.** Detectors were tuned on seeds below 1000. Published episodes have the seeds 2022 and above. Not "
+        "all "
+        "of them were new to the detector that plays them: `follow-mixture` was developed further after rows of "
+        "earlier "
+        "builds had been published for seed 2022, which `learned.csv`, `ppo_observer.csv` and `multiagent_*.csv` have. "
+        "The rows of seed 7077 in `follow_mixture/` were first played after its last change; the strategies that had "
+        "been looked at before, with other seeds, have a table of their own.",
+        "Speeds are ratios of contestants that take turns within one run, because the speed of a shared machine "
+        "drifts.",
+    ]
+    for result in commands.RESULTS:
+        files = ", ".join(f"`{name}`" for name in result.files)
+        parts += [
+            f"**{result.what[0].upper()}{result.what[1:]}**: {files}",
+            "\n".join(["```shell", *result.commands, "```"]),
+        ]
+    return "\n\n".join(parts) + "\n"

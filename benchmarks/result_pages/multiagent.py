@@ -1,0 +1,68 @@
+"""The games of several agents."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from result_pages.text import RESULTS, Row, grouped, mean_of, page, read_csv, share_of, source, table
+
+
+def means(rows: Sequence[Row], keys: Sequence[str], columns: dict[str, str]) -> str:
+    """A line for each combination of the keys; ``success`` is a rate."""
+    lines = []
+    for key, own in grouped(rows, lambda row: tuple(row[name] for name in keys)).items():
+        numbers = [
+            share_of([int(float(row["success"])) for row in own])
+            if name == "success"
+            else mean_of(own, name, 2, "seed")
+            for name in columns
+        ]
+        lines.append((*key, str(len(own)), *numbers))  # type: ignore[misc]
+    return table((*keys, "n", *columns.values()), lines)
+
+
+FIRST = {"first_hits": "heads hit in round 1", "first_redundant": "redundant in round 1"}
+CHOICES = {name: name for name in ("mobility", "jitter", "decoys", "delay")}
+
+
+PAID = {"J": "J_m", "swarm_payoff": "J_m minus the price", "success": "all heads hit"}
+SEEN = {"J": "J_m", "success": "all heads hit", **FIRST, "seen_in_round_1": "UAVs seen in round 1"}
+
+
+def payoff() -> str:
+    """The table of multiagent_payoff.csv."""
+    return means(read_csv(RESULTS / "multiagent_payoff.csv"), ("follow", "observer", "swarm"), {**PAID, **FIRST})
+
+
+def trained() -> str:
+    """The table of multiagent_ppo.csv."""
+    return means(read_csv(RESULTS / "multiagent_ppo.csv"), ("detector", "follow", "swarm"), {**PAID, **CHOICES})
+
+
+def observers() -> str:
+    """The table of multiagent_observers.csv."""
+    return means(read_csv(RESULTS / "multiagent_observers.csv"), ("range", "observers", "fusion"), SEEN)
+
+
+def text() -> str:
+    """The page."""
+    return page(
+        "Games of several agents",
+        "Seeds from 2022; M = 5, N = 82. `follow-mixture` was developed further after rows of an earlier build had "
+        "been "
+        "published for these seeds.",
+        "## Scripted swarms",
+        "`usnet_evasion_v0`, at most 10 rounds: every observer against every swarm policy. `late`: a delay of 4 steps; "
+        "`camouflaged`: smooth turns, 2 decoys and a delay of 4 steps. The swarm pays a price for what its heads do.",
+        payoff(),
+        "## A swarm trained by PPO",
+        "All heads make the same choice; one training for each line. The matches against `follow-mixture` were played "
+        "with an earlier build of it.",
+        trained(),
+        "![Learning curves](../../benchmarks/results/multiagent_ppo.png)",
+        "## Several observers",
+        "`usnet_observers_v0`, f1, at most 20 rounds, all observers with `lagged-regression`. `range` is in metres.",
+        observers(),
+        "## Raw rows and commands",
+        source(["multiagent_payoff.csv", "multiagent_ppo.csv", "multiagent_ppo_curve.csv", "multiagent_observers.csv"]),
+    )

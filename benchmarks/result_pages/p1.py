@@ -1,0 +1,73 @@
+"""P1: detection rates over the cells of the paper's Table II (detection rate of GASSL)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from result_pages.text import RESULTS, demoted, page, share, source, table
+from usnet_env.reproduce.detection_rate import Cell, Row, rate_of, read_rows
+from usnet_env.reproduce.table2 import entries, markdown, paper_rates
+
+FOLDER = RESULTS / "table2"
+
+
+def files() -> list[Path]:
+    """The row files, the paper's setting first."""
+    return sorted(FOLDER.glob("episodes*.csv"), key=lambda path: (len(path.name), path.name))
+
+
+def heads(row: Row) -> str:
+    """How the heads fly."""
+    return row.mobility + (" with jitter" if row.head_jitter else "")
+
+
+def overview() -> str:
+    """A line for each file and detector, over all its cells."""
+    theirs = [rate.mean for rate in paper_rates().values()]
+    mean, least = 100 * sum(theirs) / len(theirs), 100 * min(theirs)
+    lines = [("the paper's table", "iid", "0", "70", "70,000", f"{mean:.1f} %", f"{least:.1f} %, n = 1,000")]
+    for path in files():
+        rows = read_rows(path)
+        for detector in dict.fromkeys(row.detector for row in rows):
+            own = [row for row in rows if row.detector == detector]
+            cells: dict[Cell, list[Row]] = {}
+            for row in own:
+                cells.setdefault(row.cell, []).append(row)
+            overall = rate_of(own)
+            if overall is None:
+                continue
+            low_cell = min(cells.values(), key=lambda some: sum(row.hit for row in some) / len(some))
+            lowest = rate_of(low_cell)
+            worst = "" if lowest is None else f"{share(lowest[1])}, n = {lowest[0]}"
+            counts = f"{len(own):,}"
+            lines.append(
+                (f"`{detector}`", heads(own[0]), str(own[0].decoys), str(len(cells)), counts, share(overall[1]), worst)
+            )
+    return table(("detector", "heads", "decoys", "cells", "n", "head alone named", "lowest cell"), lines)
+
+
+def text() -> str:
+    """The page."""
+    parts = []
+    for path in files():
+        rows = read_rows(path)
+        first = rows[0]
+        count = f"{first.decoys} decoy{'s' if first.decoys != 1 else ''}"
+        parts += [
+            f"## {heads(first)} heads, {count}",
+            demoted(markdown(entries(rows), "", with_paper=path.name.startswith("episodes-seed"))),
+            f"![Rates against the number of "
+            f"followers](../../benchmarks/results/table2/{path.with_suffix('.png').name})",
+        ]
+    return page(
+        "P1: detection rates",
+        "One cluster, one window: how often the head is named, and no other UAV. The cells are those of the paper's "
+        "table "
+        "of detection rates (f1–f7, m = 2 to 50 followers). The paper gives 1,000 runs for each cell. Without a "
+        "decoy the "
+        "head is the only UAV that no other UAV resembles; a decoy is a second one.",
+        overview(),
+        *parts,
+        "## Raw rows and commands",
+        source([f"table2/{path.name}" for path in files()]),
+    )

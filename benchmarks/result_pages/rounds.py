@@ -1,0 +1,40 @@
+"""P2 round by round: against the follow strategy, M and N."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from result_pages.text import RESULTS, demoted, page, source
+from usnet_env.reproduce.rounds import Row
+from usnet_env.reproduce.rounds_report import COLUMNS, markdown
+from usnet_env.reproduce.rows import read_rows
+
+FOLDER = RESULTS / "rounds"
+SHOWN = ("rounds", "redundancy", "J", "success", "exact", "purity_first", "head_in_cluster_first")
+
+
+def files() -> list[Path]:
+    """The row files, the paper's setting first."""
+    return sorted(FOLDER.glob("rounds*.csv"), key=lambda path: (len(path.name), path.name))
+
+
+def text() -> str:
+    """The page."""
+    parts = []
+    columns = tuple(column for column in COLUMNS if column[0] in SHOWN)
+    for path in files():
+        rows = read_rows(path, Row)
+        heads = rows[0].mobility + (" heads with jitter" if rows[0].head_jitter else " heads")
+        parts += [
+            f"## {heads}",
+            demoted(markdown(rows, "", with_paper=path.name.startswith("rounds-seed"), columns=columns)),
+            f"![Rounds, redundancy and J_m](../../benchmarks/results/rounds/{path.with_suffix('.png').name})",
+        ]
+    return page(
+        "P2: rounds against strategy, M and N",
+        "The paper's studies of P2, beside its words. n differs between detectors and cells; it stands in each line. "
+        "A line *all* is the mean over the cells of a study that the detector has played.",
+        *parts,
+        "## Raw rows and commands",
+        source([f"rounds/{path.name}" for path in files()]),
+    )

@@ -1,0 +1,95 @@
+"""Speed and memory, from the files that the speed benchmarks write."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from result_pages.text import RESULTS, page, source, table
+
+
+def read(name: str) -> Any:
+    """A JSON file of results."""
+    return json.loads((RESULTS / name).read_text(encoding="utf-8"))
+
+
+def spread(values: list[float]) -> str:
+    """The median and the range of the ratios of all turns."""
+    ordered = sorted(values)
+    return f"{ordered[len(ordered) // 2]:.3g} ({ordered[0]:.3g}–{ordered[-1]:.3g})"
+
+
+def simulator() -> list[str]:
+    """Stepping, peers, memory."""
+    result = read("speed.json")
+    stepping = table(
+        ("strategy", "turns", "million UAV steps a second", "rate of stepping over rate of drawing the same normals"),
+        [
+            (name, str(len(row["ratios"])), f"{row['uav_steps_per_second'] / 1e6:.1f}", spread(row["ratios"]))
+            for name, row in result["stepping"].items()
+        ],
+    )
+    peers = result["peers"]
+    rates = peers["agent_steps_per_second"]
+    beside = table(
+        ("environment", "agent steps a second", "usnet over it"),
+        [
+            ("usnet", f"{rates['usnet']:,.0f}", ""),
+            *(
+                (name, f"{rates[name]:,.0f}", spread(peers[f"over_{name}"]["ratios"]))
+                for name in ("simple_tag_v3", "vmas_flocking")
+            ),
+        ],
+    )
+    return [stepping, beside, f"1,000 swarms of 82 UAVs take {result['memory']['bytes'] / 2**30:.2f} GiB."]
+
+
+def mixture() -> list[str]:
+    """follow-mixture: windows, growth with N, memory, beside one network fit for each UAV."""
+    result = read("follow_mixture_speed.json")
+    window = table(
+        ("strategy", "windows", "ms for a window", "times one pass of `lagged-correlation`", "exact"),
+        [
+            (
+                name,
+                str(row["windows"]),
+                f"{1e3 * row['seconds']:.1f}",
+                spread(row["ratios"]),
+                f"{row['exact']:.2f}",
+            )
+            for name, row in result["window"].items()
+        ],
+    )
+    parts = [window]
+    for series, grown in result["growth"].items():
+        lines = [
+            (
+                uavs,
+                str(row["clusters"]),
+                f"{row['windows']} × {row['turns']}",
+                f"{row['seconds']:.3f}",
+                f"{row['exact']:.2f}",
+            )
+            for uavs, row in grown["sizes"].items()
+        ]
+        parts += [
+            f"Seconds against N, {series}; they grow as N to the power {grown['exponent_fitted']:.2f}:",
+            table(("N", "M", "windows × turns", "seconds", "exact"), lines),
+        ]
+    memory = ", ".join(f"{row['bytes'] / 2**30:.2f} GiB ({series})" for series, row in result["memory"].items())
+    return [*parts, f"Peak memory of a process that answers one window of 10,000 UAVs: {memory}."]
+
+
+def text() -> str:
+    """The page."""
+    return page(
+        "Speed and memory",
+        "Ratios are medians over turns, with the range of all turns in brackets; contestants take turns in one run, as "
+        "the speed of a shared machine drifts. The machine and the versions stand in the files.",
+        "## The simulator",
+        *simulator(),
+        "## follow-mixture",
+        *mixture(),
+        "## Raw results and commands",
+        source(["speed.json", "follow_mixture_speed.json"]),
+    )

@@ -1,0 +1,129 @@
+"""What the pages share: reading rows, numbers with 95 % intervals, Markdown tables."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from pathlib import Path
+
+from commands import commands_of
+
+from usnet_env.evaluation.statistics import Interval, mean_interval, rate_interval
+
+__all__ = [
+    "FOLLOW",
+    "NOTICE",
+    "RESULTS",
+    "Row",
+    "cost_of",
+    "demoted",
+    "episode_means",
+    "exact_of",
+    "grouped",
+    "mean_of",
+    "number",
+    "page",
+    "read_csv",
+    "share",
+    "share_of",
+    "source",
+    "table",
+    "table_alone",
+]
+
+Row = Mapping[str, str]
+
+ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "benchmarks" / "results"
+FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
+NOTICE = "<!-- Written by `python benchmarks/tables.py` from the rows in benchmarks/results. Do not edit. -->"
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """The rows of a file."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def grouped(rows: Iterable[Row], key: Callable[[Row], Hashable]) -> dict[Hashable, list[Row]]:
+    """The rows by a key, in the order in which the keys appear."""
+    found: dict[Hashable, list[Row]] = {}
+    for row in rows:
+        found.setdefault(key(row), []).append(row)
+    return found
+
+
+def number(interval: Interval, digits: int = 2, scale: float = 1.0) -> str:
+    """A mean with its interval; the mean alone if all values were equal."""
+    mean, low, high = (f"{scale * value:.{digits}f}" for value in interval)
+    return mean if interval.low == interval.high else f"{mean} ({low}–{high})"
+
+
+def share(interval: Interval) -> str:
+    """A rate in percent with its interval."""
+    mean, low, high = (f"{100 * value:.1f}" for value in interval)
+    return f"{mean} % ({low}–{high})"
+
+
+def episode_means(rows: Iterable[Row], column: str, episode: str = "episode") -> list[float]:
+    """The mean of a column over the rows of each episode: cells share the seeds of an episode, episodes do not."""
+    values: dict[str, list[float]] = {}
+    for row in rows:
+        values.setdefault(row[episode], []).append(float(row[column]))
+    return [sum(own) / len(own) for own in values.values()]
+
+
+def mean_of(rows: Iterable[Row], column: str, digits: int = 2, episode: str = "episode") -> str:
+    """The mean of a column with the bootstrap's interval over episodes."""
+    return number(mean_interval(episode_means(rows, column, episode)), digits)
+
+
+def cost_of(rows: Iterable[Row], digits: int = 3) -> str:
+    """Mean J with its interval."""
+    return mean_of(rows, "J", digits)
+
+
+def share_of(hits: Sequence[bool | int]) -> str:
+    """The share of true values in percent, with Wilson's interval."""
+    return share(rate_interval([float(hit) for hit in hits]))
+
+
+def exact_of(rows: Iterable[Row]) -> str:
+    """The share of exact episodes."""
+    return share_of([int(float(row["exact"])) for row in rows])
+
+
+def table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    """A Markdown table."""
+    return "\n".join(
+        [f"| {' | '.join(header)} |", "| --- |" + " --- |" * (len(header) - 1)]
+        + [f"| {' | '.join(line)} |" for line in lines]
+    )
+
+
+def source(files: Sequence[str], more: str = "") -> str:
+    """Where the numbers of a page come from; the commands stand in benchmarks/README.md, file by file."""
+    listed = ", ".join(f"`benchmarks/results/{name}`" for name in files)
+    lines = [f"Raw rows: {listed}.{' ' + more if more else ''}"]
+    made = list(dict.fromkeys(command for name in files for command in commands_of(name)))
+    if made:
+        lines += ["", "```shell", *made, "```"]
+    return "\n".join(lines)
+
+
+def page(title: str, *parts: str) -> str:
+    """A page: notice, title, paragraphs."""
+    return "\n\n".join([NOTICE, f"# {title}", *parts]) + "\n"
+
+
+def table_alone(markdown: str) -> str:
+    """A file that holds tables and no heading, for pages that include it."""
+    return f"{NOTICE}\n\n{markdown}\n"
+
+
+def demoted(markdown: str, levels: int = 1) -> str:
+    """A report without its title, every other heading some levels deeper."""
+    lines = markdown.strip().splitlines()
+    if lines and lines[0].startswith("#"):
+        lines = lines[1:]
+    return "\n".join("#" * levels + line if line.startswith("#") else line for line in lines).strip()

@@ -1,0 +1,150 @@
+"""Which feature classes of follow-mixture contain a follow strategy: R² of a least-squares fit of its direction.
+
+    OMP_NUM_THREADS=1 python benchmarks/strategy_classes.py    # writes results/follow_mixture/classes.csv
+
+The noise-free direction of every follower at every step is regressed on the features that the detector computes
+(``detectors.follow_mixture.strategy``) from the true head's past, once with one law for all followers and once with one
+law for each follower. R² = 1 means that the class contains the strategy exactly; 1 - R² is what it leaves unexplained.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from follow_mixture_strategies import STRATEGIES
+from numpy.typing import NDArray
+
+from detectors.follow_mixture.samples import samples_of
+from detectors.follow_mixture.strategy import Library, head_features, pair_features
+from usnet_env import Window
+from usnet_env.envs import MultiClusterEnv
+from usnet_env.files import atomic_write
+from usnet_env.swarm import FollowInputs
+from usnet_env.swarm.follow import follow_strategy
+
+Floats = NDArray[np.float64]
+
+RESULTS = Path(__file__).parent / "results" / "follow_mixture" / "classes.csv"
+SEED = 7077
+MEMORY = 4  # the detector's default
+STEPS = 200  # two windows: many more rows than a law has numbers, also for one follower alone
+#: R² from which a class counts as containing a strategy. The rest is then less than the followers' own noise, whose
+#: variance is 0.05² on each axis, beside some 0.3 of the direction: about 0.0075 of it.
+CONTAINED = 0.9925
+
+#: The classes that the detector fits (``search.py``, ``pair_evidence.py`` and ``flock_heads.py``), with memory 4.
+CLASSES = (
+    Library(1),
+    Library(MEMORY),
+    Library(1, isotropic=True),
+    Library(MEMORY, isotropic=True),
+    Library(MEMORY, squares=True),
+    Library(1, squares=True, products=True),
+    Library(2, squares=True, products=True, across=True),
+    Library(2, linear=False, turns=True, isotropic=True),
+    Library(MEMORY, own=True),
+    Library(MEMORY, towards=True, own=True),
+    Library(MEMORY, squares=True, towards=True),
+    Library(MEMORY, squares=True, towards=True, own=True),
+)
+
+
+@dataclass(frozen=True)
+class Flights:
+    """The noise-free directions ``(f, R, 3)`` of f followers, and for every class their features ``(f, R, p)``."""
+
+    direction: Floats
+    features: dict[str, Floats]
+
+
+def flights(name: str, seed: int = SEED) -> Flights:
+    """Fly a swarm of iid heads by a strategy, and compute the direction and the features of every follower."""
+    env = MultiClusterEnv(follow=name, observation_steps=STEPS, clusters=5, uavs=35)
+    observation, _ = env.reset(seed=seed)
+    window = Window.from_observation(observation)
+    strategy = follow_strategy(name)
+    followers = np.flatnonzero(~env.swarm.head)
+    heads = env.swarm.leader[followers]
+    parameters = strategy.draw(np.random.default_rng(seed))
+    samples = samples_of(window, np.arange(window.uavs), MEMORY)
+    if samples is None:
+        raise RuntimeError("the window must hold enough velocities for the detector's features")
+    directions = []
+    for step in range(MEMORY, STEPS):
+        position = window.position[step - MEMORY : step + 1][::-1]
+        velocity = window.velocity[step - MEMORY : step][::-1]
+        inputs = FollowInputs(
+            own_position=position[:, followers].swapaxes(0, 1),
+            head_velocity=velocity[:, heads].swapaxes(0, 1),
+            head_position=position[:, heads].swapaxes(0, 1),
+            parameters=parameters,
+        )
+        directions.append(strategy.direction(inputs))
+    found = {}
+    for library in CLASSES:
+        shared, _ = head_features(samples, library, heads)
+        paired, _ = pair_features(samples, library, followers, heads)
+        found[library.name] = np.concatenate([paired, shared], axis=2).astype(np.float64)
+    return Flights(np.stack(directions, axis=1).astype(np.float64), found)
+
+
+def explained(features: Floats, direction: Floats, isotropic: bool) -> float:
+    """R² of a least-squares fit of ``direction (n, 3)`` on ``features (n, p)``, the last of which is the intercept.
+
+    With ``isotropic`` the features are triples (x, y, z), and one weight serves all three axes.
+    """
+    centred = direction - direction.mean(axis=0)
+    if isotropic:
+        triples = features[:, :-1].reshape(len(features), -1, 3)
+        triples = triples - triples.mean(axis=0)
+        design, target = triples.swapaxes(1, 2).reshape(-1, triples.shape[1]), centred.reshape(-1, 1)
+    else:
+        design, target = features, centred
+    weights = np.linalg.lstsq(design, target, rcond=None)[0]
+    residual = target - design @ weights
+    return float(1.0 - (residual**2).sum() / (target**2).sum())
+
+
+def measure(name: str) -> list[dict[str, str]]:
+    """One row for each class: R² with one law for all followers, and the smallest R² of one law for each follower."""
+    flown = flights(name)
+    rows = []
+    for library in CLASSES:
+        features = flown.features[library.name]
+        together = explained(features.reshape(-1, features.shape[2]), flown.direction.reshape(-1, 3), library.isotropic)
+        alone = min(
+            explained(own, direction, library.isotropic)
+            for own, direction in zip(features, flown.direction, strict=True)
+        )
+        rows.append(
+            {"strategy": name, "class": library.name, "r2_shared": f"{together:.6f}", "r2_each": f"{alone:.6f}"}
+        )
+    return rows
+
+
+def contained(rows: list[dict[str, str]]) -> bool:
+    """Whether some class contains the strategy of the rows, with one law for all followers or one for each."""
+    return max(float(row[kind]) for row in rows for kind in ("r2_shared", "r2_each")) >= CONTAINED
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    out = parser.parse_args().out
+    rows = [row for name in STRATEGIES for row in measure(name)]
+    with atomic_write(out) as aside, aside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    for name in STRATEGIES:
+        own = [row for row in rows if row["strategy"] == name]
+        best = max(own, key=lambda row: max(float(row["r2_shared"]), float(row["r2_each"])))
+        print(f"{name}: {best['class']}, shared {best['r2_shared']}, each {best['r2_each']}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""The published tables are those that the committed rows give."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import tables
+from result_pages import tiers
+
+ROOT = Path(__file__).parents[2]
+LONG = {"docs/results/purity.md", "docs/results/p1.md", "docs/results/follow_mixture_cells.md"}
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if n in LONG else []) for n in tables.PAGES])
+def test_page_is_what_the_rows_give(name: str) -> None:
+    assert (ROOT / name).read_text(encoding="utf-8") == tables.PAGES[name]()
+
+
+@pytest.mark.skipif(tables.BEGIN not in README, reason="README.md has no table of results")
+def test_readme_is_what_the_rows_give() -> None:
+    assert tables.readme(README) == README
+
+
+def test_readme_has_at_most_eight_rows_with_the_paper_and_a_trivial_policy() -> None:
+    lines = [line for line in tables.index.summary(short=True).splitlines() if line.startswith("| ")][2:]
+    assert len(lines) <= 8
+    for label in ("the paper", "follow-mixture`", "follow-mixture(policy='map')`", "learned`", "destroy-all`"):
+        assert any(label in line for line in lines), label
+
+
+def test_readme_without_markers_is_refused() -> None:
+    with pytest.raises(ValueError, match="results:begin"):
+        tables.readme("# A page\n")
+
+
+def test_check_names_what_differs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(tables, "ROOT", tmp_path)
+    monkeypatch.setattr(tables, "PAGES", {"page.md": lambda: "as the rows say\n"})
+    (tmp_path / "page.md").write_text("as somebody wrote\n")
+    (tmp_path / "README.md").write_text(f"{tables.BEGIN}old\n{tables.END}")
+    monkeypatch.setattr(sys, "argv", ["tables.py", "--check"])
+    assert tables.main() == 1
+    assert "page.md differs" in (errors := capsys.readouterr().err)
+    assert "README.md differs" in errors
+    assert (tmp_path / "page.md").read_text() == "as somebody wrote\n"
+    monkeypatch.setattr(sys, "argv", ["tables.py"])
+    assert tables.main() == 0
+    monkeypatch.setattr(sys, "argv", ["tables.py", "--check"])
+    assert tables.main() == 0
+
+
+def test_labels_are_what_was_played() -> None:
+    """Where the policy changes the answer, a row's label must say which policy played: `map` may name no UAV."""
+    for tier in ("silence", "shifted"):
+        for row in tiers.tier_rows(tier):
+            if row["detector"] in ("follow-mixture", "learned"):
+                assert int(row["named"]) >= 1, row
+    default = {(r["cell"], r["episode"]): r for r in tiers.of(tiers.tier_rows("silence"), "follow-mixture")}
+    most_likely = {(r["cell"], r["episode"]): r for r in tiers.of(tiers.tier_rows("silence"), tiers.MAP)}
+    both = default.keys() & most_likely.keys()
+    assert len(both) >= 30
+    assert all(default[key]["named"] != most_likely[key]["named"] for key in both)
+
+
+def test_check_of_the_command_line_knows_its_options() -> None:
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "benchmarks" / "tables.py"), "--help"], capture_output=True, text=True, check=True
+    )
+    assert "--check" in done.stdout

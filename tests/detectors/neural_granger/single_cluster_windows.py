@@ -1,0 +1,52 @@
+"""Windows of single clusters for the tests of neural-granger, and their heads."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import torch
+
+import usnet_env
+from detectors.neural_granger.inputs import Samples, build_samples
+
+
+def cluster(seed=0, follow="f1", followers=4, **arguments):
+    """A window of the first round, and the head's index."""
+    env = gym.make("USNET/SingleCluster-v0", follow=follow, followers=followers, **arguments)
+    observation, _ = env.reset(seed=seed)
+    window = usnet_env.Window.from_observation(observation)
+    return window, int(np.flatnonzero(env.unwrapped.swarm.head)[0])
+
+
+def clusters(count, first_seed=0, **arguments):
+    """Windows and heads of ``count`` episodes."""
+    pairs = [cluster(seed, **arguments) for seed in range(first_seed, first_seed + count)]
+    return [window for window, _ in pairs], np.array([head for _, head in pairs])
+
+
+def named(detections):
+    """The candidate of each detection; -1 where none is named."""
+    return np.array([int(np.flatnonzero(d.candidates)[0]) if d.candidates.any() else -1 for d in detections])
+
+
+def samples(windows, memory=4) -> Samples:
+    return build_samples(windows, [np.arange(window.uavs) for window in windows], memory, torch.device("cpu"))
+
+
+def changed(window, **arrays):
+    """The same window with some arrays replaced."""
+    parts = {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round")}
+    return usnet_env.Window(**{**parts, **arrays})
+
+
+def without(window, gone):
+    """The window after the UAVs ``gone`` were destroyed: zeros and masks, as the environments have it."""
+    alive = window.alive.copy()
+    alive[gone] = False
+    return changed(
+        window,
+        position=np.where(alive[:, None], window.position, 0),
+        velocity=np.where(alive[:, None], window.velocity, 0),
+        seen=window.seen & alive,
+        alive=alive,
+    )
