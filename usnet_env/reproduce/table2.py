@@ -37,6 +37,8 @@ PAPER_RUNS = 1000  # episodes behind each value of the paper
 
 #: The paper's Algorithm 1, a variant of it, and a detector without training, on the same episodes.
 DETECTORS = ("gassl", "neural-granger", "lagged-regression(clusters=1)")
+#: Okabe and Ito's colours, apart for readers who see few colours.
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 _FEW, _MANY = 30, 100  # episodes a cell: above 15 followers, and up to 15
 
 
@@ -196,7 +198,7 @@ def draw(table: Sequence[Entry], title: str, with_paper: bool) -> Figure:
 
     follows = list(dict.fromkeys(entry.follow for entry in table))
     detectors = list(dict.fromkeys(entry.detector for entry in table))
-    colours = dict(zip(detectors, ("#0072b2", "#d55e00", "#009e73", "#cc79a7"), strict=False))
+    colours = {detector: _COLOURS[place % len(_COLOURS)] for place, detector in enumerate(detectors)}
     figure = Figure(figsize=(13, 6.5), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(2, 4, sharex=True, sharey=True, squeeze=False).ravel()
