@@ -274,8 +274,6 @@ RESULTS: tuple[Result, ...] = (
             "--study example --detector lead-votes --detector lagged-regression --episodes 10",
             "usnet reproduce rounds --out benchmarks/results/rounds --seed 2022 --study uavs "
             "--detector lead-votes --detector lagged-regression --episodes 5",
-            "usnet reproduce rounds --out benchmarks/results/rounds --seed 2022 --study follow --study clusters "
-            "--detector mc-gassl --no-trivial --episodes 10",
         ),
     ),
     Result(
