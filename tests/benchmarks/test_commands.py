@@ -61,11 +61,11 @@ def test_commands_of_a_tier_make_its_rows(tier: str) -> None:
     for words in words_of(f"follow_mixture/{tier}.csv", "python benchmarks/follow_mixture.py"):
         arguments = follow_mixture.parser().parse_args(words)
         assert arguments.tier == [tier]
+        labels = [follow_mixture.label_of(name) for name in arguments.detectors]
         for cell in follow_mixture.chosen(arguments):
-            for name in arguments.detectors:
+            for label in labels:
                 for episode in range(arguments.episodes):
-                    key = (cell.name, follow_mixture.label_of(name), str(arguments.seed), str(episode))
-                    wanted.add((tier, *key))
+                    wanted.add((tier, cell.name, label, str(arguments.seed), str(episode)))
     columns = ("tier", "cell", "detector", "seed", "episode")
     assert keys_of(RESULTS / "follow_mixture" / f"{tier}.csv", columns) == Counter(wanted)
 
