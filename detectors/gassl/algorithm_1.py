@@ -1,6 +1,6 @@
 """Algorithm 1 of the paper, to be read from top to bottom. Equation numbers are those of the paper's LaTeX source.
 
-:mod:`detectors.gassl.training` computes the same function of the same inputs in compiled loops, two orders of magnitude
+:mod:`detectors.gassl.training` computes the same function of the same inputs in compiled loops, much
 faster; tests hold it against this file.
 """
 

@@ -55,7 +55,7 @@ class Gassl(Detector):
             attention has moved.
         memory: T_0.
         implementation: ``"compiled"``, or ``"printed"``: the readable loop of
-            :mod:`detectors.gassl.algorithm_1`, some hundred times slower, with the same answer.
+            :mod:`detectors.gassl.algorithm_1`, much slower, the same to float rounding.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the window has fewer than 3
