@@ -42,7 +42,7 @@ class Sample(Config):
         ({"name": 7}, "name must be a name, got 7."),
         ({"name": "long one"}, "name must be short, got 'long one'."),
         ({"sizes": 3}, "sizes must be a list, got 3."),
-        ({"other": 3}, "other is not an argument of this configuration, got 3."),
+        ({"other": 3}, "other is not an argument of Sample; it takes count, rate, flag, name, sizes."),
     ],
 )
 def test_each_refusal_is_one_sentence(values, sentence):

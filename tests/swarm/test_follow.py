@@ -160,7 +160,7 @@ def test_a_function_written_as_f6_flies_as_f6(registry):
         ("", Lags(1), {}, "name must be a non-empty name"),
         ("none", Lags(1), {}, "name must be a non-empty name other than 'none'"),
         ("mine", 3, {}, "strategy must be a FollowStrategy or a function, got 3"),
-        ("mine", len, {"lags": 0}, "lags must be a whole number from 1, got 0"),
+        ("mine", len, {"lags": 0}, "lags must be a whole number from 1 to 1000, got 0"),
     ],
 )
 def test_bad_registrations_are_refused(registry, name, strategy, arguments, sentence):

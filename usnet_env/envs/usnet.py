@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.config import ArgumentError, Config, optional_seed, quote, refuse_unknown_arguments
 from usnet_env.envs import game
 from usnet_env.swarm import SwarmConfig, SwarmState
 
@@ -79,12 +79,16 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
         Args:
             seed: seed of the environment's own generator; ``None`` keeps the present generator.
-            options: ignored.
+            options: ``None`` or an empty mapping; a game is changed by the arguments of the environment.
 
         Returns:
             The observation and ``info``.
+
+        Raises:
+            ArgumentError: the seed is not a whole number from 0, or there are options.
         """
-        super().reset(seed=seed)
+        game.check_options(options)
+        super().reset(seed=optional_seed("seed", seed))
         state = game.start_games(self.config, [self.np_random])
         metrics = game.initial_info(self.rules, state)
         self._last_round = None
@@ -98,7 +102,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
         Returns:
             Observation, reward, terminated, truncated, ``info``. After termination the window is empty (``seen`` is
-            all 0), because no head is left.
+            all 0), because no head is left. At the end of the episode ``info`` also holds ``is_success``.
 
         Raises:
             ArgumentError: the action has another shape or other values, or the episode has ended.
@@ -110,13 +114,11 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         state, result = game.play_round(self.rules, before, candidates[None])
         self._last_round = (self._window, before.swarm, candidates)
         observation = self._observe(state)
-        return (
-            observation,
-            float(result.reward[0]),
-            bool(state.terminated[0]),
-            bool(state.truncated[0]),
-            self._info(result.metrics),
-        )
+        terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
+        info = self._info(result.metrics)
+        if terminated or truncated:
+            info["is_success"] = bool(info["success"])
+        return observation, float(result.reward[0]), terminated, truncated, info
 
     def _observe(self, state: game.GameState) -> Observation:
         self._game, observation = game.observe_windows(self.config, state, [self.np_random])
@@ -243,6 +245,8 @@ class SingleClusterEnv(UsnetEnv):
     | `reward_hit` | the part of the reward for the hit: 0 if the head is a candidate, else −1 |
     | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
+    In the last step of an episode, `info` also holds `success` as a boolean, `is_success`: Stable-Baselines3 reads it.
+
     ## Starting State
     Roles have random indices; `formation` gives the initial positions. The first window starts after all followers
     have followed for `memory` steps.
@@ -274,6 +278,7 @@ class SingleClusterEnv(UsnetEnv):
     * v0: first version
     """
 
+    @refuse_unknown_arguments
     def __init__(
         self,
         follow: str = "f1",
@@ -359,6 +364,8 @@ class MultiClusterEnv(UsnetEnv):
     | `reward_round` | the part of the reward for the round, −1 |
     | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
+    In the last step of an episode, `info` also holds `success` as a boolean, `is_success`: Stable-Baselines3 reads it.
+
     As long as heads are left, none of these values depends on M: `heads_left` needs `reveal_truth=True`.
 
     ## Starting State
@@ -396,6 +403,7 @@ class MultiClusterEnv(UsnetEnv):
     * v0: first version
     """
 
+    @refuse_unknown_arguments
     def __init__(
         self,
         follow: str = "f1",

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, optional_seed, quote, whole_number
 from usnet_env.drawing import MissingExtraError
 from usnet_env.envs.game import GameState, Rules
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
@@ -24,6 +24,7 @@ except ImportError:
     raise MissingExtraError("Games with several agents need PettingZoo: pip install 'usnet[multiagent]'.") from None
 
 __all__ = [
+    "IGNORED_OPTIONS",
     "AECEnv",
     "BaseParallelWrapper",
     "Observation",
@@ -37,6 +38,9 @@ __all__ = [
 ]
 
 Observation = dict[str, NDArray[Any]]
+
+#: Keys of ``options`` that ``reset`` ignores: PettingZoo's own tests of an environment pass this one.
+IGNORED_OPTIONS = ("options",)
 Step = tuple[
     dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, int | float]]
 ]
@@ -81,11 +85,8 @@ def make_rules(
     rules = Rules(problem="P2", max_rounds=max_rounds, shot_budget=shot_budget, redundancy_price=redundancy_price)
     if max_cycles is None:
         return rules
-    if isinstance(max_cycles, bool) or not isinstance(max_cycles, int | np.integer) or max_cycles < 1 + extra_steps:
-        raise ArgumentError(
-            f"max_cycles must be None or a whole number from {1 + extra_steps}, got {quote(max_cycles)}."
-        )
-    return rules.model_copy(update={"max_rounds": min(rules.max_rounds, int(max_cycles) - extra_steps)})
+    rounds = whole_number("max_cycles", max_cycles, 1 + extra_steps) - extra_steps
+    return rules.model_copy(update={"max_rounds": min(rules.max_rounds, rounds)})
 
 
 def to_scalars(metrics: Mapping[str, NDArray[Any]]) -> dict[str, int | float]:
@@ -114,7 +115,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         observation_spaces: dict[str, spaces.Dict],
         action_spaces: dict[str, spaces.Space[Any]],
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
+        if not (render_mode is None or (isinstance(render_mode, str) and render_mode in self.metadata["render_modes"])):
             raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(render_mode)}.")
         self.config = config
         self.rules = rules
@@ -142,7 +143,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return self._look_up(self._action_spaces, agent)
 
     def _look_up(self, values: Mapping[str, Any], agent: str) -> Any:
-        if agent not in values:
+        if not isinstance(agent, str) or agent not in values:
             raise ArgumentError(f"agent must be one of {', '.join(self.possible_agents)}, got {quote(agent)}.")
         return values[agent]
 
@@ -158,10 +159,9 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def _get_generator(self, seed: int | None) -> np.random.Generator:
         """Return the game's generator, created anew if there is none or if a seed is given."""
-        if seed is not None or self._rng is None:
-            if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0):
-                raise ArgumentError(f"seed must be a whole number from 0 or None, got {quote(seed)}.")
-            self._rng = seeding.np_random(None if seed is None else int(seed))[0]
+        checked = optional_seed("seed", seed)
+        if checked is not None or self._rng is None:
+            self._rng = seeding.np_random(checked)[0]
         return self._rng
 
     def _check_actions(self, actions: Any) -> dict[str, Any]:
