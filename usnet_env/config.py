@@ -115,7 +115,7 @@ def optional_seed(name: str, value: Any) -> int | None:
         return None
     plain = _to_python(value)
     if not is_whole_number(plain) or plain < 0:
-        raise ArgumentError(f"{name} must be None or a whole number from 0, got {quote(value)}.")
+        raise ArgumentError(f"{name} must be a whole number from 0 or None, got {quote(value)}.")
     return int(plain)
 
 

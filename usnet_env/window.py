@@ -11,7 +11,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from usnet_env.config import ArgumentError, quote, whole_number
 
-__all__ = ["Window", "frozen_array"]
+__all__ = ["Window", "as_array", "frozen_array"]
+
+
+def as_array(name: str, value: Any) -> NDArray[Any]:
+    """Return the argument ``name`` as an array of any shape and type.
+
+    Raises:
+        ArgumentError: NumPy can't make an array of it, for example of a ragged list.
+    """
+    try:
+        return np.asarray(value)
+    except Exception:  # a foreign class may raise anything when it is converted
+        raise ArgumentError(f"{name} must be an array, got {quote(value)}.") from None
 
 
 def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | None, ...]) -> NDArray[Any]:

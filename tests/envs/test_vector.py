@@ -70,7 +70,7 @@ def test_masks_are_those_of_the_single_envs():
 
 
 def test_bad_input_is_named():
-    with pytest.raises(ArgumentError, match="num_envs must be a whole number from 1, got 0"):
+    with pytest.raises(ArgumentError, match="num_envs must be a whole number from 1 to 1000000, got 0"):
         gym.make_vec(MULTI, num_envs=0)
     with pytest.raises(ArgumentError, match="follow must be one of"):
         gym.make_vec(MULTI, num_envs=2, follow="f0")

@@ -196,6 +196,7 @@ def play_round(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) ->
         "redundant": redundant,
         "round": rounds,
         "success": (left == 0).astype(np.int64),
+        "is_success": left == 0,
         "J": objective,
         "over_budget": over_budget.astype(np.int64),
         **terms,
@@ -204,11 +205,12 @@ def play_round(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) ->
 
 
 def initial_info(rules: Rules, state: GameState) -> dict[str, NDArray[Any]]:
-    """The metrics of ``info`` before the first round: the names that :func:`play_round` returns, all zero."""
+    """The metrics of ``info`` before the first round: the names that :func:`play_round` returns, all zero or false."""
     count = len(state.rounds)
     first = "reward_hit" if rules.problem == "P1" else "reward_round"
     return {
         **{name: np.zeros(count, np.int64) for name in ("hits", "redundant", "round", "success")},
+        "is_success": np.zeros(count, bool),
         "J": np.zeros(count),
         "over_budget": np.zeros(count, np.int64),
         first: np.zeros(count),

@@ -102,7 +102,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
         Returns:
             Observation, reward, terminated, truncated, ``info``. After termination the window is empty (``seen`` is
-            all 0), because no head is left. At the end of the episode ``info`` also holds ``is_success``.
+            all 0), because no head is left.
 
         Raises:
             ArgumentError: the action has another shape or other values, or the episode has ended.
@@ -114,11 +114,13 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         state, result = game.play_round(self.rules, before, candidates[None])
         self._last_round = (self._window, before.swarm, candidates)
         observation = self._observe(state)
-        terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
-        info = self._info(result.metrics)
-        if terminated or truncated:
-            info["is_success"] = bool(info["success"])
-        return observation, float(result.reward[0]), terminated, truncated, info
+        return (
+            observation,
+            float(result.reward[0]),
+            bool(state.terminated[0]),
+            bool(state.truncated[0]),
+            self._info(result.metrics),
+        )
 
     def _observe(self, state: game.GameState) -> Observation:
         self._game, observation = game.observe_windows(self.config, state, [self.np_random])
@@ -240,12 +242,11 @@ class SingleClusterEnv(UsnetEnv):
     | `redundant` | candidates of the round that are not living heads |
     | `round` | rounds played |
     | `success` | 1 if no head is left |
+    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
     | `J` | J_s, at price 1 |
     | `over_budget` | 1 if the round had more candidates than `shot_budget` |
     | `reward_hit` | the part of the reward for the hit: 0 if the head is a candidate, else −1 |
     | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
-
-    In the last step of an episode, `info` also holds `success` as a boolean, `is_success`: Stable-Baselines3 reads it.
 
     ## Starting State
     Roles have random indices; `formation` gives the initial positions. The first window starts after all followers
@@ -359,12 +360,11 @@ class MultiClusterEnv(UsnetEnv):
     | `redundant` | candidates of the round that are not living heads |
     | `round` | rounds played |
     | `success` | 1 if no head is left |
+    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
     | `J` | J_m of the rounds played so far, at price 1 |
     | `over_budget` | 1 if the round had more candidates than `shot_budget` |
     | `reward_round` | the part of the reward for the round, −1 |
     | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
-
-    In the last step of an episode, `info` also holds `success` as a boolean, `is_success`: Stable-Baselines3 reads it.
 
     As long as heads are left, none of these values depends on M: `heads_left` needs `reveal_truth=True`.
 

@@ -113,8 +113,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
             actions: ``(B, N)`` of 0 and 1, the candidates of each game.
 
         Returns:
-            Observations, rewards, terminated, truncated and ``info``, each with a leading axis B. If a game ends in
-            this step, ``info`` also holds ``is_success``.
+            Observations, rewards, terminated, truncated and ``info``, each with a leading axis B.
 
         Raises:
             ArgumentError: actions of another shape or with other values, or no call of :meth:`reset` before.
@@ -132,11 +131,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
             for name, values in game.initial_info(self.rules, begun).items():
                 metrics[name][ended] = values
         self._game, observation = game.observe_windows(self.config, state, self._rngs)
-        infos = self._infos(metrics)
-        ended_now = state.terminated | state.truncated
-        if ended_now.any():
-            infos |= {"is_success": ended_now & (metrics["success"] == 1), "_is_success": ended_now}
-        return observation, reward, state.terminated.copy(), state.truncated.copy(), infos
+        return observation, reward, state.terminated.copy(), state.truncated.copy(), self._infos(metrics)
 
     def _infos(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
         """``info`` in Gymnasium's vector form: one array per key, and the mask ``_key`` of the games that have it."""

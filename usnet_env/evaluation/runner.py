@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from os import PathLike
-from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium as gym
@@ -19,6 +18,7 @@ from usnet_env.evaluation.episode import Row
 from usnet_env.evaluation.result import EvaluationResult, summarise
 from usnet_env.evaluation.store import RunStore
 from usnet_env.evaluation.workers import Contestant, Worker, run_in_processes
+from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
 
 __all__ = ["MOST_EPISODES", "MOST_WORKERS", "TRIVIAL", "evaluate"]
@@ -80,6 +80,7 @@ def evaluate(
         EvaluationError: a detector raised an exception, or its answer has a wrong type or shape; the message names the
             detector, the episode and the cause. Finished rows are kept in ``out``.
     """
+    folder = None if out is None else as_path("out", out)
     run = _Run(episodes=episodes, seed=seed, workers=workers, trivial=trivial, progress=progress)
     arguments = _check_env_kwargs(env_kwargs)
     contestants = _make_contestants(detector, run.trivial)
@@ -90,7 +91,7 @@ def evaluate(
         environment = _check_environment(env, arguments, run.workers)
     try:
         config = _make_config(environment, arguments, contestants, run)
-        store = None if out is None else RunStore(Path(out), config)
+        store = None if folder is None else RunStore(folder, config)
         rows = _load_rows(store, contestants, run.episodes)
         tasks = [
             (episode, number)

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, optional_seed, quote, whole_number
+from usnet_env.config import ArgumentError, is_whole_number, optional_seed, quote
 from usnet_env.drawing import MissingExtraError
 from usnet_env.envs.game import GameState, Rules
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
@@ -85,8 +85,11 @@ def make_rules(
     rules = Rules(problem="P2", max_rounds=max_rounds, shot_budget=shot_budget, redundancy_price=redundancy_price)
     if max_cycles is None:
         return rules
-    rounds = whole_number("max_cycles", max_cycles, 1 + extra_steps) - extra_steps
-    return rules.model_copy(update={"max_rounds": min(rules.max_rounds, rounds)})
+    if not is_whole_number(max_cycles) or max_cycles < 1 + extra_steps:
+        raise ArgumentError(
+            f"max_cycles must be None or a whole number from {1 + extra_steps}, got {quote(max_cycles)}."
+        )
+    return rules.model_copy(update={"max_rounds": min(rules.max_rounds, int(max_cycles) - extra_steps)})
 
 
 def to_scalars(metrics: Mapping[str, NDArray[Any]]) -> dict[str, int | float]:

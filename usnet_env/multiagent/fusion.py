@@ -63,7 +63,7 @@ def fusion(name: str) -> Fusion:
     Raises:
         ArgumentError: no rule has this name.
     """
-    if name not in _FUSIONS:
+    if not isinstance(name, str) or name not in _FUSIONS:
         raise unknown_name("fusion", name, _FUSIONS)
     return _FUSIONS[name]
 

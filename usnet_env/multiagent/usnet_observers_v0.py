@@ -66,7 +66,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     In each round every observer gets the reward of P2 for the fused candidates, −(1 + `redundancy_price` · redundant /
     N). With price 1 the return is −J_m.
 
-    `info` is the same for all observers: `hits`, `redundant`, `round`, `success`, `J`, `over_budget`,
+    `info` is the same for all observers: `hits`, `redundant`, `round`, `success`, `is_success`, `J`, `over_budget`,
     `reward_round`, `reward_redundancy`.
 
     ## Starting State

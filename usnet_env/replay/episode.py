@@ -19,7 +19,7 @@ from usnet_env.files import as_path, atomic_write
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.window import frozen_array
 
-__all__ = ["FORMAT_VERSION", "EpisodeRecord"]
+__all__ = ["FORMAT_VERSION", "EpisodeRecord", "check_record"]
 
 #: Version 2 added ``attention`` and ``communication_links``; files of version 1 are read as well.
 FORMAT_VERSION = 2
@@ -415,3 +415,10 @@ class EpisodeRecord:
             raise ArgumentError(f"path must be an intact episode file, got {where}: {error} is missing.") from None
         except (ArgumentError, TypeError) as error:  # TypeError: a field is missing, doubled or unknown
             raise ArgumentError(f"path must be an intact episode file, got {where}: {error}") from None
+
+
+def check_record(record: Any) -> EpisodeRecord:
+    """Return the argument ``record``; raise :class:`ArgumentError` if it is not an :class:`EpisodeRecord`."""
+    if not isinstance(record, EpisodeRecord):
+        raise ArgumentError(f"record must be an EpisodeRecord, got {quote(record)}.")
+    return record

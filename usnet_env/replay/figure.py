@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usnet_env.drawing import HIT, REDUNDANT, draw_legend, draw_round, last_seen_position, new_figure, round_marks
-from usnet_env.files import atomic_write
-from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.files import as_path, atomic_write
+from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.story import describe_outcome, describe_round, format_count, rank_scores
 
 if TYPE_CHECKING:
@@ -72,9 +72,10 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         A matplotlib figure. If there are more than three rounds, it shows the first two and the last.
 
     Raises:
+        ArgumentError: ``record`` is not an episode.
         MissingExtraError: matplotlib is not installed.
     """
-    panels = _choose_rounds(record.rounds)
+    panels = _choose_rounds(check_record(record).rounds)
     width = max(len(panels) * (_MAP + _MARGIN) + _LEGEND, 9.0)
     sizes = f"{record.uavs} UAVs in {format_count(int(record.head.sum()), 'cluster')}"
     follow = f", follow strategy {record.config['follow']}" if "follow" in record.config else ""
@@ -130,7 +131,8 @@ def write_picture(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
         ArgumentError: the place can't be written to.
         MissingExtraError: matplotlib is not installed.
     """
+    place = as_path("path", path)
     figure = draw_episode(record)
-    with atomic_write(path) as aside:
+    with atomic_write(place) as aside:
         figure.savefig(aside, format="png")
-    return Path(path)
+    return place

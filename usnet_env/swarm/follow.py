@@ -321,7 +321,7 @@ def follow_strategy(name: str) -> FollowStrategy:
     Raises:
         ArgumentError: no strategy has this name.
     """
-    if name not in _STRATEGIES:
+    if not isinstance(name, str) or name not in _STRATEGIES:
         raise unknown_name("follow", name, [*_STRATEGIES, "none"])
     return _STRATEGIES[name]
 

@@ -176,7 +176,7 @@ def mobility(name: str) -> Mobility:
     Raises:
         ArgumentError: no mobility has this name.
     """
-    if name not in _MOBILITIES:
+    if not isinstance(name, str) or name not in _MOBILITIES:
         raise unknown_name("mobility", name, _MOBILITIES)
     return _MOBILITIES[name]
 
