@@ -295,7 +295,7 @@ def _detectors() -> dict[str, Door]:
         kind = type(usnet_env.make_detector(name))
 
         def call(seed: Any, **arguments: Any) -> None:
-            detector = usnet_env.make_detector(name, **arguments)
+            detector = kind(**arguments)
             detector.reset(seed)
             if quick:
                 detector.detect(_window())

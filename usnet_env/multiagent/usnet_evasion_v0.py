@@ -90,7 +90,8 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     head, without decoys.
 
     `info` of every agent holds `hits`, `redundant`, `round`, `success`, `is_success`, `J`, `over_budget`,
-    `reward_round`, `reward_redundancy`, and `price`: for a head the price that it pays, for the observer the sum over all heads.
+    `reward_round`, `reward_redundancy`, and `price`: for a head the price that it pays, for the observer the sum over
+    all heads.
 
     ## Starting State
     That of `USNET/MultiCluster-v0` with the same seed, before the first window.
