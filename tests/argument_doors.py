@@ -342,7 +342,7 @@ def make_doors(folder: Path) -> dict[str, Door]:
     head = {name: np.zeros(4, int) for name in ("head_0", "head_1")}
     vote = {f"observer_{k}": named for k in range(2)}
     heads = policies.TruthfulHead()
-    doors = {
+    return {
         "SingleClusterEnv": _made(SingleClusterEnv, followers=4, observation_steps=6),
         "MultiClusterEnv": _made(MultiClusterEnv, **SMALL),
         "SingleClusterVectorEnv": Door(
@@ -505,4 +505,3 @@ def make_doors(folder: Path) -> dict[str, Door]:
         **_detectors(),
         **_clusterers(),
     }  # fmt: skip
-    return doors

@@ -99,9 +99,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
             first = optional_seed("seed", seed)
             return [None if first is None else first + b for b in range(self.num_envs)]
         if len(seed) != self.num_envs:
-            raise ArgumentError(
-                f"seed must hold one seed for each of the {self.num_envs} environments, got {len(seed)} seeds."
-            )
+            raise ArgumentError(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seed)}.")
         return [optional_seed("seed", one) for one in seed]
 
     def step(
