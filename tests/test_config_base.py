@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, field_validator
 
-from usnet_env.config import ArgumentError, Config, UnknownArgumentError, quote, unknown_name
+from usnet_env.config import ArgumentError, Config, quote, unknown_name
 
 
 class Sample(Config):
@@ -113,8 +113,8 @@ class Endless:
 )
 def test_quote_describes_what_has_no_short_text(value, text):
     assert quote(value) == text
-    with pytest.raises(ArgumentError, match="count must be"):
-        Sample(count=value)
+    with pytest.raises(ArgumentError, match="name must be"):
+        Sample(name=value)
 
 
 def test_an_array_of_one_number_is_taken_as_the_number():
@@ -124,9 +124,8 @@ def test_an_array_of_one_number_is_taken_as_the_number():
 
 
 def test_an_unknown_argument_gets_the_most_similar_name():
-    for error in (UnknownArgumentError, ArgumentError, TypeError):
-        with pytest.raises(error, match=r"^rates is not an argument of Sample \(did you mean 'rate'\?\); it takes"):
-            Sample(rates=1)
+    with pytest.raises(ArgumentError, match=r"^rates is not an argument of Sample \(did you mean 'rate'\?\); it takes"):
+        Sample(rates=1)
 
 
 @given(st.text())

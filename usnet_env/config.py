@@ -19,7 +19,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 __all__ = [
     "ArgumentError",
     "Config",
-    "UnknownArgumentError",
     "add_to_registry",
     "is_whole_number",
     "optional_seed",
@@ -49,10 +48,6 @@ _EXPECTED = {  # texts for pydantic's error types
 
 class ArgumentError(ValueError):
     """An argument is invalid; the message is one sentence with its name, its value and what it takes."""
-
-
-class UnknownArgumentError(ArgumentError, TypeError):
-    """There is no argument of this name. It is also a ``TypeError``, which Python raises for an unexpected keyword."""
 
 
 def quote(value: object) -> str:
@@ -149,16 +144,16 @@ def _to_python(value: Any) -> Any:
     return value
 
 
-def unknown_argument(name: str, owner: str, known: Iterable[str]) -> UnknownArgumentError:
+def unknown_argument(name: str, owner: str, known: Iterable[str]) -> ArgumentError:
     """The error for an argument that ``owner`` does not have; it suggests the most similar argument."""
     takes = list(known)
     near = get_close_matches(name, takes, n=1)
     hint = f" (did you mean {near[0]!r}?)" if near else ""
-    return UnknownArgumentError(f"{name} is not an argument of {owner}{hint}; it takes {', '.join(takes)}.")
+    return ArgumentError(f"{name} is not an argument of {owner}{hint}; it takes {', '.join(takes)}.")
 
 
 def refuse_unknown_arguments(init: Callable[P, None]) -> Callable[P, None]:
-    """Decorate a constructor, so that an unknown keyword raises :class:`UnknownArgumentError` with a suggestion."""
+    """Decorate a constructor, so that an unknown keyword raises :class:`ArgumentError` with a suggestion."""
     known = [name for name in signature(init).parameters if name != "self"]
 
     @wraps(init)

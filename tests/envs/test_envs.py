@@ -540,7 +540,7 @@ def test_a_misspelt_argument_gets_the_most_similar_name(make):
         ArgumentError, match=r"^cluster is not an argument of MultiClusterEnv \(did you mean 'clusters'"
     ):
         make(MULTI, cluster=3)
-    with pytest.raises(TypeError, match=r"^uavs is not an argument of SingleClusterEnv; it takes follow, .*\.$"):
+    with pytest.raises(ArgumentError, match=r"^uavs is not an argument of SingleClusterEnv; it takes follow, .*\.$"):
         make(SINGLE, uavs=3)
 
 
