@@ -297,9 +297,7 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked
             member.write(bytes(2**20))
     assert path.stat().st_size < 2**20
     tracemalloc.start()
-    with pytest.raises(
-        ArgumentError, match=r"^max_bytes must be at least the 31459\d+ bytes .* need, got 268435456\.$"
-    ):
+    with pytest.raises(ArgumentError, match=r"^max_bytes must be at least the 31459\d+ bytes .*, got 268435456\.$"):
         EpisodeRecord.load(path)
     assert tracemalloc.get_traced_memory()[1] < 2**20
     tracemalloc.stop()
