@@ -73,9 +73,10 @@ def _make_loader() -> Any:
         first: [(tag, pattern) for tag, pattern in resolvers if tag not in numbers]
         for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
-    for tag, pattern, make in zip(numbers, (_WHOLE, _REAL), (int, float), strict=True):
+    for tag, pattern in zip(numbers, (_WHOLE, _REAL), strict=True):
         Loader.add_implicit_resolver(tag, pattern, list("-+0123456789."))
-        Loader.add_constructor(tag, lambda loader, node, make=make: make(loader.construct_scalar(node)))
+    Loader.add_constructor(numbers[0], lambda loader, node: int(loader.construct_scalar(node)))
+    Loader.add_constructor(numbers[1], lambda loader, node: float(loader.construct_scalar(node)))
     return Loader
 
 
