@@ -75,8 +75,8 @@ def _make_loader() -> Any:
     }
     for tag, pattern in zip(numbers, (_WHOLE, _REAL), strict=True):
         Loader.add_implicit_resolver(tag, pattern, list("-+0123456789."))
-    Loader.add_constructor(numbers[0], lambda loader, node: int(loader.construct_scalar(node)))
-    Loader.add_constructor(numbers[1], lambda loader, node: float(loader.construct_scalar(node)))
+    Loader.add_constructor(numbers[0], lambda loader, node: int(node.value))
+    Loader.add_constructor(numbers[1], lambda loader, node: float(node.value))
     return Loader
 
 
