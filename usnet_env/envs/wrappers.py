@@ -65,7 +65,8 @@ class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any]):
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        if not isinstance(_check_environment(env).action_space, spaces.MultiBinary):
+        _check_environment(env)
+        if not isinstance(env.action_space, spaces.MultiBinary):
             raise ArgumentError(f"env must have a MultiBinary action space, got {quote(env.action_space)}.")
         super().__init__(env)
         self.action_space = spaces.MultiDiscrete(np.full(env.action_space.shape, 2))
