@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import re
 from collections import Counter
+from contextlib import contextmanager
 
 import pytest
 from argument_doors import KINDS, make_doors
@@ -18,19 +19,30 @@ from usnet_env.swarm import follow, mobility
 LONGEST_SENTENCE = 1200  # it may list all arguments or names
 
 
+REGISTRIES = (
+    follow._STRATEGIES,
+    mobility._MOBILITIES,
+    fusion._FUSIONS,
+    usnet_env.plugins._registered,
+    clusterers._CLUSTERERS,
+)
+
+
 @pytest.fixture(autouse=True)
-def registries(monkeypatch, tmp_path):
-    """Undo all registrations, and keep files with relative names out of the working folder."""
+def own_folder(monkeypatch, tmp_path):
+    """Keep files with relative names out of the working folder."""
     monkeypatch.chdir(tmp_path)
-    for module, name in (
-        (follow, "_STRATEGIES"),
-        (mobility, "_MOBILITIES"),
-        (fusion, "_FUSIONS"),
-        (usnet_env.plugins, "_registered"),
-        (clusterers, "_CLUSTERERS"),
-    ):
-        before = dict(getattr(module, name))
-        monkeypatch.setattr(module, name, before)
+
+
+@contextmanager
+def registrations_undone():
+    before = [dict(registry) for registry in REGISTRIES]
+    try:
+        yield
+    finally:
+        for registry, content in zip(REGISTRIES, before, strict=True):
+            registry.clear()
+            registry.update(content)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +54,8 @@ def try_value(door, argument, kind):
     """Call with one value replaced: ``"accepted"``, ``"refused"``, or what is wrong with the refusal."""
     arguments = {**door.valid(), argument: KINDS[kind]()}
     try:
-        door.call(**arguments)
+        with registrations_undone():
+            door.call(**arguments)
     except ArgumentError as error:
         sentence = str(error)
     except Exception as error:
@@ -73,7 +86,8 @@ def try_values(doors, count, seed=0):
 def test_every_door_accepts_its_valid_arguments(doors):
     for door in doors.values():
         if not door.slow:
-            door.call(**door.valid())
+            with registrations_undone():
+                door.call(**door.valid())
 
 
 def test_a_sample_of_values_is_accepted_or_refused_in_one_sentence(doors):

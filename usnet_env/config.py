@@ -138,7 +138,9 @@ def _to_python(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
-        return tuple(value.tolist()) if value.ndim else value.item()
+        if value.ndim:
+            return tuple(value.tolist())
+        return value if value.dtype == object else value.item()  # an array of an object stays what it is
     if isinstance(value, list):
         return tuple(item.item() if isinstance(item, np.generic) else item for item in value)
     return value

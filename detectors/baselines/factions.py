@@ -23,7 +23,7 @@ _ITERATIONS = 100
 
 
 class _Arguments(Config):
-    max_lag: Annotated[int, Field(ge=1)]
+    max_lag: Annotated[int, Field(ge=1, le=1000)]
     threshold: Annotated[float, Field(ge=0, le=1)]
 
 

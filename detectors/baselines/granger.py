@@ -18,8 +18,8 @@ _CHUNK_PAIRS = 4096
 
 
 class _Arguments(LaggedArguments):
-    lags: Annotated[int, Field(ge=1)]
-    own_lags: Annotated[int, Field(ge=0)]
+    lags: Annotated[int, Field(ge=1, le=1000)]
+    own_lags: Annotated[int, Field(ge=0, le=1000)]
 
 
 class Granger(LaggedDetector):

@@ -20,7 +20,7 @@ __all__ = ["DestroyAll", "NoCandidates", "RandomDetector"]
 
 
 class _RandomArguments(Config):
-    count: Annotated[int, Field(ge=1)]
+    count: Annotated[int, Field(ge=1, le=100_000)]
 
 
 class RandomDetector(Detector):

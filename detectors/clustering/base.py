@@ -84,10 +84,10 @@ class Clustering:
 class ClustererArguments(Config):
     """The arguments that all clusterers take, checked."""
 
-    count: Annotated[int, Field(ge=1)] | str
+    count: Annotated[int, Field(ge=1, le=100_000)] | str
     features: str | Features
     affinity: str | Affinity | None
-    max_lag: Annotated[int, Field(ge=0)]
+    max_lag: Annotated[int, Field(ge=0, le=1000)]
     memory: Annotated[int, Field(ge=1, le=1000)]
 
 

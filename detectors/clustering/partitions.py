@@ -51,8 +51,8 @@ class Spectral(Clusterer):
 
 
 class _SymmetricNMFArguments(Config):
-    starts: Annotated[int, Field(ge=1)]
-    steps: Annotated[int, Field(ge=1)]
+    starts: Annotated[int, Field(ge=1, le=1_000_000)]
+    steps: Annotated[int, Field(ge=1, le=1_000_000)]
 
 
 class SymmetricNMF(Clusterer):
@@ -119,7 +119,7 @@ class Agglomerative(Clusterer):
 
     def check_arguments(self) -> ClustererArguments:
         """Check all arguments; return the common ones."""
-        if self.linkage not in LINKAGES:
+        if not isinstance(self.linkage, str) or self.linkage not in LINKAGES:
             raise unknown_name("linkage", self.linkage, LINKAGES)
         return super().check_arguments()
 
@@ -131,7 +131,7 @@ class Agglomerative(Clusterer):
 
 
 class _HdbscanArguments(Config):
-    least: Annotated[int, Field(ge=2)]
+    least: Annotated[int, Field(ge=2, le=100_000)]
 
 
 class Hdbscan(Clusterer):
@@ -184,7 +184,7 @@ class Hdbscan(Clusterer):
 
 
 class _LeadVotesArguments(Config):
-    lags: Annotated[int, Field(ge=1)]
+    lags: Annotated[int, Field(ge=1, le=1000)]
     squares: bool
     ridge: Annotated[float, Field(ge=0)]
 

@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 
 class _Arguments(Policy):
-    clusters: Annotated[int, Field(ge=1)] | None = None
+    clusters: Annotated[int, Field(ge=1, le=100_000)] | None = None
     memory: Annotated[int, Field(ge=1, le=64)] = 4
 
 

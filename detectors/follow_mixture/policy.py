@@ -33,7 +33,7 @@ class Policy(Config):
 
     policy: Literal["cost", "map"] = "cost"
     objective: Literal["P1", "P2"] = "P2"
-    shot_budget: Annotated[int, Field(ge=1)] | None = None
+    shot_budget: Annotated[int, Field(ge=1, le=100_000)] | None = None
     redundancy_price: Annotated[float, Field(ge=0)] = 1.0
     round_price: Annotated[float, Field(gt=0)] | None = None
 

@@ -29,7 +29,7 @@ _LEAST_UAVS = 3  # a head and two followers
 class _Arguments(Config):
     """The arguments that no other config checks."""
 
-    top_k: Annotated[int, Field(ge=1)]
+    top_k: Annotated[int, Field(ge=1, le=100_000)]
     rule: str
     implementation: str
 

@@ -16,7 +16,7 @@ LEAST_ROWS = 6
 
 
 class _Arguments(LaggedArguments):
-    max_lag: Annotated[int, Field(ge=1)]
+    max_lag: Annotated[int, Field(ge=1, le=1000)]
 
 
 class LaggedCorrelation(LaggedDetector):

@@ -18,7 +18,7 @@ _CHUNK_ENTRIES = 1_000_000  # entries of the whitened products in memory at a ti
 
 
 class _Arguments(LaggedArguments):
-    lags: Annotated[int, Field(ge=1)]
+    lags: Annotated[int, Field(ge=1, le=1000)]
     squares: bool
     ridge: Annotated[float, Field(ge=0)]
 

@@ -197,7 +197,7 @@ def detection_from_evidence(
 class LaggedArguments(Config):
     """The checked arguments that all lagged detectors share."""
 
-    clusters: Annotated[int, Field(ge=1)] | None
+    clusters: Annotated[int, Field(ge=1, le=100_000)] | None
 
 
 class LaggedDetector(Detector):

@@ -31,9 +31,9 @@ class _Arguments(Config):
 
     clusterer: str | Any
     features: str | Any
-    count: Annotated[int, Field(ge=1)] | str | None
+    count: Annotated[int, Field(ge=1, le=100_000)] | str | None
     gate: bool
-    followers: Annotated[int, Field(ge=1)]
+    followers: Annotated[int, Field(ge=1, le=100_000)]
     gate_threshold: float
     passes: Annotated[int, Field(ge=1, le=100)]
     gate_steps: Annotated[int, Field(ge=1, le=100_000)]

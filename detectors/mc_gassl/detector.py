@@ -36,7 +36,7 @@ class _Arguments(Config):
     clusterer: str | Any
     features: str | Any
     gru_mode: str
-    count: Annotated[int, Field(ge=1)] | str
+    count: Annotated[int, Field(ge=1, le=100_000)] | str
     gassl: dict[str, Any]
     start: str
     memory: Annotated[int, Field(ge=1, le=1000)]

@@ -27,7 +27,7 @@ _LEAST_UAVS = 3  # a head and two followers
 class _Arguments(Config):
     """The arguments that :class:`PerCandidate` does not check."""
 
-    top_k: Annotated[int, Field(ge=1)]
+    top_k: Annotated[int, Field(ge=1, le=100_000)]
     gate: bool
     gate_threshold: Annotated[float, Field(ge=0)]
     device: str

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.swarm import (
     FollowInputs,
     FollowStrategy,
@@ -25,7 +25,7 @@ from usnet_env.swarm import (
     advance,
     kernels,
 )
-from usnet_env.swarm.mobility import mobility
+from usnet_env.swarm.mobility import mobilities, mobility
 from usnet_env.swarm.simulator import JITTER
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
@@ -68,7 +68,8 @@ class Manoeuvres(Config):
     @model_validator(mode="after")
     def _known(self) -> Self:
         for name in self.mobilities:
-            mobility(name)
+            if name not in mobilities():
+                raise unknown_name("mobilities", name, mobilities())
         if not self.mobilities or len(set(self.mobilities)) != len(self.mobilities):
             raise ArgumentError(
                 f"mobilities must hold one or more different names, got {quote(list(self.mobilities))}."
