@@ -14,6 +14,8 @@ from usnet_env.config import ArgumentError, quote
 
 __all__ = ["as_path", "atomic_write"]
 
+_LONGEST_NAME = 255  # bytes; the limit of the usual file systems
+
 
 def as_path(name: str, value: Any) -> Path:
     """Return the argument ``name`` as a path.
@@ -27,8 +29,9 @@ def as_path(name: str, value: Any) -> Path:
     """
     try:
         path = os.fspath(value)
-        if not isinstance(path, str) or b"\0" in os.fsencode(path):
-            raise TypeError
+        name_sizes = [len(os.fsencode(part)) for part in Path(path).parts]
+        if "\0" in path or max(name_sizes, default=0) > _LONGEST_NAME:
+            raise ValueError
     except Exception:  # the __fspath__ of a foreign class may raise anything
         raise ArgumentError(f"{name} must be a path, got {quote(value)}.") from None
     return Path(path)
