@@ -41,7 +41,7 @@ def same(one, two):
 # candidates
 
 
-@pytest.mark.parametrize("followers", [5, 10])
+@pytest.mark.parametrize("followers", [5, pytest.param(10, marks=pytest.mark.slow)])
 def test_finds_the_head(followers):
     windows, heads = clusters(10, follow="f1", followers=followers)
     assert rate(detect_each(windows), heads) >= 0.8
