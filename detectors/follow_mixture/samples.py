@@ -17,7 +17,11 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _EACH = ("target", "seen", "lagged", "lag_seen", "position", "position_seen")  # arrays with one row per UAV
-_UNIT_SPREAD = 0.02  # speeds with a smaller relative standard deviation count as equal
+# Speeds count as equal if their standard deviation is below this share of the velocities' scatter about their mean: the
+# speeds of a swarm that drifts fast as a whole hardly differ either.
+_UNIT_SPREAD = 0.02
+_ROUNDING = 1e-5  # of the speed; speeds that differ less are equal in single precision
+_DRIFT = 3.0  # a mean velocity of more than this many times the scatter is a drift of the swarm and taken off
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +29,14 @@ class Samples:
     """R rows of n UAVs; row r is time t = ``memory`` + r of the window.
 
     Args:
-        target: ``(n, R, 3)`` velocity at t, in units of the swarm's mean speed; 0 where not seen.
+        target: ``(n, R, 3)`` velocity at t, in units of the swarm's mean speed, without a common drift; 0 where not
+            seen.
         seen: ``(n, R)`` bool, the target was seen.
         lagged: ``(n, R, L, 3)`` velocities at t - 1, ..., t - L, newest first; 0 where not seen.
         lag_seen: ``(n, R, L)`` bool.
         position: ``(n, R, 3)`` metres, at the instant t - 1, where the velocity of lag 1 begins.
         position_seen: ``(n, R)`` bool.
-        speed: mean speed, metres per step.
+        speed: mean speed without the drift, metres per step.
         unit: every UAV flies at the same constant speed: velocities are directions.
     """
 
@@ -103,6 +108,16 @@ def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Sample
     speed = float(flown.mean())
     if speed <= 0:
         return None
+    seen_velocity = velocity[seen]
+    drift = seen_velocity.mean(axis=0)
+    scatter = float(np.sqrt(seen_velocity.var(axis=0).sum()))
+    unit = bool(flown.std() < max(_UNIT_SPREAD * scatter, _ROUNDING * speed))
+    if not unit and np.sqrt(drift @ drift) > _DRIFT * scatter > 0:
+        centre = centre_of_velocities(seen_velocity)
+        flown = np.sqrt(((seen_velocity - centre) ** 2).sum(axis=1))
+        unit = bool(flown.std() < _UNIT_SPREAD * scatter)
+        velocity = velocity - (centre if unit else drift)
+        speed = float(np.sqrt(np.vecdot(velocity, velocity)[seen]).mean())
     velocity = np.where(seen[..., None], velocity, 0.0) / speed
     rows = steps - memory
     lags = np.arange(memory)[None, :]
@@ -115,8 +130,21 @@ def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Sample
         position=window.position[memory - 1 : steps - 1, living].swapaxes(0, 1).astype(np.float64),
         position_seen=window.seen[memory - 1 : steps - 1, living].T.copy(),
         speed=speed,
-        unit=bool(flown.std() < _UNIT_SPREAD * speed),
+        unit=unit,
     )
+
+
+def centre_of_velocities(velocity: Floats) -> Floats:
+    """The drift ``(3,)`` relative to which the speeds of ``(k, 3)`` velocities are most equal.
+
+    Velocities of one speed in a drift c are on a sphere about c, so |u|² = 2 c·u + constant holds for u = v less its
+    mean; a linear regression estimates c.
+    """
+    mean = velocity.mean(axis=0)
+    about = velocity - mean
+    squares = (about**2).sum(axis=1)
+    half, *_ = np.linalg.lstsq(2.0 * about, squares - squares.mean(), rcond=1e-6)
+    return np.asarray(mean + half)
 
 
 def stride(observations: int, most: int, rows: int) -> int:
