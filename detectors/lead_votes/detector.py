@@ -144,7 +144,7 @@ class LeadVotes(Detector):
             self.reset()
         living = np.flatnonzero(window.alive)
         followed = np.zeros(window.uavs)
-        if len(living) < _LEAST_UAVS:
+        if len(living) < _LEAST_UAVS or not window.velocity_seen.any():  # no evidence, decision (x)
             candidates = np.zeros(window.uavs, bool)
             candidates[self.rng.permutation(living)[:1]] = True
             few = {"count": min(1, len(living)), "proposed": candidates, "followed": followed}
