@@ -38,6 +38,7 @@ class Samples:
         position_seen: ``(n, R)`` bool.
         speed: mean speed without the drift, metres per step.
         unit: every UAV flies at the same constant speed: velocities are directions.
+        drift: ``(3,)`` metres per step, the velocity of the whole swarm that was taken off.
     """
 
     target: Floats
@@ -48,6 +49,7 @@ class Samples:
     position_seen: Mask
     speed: float
     unit: bool
+    drift: Floats
 
     @property
     def uavs(self) -> int:
@@ -84,13 +86,14 @@ class Samples:
         return replace(self, lagged=np.roll(self.lagged, shift, axis=1), lag_seen=np.roll(self.lag_seen, shift, axis=1))
 
 
-def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Samples | None:
+def samples_of(window: Window, living: NDArray[np.int64], memory: int, like: Samples | None = None) -> Samples | None:
     """Make the samples of the living UAVs.
 
     Args:
         window: the window.
         living: ``(n,)`` indices of the living UAVs.
         memory: L, smaller if the window has fewer than L + 4 velocities.
+        like: samples of the same swarm from which ``unit`` and ``drift`` are taken.
 
     Returns:
         ``None`` for fewer than 2 UAVs, fewer than 5 velocities, or if no UAV moves.
@@ -108,15 +111,9 @@ def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Sample
     speed = float(flown.mean())
     if speed <= 0:
         return None
-    seen_velocity = velocity[seen]
-    drift = seen_velocity.mean(axis=0)
-    scatter = float(np.sqrt(seen_velocity.var(axis=0).sum()))
-    unit = bool(flown.std() < max(_UNIT_SPREAD * scatter, _ROUNDING * speed))
-    if not unit and np.sqrt(drift @ drift) > _DRIFT * scatter > 0:
-        centre = centre_of_velocities(seen_velocity)
-        flown = np.sqrt(((seen_velocity - centre) ** 2).sum(axis=1))
-        unit = bool(flown.std() < _UNIT_SPREAD * scatter)
-        velocity = velocity - (centre if unit else drift)
+    drift, unit = common_drift(velocity[seen], flown) if like is None else (like.drift, like.unit)
+    if drift.any():
+        velocity = velocity - drift
         speed = float(np.sqrt(np.vecdot(velocity, velocity)[seen]).mean())
     velocity = np.where(seen[..., None], velocity, 0.0) / speed
     rows = steps - memory
@@ -131,20 +128,34 @@ def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Sample
         position_seen=window.seen[memory - 1 : steps - 1, living].T.copy(),
         speed=speed,
         unit=unit,
+        drift=drift,
     )
 
 
-def centre_of_velocities(velocity: Floats) -> Floats:
-    """The drift ``(3,)`` relative to which the speeds of ``(k, 3)`` velocities are most equal.
+def common_drift(velocity: Floats, speeds: Floats) -> tuple[Floats, bool]:
+    """The drift of a swarm, and whether all its UAVs fly at one speed relative to it.
 
-    Velocities of one speed in a drift c are on a sphere about c, so |u|² = 2 c·u + constant holds for u = v less its
-    mean; a linear regression estimates c.
+    Args:
+        velocity: ``(k, 3)`` seen velocities.
+        speeds: ``(k,)`` their lengths.
+
+    Returns:
+        ``(3,)``, 0 if the swarm flies at one speed or does not drift fast as a whole. A drift is the centre of the
+        sphere of velocities of one speed, or else the mean velocity.
     """
-    mean = velocity.mean(axis=0)
+    none, mean = np.zeros(3), velocity.mean(axis=0)
+    scatter = float(np.sqrt(velocity.var(axis=0).sum()))
+    if speeds.std() < max(_UNIT_SPREAD * scatter, _ROUNDING * float(speeds.mean())):
+        return none, True
+    if not np.sqrt(mean @ mean) > _DRIFT * scatter > 0:
+        return none, False
+    # On a sphere about c, |u|² = 2 (c - mean)·u + constant holds for u = v - mean: a linear regression.
     about = velocity - mean
     squares = (about**2).sum(axis=1)
     half, *_ = np.linalg.lstsq(2.0 * about, squares - squares.mean(), rcond=1e-6)
-    return np.asarray(mean + half)
+    relative = np.sqrt(((about - half) ** 2).sum(axis=1))
+    unit = bool(relative.std() < _UNIT_SPREAD * scatter)
+    return (mean + half if unit else mean), unit
 
 
 def stride(observations: int, most: int, rows: int) -> int:
