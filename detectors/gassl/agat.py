@@ -15,11 +15,11 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.gassl.elementwise import exp_in_place, tanh
+from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
 __all__ = ["SLOPE", "AgatSizes", "attend", "attend_backward", "draw_agat"]
@@ -105,7 +105,7 @@ def draw_agat(sizes: AgatSizes, uavs: int, rng: np.random.Generator) -> NDArray[
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@compiled(fastmath={"contract", "reassoc", "nsz"})
 def _layers(from_query, from_key, second, bias, value, begin, end, hidden, deep):  # type: ignore[no-untyped-def]
     """Both hidden layers of s_l at times begin to end, columns (time, UAV)."""
     width, narrow, uavs = hidden.shape[0], deep.shape[0], value.shape[2]
@@ -131,7 +131,7 @@ def _layers(from_query, from_key, second, bias, value, begin, end, hidden, deep)
             row[p] = h if h > _ZERO else _SLOPE * h
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+@compiled(fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
 def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):  # type: ignore[no-untyped-def]
     """One attention head: alpha ``(R, n)`` by equations (10), (11), and the pooled values ``(R, 3)`` by (13), (14)."""
     times, uavs = value.shape[0], value.shape[2]
@@ -171,7 +171,7 @@ def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):  # t
             pooled[t, 0], pooled[t, 1], pooled[t, 2] = x, y, z
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+@compiled(fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
 def _weigh_backward(  # type: ignore[no-untyped-def]
     from_query, from_key, second, bias, last, value, alpha, pooled, d_pooled,
     d_query, d_key, d_second, d_bias, d_last,
@@ -235,7 +235,7 @@ def _weigh_backward(  # type: ignore[no-untyped-def]
                 d_key[2, k] += z
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _query_arrays(phi, numbers):  # type: ignore[no-untyped-def]
     """L's arrays, views of the flat vector."""
     _, inputs, width, outputs, _, _, _ = numbers
@@ -249,7 +249,7 @@ def _query_arrays(phi, numbers):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _attn_head_arrays(phi, numbers, head):  # type: ignore[no-untyped-def]
     """The arrays of attention head l, views of the flat vector."""
     _, inputs, width, outputs, key, first, second = numbers
@@ -272,7 +272,7 @@ def _attn_head_arrays(phi, numbers, head):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def attend(phi, numbers, history, value, alpha, pooled):  # type: ignore[no-untyped-def]
     """Forward pass of one UAV's AGAT over all R times.
 
@@ -298,7 +298,7 @@ def attend(phi, numbers, history, value, alpha, pooled):  # type: ignore[no-unty
     return hidden, query
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def attend_backward(  # type: ignore[no-untyped-def]
     phi, numbers, history, value, alpha, pooled, hidden, query, d_pooled, d_phi
 ):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from usnet_env.compiling import compiled
 
 __all__ = ["exp_in_place", "tanh"]
 
@@ -17,7 +18,7 @@ _SIXTH = np.float32(1.0 / 720.0)
 _LOWEST = np.float32(-120.0)  # 2**-120 is 0 beside any other term of a softmax, and no denormal number
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@compiled(fastmath={"contract", "reassoc", "nsz"})
 def exp_in_place(x, bits):  # type: ignore[no-untyped-def]
     """``x`` becomes e**x, for x <= 0: a power of two by its exponent bits times a polynomial of degree 6.
 
@@ -42,7 +43,7 @@ def exp_in_place(x, bits):  # type: ignore[no-untyped-def]
         x[p] *= power[p]
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
+@compiled(fastmath={"contract", "reassoc", "nsz"})
 def tanh(x):  # type: ignore[no-untyped-def]
     """Tanh of a contiguous float32 array of any shape, by e**(-2 |x|)."""
     result = np.empty_like(x)
