@@ -16,6 +16,7 @@ from detectors.gassl.ifsn import IfsnSizes, draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Fit, Training, prepare_inputs, train
 from detectors.gassl.votes import RULES, choose_heads, count_votes, select_top
+from detectors.series.pairs import check_pairs
 from usnet_env.config import ArgumentError, Config, unknown_name
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -59,7 +60,7 @@ class Gassl(Detector):
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the window has no more than
-            T_0 velocities.
+            T_0 velocities or more than 10,000 UAVs.
     """
 
     def __init__(
@@ -167,11 +168,12 @@ class Gassl(Detector):
 
 
 def check_window(window: Window, memory: int) -> None:
-    """Refuse a window that is too short for T_0.
+    """Refuse a window that is too short for T_0, or too large for matrices of all pairs.
 
     Raises:
-        ArgumentError: the window has no more than T_0 velocities.
+        ArgumentError: the window has no more than T_0 velocities, or more than 10,000 UAVs.
     """
+    check_pairs(window.uavs)
     if window.observation_steps <= memory:
         raise ArgumentError(f"window must hold more than memory = {memory} velocities, got {window.observation_steps}.")
 

@@ -68,7 +68,7 @@ class McGassl(Detector):
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or a window has no more than T_0
-            velocities.
+            velocities or more than 10,000 UAVs.
     """
 
     def __init__(

@@ -13,6 +13,7 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate, fit_per_candidate
+from detectors.series.pairs import check_pairs
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -60,7 +61,7 @@ class NeuralGranger(Detector):
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is invalid, the device does not exist, or the
-            window has no more than T_0 velocities.
+            window has no more than T_0 velocities or more than 10,000 UAVs.
     """
 
     side_by_side: ClassVar[bool] = True
@@ -188,6 +189,7 @@ class NeuralGranger(Detector):
 
     def _select_members(self, window: Window) -> NDArray[np.intp]:
         """Check the window and return the indices of its living UAVs."""
+        check_pairs(window.uavs)
         if window.observation_steps <= self.memory:
             raise ArgumentError(
                 f"window must hold more than memory = {self.memory} velocities, got {window.observation_steps}."
