@@ -344,9 +344,9 @@ def describe_foreign_detectors() -> str | None:
     package = sys.modules.get(_OWN_PACKAGE)
     if package is None or hasattr(package, "DetectorPolicy"):
         return None
-    place = package.__file__ or next(iter(package.__path__), "")
+    place = next(iter(getattr(package, "__path__", [])), package.__file__)  # a module has no path
     return (
-        f"the package {_OWN_PACKAGE!r} that Python found is not that of {_OWN_DISTRIBUTION}: rename {quote(place)}, or "
+        f"the package {_OWN_PACKAGE!r} that Python found is not that of {_OWN_DISTRIBUTION}: rename {place!r}, or "
         f"remove the distribution that it belongs to and install {_OWN_DISTRIBUTION} again."
     )
 

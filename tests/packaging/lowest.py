@@ -26,7 +26,7 @@ env = gym.make("USNET/MultiCluster-v0", clusters=2, uavs=12, observation_steps=4
 env.reset(seed=0)
 env.step(np.eye(1, 12, dtype=np.int8)[0])
 assert env.render().ndim == 3
-detectors = ["follow-mixture", "lagged-regression(clusters=2)", "lagged-correlation", "granger", "factions", "destroy-all"]
+detectors = ["follow-mixture", "lagged-regression(clusters=2)", "lagged-correlation", "granger", "factions", "random"]
 result = usnet_env.evaluate(
     "USNET/MultiCluster-v0", detectors, episodes=2, workers=2,
     env_kwargs={"clusters": 2, "uavs": 12, "observation_steps": 40}, out=sys.argv[1],
