@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from numba import njit
 
 __all__ = ["compiled"]
 
-Loop = TypeVar("Loop", bound=Callable[..., Any])
 
-
-def compiled(**options: Any) -> Callable[[Loop], Loop]:
-    """A decorator that compiles a function at its first call.
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator that compiles a function at its first call.
 
     Numba keeps machine code beside the source or in the user's cache folder. Where it can write neither, the function
     is compiled again in every process.
@@ -22,13 +20,12 @@ def compiled(**options: Any) -> Callable[[Loop], Loop]:
         options: further arguments of :func:`numba.njit`.
     """
 
-    def compile_function(function: Loop) -> Loop:
+    def compile_function(function: Callable[..., Any]) -> Any:
         try:
-            loop: Loop = njit(cache=True, nogil=True, **options)(function)
+            return njit(cache=True, nogil=True, **options)(function)
         except RuntimeError as error:
             if "no locator available" not in str(error):
                 raise
-            loop = njit(nogil=True, **options)(function)
-        return loop
+            return njit(nogil=True, **options)(function)
 
     return compile_function
