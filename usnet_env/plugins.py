@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import inspect
 import re
+import sys
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -29,6 +30,7 @@ __all__ = [
     "GROUP",
     "DetectorLike",
     "describe_detectors",
+    "describe_foreign_detectors",
     "detector_label",
     "detector_names",
     "make_detector",
@@ -36,7 +38,7 @@ __all__ = [
 ]
 
 GROUP = "usnet.detectors"
-_OWN_DISTRIBUTION = "usnet"
+_OWN_DISTRIBUTION, _OWN_PACKAGE = "usnet", "detectors"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 
 Factory = Callable[..., Any]
@@ -322,6 +324,8 @@ def _load_factory(name: str, load: Callable[[], Any]) -> Factory:
     try:
         factory = load()
     except (Exception, SystemExit) as error:  # importing a foreign module may raise anything
+        if reason := describe_foreign_detectors():
+            raise ArgumentError(f"detector {name!r} can't be loaded: {reason}") from error
         raise ArgumentError(f"detector {name!r} can't be loaded: {_describe_error(error)}.") from error
     if not callable(factory):
         raise ArgumentError(
@@ -329,6 +333,22 @@ def _load_factory(name: str, load: Callable[[], Any]) -> Factory:
         )
     loaded: Factory = factory
     return loaded
+
+
+def describe_foreign_detectors() -> str | None:
+    """Describe an imported package ``detectors`` that is not the one of this distribution; ``None`` without one.
+
+    The name is a common one: a folder of the user may come first on the path, and another distribution may have
+    overwritten the package.
+    """
+    package = sys.modules.get(_OWN_PACKAGE)
+    if package is None or hasattr(package, "DetectorPolicy"):
+        return None
+    place = next(iter(getattr(package, "__path__", [])), package.__file__)  # a module has no path
+    return (
+        f"the package {_OWN_PACKAGE!r} that Python found is not that of {_OWN_DISTRIBUTION}: rename {place!r}, or "
+        f"remove the distribution that it belongs to and install {_OWN_DISTRIBUTION} again."
+    )
 
 
 def _describe_error(error: BaseException) -> str:

@@ -15,11 +15,11 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.gassl.layers import affine, affine_backward, exp_in_place, products, tanh_backward, tanh_in_place
+from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
 __all__ = ["SLOPE", "AgatSizes", "attend", "attend_backward", "draw_agat"]
@@ -105,7 +105,7 @@ def draw_agat(sizes: AgatSizes, uavs: int, rng: np.random.Generator) -> NDArray[
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep):  # type: ignore[no-untyped-def]
     """Both hidden layers of s_l for the UAVs begin to end, columns (UAV, time); ``points`` gets their values.
 
@@ -133,7 +133,7 @@ def _layers(from_query, from_key, second, bias, value, begin, end, points, hidde
             row[p] = max(h, _SLOPE * h)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):  # type: ignore[no-untyped-def]
     """One attention head: alpha ``(n, R)`` by equations (10), (11), and the pooled values ``(3, R)`` by (13), (14)."""
     _, uavs, times = value.shape
@@ -183,7 +183,7 @@ def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):  # t
             sums[t] *= total[t]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _weigh_backward(  # type: ignore[no-untyped-def]
     from_query, from_key, second, bias, last, value, alpha, pooled, d_pooled,
     d_query, d_key, d_second, d_bias, d_last,
@@ -256,7 +256,7 @@ def _weigh_backward(  # type: ignore[no-untyped-def]
                 d_key[c, k] += of_key[k, c]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _query_arrays(phi, numbers):  # type: ignore[no-untyped-def]
     """L's arrays, views of the flat vector."""
     _, inputs, width, outputs, _, _, _ = numbers
@@ -270,7 +270,7 @@ def _query_arrays(phi, numbers):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _attn_head_arrays(phi, numbers, head):  # type: ignore[no-untyped-def]
     """The arrays of attention head l, views of the flat vector."""
     _, inputs, width, outputs, key, first, second = numbers
@@ -293,7 +293,7 @@ def _attn_head_arrays(phi, numbers, head):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def attend(phi, numbers, history, value, alpha, pooled):  # type: ignore[no-untyped-def]
     """Forward pass of one UAV's AGAT over all R times.
 
@@ -323,7 +323,7 @@ def attend(phi, numbers, history, value, alpha, pooled):  # type: ignore[no-unty
     return hidden, query
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def attend_backward(  # type: ignore[no-untyped-def]
     phi, numbers, history, value, alpha, pooled, hidden, query, d_pooled, d_phi
 ):

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.gassl.layers import affine, affine_backward, tanh_backward, tanh_in_place
+from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
 __all__ = ["VARIANCE_FLOOR", "IfsnSizes", "draw_ifsn", "pair_losses", "predict", "predict_backward", "standardise"]
@@ -57,7 +57,7 @@ def draw_ifsn(sizes: IfsnSizes, inputs: int, rng: np.random.Generator) -> NDArra
     return np.concatenate(parts).astype(np.float32)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _arrays(gamma, inputs):  # type: ignore[no-untyped-def]
     """Γ's arrays, views of the flat vector; the width follows from its length."""
     width = 1
@@ -78,7 +78,7 @@ def _arrays(gamma, inputs):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def standardise(values, scale):  # type: ignore[no-untyped-def]
     """``values`` ``(R, d)`` become zero-mean with unit variance over the times; ``scale`` ``(d,)`` gets the factors."""
     times, entries = values.shape
@@ -96,7 +96,7 @@ def standardise(values, scale):  # type: ignore[no-untyped-def]
             values[t, f] = (values[t, f] - mean) * factor
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def predict(gamma, inputs):  # type: ignore[no-untyped-def]
     """v̂_{i,t+1} ``(R, 3)`` of standardised inputs ``(R, d)``, and the three hidden layers."""
     first, first_bias, second, second_bias, third, third_bias, output, output_bias = _arrays(gamma, inputs.shape[1])
@@ -113,7 +113,7 @@ def predict(gamma, inputs):  # type: ignore[no-untyped-def]
     return predicted, one, two, three
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma):  # type: ignore[no-untyped-def]
     """The gradient with respect to Γ, written to ``d_gamma``; returns that with respect to the inputs as they were
     before they were standardised, ``(R, d)``.
@@ -141,7 +141,7 @@ def predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma): 
     return d_inputs
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def pair_losses(gamma, own, source, target, weight):  # type: ignore[no-untyped-def]
     """The squared error of Γ for every pair of UAVs, summed over the times: the sum of equation (37).
 

@@ -8,7 +8,8 @@ Sums over many terms are products of matrices instead, which BLAS computes.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from usnet_env.compiling import compiled
 
 __all__ = ["affine", "affine_backward", "exp_in_place", "products", "tanh_backward", "tanh_in_place"]
 
@@ -23,7 +24,7 @@ _SIXTH = np.float32(1.0 / 720.0)
 _LOWEST = np.float32(-120.0)  # 2**-120 is 0 beside any other term of a softmax, and no denormal number
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def exp_in_place(x, bits):  # type: ignore[no-untyped-def]
     """``x`` becomes e**x, for x <= 0: a power of two by its exponent bits times a polynomial of degree 6.
 
@@ -48,7 +49,7 @@ def exp_in_place(x, bits):  # type: ignore[no-untyped-def]
         x[p] *= power[p]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def tanh_in_place(x):  # type: ignore[no-untyped-def]
     """``x`` ``(R, d)``, contiguous float32, becomes tanh(x), by e**(-2 |x|)."""
     flat = x.reshape(x.size)
@@ -61,7 +62,7 @@ def tanh_in_place(x):  # type: ignore[no-untyped-def]
         flat[p] = magnitude if flat[p] >= _ZERO else -magnitude
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def tanh_backward(y, d_y):  # type: ignore[no-untyped-def]
     """The gradient with respect to y = tanh(x), ``(R, d)``, becomes that with respect to x."""
     for t in range(y.shape[0]):
@@ -69,7 +70,7 @@ def tanh_backward(y, d_y):  # type: ignore[no-untyped-def]
             d_y[t, k] *= _ONE - y[t, k] * y[t, k]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def affine(x, weight, bias, out):  # type: ignore[no-untyped-def]
     """``out`` ``(R, outputs)`` = ``x`` ``(R, inputs)`` times ``weight`` plus ``bias``."""
     np.dot(x, weight, out)
@@ -78,7 +79,7 @@ def affine(x, weight, bias, out):  # type: ignore[no-untyped-def]
             out[t, k] += bias[k]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def products(x, d_out, d_weight, d_bias):  # type: ignore[no-untyped-def]
     """Gradients of :func:`affine` with respect to weight and bias, written to ``d_weight`` and ``d_bias``."""
     np.dot(x.T, d_out, d_weight)
@@ -89,7 +90,7 @@ def products(x, d_out, d_weight, d_bias):  # type: ignore[no-untyped-def]
             d_bias[k] += d_out[t, k]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def affine_backward(x, weight, d_out, d_weight, d_bias, d_x):  # type: ignore[no-untyped-def]
     """As :func:`products`, and the gradient with respect to ``x``, written to ``d_x``."""
     products(x, d_out, d_weight, d_bias)

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.gassl.agat import AgatSizes, attend, attend_backward
 from detectors.gassl.ifsn import predict, predict_backward, standardise
 from detectors.gassl.topology_matrix import Batch
+from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
 __all__ = ["Fit", "Inputs", "Training", "loss_and_gradient", "prepare_inputs", "train"]
@@ -106,7 +106,7 @@ class Fit:
         return mean
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _forward(phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale):  # type: ignore[no-untyped-def]
     """L_B(Θ_i) of equation (23), and what the gradient needs."""
     hidden, query = attend(phi, numbers, history, value, alpha, pooled)
@@ -128,7 +128,7 @@ def _forward(phi, gamma, numbers, history, value, own, target, weight, alpha, po
     return loss, predicted, hidden, query, one, two, three
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _gradient(  # type: ignore[no-untyped-def]
     phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale, d_pooled, d_phi, d_gamma
 ):
@@ -146,7 +146,7 @@ def _gradient(  # type: ignore[no-untyped-def]
     return loss
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _train_uav(  # type: ignore[no-untyped-def]
     phi, gamma, numbers, history, value, own, target, weight, rate, loss, attn_heads
 ):

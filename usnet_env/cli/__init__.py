@@ -10,6 +10,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 
 import click
 
@@ -45,8 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit status: 0 for success, 1 for a failure, 2 if an argument was refused or a detector failed, 130 after an
         interruption.
     """
-    if "" not in sys.path and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # a console script lacks it, but module:Class is often there
+    _add_current_folder()
     try:
         with _usnet.make_context("usnet", list(sys.argv[1:] if argv is None else argv)) as context:
             try:
@@ -77,6 +77,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _report_failure(error)
 
 
+def _add_current_folder() -> None:
+    """Make the modules of the current folder importable, since ``module:Class`` is often there; installed ones win."""
+    with suppress(OSError):  # the folder may be deleted
+        if "" not in sys.path and os.getcwd() not in sys.path:
+            sys.path.append(os.getcwd())
+
+
 def _report_failure(error: Exception) -> int:
     """Report a failed detector, a file that cannot be used, too little memory, or an unexpected error."""
     if os.environ.get("USNET_TRACEBACK"):
@@ -90,6 +97,12 @@ def _report_failure(error: Exception) -> int:
     if isinstance(error, MemoryError):
         print_message("not enough memory; try fewer UAVs, observation steps or workers.")
         return _FAILED
+    if isinstance(error, ImportError):
+        from usnet_env.plugins import describe_foreign_detectors
+
+        if reason := describe_foreign_detectors():
+            print_message(reason)
+            return _FAILED
     text = " ".join(str(error).split())
     print_message(f"failed with {type(error).__name__}: {text.rstrip('.')}. USNET_TRACEBACK=1 shows where.")
     return _FAILED
