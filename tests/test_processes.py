@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import sys
-import time
 from functools import partial
 
 import pytest
 from sample_tasks import play
 
 from usnet_env import ArgumentError
-from usnet_env.processes import Limits, ProcessDied, ProcessPool, SendError, limited, run_limited
+from usnet_env.processes import Limits, ProcessDied, ProcessPool, SendError, run_limited
 
 LINUX = sys.platform.startswith("linux")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not LINUX, reason="memory is limited on Linux only")
 def test_a_task_that_ends_hangs_or_eats_memory_fails_with_its_reason_and_the_others_go_on():
     tasks = ["first", "exit", "memory", "little memory", "raise", "fork", "hang", "last"]
@@ -55,10 +55,3 @@ def test_a_function_that_cannot_be_sent_is_refused_at_once():
 def test_limits_are_positive_numbers(name, value):
     with pytest.raises(ArgumentError, match=name):
         Limits(**{name: value})
-
-
-def test_outside_a_pool_there_are_no_limits():
-    begin = time.monotonic()
-    with limited("nothing"):
-        pass
-    assert time.monotonic() >= begin

@@ -99,7 +99,16 @@ class ProcessDied(RuntimeError):
 
 
 class SendError(RuntimeError):
-    """A function or a task cannot be sent to another process, or a process could not start."""
+    """A function cannot be sent to another process, or a process could not start.
+
+    Args:
+        text: the reason.
+        started: whether there was a process, or none was needed to find the reason.
+    """
+
+    def __init__(self, text: str, started: bool = True) -> None:
+        super().__init__(text)
+        self.started = started
 
 
 @dataclass(frozen=True)
@@ -117,7 +126,7 @@ class Outcome(Generic[TaskT, ResultT]):
     error: BaseException | None = None
 
 
-class _RemoteTraceback(Exception):  # noqa: N818  # only shown as the cause of an error
+class _RemoteTraceback(Exception):  # only shown as the cause of an error
     """The traceback of an error in a child process, as text."""
 
     def __str__(self) -> str:
@@ -348,11 +357,14 @@ class ProcessPool(Generic[TaskT, ResultT]):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def run(self, tasks: Iterable[TaskT]) -> Iterator[Outcome[TaskT, ResultT]]:
+    def run(
+        self, tasks: Iterable[TaskT], is_wanted: Callable[[TaskT], bool] = lambda task: True
+    ) -> Iterator[Outcome[TaskT, ResultT]]:
         """Run all tasks; the outcomes come in the order in which they are finished.
 
         Args:
             tasks: read one after the other, a few ahead of the outcomes.
+            is_wanted: whether a task should still be run that another process had received and not begun when it died.
 
         Raises:
             SendError: the function cannot be unpickled in another process, or a process could not start.
@@ -360,6 +372,7 @@ class ProcessPool(Generic[TaskT, ResultT]):
         queue, again = iter(tasks), deque[TaskT]()  # `again`: tasks that a process had received when it died
         try:
             while True:
+                again = deque(filter(is_wanted, again))
                 self._fill(queue, again)
                 if not any(each.tasks for each in self._processes):
                     break
@@ -422,7 +435,7 @@ class ProcessPool(Generic[TaskT, ResultT]):
             try:
                 process.start()
             except RuntimeError as error:  # this process is itself starting: it imports an unguarded main script
-                raise SendError(f"{type(error).__name__}: {' '.join(str(error).split())}") from None
+                raise SendError(f"a worker process could not start: {type(error).__name__}", started=False) from error
             finally:
                 theirs.close()
             each = _Process[TaskT](process, ours)
@@ -472,7 +485,7 @@ class ProcessPool(Generic[TaskT, ResultT]):
         reason = each.describe_end()
         self._remove(each)
         if not each.ready:
-            raise SendError(f"a worker process did not start: {reason}")
+            raise SendError(f"a worker process did not start: {reason}", started=False)
         if each.tasks:
             task = each.tasks.popleft()
             again.extendleft(reversed(each.tasks))
