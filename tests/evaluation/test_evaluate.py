@@ -313,11 +313,11 @@ def test_here_too_a_detector_that_leaves_the_program_has_failed_and_the_others_p
 
 
 def test_threads_that_stay_are_named():
-    with pytest.warns(RuntimeWarning, match=r"^detector 'Staying' left 2 threads running, no daemons: staying\.$"):
-        try:
+    try:
+        with pytest.warns(RuntimeWarning, match=r"^detector 'Staying' left 2 threads running, no daemons: staying\.$"):
             evaluate(MULTI, Staying(), episodes=1, env_kwargs=SMALL)
-        finally:
-            Staying.release.set()
+    finally:
+        Staying.release.set()
 
 
 def test_a_policy_that_takes_masks_receives_them():
