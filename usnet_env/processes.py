@@ -20,10 +20,10 @@ Inside a task, :func:`limited` marks the part to which the limits apply, such as
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import multiprocessing
 import os
-import pickle
 import signal
 import sys
 import threading
@@ -35,6 +35,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
+from multiprocessing.reduction import ForkingPickler
 from typing import Annotated, Any, Generic, TypeVar
 
 from pydantic import Field
@@ -146,7 +147,7 @@ class _Child:
     inside: bool = False
 
     def send(self, *message: Any) -> None:
-        self.connection.send_bytes(pickle.dumps(message))
+        self.connection.send(message)
 
 
 _child: _Child | None = None
@@ -242,15 +243,15 @@ def _run_child(connection: Connection, limits: Limits) -> None:
     left: list[tuple[threading.Thread, Any]] = []
     try:
         try:
-            function = pickle.loads(connection.recv_bytes())
+            function = connection.recv()
         except EOFError:
             raise
         except BaseException as error:
             child.send("refused", f"{type(error).__name__}: {error}")
             return
         child.send("ready")
-        while message := connection.recv_bytes():  # an empty one ends the process
-            task = pickle.loads(message)
+        while (message := connection.recv()) is not None:  # None ends the process
+            (task,) = message
             _send_result(child, function, task)
             left += [(thread, task) for thread in threading.enumerate() if thread not in known]
             known.update(threading.enumerate())
@@ -266,14 +267,14 @@ def _send_result(child: _Child, function: Callable[[Any], Any], task: Any) -> No
     """Run a task and send its result or its error."""
     try:
         result = function(task)
-        message = pickle.dumps(("done", result))
+        message = ForkingPickler.dumps(("done", result))
     except BaseException as error:
         trace = traceback.format_exc()
         try:
-            pickle.loads(pickle.dumps(error))
+            copy.copy(error)  # builds it again from its arguments, as the parent will
+            message = ForkingPickler.dumps(("error", error, trace))
         except Exception:
-            error = RuntimeError(f"{type(error).__name__}: {error}")
-        message = pickle.dumps(("error", error, trace))
+            message = ForkingPickler.dumps(("error", RuntimeError(f"{type(error).__name__}: {error}"), trace))
     if os.getpid() != child.pid:
         os._exit(1)
     child.connection.send_bytes(message)
@@ -347,7 +348,7 @@ class ProcessPool(Generic[TaskT, ResultT]):
         self._processes: list[_Process[TaskT]] = []
         self._threads: dict[int, list[tuple[str, TaskT]]] = {}
         try:
-            self._function = pickle.dumps(function)
+            self._function = ForkingPickler.dumps(function)
         except Exception as error:
             raise SendError(f"{type(error).__name__}: {error}") from error
 
@@ -415,14 +416,14 @@ class ProcessPool(Generic[TaskT, ResultT]):
                     fresh.append(free)
                 free.tasks.append(task)
                 if free not in fresh:
-                    self._send(free, pickle.dumps(task))
+                    self._send(free, ForkingPickler.dumps((task,)))
         for each in fresh:  # after all have started: a long message waits until its process reads it
             self._send(each, self._function)
             for task in each.tasks:
-                self._send(each, pickle.dumps(task))
+                self._send(each, ForkingPickler.dumps((task,)))
 
     @staticmethod
-    def _send(each: _Process[TaskT], message: bytes) -> None:
+    def _send(each: _Process[TaskT], message: Any) -> None:
         with suppress(OSError):  # it has died, which `_wait` will notice
             each.connection.send_bytes(message)
 
@@ -456,7 +457,7 @@ class ProcessPool(Generic[TaskT, ResultT]):
             try:
                 if not each.connection.poll():
                     break
-                kind, *content = pickle.loads(each.connection.recv_bytes())
+                kind, *content = each.connection.recv()
             except (EOFError, OSError):
                 each.process.join(_GRACE)  # the connection closes a moment before the process has its exit status
                 each.connection.close()
@@ -510,12 +511,12 @@ class ProcessPool(Generic[TaskT, ResultT]):
         for each in self._processes:
             # Only the direction to the child is closed, so that its last message can still be read.
             with suppress(OSError):
-                each.connection.send_bytes(b"")
+                each.connection.send(None)
         end = time.monotonic() + _GRACE
         for each in self._processes:
             with suppress(EOFError, OSError):
                 while each.connection.poll(max(0.0, end - time.monotonic())):
-                    kind, *content = pickle.loads(each.connection.recv_bytes())
+                    kind, *content = each.connection.recv()
                     if kind == "threads":
                         self._threads[each.process.pid] = content[0]
                         break

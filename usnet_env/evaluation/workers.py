@@ -140,13 +140,13 @@ class _Part:
     Args:
         kind, name: what it is, and its name.
         module: where it is defined.
-        data: the object, pickled by value.
+        part: the object, to be pickled by value.
     """
 
     kind: str
     name: str
     module: str
-    data: bytes
+    part: CloudpickleWrapper[Any]
 
 
 def _registered_parts() -> list[_Part]:
@@ -165,7 +165,8 @@ def _registered_parts() -> list[_Part]:
         module = str(getattr(origin, "__module__", ""))
         if not module.startswith("usnet_env."):
             with suppress(Exception):
-                parts.append(_Part(kind, name, module, pickle.dumps(CloudpickleWrapper(part))))
+                pickle.dumps(wrapper := CloudpickleWrapper(part))
+                parts.append(_Part(kind, name, module, wrapper))
     return parts
 
 
@@ -173,11 +174,11 @@ def _register_parts(parts: Iterable[_Part]) -> None:
     """Register parts in this process, unless the main script or their module has registered them here too."""
     known = {"follow": follow_strategies(), "mobility": mobilities(), "detector": registered_detectors()}
     for part in parts:
-        with suppress(Exception):  # it cannot be imported here: its name is refused if it is used
+        with suppress(Exception):  # its module cannot be imported here: its name is refused if it is used
             if part.module != "__main__":
                 import_module(part.module)
             if part.name not in known[part.kind]:
-                _REGISTER[part.kind](part.name, pickle.loads(part.data).fn)  # type: ignore[operator]
+                _REGISTER[part.kind](part.name, part.part.fn)  # type: ignore[operator]
 
 
 def run_here(
