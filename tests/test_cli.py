@@ -46,14 +46,14 @@ def refused(run, words, *expected):
     assert all(word in err for word in expected), err
 
 
-def process(*words, **options):
+def process(*words, variables=None, **options):
     path = os.pathsep.join(filter(None, [str(SAMPLES), os.environ.get("PYTHONPATH")]))
     return subprocess.Popen(
         [sys.executable, "-m", "usnet_env", *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"PYTHONPATH": path},
+        env=os.environ | {"PYTHONPATH": path} | (variables or {}),
         preexec_fn=restore_ctrl_c,
         **options,
     )
@@ -202,6 +202,8 @@ def test_help_imports_nothing_heavy():
         (["--episodes", "many"], ["--episodes", "'many'"]),
         (["--episodes", "9" * 5000], ["--episodes"]),
         (["--episodes"], ["--episodes"]),
+        (["--time-limit", "0"], ["--time-limit", "'0'"]),
+        (["--memory-limit", "much"], ["--memory-limit", "'much'"]),
         (["--seed", "-1"], ["--seed", "'-1'"]),
         (["--seed", "1e3"], ["--seed", "'1e3'"]),
         (["--seed", str(2**63)], ["--seed"]),
@@ -295,6 +297,48 @@ def test_a_failing_detector_is_one_sentence(run, monkeypatch):
     monkeypatch.syspath_prepend(str(SAMPLES))
     words = ["evaluate", "--episodes", "4", *SMALL, "--detector", "sample_detectors:Failing"]
     refused(run, words, "sample_detectors:Failing", "episode 2", "ZeroDivisionError")
+
+
+def test_a_detector_that_ends_its_process_is_a_failure_and_one_that_prints_breaks_no_json(run, monkeypatch):
+    monkeypatch.syspath_prepend(str(SAMPLES))
+    words = [*QUICK, "--json", "--detector", "sample_detectors:Printing", "--detector", "sample_detectors:Ending"]
+    status, out, err = run(*words)
+    assert status == 2
+    assert [entry["detector"] for entry in json.loads(out)] == ["destroy-all", "sample_detectors:Printing"]
+    assert err.startswith("usnet: detector 'sample_detectors:Ending' failed in episode ")
+    assert err.endswith("round 2: it ended its process with status 0.\n")
+    assert err.count("\n") == 1
+
+
+def test_a_typo_in_an_argument_leaves_no_run_behind(run, monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(SAMPLES))
+    words = [*QUICK, "--out", str(tmp_path / "run"), "--detector"]
+    refused(run, [*words, "sample_detectors:Demanding(clusters='three')"], "clusters must be a whole number")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_a_terminal_of_few_characters_loses_no_result(encoding):
+    running = process(*QUICK, variables={"PYTHONIOENCODING": encoding}, encoding=encoding)
+    out, err = running.communicate(timeout=120)
+    assert (running.returncode, err) == (0, "")
+    assert "destroy-all" in out
+
+
+def test_a_closed_standard_error_fails_nothing():
+    done = subprocess.run(
+        ["sh", "-c", f"{sys.executable} -m usnet_env list envs 2>&-"], capture_output=True, check=True
+    )
+    assert b"USNET/MultiCluster-v0" in done.stdout
+
+
+def test_a_current_folder_that_was_removed_is_one_sentence(run, tmp_path, monkeypatch):
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    refused(run, ["list", "envs"], "the current folder must exist")
 
 
 def test_a_bug_is_one_sentence_and_can_be_looked_at(run, monkeypatch):

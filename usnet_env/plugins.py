@@ -16,9 +16,10 @@ import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from difflib import get_close_matches
+from hashlib import sha256
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from types import FunctionType
+from types import FunctionType, MappingProxyType
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
@@ -35,6 +36,7 @@ __all__ = [
     "detector_names",
     "make_detector",
     "register_detector",
+    "registered_detectors",
 ]
 
 GROUP = "usnet.detectors"
@@ -77,6 +79,11 @@ def register_detector(name: str, factory: Factory) -> None:
     if _registered.get(name, factory) is not factory or (name not in _registered and name in _entry_points()):
         raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
     _registered[name] = factory
+
+
+def registered_detectors() -> Mapping[str, Factory]:
+    """The detectors that were registered in this process by name (a read-only view)."""
+    return MappingProxyType(_registered)
 
 
 def detector_names() -> list[str]:
@@ -164,8 +171,28 @@ def _format_label(name: str, arguments: Mapping[str, Any]) -> str:
 
 
 def _format_value(value: Any) -> str:
-    """Format a value for a label; a function by its name, because its address differs from run to run."""
-    return str(value.__qualname__) if isinstance(value, FunctionType) else quote(value)
+    """Format a value for a label, so that different values have different labels.
+
+    A literal is shown in full: it may be typed again. A function is shown by its name, because its address differs from
+    run to run. Any other value is shown in at most 80 characters, followed by a hash if it was cut.
+    """
+    if isinstance(value, FunctionType):
+        return str(value.__qualname__)
+    if _is_literal(value):
+        return repr(value)
+    short = quote(value)
+    if not short.endswith("…"):
+        return short
+    return f"{short}#{sha256(repr(value).encode('utf-8', 'backslashreplace')).hexdigest()[:8]}"
+
+
+def _is_literal(value: Any) -> bool:
+    """Whether ``repr`` gives a literal that Python reads as the same value."""
+    if isinstance(value, list | tuple | set):
+        return all(map(_is_literal, value))
+    if isinstance(value, dict):
+        return all(map(_is_literal, [*value.keys(), *value.values()]))
+    return value is None or type(value) in (bool, int, float, complex, str, bytes)
 
 
 def _find_registered_name(detector_class: type) -> str | None:

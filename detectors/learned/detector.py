@@ -13,8 +13,8 @@ from detectors.base import Detector
 from detectors.follow_mixture.policy import Policy, choose
 from detectors.learned.inputs import make_inputs
 from detectors.learned.network import HeadNetwork, build_network
-from detectors.weights import packaged_arrays, read_arrays
 from detectors.series.pairs import check_pairs
+from detectors.weights import packaged_arrays, read_arrays
 from usnet_env.config import ArgumentError, Config, unknown_name
 from usnet_env.detection import Detection
 from usnet_env.window import Window

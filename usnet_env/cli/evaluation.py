@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
 from typing import TYPE_CHECKING
 
 import click
 
-from usnet_env.cli.options import PairsCommand, WholeNumber, parse_pairs
-from usnet_env.cli.output import PIPE_WIDTH, show
+from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, parse_pairs
+from usnet_env.cli.output import PIPE_WIDTH, print_message, show
 
 if TYPE_CHECKING:
     from usnet_env.evaluation import EvaluationResult
@@ -47,6 +48,14 @@ __all__ = ["demo", "evaluate"]
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the evaluation.")
 @click.option("--workers", type=WholeNumber(1, 256), default=1, show_default=True, help="Number of processes.")
 @click.option(
+    "--time-limit",
+    type=PositiveNumber(),
+    default=3600,
+    show_default=True,
+    help="Seconds that one answer of a detector may take.",
+)
+@click.option("--memory-limit", type=PositiveNumber(), help="Megabytes that one answer of a detector may allocate.")
+@click.option(
     "--out", metavar="DIR", help="Folder for rows, summary and config; the same command resumes an interrupted run."
 )
 @click.option(
@@ -62,6 +71,8 @@ def evaluate(
     episodes: int,
     seed: int,
     workers: int,
+    time_limit: float,
+    memory_limit: float | None,
     out: str | None,
     trivial: bool,
     as_json: bool,
@@ -69,28 +80,45 @@ def evaluate(
     """Play every detector against the same swarms, and print its metrics with 95 % intervals.
 
     The arguments of an environment that --set takes are described in the documentation of the environments.
+
+    Episodes are played in worker processes. A detector that hangs or ends its process has failed; the other detectors
+    play to the end.
     """
     env_kwargs = parse_pairs(settings)
     if out is not None:
         ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes from there."
     from usnet_env import evaluation
 
-    result = evaluation.evaluate(
-        env_id,
-        list(detectors),
-        episodes=episodes,
-        seed=seed,
-        env_kwargs=env_kwargs,
-        workers=workers,
-        trivial=trivial,
-        out=out,
-        progress=sys.stderr.isatty(),
-    )
+    failure: evaluation.EvaluationError | None = None
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", RuntimeWarning)
+        try:
+            result = evaluation.evaluate(
+                env_id,
+                list(detectors),
+                episodes=episodes,
+                seed=seed,
+                env_kwargs=env_kwargs,
+                workers=workers,
+                trivial=trivial,
+                out=out,
+                progress=sys.stderr is not None and sys.stderr.isatty(),
+                time_limit=time_limit,
+                memory_limit=memory_limit,
+            )
+        except evaluation.EvaluationError as error:
+            if error.result is None:
+                raise
+            result, failure = error.result, error  # the other detectors have played to the end
+    for warning in caught:
+        print_message(str(warning.message))
     if as_json:
         click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
-        return
-    _print_result(result)
-    if out is not None:
+    else:
+        _print_result(result)
+    if failure is not None:
+        raise failure
+    if out is not None and not as_json:
         click.echo(f"Rows, summary and config are in {out}.", err=True)
 
 
