@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_episode import ROUNDS, UAVS, small_episode
+from small_episode import ROUNDS, UAVS, large_episode, small_episode
 
 from usnet_env import ArgumentError
 from usnet_env.replay import draw_episode, write_picture
@@ -28,29 +28,6 @@ def long_episode(rounds, **changes):
         "objective": np.arange(rounds) + 1.0,
         "over_budget": np.zeros(rounds, bool),
         "seconds": np.zeros(rounds),
-    }
-    return small_episode(**values | changes)
-
-
-def large_episode(**changes):
-    """A round with 60 UAVs; 30, 31 and 40 are heads, 40 and 55 are candidates."""
-    head, named = (np.isin(np.arange(60), uavs) for uavs in ((30, 31, 40), (40, 55)))
-    values = {
-        "position": np.zeros((1, 21, 60, 3)),
-        "velocity": np.zeros((1, 20, 60, 3)),
-        "seen": np.ones((1, 21, 60), bool),
-        "alive": np.ones((1, 60), bool),
-        "leader": np.where(head, np.arange(60), 30)[None],
-        "candidates": named[None],
-        "scores": np.zeros((1, 60)),
-        "objective": [1.0],
-        "head": head,
-        "decoy": np.zeros(60, bool),
-        "over_budget": [False],
-        "seconds": [0.1],
-        "clusters": None,
-        "leader_estimate": None,
-        "attention": None,
     }
     return small_episode(**values | changes)
 
