@@ -43,9 +43,14 @@ def open_replay(path: str | os.PathLike[str]) -> None:
     Args:
         path: the file of the replay.
     """
-    # The streams are discarded, so that the viewer writes nothing into the terminal of a program that has ended.
-    silent = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    subprocess.Popen([_find_viewer(), os.fspath(path)], start_new_session=True, **silent)
+    # The output is discarded, so that the viewer writes nothing into the terminal of a program that has ended.
+    subprocess.Popen(
+        [_find_viewer(), os.fspath(path)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def run_demo(
