@@ -84,6 +84,6 @@ def _describe_parts(part: str) -> list[tuple[str, str]]:
         from usnet_env.swarm import mobilities
 
         return [(name, law.description) for name, law in mobilities().items()]
-    from usnet_env.evaluation.environments import describe_environment, usnet_ids
+    from usnet_env.evaluation.environments import describe_environments
 
-    return [(name, describe_environment(name)) for name in usnet_ids()]
+    return list(describe_environments().items())
