@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
+from usnet_env.config import optional_seed
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -35,8 +36,11 @@ class Detector(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no ty
 
         Args:
             seed: seed of ``self.rng``, never that of the environment; ``None`` takes one from the operating system.
+
+        Raises:
+            ArgumentError: the seed is not a whole number from 0.
         """
-        self.rng = np.random.default_rng(seed)
+        self.rng = np.random.default_rng(optional_seed("seed", seed))
 
     def detect(self, window: Window) -> Detection:
         """Name the candidates of one round.
@@ -68,7 +72,7 @@ class DetectorPolicy:
 
     def __init__(self, detector: Detector, seed: int | None = None) -> None:
         self.detector = detector
-        self._seeds = np.random.default_rng(seed)
+        self._seeds = np.random.default_rng(optional_seed("seed", seed))
         self._begun = False
 
     def predict(

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from usnet_env import cli
 from usnet_env.cli import main
+from usnet_env.cli.options import parse_pairs
 from usnet_env.evaluation import METRICS
 from usnet_env.evaluation.environments import find_environment, list_arguments
 
@@ -125,6 +126,14 @@ def test_one_set_takes_every_pair_and_may_repeat(run):
     assert [entry["metrics"]["J"] for entry in json.loads(one[1])] == [
         entry["metrics"]["J"] for entry in json.loads(many[1])
     ]
+
+
+def test_whole_numbers_are_decimal(run):
+    """YAML 1.1 reads 0100 as 64, and 1:30 as 90."""
+    assert parse_pairs(["uavs=0100", "sizes=[010, 0x10, 1_0]"]) == {"uavs": 100, "sizes": [10, "0x10", "1_0"]}
+    status, _, err = run(*QUICK[:5], "--set", "uavs=1:30")
+    assert status == 2
+    assert "uavs must be a whole number, got '1:30'." in err
 
 
 def test_values_are_yaml(run, tmp_path):

@@ -42,7 +42,7 @@ class Sample(Config):
         ({"name": 7}, "name must be a name, got 7."),
         ({"name": "long one"}, "name must be short, got 'long one'."),
         ({"sizes": 3}, "sizes must be a list, got 3."),
-        ({"other": 3}, "other is not an argument of this configuration, got 3."),
+        ({"other": 3}, "other is not an argument of Sample; it takes count, rate, flag, name, sizes."),
     ],
 )
 def test_each_refusal_is_one_sentence(values, sentence):
@@ -86,6 +86,46 @@ def test_any_values_are_taken_or_refused_in_one_sentence_about_one_of_them(value
     assert sentence.split()[0] in values
     assert "\n" not in sentence
     assert sentence.endswith(".")
+
+
+class Broken:
+    def __repr__(self):
+        raise ZeroDivisionError
+
+
+class Endless:
+    def __repr__(self):
+        return "long\n" * 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (10**5000, "a whole number of about 5000 digits"),
+        (-(10**4400), "a whole number of about 4400 digits"),
+        (Broken(), "an object of type Broken (its repr raises ZeroDivisionError)"),
+        ([Broken()], "an object of type list (its repr raises ZeroDivisionError)"),
+        ([10**5000], "an object of type list (its repr raises ValueError)"),
+        (Endless(), ("long " * 20)[:79] + "…"),
+        ("x" * 10**6, "'" + "x" * 78 + "…"),
+    ],
+    ids=range(7),
+)
+def test_quote_describes_what_has_no_short_text(value, text):
+    assert quote(value) == text
+    with pytest.raises(ArgumentError, match="name must be"):
+        Sample(name=value)
+
+
+def test_an_array_of_one_number_is_taken_as_the_number():
+    assert Sample(count=np.array(6), rate=np.array(0.5)) == Sample(count=6, rate=0.5)
+    with pytest.raises(ArgumentError, match=r"^sizes must be a list, got 6\.$"):
+        Sample(sizes=np.array(6))
+
+
+def test_an_unknown_argument_gets_the_most_similar_name():
+    with pytest.raises(ArgumentError, match=r"^rates is not an argument of Sample \(did you mean 'rate'\?\); it takes"):
+        Sample(rates=1)
 
 
 @given(st.text())

@@ -46,6 +46,12 @@ def test_arrays_are_read_only_copies():
         window.round = 2
 
 
+@pytest.mark.parametrize("value", [None, "first", 1.5, np.nan, np.inf, [1, 2], np.zeros(0), 0, {}])
+def test_a_bad_round_of_an_observation_is_named(value):
+    with pytest.raises(ArgumentError, match=r"^round must be a whole number from 1, got .*\.$"):
+        Window.from_observation(parts(round=value))
+
+
 @given(hnp.arrays(bool, (5, 4)), hnp.arrays(bool, 4))
 def test_a_velocity_is_seen_where_both_its_ends_are_and_the_uav_lives(seen, alive):
     window = Window(**parts(instants=5, uavs=4, seen=seen, alive=alive))
@@ -90,6 +96,8 @@ def test_an_observation_that_is_no_mapping_is_refused(observation):
         ("position", "metres"),
         ("position", None),
         ("position", np.zeros((4, 3, 3), complex)),
+        ("position", np.full((4, 3, 3), 1e39)),
+        ("velocity", np.full((3, 3, 3), -1e300)),
         ("velocity", np.zeros((4, 3, 3))),
         ("velocity", np.zeros((3, 2, 3))),
         ("velocity", np.full((3, 3, 3), np.nan)),

@@ -6,16 +6,35 @@ argument takes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Callable, Collection, Iterable
 from difflib import get_close_matches
-from typing import Any
+from functools import wraps
+from inspect import signature
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-__all__ = ["ArgumentError", "Config", "quote", "unknown_name"]
+__all__ = [
+    "ArgumentError",
+    "Config",
+    "add_to_registry",
+    "is_whole_number",
+    "optional_seed",
+    "plain_text",
+    "quote",
+    "real_number",
+    "refuse_unknown_arguments",
+    "unknown_argument",
+    "unknown_name",
+    "whole_number",
+]
 
 _LONGEST_VALUE = 80
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 _EXPECTED = {  # texts for pydantic's error types
     "int_type": "a whole number",
@@ -32,9 +51,78 @@ class ArgumentError(ValueError):
 
 
 def quote(value: object) -> str:
-    """Format ``value`` for an error message: its ``repr`` on one line of at most 80 characters."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 1] + "…"
+    """Format ``value`` for an error message: its ``repr`` on one line of at most 80 characters.
+
+    A value without a ``repr`` is described instead: an object whose ``repr`` raises, or an integer that Python does not
+    write because it has too many digits.
+    """
+    try:
+        # A long text is cut first, so that a refusal of megabytes takes no longer than another.
+        shown = repr(value[: 2 * _LONGEST_VALUE] if isinstance(value, str | bytes) else value)
+    except Exception as error:  # the repr of a foreign class may raise anything
+        if isinstance(value, int):
+            shown = f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"
+        else:
+            shown = f"an object of type {type(value).__name__} (its repr raises {type(error).__name__})"
+    line = " ".join(shown[: 20 * _LONGEST_VALUE].split())
+    return line if len(line) <= _LONGEST_VALUE else line[: _LONGEST_VALUE - 1] + "…"
+
+
+def is_whole_number(value: object) -> bool:
+    """Whether ``value`` is an integer of Python or NumPy; a boolean is not."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def whole_number(name: str, value: Any, least: int, most: int | None = None) -> int:
+    """Return the argument ``name`` as an ``int``.
+
+    Args:
+        name: the argument's name in error messages.
+        value: an integer of Python or NumPy, or an array of shape ``()`` that holds one.
+        least: the smallest valid value.
+        most: the largest valid value; ``None`` for no limit.
+
+    Raises:
+        ArgumentError: the value is not a whole number, or it is out of range.
+    """
+    plain = _to_python(value)
+    if not is_whole_number(plain) or plain < least or (most is not None and plain > most):
+        limits = f"from {least}" if most is None else f"from {least} to {most}"
+        raise ArgumentError(f"{name} must be a whole number {limits}, got {quote(value)}.")
+    return int(plain)
+
+
+def real_number(name: str, value: Any, least: float, most: float) -> float:
+    """Return the argument ``name`` as a ``float``; parameters and errors are those of :func:`whole_number`."""
+    plain = _to_python(value)
+    if isinstance(plain, bool) or not isinstance(plain, int | float) or not least <= plain <= most:
+        raise ArgumentError(f"{name} must be a number from {least:g} to {most:g}, got {quote(value)}.")
+    return float(plain)
+
+
+def optional_seed(name: str, value: Any) -> int | None:
+    """Return a seed as an ``int``, or ``None`` if it is ``None``.
+
+    Raises:
+        ArgumentError: the value is neither ``None`` nor a whole number from 0.
+    """
+    if value is None:
+        return None
+    plain = _to_python(value)
+    if not is_whole_number(plain) or plain < 0:
+        raise ArgumentError(f"{name} must be a whole number from 0 or None, got {quote(value)}.")
+    return int(plain)
+
+
+def plain_text(name: str, value: Any) -> str:
+    """Return the argument ``name``, which must be a ``str``.
+
+    Raises:
+        ArgumentError: the value has another type.
+    """
+    if not isinstance(value, str):
+        raise ArgumentError(f"{name} must be a text, got {quote(value)}.")
+    return value
 
 
 def unknown_name(argument: str, got: object, known: Iterable[str]) -> ArgumentError:
@@ -50,10 +138,65 @@ def _to_python(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
-        return tuple(value.tolist())
+        return tuple(value.tolist()) if value.ndim else value.item()
     if isinstance(value, list):
-        return tuple(_to_python(item) for item in value)
+        return tuple(item.item() if isinstance(item, np.generic) else item for item in value)
     return value
+
+
+def unknown_argument(name: str, owner: str, known: Iterable[str]) -> ArgumentError:
+    """The error for an argument that ``owner`` does not have; it suggests the most similar argument."""
+    takes = list(known)
+    near = get_close_matches(name, takes, n=1)
+    hint = f" (did you mean {near[0]!r}?)" if near else ""
+    return ArgumentError(f"{name} is not an argument of {owner}{hint}; it takes {', '.join(takes)}.")
+
+
+def refuse_unknown_arguments(init: Callable[P, None]) -> Callable[P, None]:
+    """Decorate a constructor, so that an unknown keyword raises :class:`ArgumentError` with a suggestion."""
+    known = [name for name in signature(init).parameters if name != "self"]
+
+    @wraps(init)
+    def checked(*values: P.args, **arguments: P.kwargs) -> None:
+        for name in arguments:
+            if name not in known:
+                raise unknown_argument(name, type(values[0]).__name__, known)
+        init(*values, **arguments)
+
+    return checked
+
+
+def add_to_registry(registry: dict[str, T], name: str, value: T, replace: Any, own: Collection[str]) -> None:
+    """Store ``value`` under ``name`` in a registry.
+
+    Args:
+        registry: what is registered, by name; changed in place.
+        name: the name; the caller has checked its form.
+        value: what to register.
+        replace: whether to replace another value of the same name.
+        own: names of this package, which can't be replaced: results refer to them.
+
+    Raises:
+        ArgumentError: another value has the name, and ``replace`` is false or the name is one of ``own``.
+    """
+    if not isinstance(replace, bool):
+        raise ArgumentError(f"replace must be true or false, got {quote(replace)}.")
+    if name in registry and not _is_same(registry[name], value):
+        if name in own:
+            raise ArgumentError(f"name must be a new one, got {quote(name)}, which is a name of this package.")
+        if not replace:
+            raise ArgumentError(
+                f"name must be a new one, got {quote(name)}, which is registered already (replace=True replaces it)."
+            )
+    registry[name] = value
+
+
+def _is_same(one: object, other: object) -> bool:
+    """Compare two registered values; values whose comparison raises are different."""
+    try:
+        return one is other or bool(one == other)
+    except Exception:  # the comparison of a foreign class may raise anything
+        return False
 
 
 def _to_sentence(error: ValidationError) -> str:
@@ -62,8 +205,6 @@ def _to_sentence(error: ValidationError) -> str:
     name = str(first["loc"][0]) if first["loc"] else "configuration"
     if first["type"] == "value_error":  # raised by a validator of this project: its text is the sentence
         return str(first["ctx"]["error"])
-    if first["type"] == "extra_forbidden":
-        return f"{name} is not an argument of this configuration, got {quote(first['input'])}."
     takes = _EXPECTED.get(first["type"], first["msg"].removeprefix("Input should be ").rstrip("."))
     return f"{name} must be {takes}, got {quote(first['input'])}."
 
@@ -79,6 +220,9 @@ class Config(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as error:
+            for found in error.errors():
+                if found["type"] == "extra_forbidden":
+                    raise unknown_argument(str(found["loc"][0]), type(self).__name__, type(self).model_fields) from None
             raise ArgumentError(_to_sentence(error)) from None
 
     @model_validator(mode="before")

@@ -46,10 +46,7 @@ class Detection:
         put(self, "scores", frozen_array("scores", self.scores, np.float64, (uavs,)))
         for name in ("clusters", "leader"):
             if (value := getattr(self, name)) is not None:
-                labels = frozen_array(name, value, np.int64, (uavs,))
-                if not np.array_equal(labels, np.asarray(value)):
-                    raise ArgumentError(f"{name} must hold whole numbers, got {quote(value)}.")
-                put(self, name, labels)
+                put(self, name, frozen_array(name, value, np.int64, (uavs,)))
         if self.leader is not None and not ((self.leader >= -1) & (self.leader < uavs)).all():
             raise ArgumentError(f"leader must hold indices from -1 to {uavs - 1}, got {quote(self.leader)}.")
         if self.attention is not None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from errno import EISDIR
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 from usnet_env.config import ArgumentError, quote
@@ -16,7 +17,26 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["FileLock", "atomic_write"]
+__all__ = ["FileLock", "as_path", "atomic_write"]
+
+
+def as_path(name: str, value: Any) -> Path:
+    """Return the argument ``name`` as a path.
+
+    Args:
+        name: the argument's name in error messages.
+        value: a ``str``, or an object of ``os.PathLike`` that returns one.
+
+    Raises:
+        ArgumentError: the value has another type, or no file can have this name.
+    """
+    try:
+        path = os.fspath(value)
+        if not isinstance(path, str) or b"\0" in os.fsencode(path):
+            raise TypeError
+    except Exception:  # the __fspath__ of a foreign class may raise anything
+        raise ArgumentError(f"{name} must be a path, got {quote(value)}.") from None
+    return Path(path)
 
 
 @contextmanager
@@ -32,8 +52,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises:
         ArgumentError: the file can't be written.
     """
-    final = Path(path)
-    aside = final.with_name(f".{final.name}.{uuid4().hex}")
+    final = as_path("path", path)
+    aside = final.parent / f".{final.name}.{uuid4().hex}"
     try:
         if final.is_dir():
             raise IsADirectoryError(EISDIR, os.strerror(EISDIR))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from usnet_env.config import ArgumentError, quote
+from usnet_env.window import as_array
 
 __all__ = [
     "average_precision",
@@ -35,7 +36,7 @@ Ratios = NDArray[np.float64]
 
 def _mask(name: str, value: ArrayLike) -> Mask:
     """Convert ``value`` to booleans with at least one axis; values other than 0 and 1 raise."""
-    array = np.asarray(value)
+    array = as_array(name, value)
     if array.dtype != bool:
         if array.dtype.kind not in "iuf" or not ((array == 0) | (array == 1)).all():
             raise ArgumentError(f"{name} must hold only 0 and 1 (or booleans), got {quote(value)}.")
@@ -55,9 +56,13 @@ def _pair(first_name: str, first: ArrayLike, name: str, value: ArrayLike) -> tup
     return reference, mask
 
 
-def _labels(name: str, value: ArrayLike, uavs: int) -> NDArray[np.int64]:
-    """Convert ``(N,)`` labels to int64; -1 means no label."""
-    labels = np.asarray(value)
+def _labels(name: str, value: ArrayLike, uavs: int | None = None) -> NDArray[np.int64]:
+    """Convert ``(N,)`` labels to int64, with ``None`` for any N; -1 means no label."""
+    labels = as_array(name, value)
+    if uavs is None:
+        if labels.ndim != 1:
+            raise ArgumentError(f"{name} must have shape (N,), got {labels.shape}.")
+        uavs = len(labels)
     if labels.shape != (uavs,) or labels.dtype.kind not in "iu":
         raise ArgumentError(f"{name} must hold a whole number for each of {uavs} UAVs, got {quote(value)}.")
     return labels.astype(np.int64)
@@ -94,8 +99,15 @@ def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Count
     Returns:
         Hits and redundant candidates, each ``(...)`` int64.
     """
-    hits = (candidates & head & alive).sum(axis=-1, dtype=np.int64)
-    return hits, candidates.sum(axis=-1, dtype=np.int64) - hits
+    heads, living = _pair("head", head, "alive", alive)
+    _, chosen = _pair("head", heads, "candidates", candidates)
+    try:
+        hits = (chosen & heads & living).sum(axis=-1, dtype=np.int64)
+    except ValueError:
+        raise ArgumentError(
+            f"candidates must have the leading axes of head {heads.shape} and alive {living.shape}, got {chosen.shape}."
+        ) from None
+    return hits, chosen.sum(axis=-1, dtype=np.int64) - hits
 
 
 def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Ratios:
@@ -186,7 +198,8 @@ def multi_cluster_objective(head: ArrayLike, candidates_per_round: ArrayLike) ->
     Returns:
         J_m of these rounds, also if heads are left (see :func:`found_all_heads`).
     """
-    return len(np.asarray(candidates_per_round)) + redundancy(head, candidates_per_round)
+    redundant = redundancy(head, candidates_per_round)  # it checks both arguments
+    return len(np.asarray(candidates_per_round)) + redundant
 
 
 def found_all_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> bool:
@@ -207,7 +220,7 @@ def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
     Returns:
         A value from 0 to 1; 0 without a head.
     """
-    heads, values = _mask("head", head), np.asarray(scores)
+    heads, values = _mask("head", head), as_array("scores", scores)
     if values.shape != heads.shape or heads.ndim != 1 or values.dtype.kind not in "biuf":
         raise ArgumentError(f"scores must hold a number for each of {heads.shape[-1]} UAVs, got {quote(scores)}.")
     if not np.isfinite(values).all():
@@ -234,8 +247,8 @@ def purity(leader: ArrayLike, clusters: ArrayLike) -> float:
         A value from 0 to 1; 0 if no UAV has a leader. Purity says little about the heads: see
         :func:`head_in_cluster`.
     """
-    uavs = len(np.asarray(clusters))
-    leaders, label = _labels("leader", leader, uavs), _labels("clusters", clusters, uavs)
+    label = _labels("clusters", clusters)
+    leaders = _labels("leader", leader, len(label))
     counted = leaders >= 0
     if not counted.any():
         return 0.0
@@ -263,6 +276,8 @@ def head_in_cluster(head: ArrayLike, leader: ArrayLike, clusters: ArrayLike) -> 
         A value from 0 to 1 over the heads with at least one follower; 0 if there is none.
     """
     heads = _mask("head", head)
+    if heads.ndim != 1:
+        raise ArgumentError(f"head must have shape (N,), got {heads.shape}.")
     uavs = heads.shape[-1]
     leaders, label = _labels("leader", leader, uavs), _labels("clusters", clusters, uavs)
     correct = []

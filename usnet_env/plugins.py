@@ -154,6 +154,8 @@ def detector_label(detector: Any, arguments: Mapping[str, Any] | None = None) ->
     Raises:
         ArgumentError: the name can't be parsed, or arguments are given for a detector object.
     """
+    if not isinstance(arguments, Mapping | None):
+        raise ArgumentError(f"arguments must be a mapping of names to values, got {quote(arguments)}.")
     if isinstance(detector, str):
         return _format_label(*_parse_name(detector, arguments or {}))
     if arguments:

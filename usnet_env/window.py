@@ -9,9 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, quote, whole_number
 
-__all__ = ["Window", "frozen_array"]
+__all__ = ["Window", "as_array", "frozen_array"]
+
+
+def as_array(name: str, value: Any) -> NDArray[Any]:
+    """Return the argument ``name`` as an array of any shape and type.
+
+    Raises:
+        ArgumentError: NumPy can't make an array of it, for example of a ragged list.
+    """
+    try:
+        return np.asarray(value)
+    except Exception:  # a foreign class may raise anything when it is converted
+        raise ArgumentError(f"{name} must be an array, got {quote(value)}.") from None
 
 
 def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
@@ -24,12 +36,13 @@ def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | No
         shape: the expected shape; ``None`` for any length of an axis.
 
     Raises:
-        ArgumentError: another shape, values that are not finite numbers, or not 0 or 1 for ``bool``.
+        ArgumentError: another shape, values that are not finite numbers, or values that ``dtype`` can't hold: other
+            values than 0 and 1 for ``bool``, fractions for ``int``, too large numbers for ``float``.
     """
     takes = "(" + ", ".join("any" if length is None else str(length) for length in shape) + ")"
     try:
         array = np.asarray(value)
-    except ValueError:
+    except Exception:  # a foreign class may raise anything when it is converted
         raise ArgumentError(f"{name} must be an array of shape {takes}, got {quote(value)}.") from None
     if array.ndim != len(shape) or any(
         want is not None and want != has for want, has in zip(shape, array.shape, strict=True)
@@ -41,9 +54,25 @@ def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | No
         raise ArgumentError(f"{name} must hold only 0 and 1 (or booleans), got {quote(np.unique(array)[:4])}.")
     if not np.isfinite(array).all():
         raise ArgumentError(f"{name} must be finite, got NaN or infinity.")
-    copy: NDArray[Any] = array.astype(dtype, copy=True)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers that the cast changes are refused below
+        copy: NDArray[Any] = array.astype(dtype, copy=True)
+    if copy.dtype.kind == "i" and not (copy == array).all():
+        raise ArgumentError(f"{name} must hold whole numbers, got {quote(value)}.")
+    if copy.dtype.kind == "f" and copy.itemsize < array.itemsize and not np.isfinite(copy).all():
+        largest = array.flat[np.abs(array).argmax()]
+        raise ArgumentError(f"{name} must hold numbers that {copy.dtype} can hold, got {quote(largest)}.")
     copy.setflags(write=False)
     return copy
+
+
+def _scalar(value: Any) -> Any:
+    """The number in an array of size 1, as an ``int`` if it is whole; any other value is returned as it is."""
+    try:
+        array = np.asarray(value)
+    except Exception:  # a foreign class may raise anything when it is converted
+        return value
+    number = array.item() if array.size == 1 else value
+    return int(number) if isinstance(number, float) and number.is_integer() else number
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +112,7 @@ class Window:
         put(self, "velocity", frozen_array("velocity", self.velocity, np.float32, (instants - 1, uavs, 3)))
         put(self, "seen", frozen_array("seen", self.seen, bool, (instants, uavs)))
         put(self, "alive", frozen_array("alive", self.alive, bool, (uavs,)))
-        if isinstance(self.round, bool) or not isinstance(self.round, int | np.integer) or self.round < 1:
-            raise ArgumentError(f"round must be a whole number from 1, got {quote(self.round)}.")
-        put(self, "round", int(self.round))
+        put(self, "round", whole_number("round", self.round, 1))
 
     @property
     def uavs(self) -> int:
@@ -121,5 +148,5 @@ class Window:
             velocity=observation["velocity"],
             seen=observation["seen"],
             alive=observation["alive"],
-            round=int(np.asarray(observation["round"]).reshape(-1)[0]),
+            round=_scalar(observation["round"]),
         )

@@ -19,7 +19,7 @@ from detectors.clustering.affinity import AFFINITIES, Affinity, compute_affinity
 from detectors.clustering.eigengap import estimate_count_by_eigengap
 from detectors.clustering.features import FEATURES, Features, compute_features
 from detectors.clustering.gap_statistic import compute_gap_statistic
-from usnet_env.config import ArgumentError, Config, quote, unknown_name
+from usnet_env.config import ArgumentError, Config, add_to_registry, quote, unknown_name
 from usnet_env.window import Window, frozen_array
 
 __all__ = [
@@ -235,13 +235,15 @@ def clusterers() -> Mapping[str, Callable[..., Clusterer]]:
     return MappingProxyType(_CLUSTERERS)
 
 
-def register_clusterer(name: str, factory: Callable[..., Clusterer]) -> None:
+def register_clusterer(name: str, factory: Callable[..., Clusterer], *, replace: bool = False) -> None:
     """Register a clusterer under ``name``.
 
     Args:
         name: a new name.
         factory: a class or a function that takes keyword arguments and returns an object with
             ``cluster(window, rng)``.
+        replace: replace another clusterer of this name, for example to run a notebook cell again. The clusterers of
+            this package can't be replaced.
 
     Raises:
         ArgumentError: the name belongs to another clusterer or is not a string, or the factory is not callable.
@@ -250,9 +252,8 @@ def register_clusterer(name: str, factory: Callable[..., Clusterer]) -> None:
         raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
     if not callable(factory):
         raise ArgumentError(f"factory must be a class or a function that returns a clusterer, got {quote(factory)}.")
-    if _CLUSTERERS.get(name, factory) is not factory:
-        raise ArgumentError(f"name must be a new name, got {name!r}, which is already registered.")
-    _CLUSTERERS[name] = factory
+    own = [known for known, each in _CLUSTERERS.items() if getattr(each, "__module__", "").startswith("detectors.")]
+    add_to_registry(_CLUSTERERS, name, factory, replace, own)
 
 
 def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
@@ -265,7 +266,7 @@ def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
     Raises:
         ArgumentError: there is no such clusterer, or it does not take such an argument.
     """
-    if name not in _CLUSTERERS:
+    if not isinstance(name, str) or name not in _CLUSTERERS:
         raise unknown_name("clusterer", name, _CLUSTERERS)
     factory = _CLUSTERERS[name]
     known = inspect.signature(factory).parameters

@@ -163,7 +163,7 @@ class Hdbscan(Clusterer):
     def check_arguments(self) -> ClustererArguments:
         """Check all arguments; return the common ones."""
         _HdbscanArguments(least=self.least)
-        if self.count != OWN:
+        if not isinstance(self.count, str) or self.count != OWN:
             raise ArgumentError(
                 f"count must be {OWN!r} for HDBSCAN, which estimates the number of clusters, got {quote(self.count)}."
             )

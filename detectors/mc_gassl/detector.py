@@ -102,6 +102,8 @@ class McGassl(Detector):
             ArgumentError: an argument is refused.
         """
         names = [name for name in _Arguments.model_fields if name != "gassl"]
+        if not isinstance(self.gassl, Mapping | None):
+            raise ArgumentError(f"gassl must be a mapping of argument names to values, got {quote(self.gassl)}.")
         plain = _Arguments(gassl=dict(self.gassl or {}), **{name: getattr(self, name) for name in names})
         if plain.gru_mode not in MODES:
             raise unknown_name("gru_mode", plain.gru_mode, MODES)

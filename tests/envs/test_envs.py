@@ -495,3 +495,70 @@ def test_rendering_shows_the_round_that_was_decided():
     assert before.ndim == 3
     assert (before != after).any()  # the candidates are ringed now
     assert gym.make(MULTI, **SMALL).unwrapped.render() is None
+
+
+@pytest.mark.parametrize("options", [{"follow": "f3"}, {"foo": 1}, {1: 2}, 3, "f3", [1]])
+def test_options_of_reset_are_refused(options):
+    env = gym.make(MULTI, **SMALL)
+    with pytest.raises(ArgumentError, match=r"^options must be .*, got .*\.$"):
+        env.reset(seed=0, options=options)
+    for none in (None, {}):
+        assert env.reset(seed=0, options=none)[1]["round"] == 0
+
+
+@pytest.mark.parametrize("seed", [1.5, -1, "1", True, [1], float("nan"), np.array(1.5)], ids=str)
+def test_a_bad_seed_is_named(seed):
+    env = gym.make(MULTI, **SMALL).unwrapped
+    with pytest.raises(ArgumentError, match=r"^seed must be a whole number from 0 or None, got .*\.$"):
+        env.reset(seed=seed)
+
+
+def test_any_whole_number_is_a_seed():
+    env = gym.make(MULTI, **SMALL).unwrapped
+    first = env.reset(seed=7)[0]["position"]
+    for seed in (np.int64(7), np.array(7)):
+        np.testing.assert_array_equal(env.reset(seed=seed)[0]["position"], first)
+    assert (env.reset(seed=10**5000)[0]["position"] != first).any()
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_info_says_at_the_end_whether_the_episode_was_a_success(name):
+    env = gym.make(name, observation_steps=10)
+    env.reset(seed=0)
+    heads = env.unwrapped.swarm.head.astype(np.int8)
+    *_, terminated, _, info = env.step(heads)
+    assert terminated
+    assert info["is_success"] is True
+    assert env.reset(seed=0)[1]["is_success"] is False
+    *_, info = env.step(np.zeros_like(heads))
+    assert info["is_success"] is False
+
+
+@pytest.mark.parametrize("make", [gym.make, lambda name, **arguments: gym.make_vec(name, num_envs=2, **arguments)])
+def test_a_misspelt_argument_gets_the_most_similar_name(make):
+    with pytest.raises(
+        ArgumentError, match=r"^cluster is not an argument of MultiClusterEnv \(did you mean 'clusters'"
+    ):
+        make(MULTI, cluster=3)
+    with pytest.raises(ArgumentError, match=r"^uavs is not an argument of SingleClusterEnv; it takes follow, .*\.$"):
+        make(SINGLE, uavs=3)
+
+
+def test_wrappers_that_ask_for_a_limit_of_steps_get_it_from_gymnasium():
+    env = gym.make(MULTI, max_rounds=3, max_episode_steps=3, **SMALL)
+    timed = gym.wrappers.TimeAwareObservation(env, flatten=False, normalize_time=True)
+    assert timed.reset(seed=0)[0]["time"] == 0
+    nobody = np.zeros(20, np.int8)
+    truncated = [timed.step(nobody)[3] for _ in range(3)]
+    assert truncated == [False, False, True]
+
+
+def test_the_mask_of_a_random_action_is_twice_the_living():
+    env = gym.make(MULTI, **SMALL)
+    env.reset(seed=0)
+    shot = np.arange(20) < 4
+    observation, *_ = env.step(shot.astype(np.int8))
+    env.action_space.seed(0)
+    drawn = np.stack([env.action_space.sample(mask=2 * observation["alive"]) for _ in range(50)])
+    assert not drawn[:, shot].any()
+    assert drawn[:, ~shot].any(axis=0).all()

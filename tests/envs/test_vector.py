@@ -70,7 +70,7 @@ def test_masks_are_those_of_the_single_envs():
 
 
 def test_bad_input_is_named():
-    with pytest.raises(ArgumentError, match="num_envs must be a whole number from 1, got 0"):
+    with pytest.raises(ArgumentError, match="num_envs must be a whole number from 1 to 1000000, got 0"):
         gym.make_vec(MULTI, num_envs=0)
     with pytest.raises(ArgumentError, match="follow must be one of"):
         gym.make_vec(MULTI, num_envs=2, follow="f0")
@@ -99,3 +99,33 @@ def test_a_batch_of_a_thousand_swarms_fits_in_two_gib():
         tracemalloc.stop()
     assert observation["position"].shape == (1000, 101, 82, 3)
     assert 2e8 < peak < 2 * 2**30
+
+
+@pytest.mark.parametrize(
+    "seed", [1.5, "12", -1, [1.5, 1], ["a", "b"], {1: 2}, np.array(1.5), np.array([0.5, 1])], ids=str
+)
+def test_bad_seeds_are_named(seed):
+    batch = gym.make_vec(MULTI, num_envs=2, observation_steps=10)
+    with pytest.raises(ArgumentError, match=r"^seed must be a whole number from 0 or None, got .*\.$"):
+        batch.reset(seed=seed)
+    one = batch.reset(seed=[3, None])[0]["position"][0]
+    np.testing.assert_array_equal(batch.reset(seed=np.array([3, 4]))[0]["position"][0], one)
+
+
+@pytest.mark.parametrize("options", [{"follow": "f3"}, {"reset_mask": np.ones(2, bool)}, 3])
+def test_options_of_reset_are_refused(options):
+    batch = gym.make_vec(MULTI, num_envs=2, observation_steps=10)
+    with pytest.raises(ArgumentError, match=r"^options must be .*, got .*\.$"):
+        batch.reset(seed=0, options=options)
+    batch.reset(seed=0, options={})
+
+
+def test_success_is_reported_for_each_game():
+    batch = gym.make_vec(MULTI, num_envs=2, observation_steps=10)
+    batch.reset(seed=0)
+    heads = batch.unwrapped.swarm.head.astype(np.int8)
+    heads[1] = 0
+    *_, infos = batch.step(heads)
+    np.testing.assert_array_equal(infos["is_success"], [True, False])
+    *_, infos = batch.step(heads)  # the first game starts again
+    np.testing.assert_array_equal(infos["is_success"], [False, False])

@@ -34,6 +34,11 @@ def test_it_trains(untrained, trained):
     assert all(bool((before[name] != after[name]).any()) for name in before if name.endswith("weight"))
 
 
+def test_the_success_of_episodes_is_counted_in_training(trained):
+    assert len(trained.ep_success_buffer) == 100  # the last episodes; rollout/success_rate is their mean
+    assert 0 < np.mean(trained.ep_success_buffer) <= 1
+
+
 def test_it_has_learned_something(untrained, trained):
     detectors = {
         name: PolicyDetector(model.policy, observe=how_copied)

@@ -247,7 +247,15 @@ def test_a_registered_fusion_rule():
     env.step(votes(env, [[1], [2], [3]]))
     assert np.flatnonzero(env.last_round.candidates).tolist() == [1]
     with pytest.raises(ArgumentError, match="name must be a new one, got 'union'"):
-        register_fusion("union", first)
+        register_fusion("union", first, replace=True)
+    second = Fusion("candidates", lambda sent, seen: sent[1] > 0, "UAVs that the second observer names")
+    with pytest.raises(ArgumentError, match=r"which is registered already \(replace=True replaces it\)"):
+        register_fusion("first", second)
+    register_fusion("first", second, replace=True)
+    env = small("observers", sensing_range=1e5, fusion="first")
+    env.reset(seed=0)
+    env.step(votes(env, [[1], [2], [3]]))
+    assert np.flatnonzero(env.last_round.candidates).tolist() == [2]
     with pytest.raises(ArgumentError, match="name must be a non-empty name"):
         register_fusion("", first)
     with pytest.raises(ArgumentError, match="rule must be a Fusion"):
@@ -257,3 +265,19 @@ def test_a_registered_fusion_rule():
     env.reset(seed=0)
     with pytest.raises(ArgumentError, match="fusion rule must return 20 booleans"):
         env.step(votes(env, [(), (), ()]))
+
+
+@pytest.mark.parametrize("game", ["observers", "evasion"])
+@pytest.mark.parametrize("form", ["parallel_env", "env"])
+def test_options_of_reset_are_refused(game, form):
+    env = small(game, form)
+    with pytest.raises(ArgumentError, match=r"^options must be empty, got \['follow'\]: .*\.$"):
+        env.reset(seed=0, options={"follow": "f3"})
+    for allowed in (None, {}, {"options": 1}):  # PettingZoo's tests of an environment pass the last one
+        env.reset(seed=0, options=allowed)
+
+
+@pytest.mark.parametrize("game", ["observers", "evasion"])
+def test_a_misspelt_argument_gets_the_most_similar_name(game):
+    with pytest.raises(ArgumentError, match=r"^cluster is not an argument of parallel_env \(did you mean 'clusters'"):
+        small(game, "env", cluster=3)

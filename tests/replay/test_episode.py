@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import pickle
+import tracemalloc
+import zipfile
 from dataclasses import fields
 from pathlib import Path
 
@@ -286,6 +288,29 @@ def test_a_damaged_file_never_loads_as_another_episode(tmp_path, episode):
         except ArgumentError:
             refused += 1
     assert refused > 100
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(tmp_path, episode):
+    path = rewritten(episode.save(tmp_path / "e.npz"), lambda arrays, words: None)
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive, archive.open("more.npy", "w") as member:
+        for _ in range(300):
+            member.write(bytes(2**20))
+    assert path.stat().st_size < 2**20
+    tracemalloc.start()
+    with pytest.raises(ArgumentError, match=r"^max_bytes must be at least the 31459\d+ bytes .*, got 268435456\.$"):
+        EpisodeRecord.load(path)
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
+    with pytest.raises(ArgumentError, match=r"max_bytes must be at least .* got 1000\."):
+        EpisodeRecord.load(episode.save(path), max_bytes=1000)
+    assert same(EpisodeRecord.load(path, max_bytes=2**20), episode)
+
+
+@pytest.mark.parametrize("path", [1.5, None, b"bytes", "nul\0", 3])
+def test_a_path_of_another_type_is_named(episode, path):
+    for call in (EpisodeRecord.load, episode.save):
+        with pytest.raises(ArgumentError, match=r"^path must be a path, got .*\.$"):
+            call(path)
 
 
 def test_an_interrupted_write_leaves_the_old_file(tmp_path):

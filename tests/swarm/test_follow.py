@@ -160,7 +160,16 @@ def test_a_function_written_as_f6_flies_as_f6(registry):
         ("", Lags(1), {}, "name must be a non-empty name"),
         ("none", Lags(1), {}, "name must be a non-empty name other than 'none'"),
         ("mine", 3, {}, "strategy must be a FollowStrategy or a function, got 3"),
-        ("mine", len, {"lags": 0}, "lags must be a whole number from 1, got 0"),
+        ("mine", len, {"lags": 1.5}, "lags must be a whole number from 1 to 1000, got 1.5"),
+        ("mine", len, {"lags": 10**5000}, "got a whole number of about 5000 digits"),
+        ("mine", len, {"noise": float("nan")}, r"noise must be a number from 0 to 1e\+06, got nan"),
+        ("mine", len, {"noise": []}, r"noise must be a number from 0 to 1e\+06, got \[\]"),
+        ("mine", len, {"noise": -1}, "noise must be a number"),
+        ("mine", len, {"equation": 3}, "equation must be a text, got 3"),
+        ("mine", len, {"replace": 1}, "replace must be true or false, got 1"),
+        ("mine", Lags(1, noise=float("nan")), {}, "noise must be a number"),
+        ("f1", Lags(2), {"replace": True}, "name must be a new one, got 'f1', which is a name of this package"),
+        ("mine", len, {"lags": 0}, "lags must be a whole number from 1 to 1000, got 0"),
     ],
 )
 def test_bad_registrations_are_refused(registry, name, strategy, arguments, sentence):
@@ -185,6 +194,44 @@ def test_registering_the_same_strategy_twice_changes_nothing(registry):
     register_follow_strategy("twice", Lags(1, kappa=-1.0))
     register_follow_strategy("twice", Lags(1, kappa=-1.0))
     assert follow_strategy("twice") == Lags(1, kappa=-1.0)
+
+
+def test_a_cell_of_a_notebook_can_run_again(registry):
+    def cell(factor, **arguments):
+        register_follow_strategy("mine", lambda inputs: factor * inputs.head_velocity[:, 0], lags=1, **arguments)
+
+    cell(1.0)
+    with pytest.raises(ArgumentError, match=r"got 'mine', which is registered already \(replace=True replaces it\)"):
+        cell(-1.0)
+    cell(-1.0, replace=True)
+    state, window = fly("mine")
+    follower = np.flatnonzero(~state.head)[0]
+    head = state.leader[follower]
+    turned = (window.velocity[0, 1:, follower] * window.velocity[0, :-1, head]).sum(axis=-1)
+    assert turned.max() < 0
+
+
+@pytest.mark.parametrize("name", ["far", "Far"])
+def test_a_strategy_that_reads_beyond_its_past_is_named(registry, name):
+    class Far(StayInRange):
+        fly = FollowStrategy.fly
+
+        def direction(self, inputs):
+            return inputs.head_velocity[:, 5]
+
+    far = Far()
+    if name == "far":
+        register_follow_strategy("far", lambda inputs: inputs.head_velocity[:, 5], lags=1)
+    with pytest.raises(ArgumentError, match=rf"^memory must cover .* strategy '{name}' reads, got 4: .*\.$") as caught:
+        fly("far" if name == "far" else far)
+    assert isinstance(caught.value.__cause__, IndexError)  # with the line of the function
+
+
+def test_a_strategy_that_is_not_registered_is_checked_too():
+    with pytest.raises(ArgumentError, match="noise must be a number"):
+        SwarmConfig(follow=Lags(1, noise=float("inf")))
+    with pytest.raises(ArgumentError, match="lags must be a whole number"):
+        SwarmConfig(follow=StayInRange(lags=0))
 
 
 def random_inputs(rng, n=400):

@@ -139,6 +139,20 @@ def test_a_registered_function_is_used_by_name_and_keeps_its_state(registry):
     assert mobilities()["circle"].description == "flies in circles"
 
 
+def test_a_cell_of_a_notebook_can_run_again(registry):
+    def cell(height, **arguments):
+        up = np.array([0.0, 0.0, height])
+        register_mobility("vertical", lambda rng, place, steps, state: np.tile(up, (steps, len(place), 1)), **arguments)
+
+    cell(1.0)
+    with pytest.raises(ArgumentError, match=r"which is registered already \(replace=True replaces it\)"):
+        cell(-1.0)
+    cell(-1.0, replace=True)
+    assert (tracks("vertical", uavs=4, steps=5)[0][..., 2] == -1.0).all()
+    with pytest.raises(ArgumentError, match="got 'iid', which is a name of this package"):
+        register_mobility("iid", mobility("straight"), replace=True)
+
+
 def test_bad_mobilities_are_refused(registry):
     with pytest.raises(ArgumentError, match=r"mobility must be one of .*'iids' .*did you mean 'iid'"):
         mobility("iids")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import click
@@ -13,7 +14,8 @@ from usnet_env.config import ArgumentError, quote
 
 __all__ = ["PairsCommand", "PositiveNumber", "WholeNumber", "parse_pairs"]
 
-_EXPONENT = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+")  # YAML 1.1 reads 1e-3 as text, not as a number
+_WHOLE = re.compile(r"[-+]?[0-9]+\Z")
+_REAL = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
 
 
 class WholeNumber(click.ParamType):  # type: ignore[type-arg]  # generic in the newest click only
@@ -73,16 +75,37 @@ class PairsCommand(click.Command):
         return super().parse_args(ctx, expanded)
 
 
+@cache
+def _make_loader() -> Any:
+    """A safe YAML loader that reads numbers as YAML 1.2 does; imported when the first option is read.
+
+    In YAML 1.1, ``0100`` is 64, ``1:30`` is 90 and ``1e-3`` is a text; here they are 100, a text and 0.001.
+    """
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        pass
+
+    numbers = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+    Loader.yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in resolvers if tag not in numbers]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    for tag, pattern in zip(numbers, (_WHOLE, _REAL), strict=True):
+        Loader.add_implicit_resolver(tag, pattern, list("-+0123456789."))
+    Loader.add_constructor(numbers[0], lambda loader, node: int(node.value))
+    Loader.add_constructor(numbers[1], lambda loader, node: float(node.value))
+    return Loader
+
+
 def _parse_yaml(key: str, text: str) -> Any:
     """Parse a YAML scalar or a list of scalars."""
     import yaml
 
     try:
-        value = yaml.safe_load(text)
+        value = yaml.load(text, _make_loader())  # a subclass of the safe loader
     except (yaml.YAMLError, ValueError, RecursionError):
         raise ArgumentError(f"{key} must be a YAML value, got {quote(text)}.") from None
-    if isinstance(value, str) and _EXPONENT.fullmatch(value):
-        return float(value)
     for item in value if isinstance(value, list) else [value]:
         if item is not None and not isinstance(item, str | int | float):
             raise ArgumentError(f"{key} must be a number, a name or a list of these, got {quote(text)}.")

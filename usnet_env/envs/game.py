@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Literal, Self
 
@@ -23,6 +23,7 @@ __all__ = [
     "Rules",
     "StepResult",
     "action_space",
+    "check_options",
     "initial_info",
     "observation_space",
     "observe_windows",
@@ -117,13 +118,34 @@ def parse_candidates(action: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """
     try:
         values = np.asarray(action)
-    except ValueError:
+    except Exception:  # a foreign class may raise anything when it is converted
         values = np.empty(0, object)
     if values.shape != shape:
         raise ArgumentError(f"action must have shape {shape} (0 or 1 for each UAV), got {quote(action)}.")
     if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
         raise ArgumentError(f"action must hold only 0 and 1, got {quote(action)}.")
     return values.astype(bool)
+
+
+def check_options(options: Any, ignored: Collection[str] = ()) -> None:
+    """Refuse options of ``reset``: all properties of a game are arguments of its constructor.
+
+    Args:
+        options: what ``reset`` received.
+        ignored: keys that may be there and have no effect.
+
+    Raises:
+        ArgumentError: the options are neither ``None`` nor a mapping without other keys.
+    """
+    if options is None:
+        return
+    if not isinstance(options, Mapping):
+        raise ArgumentError(f"options must be None or an empty mapping, got {quote(options)}.")
+    unknown = [key for key in options if key not in ignored]
+    if unknown:
+        raise ArgumentError(
+            f"options must be empty, got {quote(unknown)}: create an environment with other arguments to change a game."
+        )
 
 
 def start_games(config: SwarmConfig, rngs: Sequence[np.random.Generator]) -> GameState:
@@ -174,6 +196,7 @@ def play_round(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) ->
         "redundant": redundant,
         "round": rounds,
         "success": (left == 0).astype(np.int64),
+        "is_success": left == 0,
         "J": objective,
         "over_budget": over_budget.astype(np.int64),
         **terms,
@@ -182,11 +205,12 @@ def play_round(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) ->
 
 
 def initial_info(rules: Rules, state: GameState) -> dict[str, NDArray[Any]]:
-    """The metrics of ``info`` before the first round: the names that :func:`play_round` returns, all zero."""
+    """The metrics of ``info`` before the first round: the names that :func:`play_round` returns, all zero or false."""
     count = len(state.rounds)
     first = "reward_hit" if rules.problem == "P1" else "reward_round"
     return {
         **{name: np.zeros(count, np.int64) for name in ("hits", "redundant", "round", "success")},
+        "is_success": np.zeros(count, bool),
         "J": np.zeros(count),
         "over_budget": np.zeros(count, np.int64),
         first: np.zeros(count),

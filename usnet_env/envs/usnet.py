@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.config import ArgumentError, Config, optional_seed, quote, refuse_unknown_arguments
 from usnet_env.drawing import EpisodeFrames, describe_frame
 from usnet_env.envs import game
 from usnet_env.swarm import SwarmConfig, SwarmState
@@ -82,12 +82,16 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
         Args:
             seed: seed of the environment's own generator; ``None`` keeps the present generator.
-            options: ignored.
+            options: ``None`` or an empty mapping; a game is changed by the arguments of the environment.
 
         Returns:
             The observation and ``info``.
+
+        Raises:
+            ArgumentError: the seed is not a whole number from 0, or there are options.
         """
-        super().reset(seed=seed)
+        game.check_options(options)
+        super().reset(seed=optional_seed("seed", seed))
         state = game.start_games(self.config, [self.np_random])
         metrics = game.initial_info(self.rules, state)
         self._last_round, self._frames = None, EpisodeFrames()
@@ -246,6 +250,7 @@ class SingleClusterEnv(UsnetEnv):
     | `redundant` | candidates of the round that are not living heads |
     | `round` | rounds played |
     | `success` | 1 if no head is left |
+    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
     | `J` | J_s, at price 1 |
     | `over_budget` | 1 if the round had more candidates than `shot_budget` |
     | `reward_hit` | the part of the reward for the hit: 0 if the head is a candidate, else −1 |
@@ -282,6 +287,7 @@ class SingleClusterEnv(UsnetEnv):
     * v0: first version
     """
 
+    @refuse_unknown_arguments
     def __init__(
         self,
         follow: str = "f1",
@@ -362,6 +368,7 @@ class MultiClusterEnv(UsnetEnv):
     | `redundant` | candidates of the round that are not living heads |
     | `round` | rounds played |
     | `success` | 1 if no head is left |
+    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
     | `J` | J_m of the rounds played so far, at price 1 |
     | `over_budget` | 1 if the round had more candidates than `shot_budget` |
     | `reward_round` | the part of the reward for the round, −1 |
@@ -404,6 +411,7 @@ class MultiClusterEnv(UsnetEnv):
     * v0: first version
     """
 
+    @refuse_unknown_arguments
     def __init__(
         self,
         follow: str = "f1",

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, optional_seed, whole_number
 from usnet_env.envs import game
 from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
 from usnet_env.swarm import SwarmState
@@ -19,6 +19,8 @@ from usnet_env.swarm import SwarmState
 __all__ = ["MultiClusterVectorEnv", "SingleClusterVectorEnv", "UsnetVectorEnv"]
 
 Observation = dict[str, NDArray[Any]]
+
+MOST_ENVS = 1_000_000
 
 
 class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
@@ -39,14 +41,12 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     single_env: ClassVar[type[UsnetEnv]]
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise ArgumentError(f"num_envs must be a whole number from 1, got {quote(num_envs)}.")
+        self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ENVS)
         if arguments.get("render_mode") is not None:
             raise ArgumentError(
                 "render_mode must be None for a vector environment; use a single environment to render."
             )
         single = self.single_env(**arguments)
-        self.num_envs = int(num_envs)
         self.config, self.rules, self.reveal_truth = single.config, single.rules, single.reveal_truth
         self.single_observation_space = single.observation_space
         self.single_action_space = single.action_space
@@ -73,28 +73,34 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         Args:
             seed: game b is seeded with ``seed + b``, or with element b of a sequence; ``None`` keeps the present
                 generators.
-            options: ignored.
+            options: ``None`` or an empty mapping; a game is changed by the arguments of the environment.
 
         Returns:
             The observations ``(B, ...)`` and ``info`` in Gymnasium's vector form.
 
         Raises:
-            ArgumentError: another number of seeds than B.
+            ArgumentError: another number of seeds than B, a seed that is not a whole number from 0, or options.
         """
-        seeds = [seed + b for b in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
-        if seeds is None:
-            seeds = [None] * self.num_envs
-        if len(seeds) != self.num_envs:
-            raise ArgumentError(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seeds)}.")
+        game.check_options(options)
+        seeds = self._seeds(seed)
         fresh = not self._rngs
         self._rngs = [
-            seeding.np_random(None if one is None else int(one))[0] if fresh or one is not None else self._rngs[b]
-            for b, one in enumerate(seeds)
+            seeding.np_random(one)[0] if fresh or one is not None else self._rngs[b] for b, one in enumerate(seeds)
         ]
         state = game.start_games(self.config, self._rngs)
         metrics = game.initial_info(self.rules, state)
         self._game, observation = game.observe_windows(self.config, state, self._rngs)
         return observation, self._infos(metrics)
+
+    def _seeds(self, seed: Any) -> list[int | None]:
+        """One seed for each game: ``seed + b`` for a number, the elements of a sequence, or ``None`` for each."""
+        array = isinstance(seed, np.ndarray) and seed.ndim > 0
+        if not array and (isinstance(seed, str | bytes) or not isinstance(seed, Sequence)):
+            first = optional_seed("seed", seed)
+            return [None if first is None else first + b for b in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ArgumentError(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seed)}.")
+        return [optional_seed("seed", one) for one in seed]
 
     def step(
         self, actions: Any

@@ -31,6 +31,13 @@ def box_masks(space: spaces.Space[Any]) -> spaces.Dict:
     )
 
 
+def _check_environment(env: Any) -> gym.Env[Any, Any]:
+    """Return ``env`` if it is an environment."""
+    if not isinstance(env, gym.Env):
+        raise ArgumentError(f"env must be a Gymnasium environment, got {quote(env)}.")
+    return env
+
+
 class BoxMasks(gym.ObservationWrapper[Any, Any, Any]):
     """Declare the masks in the observation as ``Box``: TorchRL doesn't support a two-dimensional ``MultiBinary``.
 
@@ -42,7 +49,7 @@ class BoxMasks(gym.ObservationWrapper[Any, Any, Any]):
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        super().__init__(env)
+        super().__init__(_check_environment(env))
         self.observation_space = box_masks(env.observation_space)
 
     def observation(self, observation: Any) -> Any:
@@ -58,6 +65,7 @@ class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any]):
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
+        _check_environment(env)
         if not isinstance(env.action_space, spaces.MultiBinary):
             raise ArgumentError(f"env must have a MultiBinary action space, got {quote(env.action_space)}.")
         super().__init__(env)

@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from os import PathLike
-from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium as gym
@@ -21,6 +20,7 @@ from usnet_env.evaluation.identity import describe, describe_detector
 from usnet_env.evaluation.result import EvaluationResult, summarise
 from usnet_env.evaluation.store import RunStore
 from usnet_env.evaluation.workers import PREPARE, Contestant, Plan, Task, run_here, run_in_processes
+from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.processes import Limits, Outcome
 
@@ -95,11 +95,11 @@ def evaluate(
             type or shape; the message names the detector, the episode and the cause. The other detectors play to the
             end: the error's ``result`` holds theirs. Finished rows are kept in ``out``.
     """
+    folder = None if out is None else as_path("out", out)
     run = _Run(episodes=episodes, seed=seed, workers=workers, trivial=trivial, progress=progress)
     limits = _make_limits(time_limit, memory_limit)
     arguments = _check_env_kwargs(env_kwargs)
     contestants = _make_contestants(detector, run.trivial)
-    folder = None if out is None else Path(out)
     with ExitStack() as stack:
         if isinstance(env, str):
             environment = make_environment(find_environment(env), arguments)

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, is_whole_number, optional_seed, quote
 from usnet_env.drawing import EpisodeFrames, MissingExtraError, describe_frame
 from usnet_env.envs.game import GameState, Rules
 from usnet_env.objectives import hits_and_redundant
@@ -25,6 +25,7 @@ except ImportError:
     raise MissingExtraError("Games with several agents need PettingZoo: pip install 'usnet[multiagent]'.") from None
 
 __all__ = [
+    "IGNORED_OPTIONS",
     "AECEnv",
     "BaseParallelWrapper",
     "Observation",
@@ -38,6 +39,9 @@ __all__ = [
 ]
 
 Observation = dict[str, NDArray[Any]]
+
+#: Keys of ``options`` that ``reset`` ignores: PettingZoo's own tests of an environment pass this one.
+IGNORED_OPTIONS = ("options",)
 Step = tuple[
     dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, int | float]]
 ]
@@ -82,7 +86,7 @@ def make_rules(
     rules = Rules(problem="P2", max_rounds=max_rounds, shot_budget=shot_budget, redundancy_price=redundancy_price)
     if max_cycles is None:
         return rules
-    if isinstance(max_cycles, bool) or not isinstance(max_cycles, int | np.integer) or max_cycles < 1 + extra_steps:
+    if not is_whole_number(max_cycles) or max_cycles < 1 + extra_steps:
         raise ArgumentError(
             f"max_cycles must be None or a whole number from {1 + extra_steps}, got {quote(max_cycles)}."
         )
@@ -115,7 +119,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         observation_spaces: dict[str, spaces.Dict],
         action_spaces: dict[str, spaces.Space[Any]],
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
+        if not (render_mode is None or (isinstance(render_mode, str) and render_mode in self.metadata["render_modes"])):
             raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(render_mode)}.")
         self.config = config
         self.rules = rules
@@ -144,7 +148,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return self._look_up(self._action_spaces, agent)
 
     def _look_up(self, values: Mapping[str, Any], agent: str) -> Any:
-        if agent not in values:
+        if not isinstance(agent, str) or agent not in values:
             raise ArgumentError(f"agent must be one of {', '.join(self.possible_agents)}, got {quote(agent)}.")
         return values[agent]
 
@@ -160,10 +164,9 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def _get_generator(self, seed: int | None) -> np.random.Generator:
         """Return the game's generator, created anew if there is none or if a seed is given."""
-        if seed is not None or self._rng is None:
-            if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0):
-                raise ArgumentError(f"seed must be a whole number from 0 or None, got {quote(seed)}.")
-            self._rng = seeding.np_random(None if seed is None else int(seed))[0]
+        checked = optional_seed("seed", seed)
+        if checked is not None or self._rng is None:
+            self._rng = seeding.np_random(checked)[0]
         return self._rng
 
     def _check_actions(self, actions: Any) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.config import ArgumentError, add_to_registry, quote, unknown_name
 
 __all__ = ["Fusion", "fusion", "fusions", "register_fusion"]
 
@@ -49,6 +49,9 @@ _FUSIONS: dict[str, Fusion] = {
 }
 
 
+_OWN_NAMES = frozenset(_FUSIONS)
+
+
 def fusions() -> Mapping[str, Fusion]:
     """Return all fusion rules by name, as a read-only view."""
     return MappingProxyType(_FUSIONS)
@@ -60,17 +63,19 @@ def fusion(name: str) -> Fusion:
     Raises:
         ArgumentError: no rule has this name.
     """
-    if name not in _FUSIONS:
+    if not isinstance(name, str) or name not in _FUSIONS:
         raise unknown_name("fusion", name, _FUSIONS)
     return _FUSIONS[name]
 
 
-def register_fusion(name: str, rule: Fusion) -> None:
+def register_fusion(name: str, rule: Fusion, *, replace: bool = False) -> None:
     """Register a fusion rule, so that ``fusion=name`` selects it.
 
     Args:
         name: a non-empty name that no other rule has.
         rule: the rule.
+        replace: replace another rule of this name, for example to run a notebook cell again. The rules of this package
+            can't be replaced.
 
     Raises:
         ArgumentError: another rule has this name, the name is empty, or the rule is not a :class:`Fusion`.
@@ -79,6 +84,4 @@ def register_fusion(name: str, rule: Fusion) -> None:
         raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
     if not isinstance(rule, Fusion) or rule.vote not in ("candidates", "scores") or not callable(rule.rule):
         raise ArgumentError(f"rule must be a Fusion with a vote of 'candidates' or 'scores', got {quote(rule)}.")
-    if name in _FUSIONS and _FUSIONS[name] != rule:
-        raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
-    _FUSIONS[name] = rule
+    add_to_registry(_FUSIONS, name, rule, replace, _OWN_NAMES)

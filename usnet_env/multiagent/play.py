@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, plain_text, quote, whole_number
 from usnet_env.multiagent.base import RoundRecord, UsnetParallelEnv
 from usnet_env.provenance import versions
 
@@ -74,18 +74,24 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, PolicyLike], seed: i
         The result; ``usnet_env.replay.EpisodeRecord(**result.record)`` is the episode in the form that can be saved.
 
     Raises:
-        ArgumentError: ``env`` is not one of the games, or an agent has no policy.
+        ArgumentError: ``env`` is not one of the games, an agent has no policy, or another argument has another type.
     """
     if not isinstance(env, UsnetParallelEnv):
         raise ArgumentError(f"env must be the parallel_env of a usnet_env game, got {quote(env)}.")
+    if not isinstance(policies, Mapping):
+        raise ArgumentError(f"policies must be a mapping of agents or roles to policies, got {quote(policies)}.")
+    seed = whole_number("seed", seed, 0)
+    label = plain_text("label", label)
     observations, infos = env.reset(seed=seed)
     chosen = {}
     for agent in env.possible_agents:
         policy = policies.get(agent, policies.get(agent_role(agent)))
         if policy is None:
             raise ArgumentError(
-                f"policies must hold a policy for {agent} or its role {agent_role(agent)}, got {sorted(policies)}."
+                f"policies must hold a policy for {agent} or its role {agent_role(agent)}, got {quote(list(policies))}."
             )
+        if not all(callable(getattr(policy, method, None)) for method in ("reset", "act")):
+            raise ArgumentError(f"policies must have the methods reset and act, got {quote(policy)} for {agent}.")
         chosen[agent] = policy
     uses = Counter(map(id, chosen.values()))
     agents = {name: copy.deepcopy(policy) if uses[id(policy)] > 1 else policy for name, policy in chosen.items()}

@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, optional_seed, quote, whole_number
 from usnet_env.detection import Detection
 from usnet_env.plugins import DetectorLike
 from usnet_env.window import Window
@@ -30,7 +30,9 @@ class Policy(ABC):
 
     def reset(self, seed: int, action_space: spaces.Space[Any]) -> None:
         """Start a game: create the generator ``self.rng`` and store the action space."""
-        self.rng = np.random.default_rng(seed)
+        if not isinstance(action_space, spaces.Space):
+            raise ArgumentError(f"action_space must be a space of Gymnasium, got {quote(action_space)}.")
+        self.rng = np.random.default_rng(optional_seed("seed", seed))
         self.action_space = action_space
 
     @abstractmethod
@@ -64,15 +66,20 @@ class CamouflagedHead(Policy):
         jitter: whether the head flies with the followers' noise.
         decoys: number of followers that become decoys, limited by what is legal; ``None`` for the largest number.
         delay: delay of its followers in steps; ``None`` for the largest delay.
+
+    Raises:
+        ArgumentError: an argument has another type or is negative.
     """
 
     def __init__(
         self, mobility: int | None = None, jitter: bool = False, decoys: int | None = None, delay: int | None = None
     ) -> None:
-        self.mobility = mobility
-        self.jitter = jitter
-        self.decoys = decoys
-        self.delay = delay
+        if not isinstance(jitter, bool | np.bool_):
+            raise ArgumentError(f"jitter must be true or false, got {quote(jitter)}.")
+        self.mobility = None if mobility is None else whole_number("mobility", mobility, 0)
+        self.jitter = bool(jitter)
+        self.decoys = None if decoys is None else whole_number("decoys", decoys, 0)
+        self.delay = None if delay is None else whole_number("delay", delay, 0)
 
     def act(self, observation: Observation) -> Array:
         """Return the same choices every time, reduced to the largest legal values where necessary."""
@@ -88,10 +95,13 @@ class RandomObserver(Policy):
 
     Args:
         count: number of UAVs to name; if fewer are legal, it names them all.
+
+    Raises:
+        ArgumentError: ``count`` is not a whole number from 0.
     """
 
     def __init__(self, count: int = 1) -> None:
-        self.count = count
+        self.count = whole_number("count", count, 0)
 
     def act(self, observation: Observation) -> Array:
         """Return the vote, and a message of zeros."""

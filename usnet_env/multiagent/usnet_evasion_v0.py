@@ -8,9 +8,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, quote, refuse_unknown_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
+    IGNORED_OPTIONS,
     AECEnv,
     Observation,
     RoundRecord,
@@ -88,8 +89,9 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     head's cluster, including the head, and f is the share of the swarm that follows the
     head, without decoys.
 
-    `info` of every agent holds `hits`, `redundant`, `round`, `success`, `J`, `over_budget`, `reward_round`,
-    `reward_redundancy`, and `price`: for a head the price that it pays, for the observer the sum over all heads.
+    `info` of every agent holds `hits`, `redundant`, `round`, `success`, `is_success`, `J`, `over_budget`,
+    `reward_round`, `reward_redundancy`, and `price`: for a head the price that it pays, for the observer the sum over
+    all heads.
 
     ## Starting State
     That of `USNET/MultiCluster-v0` with the same seed, before the first window.
@@ -121,6 +123,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
 
     metadata: ClassVar[dict[str, Any]] = {**UsnetParallelEnv.metadata, "name": "usnet_evasion_v0"}
 
+    @refuse_unknown_arguments
     def __init__(
         self,
         mobilities: tuple[str, ...] | list[str] = ("iid", "gauss_markov", "smooth_turn"),
@@ -173,6 +176,8 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             decoys=decoys,
             follow_seed=follow_seed,
         )
+        clusters, uavs, memory = config.clusters, config.uavs, config.memory  # checked, as plain numbers
+        most_delay = self.manoeuvres.most_delay
         strategy = config.follow_strategy
         if strategy is None:
             raise ArgumentError("follow must be a follow strategy other than 'none', got 'none'.")
@@ -208,11 +213,16 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
 
         Args:
             seed: seed of the game's generator; ``None`` keeps the current generator.
-            options: ignored.
+            options: ``None`` or an empty mapping; a game is changed by the arguments of the environment. The key
+                ``"options"``, which PettingZoo's tests pass, has no effect.
 
         Returns:
             Observations and infos by agent.
+
+        Raises:
+            ArgumentError: the seed is not a whole number from 0, or there are options.
         """
+        game.check_options(options, IGNORED_OPTIONS)
         self._game = game.start_games(self.config, [self._get_generator(seed)])
         self._flown = np.zeros(self.config.clusters, np.int64)
         self._decoys = np.empty(0, np.intp)
@@ -305,7 +315,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             return np.zeros(len(sizes), np.int64)
         try:
             values = np.asarray(action)
-        except ValueError:
+        except Exception:  # a foreign class may raise anything when it is converted
             values = np.empty(0, object)
         if (
             values.shape != sizes.shape

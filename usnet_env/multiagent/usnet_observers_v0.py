@@ -8,9 +8,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, quote, refuse_unknown_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
+    IGNORED_OPTIONS,
     AECEnv,
     Observation,
     RoundRecord,
@@ -65,7 +66,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     In each round every observer gets the reward of P2 for the fused candidates, −(1 + `redundancy_price` · redundant /
     N). With price 1 the return is −J_m.
 
-    `info` is the same for all observers: `hits`, `redundant`, `round`, `success`, `J`, `over_budget`,
+    `info` is the same for all observers: `hits`, `redundant`, `round`, `success`, `is_success`, `J`, `over_budget`,
     `reward_round`, `reward_redundancy`.
 
     ## Starting State
@@ -98,6 +99,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
 
     metadata: ClassVar[dict[str, Any]] = {**UsnetParallelEnv.metadata, "name": "usnet_observers_v0"}
 
+    @refuse_unknown_arguments
     def __init__(
         self,
         observers: int = 4,
@@ -149,6 +151,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             head_jitter=head_jitter,
             follow_seed=follow_seed,
         )
+        observers, uavs = self.sensor_config.observers, config.uavs  # checked, as plain numbers
         self._sensors = self.sensor_config.sensor_configs(config)
         # The swarm flies once, with every step and without noise; then each observer samples this flight.
         every_step = {"sample_every": 1, "observation_steps": config.observation_steps * config.sample_every}
@@ -185,11 +188,16 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         Args:
             seed: seed of the game's generator; ``None`` keeps the current generator. The noise of the observers comes
                 from separate branches, so that the flight of the swarm does not depend on the observers.
-            options: ignored.
+            options: ``None`` or an empty mapping; a game is changed by the arguments of the environment. The key
+                ``"options"``, which PettingZoo's tests pass, has no effect.
 
         Returns:
             Observations and infos by agent.
+
+        Raises:
+            ArgumentError: the seed is not a whole number from 0, or there are options.
         """
+        game.check_options(options, IGNORED_OPTIONS)
         rng = self._get_generator(seed)
         placement_rng, *noise_rngs = rng.spawn(1 + self.sensor_config.observers)
         positions = self.sensor_config.draw_positions(placement_rng)
@@ -274,7 +282,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             return game.parse_candidates(action, (length,)).astype(np.float64)
         try:
             values = np.asarray(action)
-        except ValueError:
+        except Exception:  # a foreign class may raise anything when it is converted
             values = np.empty(0, object)
         if values.shape != (length,) or values.dtype.kind not in "biuf" or not ((values >= 0) & (values <= 1)).all():
             raise ArgumentError(f"action of {agent} must hold {length} numbers from 0 to 1, got {quote(action)}.")

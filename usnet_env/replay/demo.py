@@ -13,8 +13,9 @@ import numpy as np
 from rich.console import Console
 
 import usnet_env.envs  # noqa: F401  # registers the environments
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.drawing import MissingExtraError
+from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.replay.figure import write_picture
 from usnet_env.replay.play import Round, record_episode
@@ -81,13 +82,15 @@ def run_demo(
     Raises:
         ArgumentError: the environment or the registry of detectors refuses an argument, or ``out`` can't be written to.
     """
+    if not isinstance(console, Console | None):
+        raise ArgumentError(f"console must be a Console of rich or None, got {quote(console)}.")
     console = console or Console()
+    folder = as_path("out", out)
 
     def say(text: str = "", style: str | None = None) -> None:
         console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise ArgumentError(f"seed must be a whole number from 0, got {quote(seed)}.")
+    seed = whole_number("seed", seed, 0)
     player = make_detector(detector)
     env = gym.make("USNET/MultiCluster-v0", clusters=clusters, uavs=uavs, follow=follow)
     detector_seed = int(np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(1)[0])
@@ -101,7 +104,6 @@ def run_demo(
         record = record_episode(env, player, int(seed), detector_seed, lambda this: say(_format_row(this)))
     say(f"\n{describe_outcome(record)}\n", style="bold")
 
-    folder = Path(out)
     written = {"episode": record.save(folder / "episode.npz")}
     say(f"episode  {written['episode']}  (the whole record; read it with usnet_env.replay.EpisodeRecord.load)")
     makers = {"replay": (write_recording, "replay.rrd"), "picture": (write_picture, "episode.png")}

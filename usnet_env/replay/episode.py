@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -12,19 +13,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, is_whole_number, plain_text, quote, whole_number
 from usnet_env.drawing import last_seen_position
-from usnet_env.files import atomic_write
+from usnet_env.files import as_path, atomic_write
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.window import frozen_array
 
-__all__ = ["FORMAT_VERSION", "EpisodeRecord"]
+__all__ = ["FORMAT_VERSION", "EpisodeRecord", "check_record"]
 
 #: Version 2 added ``attention`` and ``communication_links``; files of version 1 are read as well.
 FORMAT_VERSION = 2
 _READABLE = (1, 2)
 _FORMAT = "usnet-episode"
 _METADATA = "metadata"
+
+MOST_SEED = 2**128 - 1  # the seeds that NumPy draws from the operating system have 128 bits
+#: What :meth:`EpisodeRecord.load` unpacks at most without ``max_bytes``: 256 MiB, or this multiple of the file's size.
+SMALL_BYTES, LARGEST_RATIO = 2**28, 20
 _LINKS = "communication_links"  # derived from ``leader`` when a file is written, compared when it is read
 
 
@@ -53,6 +58,19 @@ def _list_links(leader: NDArray[np.int64], followers: NDArray[np.bool_], heads: 
     """``(L, 2)`` int64: the UAVs of ``followers`` ``(N,)`` whose ``leader`` ``(N,)`` is one of ``heads`` ``(N,)``."""
     linked = np.flatnonzero(followers & (leader >= 0) & heads[leader] & (leader != np.arange(len(leader))))
     return np.column_stack([linked, leader[linked]])
+
+
+def _check_size(loaded: np.lib.npyio.NpzFile, file_bytes: int, max_bytes: int | None) -> None:
+    """Refuse a file whose arrays need more than ``max_bytes``, before any of them is unpacked."""
+    most = max(SMALL_BYTES, LARGEST_RATIO * file_bytes) if max_bytes is None else max_bytes
+    archive = loaded.zip
+    assert archive is not None  # it is until the file is closed
+    needed = sum(member.file_size for member in archive.infolist())
+    if needed > most:
+        raise ArgumentError(
+            f"max_bytes must be at least the {needed} bytes that the arrays of this file of {file_bytes} bytes need, "
+            f"got {most}."
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,15 +176,13 @@ class EpisodeRecord:
         self._check_rounds()
 
     def _check_labels(self) -> None:
-        if self.problem not in ("P1", "P2"):
+        if not isinstance(self.problem, str) or self.problem not in ("P1", "P2"):
             raise ArgumentError(f"problem must be 'P1' or 'P2', got {quote(self.problem)}.")
         for name in ("env_id", "detector"):
-            if not isinstance(getattr(self, name), str):
-                raise ArgumentError(f"{name} must be a text, got {quote(getattr(self, name))}.")
+            plain_text(name, getattr(self, name))
         for name in ("seed", "detector_seed"):
-            value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int)):
-                raise ArgumentError(f"{name} must be a whole number or None, got {quote(value)}.")
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, whole_number(name, value, 0, MOST_SEED))
 
     def _check_rounds(self) -> None:
         if (self.head & self.decoy).any():
@@ -209,9 +225,7 @@ class EpisodeRecord:
 
     def _index(self, number: int) -> int:
         """Index of a round; refuses a number that is no round."""
-        if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 1 <= number <= self.rounds:
-            raise ArgumentError(f"number must be a round from 1 to {self.rounds}, got {quote(number)}.")
-        return int(number) - 1
+        return whole_number("number", number, 1, self.rounds) - 1
 
     def last_position(self, number: int) -> NDArray[np.float32]:
         """Where each UAV was seen last, up to the end of a round.
@@ -300,15 +314,12 @@ class EpisodeRecord:
         """
         r = self._index(number)
         steps = self.velocity.shape[1]
-        past = self.config.get("memory") if memory is None else memory
-        if isinstance(past, bool) or not isinstance(past, int | np.integer) or not 1 <= past <= steps:
-            raise ArgumentError(f"memory must be a whole number from 1 to {steps}, got {quote(past)}.")
-        if isinstance(t, bool) or not isinstance(t, int | np.integer) or not past - 1 <= t < steps:
-            raise ArgumentError(f"t must be a whole number from {past - 1} to {steps - 1}, got {quote(t)}.")
+        past = whole_number("memory", self.config.get("memory") if memory is None else memory, 1, steps)
+        t = whole_number("t", t, past - 1, steps - 1)
         members = np.arange(self.uavs)
         if head is not None:
             living = np.flatnonzero(self.head & self.alive[r])
-            if isinstance(head, bool) or head not in living:
+            if not is_whole_number(head) or head not in living.tolist():
                 raise ArgumentError(f"head must be one of the living heads {quote(living)}, got {quote(head)}.")
             members = np.flatnonzero(self.alive[r] & ((self.leader[r] == head) | (members == head)))
         first = t - past + 1
@@ -338,7 +349,7 @@ class EpisodeRecord:
         with atomic_write(path) as aside, aside.open("wb") as file:
             derived: dict[str, Any] = {_LINKS: self._all_links(), _METADATA: np.array(json.dumps(words))}
             np.savez_compressed(file, **arrays, **derived)
-        return Path(path)
+        return as_path("path", path)
 
     def _all_links(self) -> NDArray[np.int64]:
         """``(L, 3)`` round, follower and head of every communication link of the episode."""
@@ -347,26 +358,36 @@ class EpisodeRecord:
         return np.column_stack([numbers, np.concatenate(each)])
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> EpisodeRecord:
+    def load(cls, path: str | os.PathLike[str], *, max_bytes: int | None = None) -> EpisodeRecord:
         """Read a record; nothing in the file is ever executed.
 
         Args:
             path: a file that :meth:`save` of this or an earlier version wrote.
+            max_bytes: the largest number of bytes that the arrays may need in memory. The file is compressed, so a
+                small file can hold very large arrays. ``None``: 256 MiB, or 20 times the size of the file if that is
+                more.
 
         Returns:
             The record; every array and text equals the saved one. Fields that an earlier version did not have are
             ``None``.
 
         Raises:
-            ArgumentError: the file does not exist, is of another kind or a newer version, or is damaged.
+            ArgumentError: the file does not exist, is of another kind or a newer version, is damaged, or holds more
+                than ``max_bytes``.
         """
-        where = quote(os.fspath(path))
+        most = None if max_bytes is None else whole_number("max_bytes", max_bytes, 1)
+        place = as_path("path", path)
+        where = quote(os.fspath(place))
         foreign = ArgumentError(f"path must be an episode file of this project, got {where}.")
         try:
-            with open(path, "rb") as file:
+            with place.open("rb") as file:
+                if not zipfile.is_zipfile(file):  # np.load would read the whole array of another kind of file
+                    raise foreign
+                file.seek(0)
                 loaded = np.load(file, allow_pickle=False)
                 if not isinstance(loaded, np.lib.npyio.NpzFile) or _METADATA not in loaded.files:
                     raise foreign
+                _check_size(loaded, os.fstat(file.fileno()).st_size, most)
                 arrays: dict[str, Any] = {name: loaded[name] for name in loaded.files}
             words = json.loads(str(arrays.pop(_METADATA)))
         except ArgumentError:
@@ -394,3 +415,10 @@ class EpisodeRecord:
             raise ArgumentError(f"path must be an intact episode file, got {where}: {error} is missing.") from None
         except (ArgumentError, TypeError) as error:  # TypeError: a field is missing, doubled or unknown
             raise ArgumentError(f"path must be an intact episode file, got {where}: {error}") from None
+
+
+def check_record(record: Any) -> EpisodeRecord:
+    """Return the argument ``record``; raise :class:`ArgumentError` if it is not an :class:`EpisodeRecord`."""
+    if not isinstance(record, EpisodeRecord):
+        raise ArgumentError(f"record must be an EpisodeRecord, got {quote(record)}.")
+    return record

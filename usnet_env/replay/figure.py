@@ -21,8 +21,8 @@ from usnet_env.drawing import (
     new_figure,
     round_marks,
 )
-from usnet_env.files import atomic_write
-from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.files import as_path, atomic_write
+from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.story import describe_outcome, describe_round, format_count, rank_scores
 
 if TYPE_CHECKING:
@@ -90,9 +90,10 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         all those with hits. All maps have the same scale.
 
     Raises:
+        ArgumentError: ``record`` is not an episode.
         MissingExtraError: matplotlib is not installed.
     """
-    panels = _choose_rounds(record)
+    panels = _choose_rounds(check_record(record))
     columns = min(len(panels), _MOST_COLUMNS)
     rows = -(-len(panels) // columns)
     width = max(columns * (_MAP + _GAP) + _LEGEND, 9.0)
@@ -158,7 +159,8 @@ def write_picture(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
         ArgumentError: the place can't be written to.
         MissingExtraError: matplotlib is not installed.
     """
+    place = as_path("path", path)
     figure = draw_episode(record)
-    with atomic_write(path) as aside:
+    with atomic_write(place) as aside:
         figure.savefig(aside, format="png")
-    return Path(path)
+    return place

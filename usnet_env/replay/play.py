@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, optional_seed, plain_text, quote
 from usnet_env.detection import Detection
 from usnet_env.plugins import DetectorLike, detector_label
 from usnet_env.provenance import versions
@@ -82,11 +82,20 @@ def record_episode(
         The record of the whole episode.
 
     Raises:
-        ArgumentError: ``env`` is no environment of this project, or an answer is no ``Detection`` for its N UAVs.
+        ArgumentError: ``env`` is no environment of this project, another argument has another type, or an answer is no
+            ``Detection`` for its N UAVs.
     """
-    game: Any = env.unwrapped
+    game: Any = env.unwrapped if isinstance(env, gym.Env) else None
     if not all(hasattr(game, name) for name in ("config", "rules", "problem")):
         raise ArgumentError(f"env must be a USNET environment, got {quote(env)}.")
+    if isinstance(detector, type) or not isinstance(detector, DetectorLike):
+        raise ArgumentError(f"detector must have the methods detect(window) and reset(seed), got {quote(detector)}.")
+    if on_round is not None and not callable(on_round):
+        raise ArgumentError(f"on_round must be a function or None, got {quote(on_round)}.")
+    if not isinstance(keep_attention, bool):
+        raise ArgumentError(f"keep_attention must be true or false, got {quote(keep_attention)}.")
+    label = None if label is None else plain_text("label", label)
+    seed, detector_seed = optional_seed("seed", seed), optional_seed("detector_seed", detector_seed)
     observation, _ = env.reset(seed=seed)
     detector.reset(detector_seed)
     windows: list[Window] = []

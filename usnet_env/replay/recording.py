@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.drawing import MissingExtraError, cluster_colors
-from usnet_env.files import atomic_write
-from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.files import as_path, atomic_write
+from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.story import describe_outcome, describe_round, format_count, rank_scores
 
 if TYPE_CHECKING:
@@ -391,18 +391,20 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
         import rerun as rr
     except ImportError:
         raise MissingExtraError("Replays need rerun-sdk: pip install 'usnet[replay]'.") from None
+    check_record(record)
+    place = as_path("path", path)
     # Recordings with the same application id share one camera and one layout in the viewer.
     recording_id = str(uuid4())
     stream = rr.RecordingStream(f"usnet {recording_id}", recording_id=recording_id)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
-    with atomic_write(path) as aside:
+    with atomic_write(place) as aside:
         stream.save(aside, default_blueprint=_arrange_views(record))
         try:
             _write(record, _Writer(record, stream))
         finally:
             stream.disconnect()  # writes the rest and closes the file
-    return Path(path)
+    return place
 
 
 def _write(record: EpisodeRecord, writer: _Writer) -> None:

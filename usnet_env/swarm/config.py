@@ -7,7 +7,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.swarm.follow import FollowStrategy, follow_strategy
+from usnet_env.swarm.follow import FollowStrategy, check_strategy, follow_strategy
 from usnet_env.swarm.formation import ARENA, AROUND_RADIUS, formation
 from usnet_env.swarm.mobility import Mobility, mobility
 
@@ -65,7 +65,7 @@ class SwarmConfig(Config):
         if not isinstance(self.mobility, Mobility):
             mobility(self.mobility)
         formation(self.formation)
-        if strategy is not None and strategy.lags > self.memory:
+        if strategy is not None and check_strategy(strategy).lags > self.memory:
             raise ArgumentError(
                 f"memory must be at least {strategy.lags} for follow={quote(self.follow)}, got {self.memory}."
             )

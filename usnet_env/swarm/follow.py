@@ -15,7 +15,15 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.config import (
+    ArgumentError,
+    add_to_registry,
+    plain_text,
+    quote,
+    real_number,
+    unknown_name,
+    whole_number,
+)
 from usnet_env.swarm import kernels
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
@@ -35,6 +43,9 @@ Array = NDArray[np.float32]
 KAPPA = 1.0  # kappa_0, ..., kappa_3 and kappa_p of Table II
 KAPPA_NOISE = 0.05  # kappa_n
 KAPPA_RANGE = 60.0  # kappa_r, metres
+
+MOST_LAGS = 1000  # the largest ``memory``
+MOST_NOISE = 1e6  # a follower's direction is then noise alone; in float32 its square is still finite
 
 
 @dataclass(frozen=True)
@@ -93,14 +104,19 @@ class FollowStrategy(ABC):
                 t = lags + s
                 past = slice(t - 1, t - 1 - lags if t > lags else None, -1)
                 past_and_now = slice(t, t - lags - 1 if t > lags else None, -1)
-                direction = self.direction(
-                    FollowInputs(
-                        own_position=position[past_and_now, followers].swapaxes(0, 1),
-                        head_velocity=velocity[past, heads].swapaxes(0, 1),
-                        head_position=position[past_and_now, heads].swapaxes(0, 1),
-                        parameters=trajectories.parameters[b],
-                    )
+                inputs = FollowInputs(
+                    own_position=position[past_and_now, followers].swapaxes(0, 1),
+                    head_velocity=velocity[past, heads].swapaxes(0, 1),
+                    head_position=position[past_and_now, heads].swapaxes(0, 1),
+                    parameters=trajectories.parameters[b],
                 )
+                try:
+                    direction = self.direction(inputs)
+                except IndexError as error:
+                    raise ArgumentError(
+                        f"memory must cover the past that the follow strategy {quote(_registered_name(self))} reads, "
+                        f"got {lags}: {error}; register the strategy with the lags that it needs."
+                    ) from error
                 velocity[t, followers] = _norm(direction, np.float32(self.noise) * trajectories.noise[b, s, followers])
                 position[t + 1] = position[t] + velocity[t]
 
@@ -278,6 +294,22 @@ _STRATEGIES: dict[str, FollowStrategy] = {
 }
 
 
+_OWN_NAMES = frozenset(_STRATEGIES)
+
+
+def _registered_name(strategy: FollowStrategy) -> str:
+    """The name under which a strategy is registered, or else the name of its class."""
+    names = (name for name, registered in _STRATEGIES.items() if registered is strategy)
+    return next(names, type(strategy).__name__)
+
+
+def check_strategy(strategy: FollowStrategy) -> FollowStrategy:
+    """Return the strategy; raise :class:`ArgumentError` if its ``lags`` or ``noise`` is invalid."""
+    whole_number("lags", strategy.lags, 1, MOST_LAGS)
+    real_number("noise", strategy.noise, 0, MOST_NOISE)
+    return strategy
+
+
 def follow_strategies() -> Mapping[str, FollowStrategy]:
     """All registered follow strategies by name (a read-only view)."""
     return MappingProxyType(_STRATEGIES)
@@ -289,7 +321,7 @@ def follow_strategy(name: str) -> FollowStrategy:
     Raises:
         ArgumentError: no strategy has this name.
     """
-    if name not in _STRATEGIES:
+    if not isinstance(name, str) or name not in _STRATEGIES:
         raise unknown_name("follow", name, [*_STRATEGIES, "none"])
     return _STRATEGIES[name]
 
@@ -301,6 +333,7 @@ def register_follow_strategy(
     lags: int = 4,
     noise: float = KAPPA_NOISE,
     equation: str = "",
+    replace: bool = False,
 ) -> None:
     """Register a follow strategy, so that ``follow=name`` selects it.
 
@@ -308,22 +341,25 @@ def register_follow_strategy(
         name: a new name.
         strategy: a :class:`FollowStrategy`, or a function from :class:`FollowInputs` of n followers to their directions
             ``(n, 3)``; the simulator adds noise and normalises.
-        lags: for a function, the number of past head velocities that it uses.
-        noise: for a function, kappa_n.
+        lags: for a function, the number of past head velocities that it uses, from 1 to 1000.
+        noise: for a function, kappa_n, from 0 to 10^6.
         equation: for a function, its equation as text for lists.
+        replace: replace another strategy of this name, for example to run a notebook cell again. An environment in the
+            middle of an episode uses the new strategy from its next window on. The names f1 to f7 can't be replaced.
 
     Raises:
         ArgumentError: ``name`` is empty or already registered for another strategy, or another argument has the wrong
-            type.
+            type or is out of range.
     """
     if not isinstance(name, str) or not name.strip() or name == "none":
         raise ArgumentError(f"name must be a non-empty name other than 'none', got {quote(name)}.")
     if not isinstance(strategy, FollowStrategy):
-        if not callable(strategy):
+        if not callable(strategy) or isinstance(strategy, type):
             raise ArgumentError(f"strategy must be a FollowStrategy or a function, got {quote(strategy)}.")
-        if isinstance(lags, bool) or not isinstance(lags, int) or lags < 1:
-            raise ArgumentError(f"lags must be a whole number from 1, got {quote(lags)}.")
-        strategy = FollowFunction(strategy, lags, float(noise), equation)
-    if name in _STRATEGIES and _STRATEGIES[name] != strategy:
-        raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
-    _STRATEGIES[name] = strategy
+        strategy = FollowFunction(
+            strategy,
+            whole_number("lags", lags, 1, MOST_LAGS),
+            real_number("noise", noise, 0, MOST_NOISE),
+            plain_text("equation", equation),
+        )
+    add_to_registry(_STRATEGIES, name, check_strategy(strategy), replace, _OWN_NAMES)

@@ -103,6 +103,6 @@ def formation(name: str) -> Callable[[np.random.Generator, Roles], NDArray[np.fl
     Raises:
         ArgumentError: there is no formation of this name.
     """
-    if name not in _FORMATIONS:
+    if not isinstance(name, str) or name not in _FORMATIONS:
         raise unknown_name("formation", name, _FORMATIONS)
     return _FORMATIONS[name]

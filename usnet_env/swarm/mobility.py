@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.config import ArgumentError, add_to_registry, plain_text, quote, unknown_name
 from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import ARENA
 
@@ -162,6 +162,9 @@ _MOBILITIES: dict[str, Mobility] = {
 }
 
 
+_OWN_NAMES = frozenset(_MOBILITIES)
+
+
 def mobilities() -> Mapping[str, Mobility]:
     """All registered mobilities by name (a read-only view)."""
     return MappingProxyType(_MOBILITIES)
@@ -173,7 +176,7 @@ def mobility(name: str) -> Mobility:
     Raises:
         ArgumentError: no mobility has this name.
     """
-    if name not in _MOBILITIES:
+    if not isinstance(name, str) or name not in _MOBILITIES:
         raise unknown_name("mobility", name, _MOBILITIES)
     return _MOBILITIES[name]
 
@@ -183,6 +186,7 @@ def register_mobility(
     model: Mobility | Callable[[np.random.Generator, NDArray[np.float32], int, State], NDArray[np.float32]],
     *,
     description: str = "",
+    replace: bool = False,
 ) -> None:
     """Register a mobility, so that ``mobility=name`` selects it.
 
@@ -192,16 +196,16 @@ def register_mobility(
             directions of flight; ``state`` starts as zeros, and the function may change it in place to keep values
             between rounds.
         description: for a function, one line for lists.
+        replace: replace another mobility of this name, for example to run a notebook cell again. The mobilities of
+            this package can't be replaced.
 
     Raises:
-        ArgumentError: ``name`` is empty or already registered for another mobility, or ``model`` has another type.
+        ArgumentError: ``name`` is empty or already registered for another mobility, or an argument has another type.
     """
     if not isinstance(name, str) or not name.strip():
         raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
     if not isinstance(model, Mobility):
-        if not callable(model):
+        if not callable(model) or isinstance(model, type):
             raise ArgumentError(f"model must be a Mobility or a function, got {quote(model)}.")
-        model = MobilityFunction(model, description)
-    if name in _MOBILITIES and _MOBILITIES[name] != model:
-        raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
-    _MOBILITIES[name] = model
+        model = MobilityFunction(model, plain_text("description", description))
+    add_to_registry(_MOBILITIES, name, model, replace, _OWN_NAMES)

@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError
+from usnet_env.config import ArgumentError, quote
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
 from usnet_env.swarm.formation import draw_roles, formation
@@ -85,6 +85,16 @@ class SwarmState:
         return SwarmState(**{field.name: getattr(self, field.name)[b].copy() for field in fields(self)})
 
 
+def _check_types(config: Any, state: Any, rngs: Any) -> None:
+    """Refuse arguments of another type; without a state, ``state`` is ``None``."""
+    if not isinstance(config, SwarmConfig):
+        raise ArgumentError(f"config must be a SwarmConfig, got {quote(config)}.")
+    if state is not None and not isinstance(state, SwarmState):
+        raise ArgumentError(f"state must be a SwarmState, got {quote(state)}.")
+    if not isinstance(rngs, list | tuple) or not all(isinstance(rng, np.random.Generator) for rng in rngs):
+        raise ArgumentError(f"rngs must be a list of NumPy generators, got {quote(rngs)}.")
+
+
 def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     """Start B swarms, one per generator, and simulate T_0 steps, which are the past of the first round.
 
@@ -96,7 +106,11 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
 
     Returns:
         The state after T_0 steps.
+
+    Raises:
+        ArgumentError: an argument has another type.
     """
+    _check_types(config, None, rngs)
     episodes, uavs, memory = len(rngs), config.uavs, config.memory
     strategy, mobility_model, place = config.follow_strategy, config.head_mobility, formation(config.formation)
     count = uavs if strategy is None else config.clusters + config.decoys
@@ -141,7 +155,16 @@ def destroy(state: SwarmState, candidates: NDArray[np.bool_]) -> SwarmState:
 
     Returns:
         The state after the re-merge.
+
+    Raises:
+        ArgumentError: ``state`` has another type, or ``candidates`` another type or shape.
     """
+    if not isinstance(state, SwarmState):
+        raise ArgumentError(f"state must be a SwarmState, got {quote(state)}.")
+    if not isinstance(candidates, np.ndarray) or candidates.dtype != bool or candidates.shape != state.alive.shape:
+        raise ArgumentError(
+            f"candidates must be a boolean array of shape {state.alive.shape}, got {quote(candidates)}."
+        )
     alive = state.alive & ~candidates
     leader = state.leader.copy()
     position, velocity = state.past_position.copy(), state.past_velocity.copy()
@@ -164,8 +187,10 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
         The state at the end of the window, and the observed windows.
 
     Raises:
-        ArgumentError: another number of generators than of swarms, or a swarm without a living head.
+        ArgumentError: an argument has another type, another number of generators than of swarms, or a swarm without a
+            living head.
     """
+    _check_types(config, state, rngs)
     if len(rngs) != len(state.alive):
         raise ArgumentError(f"rngs must hold one generator for each of {len(state.alive)} swarms, got {len(rngs)}.")
     if config.follow_strategy is not None and not state.heads_left.all():

@@ -248,7 +248,7 @@ def test_names():
         make_clusterer("spectrall")
     with pytest.raises(ArgumentError, match="has no argument 'clusters'; it takes count"):
         make_clusterer("spectral", clusters=5)
-    with pytest.raises(ArgumentError, match="already registered"):
+    with pytest.raises(ArgumentError, match="name must be a new one, got 'kmeans', which is a name of this package"):
         register_clusterer("kmeans", lambda: None)
     with pytest.raises(ArgumentError, match="factory must be"):
         register_clusterer("mine", 5)
