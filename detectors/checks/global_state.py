@@ -70,10 +70,13 @@ def check_process_settings_untouched(detector: Any, functions: Mapping[str, Same
     """
     functions = list_functions() if functions is None else functions
     threads, processes = list_threads(), list_processes()
-    changed, files = "", dict[str, str]()
-    for _ in range(2):  # the first call may import what the second uses
-        files = list_files()
-        changed = changed or _find_changes(detector, _read_process_settings)
+    variables = set(os.environ)
+    changed = _find_changes(detector, _read_process_settings)
+    # The first call may import a library that sets variables. Only the detector itself sets them in the second as well.
+    added = {name: os.environ.pop(name) for name in set(os.environ) - variables}
+    files = list_files()
+    changed = changed or _find_changes(detector, _read_process_settings, new=_VARIABLE)
+    os.environ.update(added)
     after = list_functions()
     patched = ", ".join(name for name, value in functions.items() if after.get(name) != value)
     require(
@@ -115,12 +118,12 @@ def check_time_budget(detector: Any, seconds: float = SECONDS) -> None:
     require(False, f"detect must take at most {seconds:g} s for 82 UAVs, got {best:.3g} s.")
 
 
-def _find_changes(detector: Any, state: Callable[[], dict[str, Any]]) -> str:
-    """Names of the entries of ``state()`` that the detector changes; new ones count for environment variables only."""
+def _find_changes(detector: Any, state: Callable[[], dict[str, Any]], new: str | None = None) -> str:
+    """Names of the entries of ``state()`` that the detector changes, and new ones if their names start with ``new``."""
     before = state()
     _exercise_detector(detector, [simulate_window(), simulate_window(seed=1, destroyed=3, round=2)])
     after = state()
-    names = [*before, *(name for name in after if name not in before and name.startswith(_VARIABLE))]
+    names = [*before, *(name for name in after if new and name not in before and name.startswith(new))]
     return ", ".join(
         name
         for name in names

@@ -20,6 +20,8 @@ __all__ = [
     "start_environment",
 ]
 
+STEPS = 30  # T_ob of most windows: what the checks look for shows in short windows too
+
 
 def simulate_window(
     clusters: int = 3,
@@ -27,7 +29,7 @@ def simulate_window(
     *,
     seed: int = 0,
     destroyed: int = 0,
-    observation_steps: int = 60,
+    observation_steps: int = STEPS,
     round: int = 1,
     **config: Any,
 ) -> Window:
@@ -62,7 +64,7 @@ def simulate_missing_samples(seed: int = 0) -> Window:
     return _mask_unseen_samples(window.position, window.velocity, seen, window.alive, window.round)
 
 
-def make_hovering_window(uavs: int = 8, steps: int = 60, *, together: bool = False, seed: int = 0) -> Window:
+def make_hovering_window(uavs: int = 8, steps: int = STEPS, *, together: bool = False, seed: int = 0) -> Window:
     """Make a window in which no UAV moves, so that every spread is 0 and no UAV looks like a head.
 
     Args:
@@ -94,7 +96,7 @@ def start_environment(seed: int = 0, **arguments: Any) -> tuple[gym.Env[Any, Any
             the checks has, in 3 clusters.
     """
     # As in an evaluation: without Gymnasium's checker, which compares an environment with its specification.
-    arguments = {"clusters": 3, "uavs": 15, "observation_steps": 60, **arguments}
+    arguments = {"clusters": 3, "uavs": 15, "observation_steps": STEPS, **arguments}
     env: gym.Env[Any, Any] = gym.make("USNET/MultiCluster-v0", disable_env_checker=True, **arguments)
     observation, _ = env.reset(seed=seed)
     return env, Window.from_observation(observation)

@@ -194,9 +194,11 @@ def test_a_limit_is_a_positive_number(name, value):
 def test_a_child_process_needs_a_detector_that_can_be_pickled():
     detector = broken.CannotBePickled()
     detector.reset(0)
-    with pytest.raises(ArgumentError, match="^child_process must be false for a detector that cannot be pickled, got "):
+    with pytest.raises(
+        ArgumentError, match=r"^child_process must be false for a detector that cannot be pickled, got "
+    ):
         check_detector(detector, child_process=True)
-    with pytest.raises(ArgumentError, match="^child_process must be true or false, got 1"):
+    with pytest.raises(ArgumentError, match=r"^child_process must be true or false, got 1"):
         check_detector(detector, child_process=1)
 
 
