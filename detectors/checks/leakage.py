@@ -60,14 +60,19 @@ def check_truth_nearby_changes_nothing(detector: Any) -> None:
     The detector answers one window twice. The environment that the window comes from is within reach both times, in all
     these places, but its swarm has other heads the second time.
     """
-    environment, window = start_environment()
-    ends = np.array([0, 1]), np.array([window.uavs - 2, window.uavs - 1])
-    given = [_detect_beside_environment(detector, environment, window, heads) for heads in ends]
+    given = _detect_beside_two_truths(detector)
     different = compare_detections(*given)
     require(
         not different,
         f"the detection must not depend on an environment or swarm elsewhere in memory, got different {different}.",
     )
+
+
+def _detect_beside_two_truths(detector: Any) -> list[Detection]:
+    """Call ``detect`` twice; the environment is gone afterwards, so that no later check can find it."""
+    environment, window = start_environment()
+    ends = np.array([0, 1]), np.array([window.uavs - 2, window.uavs - 1])
+    return [_detect_beside_environment(detector, environment, window, heads) for heads in ends]
 
 
 def _detect_beside_environment(detector: Any, env: Any, window: Window, heads: NDArray[np.intp]) -> Detection:
