@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-extras lint format types bench animation docs clean
+.PHONY: help demo test test-all test-extras test-lowest lint format types bench animation docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*##  *\(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -22,6 +22,9 @@ test-all: $(INSTALLED)  ## run all tests and show the coverage
 
 test-extras:  ## test each extra in an environment of its own; takes half an hour
 	PYTHON=$(PYTHON) tests/frameworks/extras.sh
+
+test-lowest:  ## run the package with the lowest versions of its dependencies that are allowed
+	$(PYTHON) tests/packaging/lowest.py
 
 lint: $(INSTALLED)  ## check style, format and the imports between the parts
 	$(BIN)/ruff check .

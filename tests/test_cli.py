@@ -19,6 +19,7 @@ from usnet_env import cli
 from usnet_env.cli import main
 from usnet_env.cli.options import parse_pairs
 from usnet_env.evaluation import METRICS
+from usnet_env.evaluation.environments import find_environment, list_arguments
 
 SAMPLES = Path(__file__).parent / "evaluation"
 SMALL = ["--set", "clusters=3", "uavs=20", "observation_steps=20", "max_rounds=5"]
@@ -47,14 +48,14 @@ def refused(run, words, *expected):
     assert all(word in err for word in expected), err
 
 
-def process(*words, **options):
+def process(*words, variables=None, **options):
     path = os.pathsep.join(filter(None, [str(SAMPLES), os.environ.get("PYTHONPATH")]))
     return subprocess.Popen(
         [sys.executable, "-m", "usnet_env", *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"PYTHONPATH": path},
+        env=os.environ | {"PYTHONPATH": path} | (variables or {}),
         preexec_fn=restore_ctrl_c,
         **options,
     )
@@ -91,8 +92,26 @@ def test_json_is_the_summary_and_nothing_else(run):
     assert summary[0]["metrics"]["J"] == {"mean": 1.85, "low": 1.85, "high": 1.85}
 
 
-def test_the_table_names_detectors_and_metrics(run):
-    status, out, _ = run(*QUICK, "--detector", "random")
+def test_one_ranked_table_and_a_sentence(run, monkeypatch):
+    """The best J is first, whatever the order of the options; every line fits a terminal of 80 columns."""
+    words = ["evaluate", "--detector", "none", "--detector", "random(count=3)", "--trivial", "--episodes", "2", *SMALL]
+    status, out, _ = run(*words)
+    assert status == 0
+    lines = out.splitlines()
+    names = [
+        line.split()[0] for line in lines if line and line.split()[0] in {"destroy-all", "none", "random(count=3)"}
+    ]
+    assert names[0] == "destroy-all"
+    assert sorted(names[:3]) == sorted({"destroy-all", "none", "random(count=3)"})
+    assert sum("J_m↓" in line for line in lines) == 1
+    assert all(heading in out for heading in ("rounds↓", "redundancy↓", "exact↑", "F1↑", "s↓"))
+    assert max(map(len, lines)) <= 80
+    assert lines[-1] == "destroy-all has the lowest J_m: 1.850 in every episode."
+    assert "precision" not in out
+
+
+def test_all_prints_the_table_of_all_metrics(run):
+    status, out, _ = run(*QUICK, "--detector", "random", "--all")
     assert status == 0
     for word in ("destroy-all", "random", "J", "redundancy", "precision", "AP", "seconds", "in round 1", "1.850"):
         assert word in out
@@ -160,7 +179,7 @@ def test_arguments_of_a_detector_and_two_workers(run):
 @pytest.mark.parametrize(
     ("what", "names"),
     [
-        ("envs", ["USNET/SingleCluster-v0", "USNET/MultiCluster-v0"]),
+        ("envs", ["USNET/SingleCluster-v0", "USNET/MultiCluster-v0", "usnet_env.multiagent.usnet_evasion_v0"]),
         ("detectors", ["random", "none", "destroy-all", "one-per-round", "lagged-correlation", "lagged-regression"]),
         ("follow", [*(f"f{number}" for number in range(1, 8)), "none"]),
         ("mobility", ["iid", "gauss_markov", "smooth_turn", "waypoint", "straight"]),
@@ -174,6 +193,24 @@ def test_list_names_all(run, what, names):
     assert all(lines[name] for name in names)  # each with a description
 
 
+def test_the_list_of_environments_repeats_no_sentence(run):
+    lines = [line.split(maxsplit=1) for line in run("list", "envs")[1].splitlines()]
+    assert len({description.strip() for _, description in lines}) == len(lines)
+    texts = {name: description.strip() for name, description in lines}
+    assert texts["USNET/MultiCluster-M8-v0"] == "USNET/MultiCluster-v0 with clusters=8, uavs=185"
+
+
+def test_the_help_of_evaluate_has_every_argument_and_an_example(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    out = run("evaluate", "--help")[1]
+    assert "usnet evaluate --detector lagged-regression --trivial" in out
+    words = set(out.replace(",", " ").replace(";", " ").partition("Arguments for --set:")[2].split())
+    for name in ("USNET/MultiCluster-v0", "USNET/SingleCluster-v0"):
+        arguments = list_arguments(find_environment(name))
+        assert set(arguments) <= words
+    assert max(map(len, out.splitlines())) <= 80
+
+
 def test_version_and_help(run):
     status, out, _ = run("--version")
     assert status == 0
@@ -184,12 +221,12 @@ def test_version_and_help(run):
         assert "Usage: usnet" in out
 
 
-@pytest.mark.parametrize("group", [[], ["train"]])
+@pytest.mark.parametrize("group", [[], ["train"], ["reproduce"]])
 def test_short_helps_fit_on_one_line_of_a_narrow_terminal(run, monkeypatch, group):
     monkeypatch.setenv("COLUMNS", "80")
     out = run(*group, "--help")[1]
     lines = out.partition("Commands:\n")[2].splitlines()
-    assert len(lines) == len((cli._usnet if not group else cli.train).commands)  # none is wrapped
+    assert len(lines) == len((getattr(cli, group[0]) if group else cli._usnet).commands)  # none is wrapped
     assert all(line.endswith(".") and not line.endswith("...") for line in lines), out
 
 
@@ -211,6 +248,8 @@ def test_help_imports_nothing_heavy():
         (["--episodes", "many"], ["--episodes", "'many'"]),
         (["--episodes", "9" * 5000], ["--episodes"]),
         (["--episodes"], ["--episodes"]),
+        (["--time-limit", "0"], ["--time-limit", "'0'"]),
+        (["--memory-limit", "much"], ["--memory-limit", "'much'"]),
         (["--seed", "-1"], ["--seed", "'-1'"]),
         (["--seed", "1e3"], ["--seed", "'1e3'"]),
         (["--seed", str(2**63)], ["--seed"]),
@@ -306,6 +345,48 @@ def test_a_failing_detector_is_one_sentence(run, monkeypatch):
     refused(run, words, "sample_detectors:Failing", "episode 2", "ZeroDivisionError")
 
 
+def test_a_detector_that_ends_its_process_is_a_failure_and_one_that_prints_breaks_no_json(run, monkeypatch):
+    monkeypatch.syspath_prepend(str(SAMPLES))
+    words = [*QUICK, "--json", "--detector", "sample_detectors:Printing", "--detector", "sample_detectors:Ending"]
+    status, out, err = run(*words)
+    assert status == 2
+    assert [entry["detector"] for entry in json.loads(out)] == ["destroy-all", "sample_detectors:Printing"]
+    assert err.startswith("usnet: detector 'sample_detectors:Ending' failed in episode ")
+    assert err.endswith("round 2: it ended its process with status 0.\n")
+    assert err.count("\n") == 1
+
+
+def test_a_typo_in_an_argument_leaves_no_run_behind(run, monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(SAMPLES))
+    words = [*QUICK, "--out", str(tmp_path / "run"), "--detector"]
+    refused(run, [*words, "sample_detectors:Demanding(clusters='three')"], "clusters must be a whole number")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_a_terminal_of_few_characters_loses_no_result(encoding):
+    running = process(*QUICK, variables={"PYTHONIOENCODING": encoding}, encoding=encoding)
+    out, err = running.communicate(timeout=120)
+    assert (running.returncode, err) == (0, "")
+    assert "destroy-all" in out
+
+
+def test_a_closed_standard_error_fails_nothing():
+    done = subprocess.run(
+        ["sh", "-c", f"{sys.executable} -m usnet_env list envs 2>&-"], capture_output=True, check=True
+    )
+    assert b"USNET/MultiCluster-v0" in done.stdout
+
+
+def test_a_current_folder_that_was_removed_is_one_sentence(run, tmp_path, monkeypatch):
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    refused(run, ["list", "envs"], "the current folder must exist")
+
+
 def test_a_bug_is_one_sentence_and_can_be_looked_at(run, monkeypatch):
     import usnet_env.evaluation
 
@@ -384,9 +465,13 @@ def test_demo_says_where_it_cannot_write(run):
     assert err.count("\n") == 1
 
 
-def test_demo_plays_and_leaves_its_files(run, tmp_path):
-    status, out, err = run("demo", "--out", str(tmp_path / "demo"))
+def test_demo_plays_and_leaves_its_files(run, tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr(subprocess, "Popen", lambda words, **_: opened.append(words))
+    words = ["--follow", "f3", "--clusters", "2", "--uavs", "14", "--detector", "one-per-round", "--open"]
+    status, out, err = run("demo", "--out", str(tmp_path / "demo"), *words)
     assert status == 0, err
-    assert out.strip()
+    assert "14 UAVs in 2 clusters, follow strategy f3, seed 0; detector one-per-round." in out
+    assert [words[1:] for words in opened] == [[str(tmp_path / "demo" / "replay.rrd")]]
     suffixes = {path.suffix for path in (tmp_path / "demo").iterdir()}
     assert {".npz", ".rrd", ".png"} <= suffixes

@@ -23,6 +23,7 @@ def run(capsys, monkeypatch):
     return runner
 
 
+@pytest.mark.slow
 def test_a_good_detector_has_a_table_and_status_0(run):
     status, out, err = run("lagged-regression(clusters=2)")
     assert (status, err) == (0, "")
@@ -30,24 +31,32 @@ def test_a_good_detector_has_a_table_and_status_0(run):
     assert f"{len(CHECKS)} checks: {len(CHECKS)} passed" in out
 
 
+@pytest.mark.slow
 def test_a_broken_one_has_status_1_and_a_reason(run):
-    status, out, err = run("broken_detectors:FavoursLowIndices(count=3)")
+    status, out, err = run("broken_detectors:NamesTheFirst(count=3)")
     assert (status, err) == (1, "")
     assert "permuting the UAVs must permute the detection" in out
     assert f"{len(CHECKS) - 1} passed, 1 failed" in out
 
 
 def test_an_expected_failure_has_its_reason_and_status_0(run):
-    status, out, _ = run(
-        "broken_detectors:FavoursLowIndices", "--expect", f"{PERMUTING}=it goes by the index = by habit"
-    )
+    status, out, _ = run("broken_detectors:NamesTheFirst", "--expect", f"{PERMUTING}=it goes by the index = by habit")
     assert status == 0
     assert "it goes by the index = by habit (permuting" in out
-    assert "1 expected failure" in out
+    assert f"{len(CHECKS) - 1} passed, 1 expected failure" in out
 
 
-def test_the_time_budget_is_an_argument(run):
-    status, out, _ = run("broken_detectors:Slow", "--seconds", "0.05")
+@pytest.mark.slow
+def test_a_warning_does_not_change_the_status(run):
+    status, out, _ = run("broken_detectors:FavoursLowIndices")
+    assert status == 0
+    assert "warning: ties are broken by the index" in out
+    assert f"{len(CHECKS) - 1} passed, 1 warning" in out
+
+
+@pytest.mark.slow
+def test_the_time_budget_and_the_limits_are_arguments(run):
+    status, out, _ = run("broken_detectors:Slow", "--seconds", "0.05", "--time-limit", "60", "--memory-limit", "4000")
     assert status == 1
     assert "detect must take at most 0.05 s for 82 UAVs" in out
 
@@ -56,12 +65,14 @@ def test_the_time_budget_is_an_argument(run):
     ("words", "expected"),
     [
         (("no-such-detector",), "detector must be one of"),
-        (("no_such_module:X",), "can't be loaded: ModuleNotFoundError"),
+        pytest.param(("no_such_module:X",), "can't be loaded: ModuleNotFoundError", marks=pytest.mark.slow),
         (("random", "--expect", PERMUTING), "--expect must be written check=reason"),
         (("random", "--expect", "check_all=x"), "must be one of"),
         (("random", "--expect", f"{PERMUTING}="), "must give a reason"),
         (("random", "--seconds", "0"), "seconds must be a number above 0"),
         (("random", "--seconds", "x"), "--seconds"),
+        (("random", "--time-limit", "0"), "time_limit must be a number above 0"),
+        (("random", "--memory-limit", "nan"), "memory_limit must be a number above 0"),
         ((), "NAME"),
     ],
 )

@@ -2,11 +2,11 @@
 
 import importlib.util
 import inspect
-import json
+import multiprocessing
 import os
 import re
+import runpy
 import shlex
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -15,6 +15,7 @@ from types import ModuleType
 import pytest
 
 import usnet_env.envs
+from usnet_env.cli import main
 from usnet_env.envs import ENVIRONMENTS
 from usnet_env.multiagent import GAMES
 
@@ -23,13 +24,6 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").g
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 FENCE = re.compile(r"^```(?P<kind>[^`\n]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 LEFT_ALONE = {"cd", "git", "make", "pip", "python", "rerun", "source"}  # also shown: tested elsewhere, or a viewer
-PLAY_COMMANDS = """
-import json, sys
-from usnet_env.cli import main
-for command in json.load(sys.stdin):
-    if code := main(command):
-        sys.exit(f"{command} ended with {code}")
-"""
 
 
 def python_of(page: Path) -> str:
@@ -70,19 +64,39 @@ def outputs_of(page: Path) -> list[str]:
     return [block["text"] for block in FENCE.finditer(page.read_text(encoding="utf-8")) if block["kind"] == "output"]
 
 
-def run(arguments: list[str], folder: Path, stdin: str = "") -> str:
-    """Run Python in a folder of its own, with the examples' modules at hand; return what it prints."""
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT / "examples")},
-        input=stdin,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+def play(program: Path | list[list[str]], folder: Path) -> None:
+    """Run a script, or commands of the command line, in this process; what they print goes to a file."""
+    os.chdir(folder)
+    with open("printed.txt", "w", encoding="utf-8") as printed:
+        os.dup2(printed.fileno(), 1)
+        os.dup2(printed.fileno(), 2)
+    sys.path.insert(0, str(ROOT / "examples"))
+    if isinstance(program, Path):
+        sys.path.insert(0, str(program.parent))
+        sys.argv = [str(program)]
+        runpy.run_path(str(program), run_name="__main__")
+        return
+    for command in program:
+        if code := main(command):
+            sys.exit(f"{command} ended with {code}")
+
+
+def run(program: Path | list[list[str]], folder: Path) -> str:
+    """Run a script or commands in a process and a folder of their own; return what they print.
+
+    The process is a copy of one that has imported the libraries: importing them again for every page takes longer than
+    the pages do.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["torch", "sklearn.cluster", "matplotlib.figure", "usnet_env.cli", "detectors"])
+    process = context.Process(target=play, args=(program, folder))
+    process.start()
+    process.join(timeout=300)
+    if process.is_alive():
+        process.kill()
+    printed = (folder / "printed.txt").read_text(encoding="utf-8")
+    assert process.exitcode == 0, printed
+    return printed
 
 
 def named(path: Path) -> str:
@@ -93,18 +107,18 @@ def named(path: Path) -> str:
 def test_the_python_of_a_page_runs(page, tmp_path):
     script = tmp_path / f"page_{page.stem}.py"
     script.write_text(python_of(page), encoding="utf-8")
-    printed = run([str(script)], tmp_path)
+    printed = run(script, tmp_path)
     assert [shown for shown in outputs_of(page) if shown not in printed] == [], printed
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if usnet_commands_of(page)], ids=named)
 def test_the_commands_of_a_page_run(page, tmp_path):
-    run(["-c", PLAY_COMMANDS], tmp_path, stdin=json.dumps(usnet_commands_of(page)))
+    run(usnet_commands_of(page), tmp_path)
 
 
 @pytest.mark.parametrize("script", EXAMPLES, ids=named)
 def test_an_example_runs(script, tmp_path):
-    run([str(script)], tmp_path)
+    run(script, tmp_path)
 
 
 def test_the_readme_is_short_and_shows_both():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from usnet_env import drawing
+from usnet_env.replay import recording
 
 matplotlib = pytest.importorskip("matplotlib")
 
@@ -108,9 +109,44 @@ def test_clusters_keep_their_colour_when_followers_change_sides():
 
 
 def test_every_cluster_of_a_large_swarm_looks_different():
-    head = np.ones(36, bool)
-    colors, markers = drawing.cluster_colors(head, np.arange(36))
-    assert len(set(zip(colors.tolist(), markers.tolist(), strict=True))) == 36
+    head = np.ones(72, bool)
+    colors, markers = drawing.cluster_colors(head, np.arange(72))
+    assert len(set(zip(colors.tolist(), markers.tolist(), strict=True))) == 72
+    assert len(set(colors[:24])) == 24
+
+
+# How the three kinds of colour blindness change linear RGB: Machado, Oliveira and Fernandes (2009), severity 1.
+EYES = {
+    "normal": np.eye(3),
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+TO_XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.072175], [0.0193339, 0.119192, 0.9503041]]
+)
+
+
+def to_lab(rgb, eyes):
+    """CIELAB of sRGB values ``(n, 3)`` from 0 to 1, as these eyes see them."""
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    xyz = np.clip(linear @ np.transpose(EYES[eyes]), 0, 1) @ TO_XYZ.T / TO_XYZ.sum(axis=1)
+    f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
+    return np.stack([116 * f[:, 1] - 16, 500 * (f[:, 0] - f[:, 1]), 200 * (f[:, 1] - f[:, 2])], axis=1)
+
+
+@pytest.mark.parametrize("eyes", EYES)
+@pytest.mark.parametrize(("view", "least"), [("white", 12.0), ("dark", 8.0)])
+def test_no_two_cluster_colours_look_alike(eyes, view, least):
+    """A difference of 2.3 in CIELAB is just noticeable; 24 clusters differ by several times that."""
+    colors = drawing.CLUSTER_COLORS
+    rgb = np.array([[int(color[i : i + 2], 16) for i in (1, 3, 5)] for color in colors]) / 255
+    if view == "dark":
+        rgb = recording._lighten(colors)[:, :3] / 255
+    lab = to_lab(rgb, eyes)
+    away = np.linalg.norm(lab[:, None] - lab, axis=2) + 1000 * np.eye(len(colors))
+    assert len(colors) >= 20
+    assert away.min() > least
 
 
 def test_an_empty_window_can_be_drawn():
@@ -138,6 +174,44 @@ def test_environments_render_with_it():
     assert before.shape == after.shape == (720, 960, 3)
     assert painted(before, drawing.HIT) == 0
     assert painted(after, drawing.HIT) > 100
+
+
+def test_frames_keep_their_axes_and_mark_the_destroyed_of_earlier_rounds():
+    values = scene()
+    frames, shown = drawing.EpisodeFrames(), []
+    for shift in (0, 30, 30, 900):
+        moved = (values["position"] + np.float32(shift)) * values["seen"][..., None]
+        frames.watch(moved, values["seen"])
+        shown.append(frames._limits)
+    assert shown[0] == shown[1] == shown[2]
+    x, y, half = shown[3]
+    place = drawing.last_seen_position(moved, values["seen"])
+    assert np.nanmax(np.abs(place[:, :2] - (x, y))) < half  # only then they change, so that the swarm is in view
+
+    early = scene(alive=np.ones(UAVS, bool), seen=np.ones((30, UAVS), bool))
+    frames = drawing.EpisodeFrames()
+    frames.watch(early["position"] + 1, early["seen"])
+    frames.watch(values["position"], values["seen"])
+    without = drawing.round_frame(**values, limits=frames._limits)
+    assert painted(frames.render(**values), drawing.NO_CLUSTER_COLOR) > painted(without, drawing.NO_CLUSTER_COLOR) + 10
+
+
+def test_the_title_of_a_frame_has_the_result_of_the_round(monkeypatch):
+    titles = []
+    monkeypatch.setattr(
+        drawing, "round_frame", lambda *_, title, **__: titles.append(title) or np.zeros((1, 1, 3), np.uint8)
+    )
+    with gym.make("USNET/MultiCluster-v0", render_mode="rgb_array", clusters=3, uavs=20) as env:
+        env.reset(seed=0)
+        env.render()
+        named = np.zeros(20, np.int8)
+        named[np.flatnonzero(env.unwrapped.swarm.head)[0]] = named[np.flatnonzero(~env.unwrapped.swarm.head)[0]] = 1
+        env.step(named)
+        env.render()
+    assert titles == [
+        "round 1: observed, no answer yet",
+        "round 1: 1 head hit, 1 redundant   J 1.050   reward -1.050",
+    ]
 
 
 def test_nothing_global_is_touched():

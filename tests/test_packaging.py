@@ -1,9 +1,11 @@
 """What the packages promise to whoever installs them: few imports, no side effects, arrows that point down."""
 
 import ast
+import os
 import re
 import subprocess
 import sys
+import tarfile
 import tomllib
 from importlib.resources import files
 from pathlib import Path
@@ -93,6 +95,96 @@ after = world()
 after["threads"] = {pool: after["threads"].get(pool) for pool in before["threads"]}
 assert after == before, [name for name in before if after[name] != before[name]]
 """)
+
+
+def test_loops_compile_where_no_cache_folder_can_be_written():
+    run_python("""
+from numba.core import caching
+
+# Numba's locators find no folder: neither the package nor the home of the user can be written.
+caching.CacheImpl._locator_classes = []
+import usnet_env.swarm.kernels
+from usnet_env.compiling import compiled
+
+@compiled()
+def double(number):
+    return 2 * number
+
+assert double(3) == 6
+""")
+
+
+@pytest.fixture
+def crowded(tmp_path):
+    """A folder with modules that have the names of installed ones, and a detector."""
+    (tmp_path / "detectors").mkdir()
+    (tmp_path / "detectors/__init__.py").touch()
+    (tmp_path / "sklearn.py").write_text("raise SystemExit('the wrong sklearn')")
+    (tmp_path / "mine.py").write_text(
+        "class Mine:\n    def reset(self, seed=None): ...\n    def detect(self, window): ..."
+    )
+    return tmp_path
+
+
+def run_in(folder: Path, program: str) -> None:
+    """Run a program in a folder that is not on the path, as for a console script."""
+    program = f"import sys\ndel sys.path[0]\n{program}"
+    done = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+
+
+def test_modules_of_the_current_folder_do_not_hide_installed_ones(crowded):
+    run_in(
+        crowded,
+        """
+from usnet_env.cli import main
+from usnet_env.plugins import make_detector
+
+assert main(["--version"]) == 0
+make_detector("mine:Mine")
+make_detector("granger")
+""",
+    )
+
+
+def test_a_foreign_package_of_the_same_name_is_named(crowded):
+    (crowded / "sklearn.py").unlink()
+    run_in(
+        crowded,
+        f"""
+sys.path.insert(0, {str(crowded)!r})
+import contextlib, io
+from usnet_env.cli import main
+
+wanted = "the package 'detectors' that Python found is not that of usnet: rename '{crowded}/detectors', or"
+for words in (["check-detector", "mine:Mine"], ["evaluate", "--detector", "granger", "--episodes", "1"]):
+    with contextlib.redirect_stderr(io.StringIO()) as written:
+        assert main(words) in (1, 2)
+    assert wanted in written.getvalue(), written.getvalue()
+    assert written.getvalue().count("\\n") == 1
+""",
+    )
+
+
+@pytest.mark.slow
+def test_the_lowest_versions_that_are_allowed():
+    done = subprocess.run([sys.executable, ROOT / "tests/packaging/lowest.py"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_the_tests_of_the_sdist_can_be_collected(tmp_path):
+    subprocess.run([sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", tmp_path], cwd=ROOT, check=True)
+    (archive,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(archive) as files:
+        files.extractall(tmp_path, filter="data")
+    (sources,) = tmp_path.glob("usnet-*/")
+    environment = os.environ | {"PYTHONPATH": str(sources)}
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider"],
+        cwd=sources, env=environment, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-3000:]
 
 
 @pytest.mark.parametrize("package", ["usnet_env", "detectors"])

@@ -14,6 +14,7 @@ from usnet_env.plugins import (
     describe_detectors,
     detector_label,
     detector_names,
+    list_detectors,
     make_detector,
     register_detector,
 )
@@ -110,6 +111,42 @@ def test_every_built_in_detector_has_a_line():
         lines = describe_detectors()
     assert sorted(lines) == detector_names()
     assert all(lines[name].endswith(".") and "\n" not in lines[name] for name in BUILT_IN)
+
+
+def test_detectors_are_described_without_importing_any():
+    code = (
+        "import sys, usnet_env.plugins as p; entries = {entry.name: entry for entry in p.list_detectors()}; "
+        "assert not {'detectors', 'torch'} & set(sys.modules), sorted(sys.modules); "
+        "assert entries['gassl'].needs == ('torch',), entries['gassl']; "
+        "assert entries['random'].needs == () and entries['random'].description.startswith('Names ')"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_description_from_the_source_is_that_of_the_class():
+    for entry in list_detectors():
+        if not entry.missing:
+            assert entry.description == (make_detector(entry.name).__doc__ or "").partition("\n")[0]
+
+
+PACKAGE = {
+    "faraway/__init__.py": "from .middle import Near as Other\n",
+    "faraway/middle.py": "import no_such_package_anywhere\nfrom faraway.inner.deep import Near\n",
+    "faraway/inner/__init__.py": "import json\nimport scipy\n",
+    "faraway/inner/deep.py": '"""Not this."""\n\nclass Near:\n    """Found through three files.\n\n    M.\n    """\n',
+}
+
+
+def test_a_class_is_found_where_its_package_imports_it_from(installed, tmp_path, monkeypatch):
+    for name, source in PACKAGE.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    installed(("reexported", "faraway:Other"))
+    (entry,) = [entry for entry in list_detectors() if entry.name == "reexported"]
+    assert entry.description == "Found through three files."
+    assert entry.needs == entry.missing == ("no_such_package_anywhere",)
+    assert not [name for name in sys.modules if name.startswith("faraway")]
 
 
 def test_arguments_in_brackets_beside_them_and_in_both():
@@ -219,13 +256,29 @@ def test_a_registered_detector_is_found_by_its_name():
 def test_registering_what_cannot_be_used_is_refused():
     register_detector("mine", Mine)
     for name in ("mine", "random"):
-        with pytest.raises(ArgumentError, match=rf"^name must be a new one, got '{name}', which is registered already"):
+        with pytest.raises(
+            ArgumentError, match=rf"^name must be a new one.*, got '{name}', which is .* (already|inst)"
+        ):
             register_detector(name, NeedsOne)
     for name in ("", "a b", "a:b", "a(b)", "-a", None, 3):
         with pytest.raises(ArgumentError, match=r"^name must consist of letters"):
             register_detector(name, Mine)
     with pytest.raises(ArgumentError, match=r"^factory must be a class or a function"):
         register_detector("other", Mine())
+    with pytest.raises(ArgumentError, match=r"^replace must be true or false, got 'yes'"):
+        register_detector("mine", Mine, replace="yes")
+
+
+def test_a_notebook_may_register_a_new_class_under_the_same_name():
+    register_detector("mine", Mine)
+    register_detector("mine", NeedsOne, replace=True)
+    assert type(make_detector("mine(count=1)")) is NeedsOne
+    register_detector("fresh", Mine, replace=True)
+    assert type(make_detector("fresh")) is Mine
+    with pytest.raises(
+        ArgumentError, match=r"^name must be a new one, got .random., which is the name of an installed"
+    ):
+        register_detector("random", Mine, replace=True)
 
 
 def test_labels():
@@ -261,7 +314,7 @@ def test_a_foreign_entry_point_is_found(installed):
     assert "stranger" in detector_names()
     assert make_detector("stranger(count=9)").count == 9
     assert detector_label(make_detector("stranger(count=9)")) == "stranger(count=9)"
-    with pytest.raises(ArgumentError, match="registered already"):
+    with pytest.raises(ArgumentError, match="the name of an installed detector"):
         register_detector("stranger", NeedsOne)
 
 

@@ -16,24 +16,35 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.path import Path
 
 __all__ = [
     "CLUSTER_COLORS",
     "HIT",
     "MISSED",
     "REDUNDANT",
+    "EpisodeFrames",
+    "Limits",
     "MissingExtraError",
     "cluster_colors",
+    "dashed_ring",
+    "describe_frame",
     "draw_legend",
     "draw_round",
     "last_seen_position",
+    "limits_around",
     "new_figure",
     "round_frame",
     "round_marks",
 ]
 
-# Paul Tol's "muted" scheme (colour-blind safe) without its grey. Further clusters reuse colours with other markers.
-CLUSTER_COLORS = ("#332288", "#88CCEE", "#44AA99", "#999933", "#DDCC77", "#CC6677", "#AA4499", "#117733", "#882255")
+# The first nine are Paul Tol's "muted" scheme without its grey. Each of the others is as far as possible (CIELAB) from
+# those before it, for normal and colour-blind eyes, on white and on black. Further clusters reuse the colours.
+CLUSTER_COLORS = (
+    "#332288", "#88CCEE", "#44AA99", "#999933", "#DDCC77", "#CC6677", "#AA4499", "#117733", "#882255", "#923DFF",
+    "#9E92FF", "#AADB24", "#18F3B6", "#0000FF", "#AA0000", "#2461CE", "#79AA61", "#552424", "#799EDB", "#5500B6",
+    "#FFAA92", "#55246D", "#925579", "#AADBDB",
+)  # fmt: skip
 NO_CLUSTER_COLOR = "#9A9A9A"  # UAVs without a head: decoys, destroyed UAVs, and followers if no head is left
 HIT, REDUNDANT, MISSED = "#009E73", "#D55E00", "#000000"  # their shapes differ too: circle, square, dashed circle
 HEAD_MARK, FOLLOWER_MARK, LINK_MARK = "head", "follower (colour = cluster)", "link from follower to head"
@@ -41,8 +52,14 @@ DECOY_MARK, DESTROYED_MARK = "decoy: has no followers", "destroyed earlier"
 HIT_MARK, REDUNDANT_MARK, MISSED_MARK = "candidate: hit", "candidate: redundant", "head, not a candidate"
 _DASHES = (0, (2, 1.2))
 _MARKERS = "o^sD"
+_CLUSTERS_PER_MARKER = 9  # a second sign beside the colour: clusters with the same colour have other markers
+_MARGIN_OF_FRAMES = 0.4  # room for the swarm to drift and spread before the axes have to grow
 _TRACK_PARTS = 6  # number of segments of a track, from faint to strong
 _TRACK_SAMPLES = 49  # maximum number of points of a track; more would not be visible
+
+
+#: The square that a map shows, in metres: its centre (x, y) and half of its side.
+Limits = tuple[float, float, float]
 
 
 class MissingExtraError(ImportError):
@@ -85,6 +102,19 @@ def last_seen_position(position: NDArray[np.float32], seen: NDArray[np.bool_]) -
     return np.asarray(np.where(np.any(seen, axis=0, keepdims=True).T, place, np.float32(np.nan)))
 
 
+def limits_around(place: NDArray[np.float32], margin: float = 0.12) -> Limits:
+    """The smallest square around some positions, with a margin.
+
+    Args:
+        place: ``(..., 3)`` metres; NaN for what is not drawn.
+        margin: share of the side that is added to it.
+    """
+    known = place[np.isfinite(place[..., 0])][:, :2]
+    low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.ones(2))
+    x, y = ((low + high) / 2).tolist()
+    return x, y, (1 + margin) / 2 * max(float((high - low).max()), 1.0)
+
+
 def cluster_colors(head: NDArray[np.bool_], leader: NDArray[np.int64]) -> tuple[NDArray[np.str_], NDArray[np.int64]]:
     """The colour and the marker of every UAV by its head.
 
@@ -93,11 +123,12 @@ def cluster_colors(head: NDArray[np.bool_], leader: NDArray[np.int64]) -> tuple[
         leader: ``(N,)`` int64, the head of each UAV; a head's own index; -1: no head.
 
     Returns:
-        ``(N,)`` hexadecimal colours, and ``(N,)`` int64 marker numbers (0 for the first nine clusters).
+        ``(N,)`` hexadecimal colours, which differ for 24 clusters, and ``(N,)`` int64 marker numbers (0 for the first
+        nine clusters). Colour and marker together differ for 72 clusters.
     """
     cluster = np.asarray(np.where((leader >= 0) & head[leader], np.cumsum(head)[leader] - 1, -1))
     colors = np.where(cluster >= 0, np.array(CLUSTER_COLORS)[cluster % len(CLUSTER_COLORS)], NO_CLUSTER_COLOR)
-    return colors, np.maximum(cluster, 0) // len(CLUSTER_COLORS) % len(_MARKERS)
+    return colors, np.maximum(cluster, 0) // _CLUSTERS_PER_MARKER % len(_MARKERS)
 
 
 def _draw_tracks(axes: Axes, position: NDArray[np.float32], seen: NDArray[np.bool_], colors: NDArray[np.str_]) -> None:
@@ -173,6 +204,13 @@ def round_marks(
     }
 
 
+def dashed_ring() -> Path:
+    """A marker for legends: the dashed circle around a head that is not a candidate."""
+    from matplotlib.path import Path
+
+    return Path.make_compound_path(*(Path.arc(start, start + 30) for start in range(0, 360, 45)))
+
+
 def draw_legend(axes: Axes, labels: Mapping[str, str]) -> None:
     """Draw a legend at the right of ``axes``.
 
@@ -193,7 +231,7 @@ def draw_legend(axes: Axes, labels: Mapping[str, str]) -> None:
         DECOY_MARK: point(marker="D", color="white", markeredgecolor="black", markersize=7),
         HIT_MARK: point(markeredgecolor=HIT, **ring),
         REDUNDANT_MARK: point(markeredgecolor=REDUNDANT, **ring | {"marker": "s", "markersize": 12}),
-        MISSED_MARK: Line2D([], [], color=MISSED, linestyle=_DASHES, linewidth=1.6),
+        MISSED_MARK: point(markeredgecolor=MISSED, **ring | {"marker": dashed_ring(), "markeredgewidth": 1.6}),
         DESTROYED_MARK: point(marker="x", color=NO_CLUSTER_COLOR, markersize=7, markeredgewidth=1.6),
     }
     axes.legend(
@@ -207,12 +245,10 @@ def draw_legend(axes: Axes, labels: Mapping[str, str]) -> None:
     )
 
 
-def _set_up_axes(axes: Axes, place: NDArray[np.float32], title: str) -> None:
-    known = place[np.isfinite(place[:, 0]), :2]
-    low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.ones(2))
-    middle, half = (low + high) / 2, 0.56 * max(float((high - low).max()), 1.0)
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
+def _set_up_axes(axes: Axes, limits: Limits, title: str) -> None:
+    x, y, half = limits
+    axes.set_xlim(x - half, x + half)
+    axes.set_ylim(y - half, y + half)
     axes.set_aspect("equal")
     axes.set_xlabel("x in m", fontsize=9)
     axes.set_ylabel("y in m", fontsize=9)
@@ -238,6 +274,7 @@ def draw_round(
     axes: Axes | None = None,
     title: str = "",
     legend: bool = True,
+    limits: Limits | None = None,
 ) -> Figure:
     """Draw a window from above with the true clusters and the detector's candidates.
 
@@ -257,6 +294,7 @@ def draw_round(
         axes: the axes to draw on; ``None``: a new figure.
         title: the title above the picture.
         legend: whether to draw a legend on the right.
+        limits: the square to show; ``None``: the one around all that is drawn.
 
     Returns:
         The figure.
@@ -296,7 +334,7 @@ def draw_round(
     _draw_points(
         axes, everywhere, marks[MISSED_MARK], s=400, edgecolors=MISSED, linewidths=1.6, linestyles=[_DASHES], **ring
     )
-    _set_up_axes(axes, everywhere, title)
+    _set_up_axes(axes, limits_around(everywhere) if limits is None else limits, title)
     if legend:
         counts = {mark: int(chosen.sum()) for mark, chosen in marks.items()}
         draw_legend(axes, {mark: f"{mark} ({count})" for mark, count in counts.items() if count})
@@ -315,6 +353,7 @@ def round_frame(
     *,
     destroyed_at: NDArray[np.float32] | None = None,
     title: str = "",
+    limits: Limits | None = None,
     size: tuple[int, int] = (960, 720),
 ) -> NDArray[np.uint8]:
     """Render :func:`draw_round` to pixels, ``(H, W, 3)`` uint8.
@@ -329,6 +368,7 @@ def round_frame(
         candidates: as in :func:`draw_round`.
         destroyed_at: as in :func:`draw_round`.
         title: as in :func:`draw_round`.
+        limits: as in :func:`draw_round`.
         size: width and height in pixels.
 
     Raises:
@@ -338,8 +378,84 @@ def round_frame(
     figure = new_figure(9.6, 9.6 * height / width, dpi=width / 9.6)
     axes = figure.add_axes((0.07, 0.08, 0.66, 0.86))
     draw_round(
-        position, seen, alive, head, leader, decoy, candidates, destroyed_at=destroyed_at, axes=axes, title=title
-    )
+        position, seen, alive, head, leader, decoy, candidates,
+        destroyed_at=destroyed_at, axes=axes, title=title, limits=limits,
+    )  # fmt: skip
     canvas: Any = figure.canvas
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3].copy()
+
+
+def describe_frame(
+    number: int, hits: int, redundant: int, objective: float, reward: float | None = None, over_budget: bool = False
+) -> str:
+    """The title of the frame of a round that was played: its result, J so far, and the reward."""
+    found = f"{hits} {'head' if hits == 1 else 'heads'} hit, {redundant} redundant"
+    result = "over the shot budget" if over_budget else found
+    return f"round {number}: {result}   J {objective:.3f}" + ("" if reward is None else f"   reward {reward:.3f}")
+
+
+class EpisodeFrames:
+    """Renders the frames of one episode: on axes that stay in place, with the UAVs destroyed in earlier rounds.
+
+    The axes fit the first window with a margin. If a later window does not fit, they are fitted to all windows so far.
+    """
+
+    def __init__(self) -> None:
+        self._limits: Limits | None = None
+        self._corners = np.full((2, 3), np.nan, np.float32)  # of the box around all UAVs of all windows
+        self._last: NDArray[np.float32] | None = None  # where each UAV was seen last
+
+    def watch(self, position: NDArray[np.float32], seen: NDArray[np.bool_]) -> None:
+        """Take note of a window; to be called once for each window of the episode, in their order.
+
+        Args:
+            position: ``(T_ob + 1, N, 3)`` metres.
+            seen: ``(T_ob + 1, N)`` bool.
+        """
+        place = last_seen_position(position, seen)
+        if self._last is None:
+            self._last = np.full_like(place, np.nan)
+        if not np.isfinite(place).any():
+            return
+        self._last = np.where(np.isfinite(place), place, self._last)
+        corners = np.stack([np.nanmin(place, axis=0), np.nanmax(place, axis=0)])
+        self._corners = np.stack([np.fmin(corners[0], self._corners[0]), np.fmax(corners[1], self._corners[1])])
+        middle, half = np.array(self._limits[:2] if self._limits else (0, 0)), self._limits[2] if self._limits else -1.0
+        if (np.abs(corners[:, :2] - middle) > half).any():
+            self._limits = limits_around(self._corners, _MARGIN_OF_FRAMES)
+
+    def render(
+        self,
+        position: NDArray[np.float32],
+        seen: NDArray[np.bool_],
+        alive: NDArray[np.bool_],
+        head: NDArray[np.bool_],
+        leader: NDArray[np.int64],
+        decoy: NDArray[np.bool_],
+        candidates: NDArray[np.bool_] | None = None,
+        *,
+        title: str = "",
+    ) -> NDArray[np.uint8]:
+        """Render a window as :func:`round_frame` does.
+
+        Args:
+            position: as in :func:`draw_round`.
+            seen: as in :func:`draw_round`.
+            alive: as in :func:`draw_round`.
+            head: as in :func:`draw_round`.
+            leader: as in :func:`draw_round`.
+            decoy: as in :func:`draw_round`.
+            candidates: as in :func:`draw_round`.
+            title: as in :func:`draw_round`.
+
+        Returns:
+            ``(H, W, 3)`` uint8.
+
+        Raises:
+            MissingExtraError: matplotlib is not installed.
+        """
+        return round_frame(
+            position, seen, alive, head, leader, decoy, candidates,
+            destroyed_at=self._last, title=title, limits=self._limits,
+        )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Atomic writing: a file is written completely or not at all."""
+"""Atomic writing, and files that only one process at a time may change."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from uuid import uuid4
 
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["as_path", "atomic_write"]
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["FileLock", "as_path", "atomic_write"]
 
 _LONGEST_NAME = 255  # bytes; the limit of the usual file systems
 
@@ -65,3 +70,79 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         with suppress(OSError):  # after success it no longer exists
             aside.unlink()
+
+
+class FileLock:
+    """Allows only one process to change a file and the files that belong to it.
+
+    The lock is a file beside the given one, ``.<name>.lock``, that holds the number of the process. The system
+    releases the lock when the process ends, whatever ends it, so a lock file that a killed process left is no obstacle.
+
+    Args:
+        path: the file. Missing folders are created, and removed again by :meth:`release` if they are empty.
+
+    Raises:
+        ArgumentError: another process has the lock; the message names it.
+        OSError: the folder cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._lock_path = self.path.with_name(f".{self.path.name}.lock")
+        folder = self.path.parent
+        self._created = [each for each in (folder, *folder.parents) if not each.exists()]
+        folder.mkdir(parents=True, exist_ok=True)
+        self._file = self._take()
+
+    def _take(self) -> int:
+        while True:
+            file = os.open(self._lock_path, os.O_RDWR | os.O_CREAT, 0o644)
+            try:
+                if fcntl is not None:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                owner = os.read(file, 20).decode("ascii", "replace").strip()
+                os.close(file)
+                process = f"process {owner}" if owner else "another process"
+                raise ArgumentError(
+                    f"out must be a folder that no other run uses, got {quote(str(self.path.parent))}, "
+                    f"which {process} uses."
+                ) from None
+            if self._is_at_its_place(file):
+                os.ftruncate(file, 0)
+                os.write(file, f"{os.getpid()}\n".encode())
+                return file
+            os.close(file)  # its owner has removed it between the two calls
+
+    def _is_at_its_place(self, file: int) -> bool:
+        try:
+            return os.path.samestat(os.stat(self._lock_path), os.fstat(file))
+        except OSError:
+            return False
+
+    def check(self) -> None:
+        """Check that the folder is still the one that was locked.
+
+        Raises:
+            ArgumentError: the folder or the lock file was removed or replaced.
+        """
+        if not self._is_at_its_place(self._file):
+            raise ArgumentError(
+                f"out must stay as it is during a run, got {quote(str(self.path.parent))}, which was removed."
+            )
+
+    def release(self) -> None:
+        """Remove the lock, and the folders that it created if nothing was written into them."""
+        if self._is_at_its_place(self._file):
+            with suppress(OSError):
+                self._lock_path.unlink()
+        os.close(self._file)
+        for folder in self._created:
+            with suppress(OSError):  # it is not empty
+                folder.rmdir()
+
+    def __enter__(self) -> FileLock:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()

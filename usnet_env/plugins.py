@@ -3,21 +3,29 @@
 A name is one of three things: a name registered with :func:`register_detector` in this process; the name of an entry
 point in the group ``usnet.detectors`` of an installed distribution, which is how the detectors of this package are
 found; or ``module:Class``. Arguments may follow in brackets: ``lagged-regression(clusters=5)``. They are Python
-literals, and reading them runs no code.
+literals, and reading them runs no code. Listing detectors runs no code of theirs either: their descriptions are read
+from the source files.
 """
 
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import re
+import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from difflib import get_close_matches
+from hashlib import sha256
 from importlib import import_module
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.metadata import EntryPoint, entry_points
-from types import FunctionType
+from importlib.util import find_spec, resolve_name
+from pathlib import Path
+from types import FunctionType, MappingProxyType
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
@@ -27,19 +35,30 @@ from usnet_env.window import Window
 
 __all__ = [
     "GROUP",
+    "DetectorEntry",
     "DetectorLike",
     "describe_detectors",
+    "describe_foreign_detectors",
     "detector_label",
     "detector_names",
+    "list_detectors",
     "make_detector",
     "register_detector",
+    "registered_detectors",
 ]
 
 GROUP = "usnet.detectors"
-_OWN_DISTRIBUTION = "usnet"
+_OWN_DISTRIBUTION, _OWN_PACKAGE = "usnet", "detectors"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+# The packages that an installation of USNET without extras has, by the names under which they are imported.
+_ALWAYS_INSTALLED = frozenset(
+    {"usnet_env", "detectors", "click", "gymnasium", "numba", "numpy", "pydantic", "rich", "scipy", "sklearn"}
+    | {"threadpoolctl", "yaml"}
+)
+_REEXPORTS = 8  # limit of the chain of `from … import …` that leads to a class
 
 Factory = Callable[..., Any]
+Parse = Callable[[str], tuple[ast.Module | None, bool]]
 
 
 @runtime_checkable
@@ -58,12 +77,14 @@ _registered: dict[str, Factory] = {}
 _function_labels: WeakKeyDictionary[Any, str] = WeakKeyDictionary()
 
 
-def register_detector(name: str, factory: Factory) -> None:
+def register_detector(name: str, factory: Factory, *, replace: bool = False) -> None:
     """Register a detector under ``name`` in this process.
 
     Args:
         name: a new name of letters, digits, ``_``, ``.`` and ``-``.
         factory: a class or function that returns a detector when it is called with keyword arguments.
+        replace: whether to replace a detector that was registered under this name before, as a notebook does when a
+            cell is run again. The name of an installed detector cannot be replaced.
 
     Raises:
         ArgumentError: another detector has the name, the name has other characters, or the factory is not callable.
@@ -72,9 +93,18 @@ def register_detector(name: str, factory: Factory) -> None:
         raise ArgumentError(f"name must consist of letters, digits, '_', '.' and '-', got {quote(name)}.")
     if not callable(factory):
         raise ArgumentError(f"factory must be a class or a function that returns a detector, got {quote(factory)}.")
-    if _registered.get(name, factory) is not factory or (name not in _registered and name in _entry_points()):
-        raise ArgumentError(f"name must be a new one, got {name!r}, which is registered already.")
+    if not isinstance(replace, bool):
+        raise ArgumentError(f"replace must be true or false, got {quote(replace)}.")
+    if name not in _registered and name in _entry_points():
+        raise ArgumentError(f"name must be a new one, got {name!r}, which is the name of an installed detector.")
+    if _registered.get(name, factory) is not factory and not replace:
+        raise ArgumentError(f"name must be a new one unless replace=True, got {name!r}, which is registered already.")
     _registered[name] = factory
+
+
+def registered_detectors() -> Mapping[str, Factory]:
+    """The detectors that were registered in this process by name (a read-only view)."""
+    return MappingProxyType(_registered)
 
 
 def detector_names() -> list[str]:
@@ -82,19 +112,152 @@ def detector_names() -> list[str]:
     return sorted({*_registered, *_entry_points()})
 
 
-def describe_detectors() -> dict[str, str]:
-    """Return a description of each detector by name: the first line of its docstring.
+@dataclass(frozen=True)
+class DetectorEntry:
+    """A registered or installed detector.
 
-    If a detector can't be imported, its description and a warning give the reason; the others are not affected.
+    Args:
+        name: its name.
+        description: the first line of its docstring, or ``not available`` with the reason.
+        needs: the packages that its module imports and that an installation of USNET without extras doesn't have, in
+            alphabetical order, such as ``("torch",)``.
+        missing: those of ``needs`` that are not installed.
     """
-    descriptions = {}
-    for name in detector_names():
+
+    name: str
+    description: str
+    needs: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+
+
+def list_detectors() -> list[DetectorEntry]:
+    """List all detectors in alphabetical order, with a description and the packages that they need.
+
+    Both are read from the source files; a detector is imported only if its class can't be found there. If a detector
+    isn't available, its description and a warning give the reason; the others are not affected.
+    """
+    points, parse = _entry_points(), functools.cache(_parse_module)
+    entries = []
+    for name in sorted({*_registered, *points}):
+        needs = () if name in _registered else _find_needs(points[name].module, parse)
+        missing = tuple(package for package in needs if not _is_installed(package))
         try:
-            descriptions[name] = (inspect.getdoc(_find_factory(name)) or "").partition("\n")[0]
+            entries.append(DetectorEntry(name, _read_description(name, points, parse), needs, missing))
         except ArgumentError as error:
             warnings.warn(str(error), stacklevel=2)
-            descriptions[name] = f"not available: {error}"
-    return descriptions
+            entries.append(DetectorEntry(name, f"not available: {error}", needs, missing))
+    return entries
+
+
+def describe_detectors() -> dict[str, str]:
+    """Return a description of each detector by name: the first line of its docstring, as :func:`list_detectors`."""
+    return {entry.name: entry.description for entry in list_detectors()}
+
+
+def _read_description(name: str, points: Mapping[str, EntryPoint], parse: Parse) -> str:
+    """Read the first line of the docstring, from the source file if it is an installed detector."""
+    definition = None
+    if name not in _registered:
+        definition = _find_definition(points[name].module, points[name].attr, parse)
+    doc = inspect.getdoc(_find_factory(name)) if definition is None else ast.get_docstring(definition)
+    return (doc or "").partition("\n")[0]
+
+
+def _find_module(module: str) -> ModuleSpec | None:
+    """Find a module without importing it or the packages that contain it."""
+    first, *rest = module.split(".")
+    try:
+        spec = find_spec(first)  # a module without a dot is found without an import
+        for end in range(1, len(rest) + 1):
+            if spec is None:
+                return None
+            spec = PathFinder.find_spec(".".join([first, *rest[:end]]), spec.submodule_search_locations or [])
+    except (ImportError, ValueError, AttributeError):
+        return None
+    return spec
+
+
+def _parse_module(module: str) -> tuple[ast.Module | None, bool]:
+    """Parse the source file of a module; also return whether the module is a package."""
+    spec = _find_module(module)
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return None, False
+    try:
+        tree = ast.parse(Path(spec.origin).read_bytes())
+    except (OSError, SyntaxError, ValueError, RecursionError):
+        tree = None
+    return tree, spec.submodule_search_locations is not None
+
+
+def _resolve_import(statement: ast.ImportFrom, module: str, is_package: bool) -> str:
+    """Return the full name of the module from which ``module`` imports, also for a relative import."""
+    package = module if is_package else module.rpartition(".")[0]
+    try:
+        return resolve_name("." * statement.level + (statement.module or ""), package)
+    except ImportError:
+        return ""
+
+
+def _find_definition(
+    module: str, path: str, parse: Parse, depth: int = _REEXPORTS
+) -> ast.ClassDef | ast.FunctionDef | None:
+    """Find the definition of a class or function in the source of a module, or where the module imports it from."""
+    tree, is_package = parse(module)
+    first, _, rest = path.partition(".")
+    body = tree.body if tree is not None else []
+    for statement in body:
+        if isinstance(statement, ast.ImportFrom) and depth:
+            for alias in statement.names:
+                if (alias.asname or alias.name) == first:
+                    source = _resolve_import(statement, module, is_package)
+                    inner = f"{alias.name}.{rest}".rstrip(".")
+                    return _find_definition(source, inner, parse, depth - 1) if source else None
+    found: ast.ClassDef | ast.FunctionDef | None = None
+    for part in path.split("."):
+        named = [node for node in body if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == part]
+        if not named:
+            return None
+        found, body = named[-1], named[-1].body
+    return found
+
+
+def _find_needs(module: str, parse: Parse) -> tuple[str, ...]:
+    """Find the packages that importing a module would import beyond those that are always installed."""
+    top = module.partition(".")[0]
+    waiting, seen, found = [module], set[str](), set[str]()
+    while waiting:
+        name = waiting.pop()
+        while name and name not in seen:  # importing a module imports the packages that contain it, too
+            seen.add(name)
+            tree, is_package = parse(name)
+            for imported in _list_imports(tree.body if tree is not None else [], name, is_package):
+                root = imported.partition(".")[0]
+                if root == top:
+                    waiting.append(imported)
+                elif root and root not in _ALWAYS_INSTALLED and root not in sys.stdlib_module_names:
+                    found.add(root)
+            name = name.rpartition(".")[0]
+    return tuple(sorted(found))
+
+
+def _list_imports(body: list[ast.stmt], module: str, is_package: bool) -> Iterator[str]:
+    """Yield the names that the statements of a module import when they run; those in functions are not followed."""
+    for statement in body:
+        if isinstance(statement, ast.Import):
+            yield from (alias.name for alias in statement.names)
+        elif isinstance(statement, ast.ImportFrom):
+            source = _resolve_import(statement, module, is_package)
+            yield source
+            yield from (f"{source}.{alias.name}" for alias in statement.names)  # a name may be that of a module
+        elif isinstance(statement, ast.ClassDef | ast.With | ast.Try):
+            yield from _list_imports(statement.body, module, is_package)
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        return find_spec(package) is not None
+    except (ImportError, ValueError):
+        return package in sys.modules
 
 
 def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
@@ -164,8 +327,28 @@ def _format_label(name: str, arguments: Mapping[str, Any]) -> str:
 
 
 def _format_value(value: Any) -> str:
-    """Format a value for a label; a function by its name, because its address differs from run to run."""
-    return str(value.__qualname__) if isinstance(value, FunctionType) else quote(value)
+    """Format a value for a label, so that different values have different labels.
+
+    A literal is shown in full: it may be typed again. A function is shown by its name, because its address differs from
+    run to run. Any other value is shown in at most 80 characters, followed by a hash if it was cut.
+    """
+    if isinstance(value, FunctionType):
+        return str(value.__qualname__)
+    if _is_literal(value):
+        return repr(value)
+    short = quote(value)
+    if not short.endswith("…"):
+        return short
+    return f"{short}#{sha256(repr(value).encode('utf-8', 'backslashreplace')).hexdigest()[:8]}"
+
+
+def _is_literal(value: Any) -> bool:
+    """Whether ``repr`` gives a literal that Python reads as the same value."""
+    if isinstance(value, list | tuple | set):
+        return all(map(_is_literal, value))
+    if isinstance(value, dict):
+        return all(map(_is_literal, [*value.keys(), *value.values()]))
+    return value is None or type(value) in (bool, int, float, complex, str, bytes)
 
 
 def _find_registered_name(detector_class: type) -> str | None:
@@ -324,6 +507,8 @@ def _load_factory(name: str, load: Callable[[], Any]) -> Factory:
     try:
         factory = load()
     except (Exception, SystemExit) as error:  # importing a foreign module may raise anything
+        if reason := describe_foreign_detectors():
+            raise ArgumentError(f"detector {name!r} can't be loaded: {reason}") from error
         raise ArgumentError(f"detector {name!r} can't be loaded: {_describe_error(error)}.") from error
     if not callable(factory):
         raise ArgumentError(
@@ -331,6 +516,22 @@ def _load_factory(name: str, load: Callable[[], Any]) -> Factory:
         )
     loaded: Factory = factory
     return loaded
+
+
+def describe_foreign_detectors() -> str | None:
+    """Describe an imported package ``detectors`` that is not the one of this distribution; ``None`` without one.
+
+    The name is a common one: a folder of the user may come first on the path, and another distribution may have
+    overwritten the package.
+    """
+    package = sys.modules.get(_OWN_PACKAGE)
+    if package is None or hasattr(package, "DetectorPolicy"):
+        return None
+    place = next(iter(getattr(package, "__path__", [])), package.__file__)  # a module has no path
+    return (
+        f"the package {_OWN_PACKAGE!r} that Python found is not that of {_OWN_DISTRIBUTION}: rename {place!r}, or "
+        f"remove the distribution that it belongs to and install {_OWN_DISTRIBUTION} again."
+    )
 
 
 def _describe_error(error: BaseException) -> str:

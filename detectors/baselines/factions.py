@@ -10,6 +10,7 @@ from pydantic import Field
 
 from detectors.base import Detector
 from detectors.lagged.selection import centre_columns, rank_uavs
+from detectors.series.pairs import check_pairs
 from usnet_env.config import Config
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -42,7 +43,8 @@ class Factions(Detector):
         threshold: the smallest correlation that counts as following, from 0 to 1.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused or a window has more than 10,000
+            UAVs.
     """
 
     def __init__(self, max_lag: int = 4, threshold: float = 0.4) -> None:
@@ -64,6 +66,7 @@ class Factions(Detector):
             Candidates, scores (PageRank), clusters (factions; -1: in no faction) and leader (-1: none).
         """
         arguments = self._arguments()
+        check_pairs(window.uavs)
         rng = getattr(self, "rng", None) or np.random.default_rng()
         living = np.flatnonzero(window.alive)
         scores = np.zeros(window.uavs)

@@ -5,23 +5,18 @@ check, and ``usnet check-detector module:Class`` prints the results as a table. 
 ``check_estimator``.
 """
 
-from detectors.checks.harness import CheckError
-from detectors.checks.run import (
-    CHECKS,
-    CheckResult,
-    DetectorChecksError,
-    check_detector,
-    exit_status,
-    parametrize_with_checks,
-    results_table,
-)
+from detectors.checks.harness import CheckError, CheckWarning
+from detectors.checks.results import CheckResult, DetectorChecksError, exit_status, results_table
+from detectors.checks.run import CHECKS, check_detector, check_factory, parametrize_with_checks
 
 __all__ = [
     "CHECKS",
     "CheckError",
     "CheckResult",
+    "CheckWarning",
     "DetectorChecksError",
     "check_detector",
+    "check_factory",
     "exit_status",
     "parametrize_with_checks",
     "results_table",

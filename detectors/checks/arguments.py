@@ -10,7 +10,14 @@ from unittest import SkipTest
 
 from sklearn.base import clone
 
-from detectors.checks.harness import compare_detections, copy_detector, play_windows, request_detection, require
+from detectors.checks.harness import (
+    calling,
+    compare_detections,
+    copy_detector,
+    play_windows,
+    request_detection,
+    require,
+)
 from detectors.checks.windows import simulate_window
 from usnet_env.config import quote
 
@@ -21,7 +28,8 @@ def check_constructor_only_stores(detector: Any) -> None:
     """The constructor stores its keyword arguments unchanged under their names, and stores nothing else."""
     kind = type(detector)
     given = {name: _UnknownValue() for name in _list_argument_names(detector)}
-    made = kind(**given)
+    with calling("its constructor"):
+        made = kind(**given)
     stored = dict(vars(made))
     for name, value in given.items():
         require(
@@ -38,13 +46,16 @@ def check_parameters_and_clone(detector: Any) -> None:
     """``get_params``, ``set_params`` and ``clone`` match the constructor; an episode changes no argument."""
     names = _list_argument_names(detector)
     own = copy_detector(detector)
-    params: Mapping[str, Any] = own.get_params(deep=False)
+    with calling("get_params"):
+        params: Mapping[str, Any] = own.get_params(deep=False)
     require(
         sorted(params) == names,
         f"get_params must return {', '.join(names) or 'no argument'}, got {quote(sorted(params))}.",
     )
     before = {name: (value, repr(value)) for name, value in params.items()}
-    require(own.set_params(**params) is own, "set_params must return the detector.")
+    with calling("set_params"):
+        returned = own.set_params(**params)
+    require(returned is own, "set_params must return the detector.")
     play_windows(own, [simulate_window(), simulate_window(seed=1, destroyed=3, round=2)])
     for name, (value, text) in before.items():
         now = own.get_params(deep=False)[name]
@@ -52,7 +63,8 @@ def check_parameters_and_clone(detector: Any) -> None:
             now is value and repr(now) == text,
             f"an episode must leave the argument {name} unchanged, got {quote(now)}.",
         )
-    twin = clone(own)
+    with calling("its clone"):
+        twin = clone(own)
     require(type(twin) is type(own), f"clone must return a {type(own).__name__}, got a {type(twin).__name__}.")
     require(sorted(twin.get_params(deep=False)) == names, "clone must return a detector with the same arguments.")
 
@@ -77,7 +89,8 @@ def check_pickling(detector: Any) -> None:
 
 def _pickle_and_unpickle(detector: Any) -> Any:
     """Pickle and unpickle; the bytes never come from a file."""
-    return pickle.loads(pickle.dumps(detector))
+    with calling("its pickling"):
+        return pickle.loads(pickle.dumps(detector))
 
 
 class _UnknownValue:

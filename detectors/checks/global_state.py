@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -12,7 +15,8 @@ import numpy as np
 from sklearn.base import clone
 from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
-from detectors.checks.harness import SEED, copy_detector, play_windows, require
+from detectors.checks.harness import SEED, calling, copy_detector, play_windows, require, warn
+from detectors.checks.process import Same, list_files, list_functions, list_processes, list_threads
 from detectors.checks.windows import simulate_window
 from usnet_env.window import Window
 
@@ -23,7 +27,10 @@ __all__ = [
     "check_time_budget",
 ]
 
+_SIGNALS = [number for number in signal.valid_signals() if isinstance(number, signal.Signals)]
+_VARIABLE = "environment variable "
 _UNUSUAL_SEED = 2_718_281_828
+GRACE = 0.5  # seconds in which all threads may end after an answer
 SECONDS = 10.0  # for a window of the paper's size: N = 82, T_ob = 100
 
 
@@ -40,33 +47,69 @@ def check_input_unchanged(detector: Any) -> None:
 
 def check_global_generators_untouched(detector: Any) -> None:
     """The detector neither seeds nor draws from the global generators of Python, NumPy and PyTorch (if imported)."""
-    changed = ""
-    for _ in range(2):  # the first call may import what the second uses
+    changed, imported = "", -1
+    while not changed and imported != (imported := len(sys.modules)):  # a call may import what the next one uses
         with _reseed_global_generators():
-            changed = changed or _find_changes(detector, _read_generator_states)
+            changed = _find_changes(detector, _read_generator_states)
     require(
         not changed,
         f"a detector must draw from its own generator, got a change of the global one of {changed}.",
     )
 
 
-def check_process_settings_untouched(detector: Any) -> None:
-    """Thread counts (BLAS, OpenMP, Numba, PyTorch), NumPy's error handling and PyTorch's defaults stay unchanged."""
-    changed = ""
-    for _ in range(2):  # the first call may import what the second uses
-        changed = changed or _find_changes(detector, _read_process_settings)
-    require(not changed, f"a detector must leave the settings of the process unchanged, got a change of {changed}.")
+def check_process_settings_untouched(detector: Any, functions: Mapping[str, Same] | None = None) -> None:
+    """The detector leaves the process as it was, and nothing of it goes on after the answer.
+
+    Settings: thread counts (BLAS, OpenMP, Numba, PyTorch), NumPy's error handling, PyTorch's defaults, environment
+    variables, signal handlers and the current folder. Code: the functions and classes of usnet_env, detectors,
+    Gymnasium and NumPy. Left behind: threads, processes and open files. A daemon thread is a warning only.
+
+    Args:
+        detector: the detector.
+        functions: the code before the detector was imported, as :func:`list_functions` returns it.
+    """
+    functions = list_functions() if functions is None else functions
+    threads, processes = list_threads(), list_processes()
+    variables = set(os.environ)
+    changed = _find_changes(detector, _read_process_settings)
+    # The first call may import a library that sets variables. Only the detector itself sets them in the second as well.
+    added = {name: os.environ.pop(name) for name in set(os.environ) - variables}
+    files = list_files()
+    changed = changed or _find_changes(detector, _read_process_settings, new=_VARIABLE)
+    os.environ.update(added)
+    after = list_functions()
+    patched = ", ".join(name for name, value in functions.items() if after.get(name) != value)
+    require(
+        not changed and not patched,
+        "a detector must leave the settings and the libraries of the process unchanged, got a change of "
+        f"{', '.join(filter(None, (changed, patched)))}.",
+    )
+    left = {key: name for key, name in list_processes().items() if key not in processes}
+    left |= {key: name for key, name in list_files().items() if key not in files}
+    daemons, end = [], time.monotonic() + GRACE
+    for thread in list_threads() - threads:
+        with suppress(RuntimeError, AssertionError):  # a thread that was not started by Python
+            thread.join(max(0.0, end - time.monotonic()))
+        if thread.is_alive() and thread.daemon:
+            daemons.append(f"thread {thread.name!r}")
+        elif thread.is_alive():
+            left[f"thread {thread.ident}"] = f"thread {thread.name!r}, which is not a daemon"
+    require(
+        not left,
+        f"a detector must leave nothing behind when it has answered, got {', '.join(list(left.values())[:4])}.",
+    )
+    if daemons:
+        warn(f"a detector should leave no thread running when it has answered, got {', '.join(daemons[:4])}.")
 
 
 def check_time_budget(detector: Any, seconds: float = SECONDS) -> None:
     """``detect`` takes at most ``seconds`` for 82 UAVs and T_ob = 100.
 
-    The first call may compile or load something and is not measured.
+    The fastest of three calls counts: the first may compile or load something, and another process may slow down one.
     """
     own, window = copy_detector(detector), simulate_window(clusters=5, uavs=82, observation_steps=100)
-    play_windows(own, [window])
     best = np.inf
-    for _ in range(3):  # another process may slow down a single call
+    for _ in range(3):
         begin = time.perf_counter()
         play_windows(own, [window])
         best = min(best, time.perf_counter() - begin)
@@ -75,22 +118,29 @@ def check_time_budget(detector: Any, seconds: float = SECONDS) -> None:
     require(False, f"detect must take at most {seconds:g} s for 82 UAVs, got {best:.3g} s.")
 
 
-def _find_changes(detector: Any, state: Callable[[], dict[str, Any]]) -> str:
-    """Names of the entries of ``state()`` that the detector changes; entries that it adds don't count."""
+def _find_changes(detector: Any, state: Callable[[], dict[str, Any]], new: str | None = None) -> str:
+    """Names of the entries of ``state()`` that the detector changes, and new ones if their names start with ``new``."""
     before = state()
     _exercise_detector(detector, [simulate_window(), simulate_window(seed=1, destroyed=3, round=2)])
     after = state()
-    return ", ".join(name for name in before if after.get(name, before[name]) != before[name])
+    names = [*before, *(name for name in after if new and name not in before and name.startswith(new))]
+    return ", ".join(
+        name
+        for name in names
+        if after.get(name, None if name.startswith(_VARIABLE) else before.get(name)) != before.get(name)
+    )
 
 
 def _exercise_detector(detector: Any, windows: list[Window]) -> None:
-    with suppress(Exception):  # check_parameters_and_clone reports it
+    with suppress(Exception), calling("its clone"):  # check_parameters_and_clone reports it
         clone(detector)
     own = copy_detector(detector)
     play_windows(own, windows)
     if callable(getattr(own, "detect_batch", None)):
-        own.reset(SEED)
-        own.detect_batch(windows)
+        with calling("reset"):
+            own.reset(SEED)
+        with calling("detect_batch"):
+            own.detect_batch(windows)
 
 
 @contextmanager
@@ -125,6 +175,10 @@ def _read_generator_states() -> dict[str, Any]:
 def _read_process_settings() -> dict[str, Any]:
     """Read the settings of the process. A library that is imported later adds entries for its own thread pools."""
     values: dict[str, Any] = {f"threads of {pool['filepath']}": pool["num_threads"] for pool in threadpool_info()}
+    values |= {f"{_VARIABLE}{name}": value for name, value in os.environ.items()}
+    if threading.current_thread() is threading.main_thread():
+        values |= {f"handler of {signal.Signals(number).name}": signal.getsignal(number) for number in _SIGNALS}
+    values["current folder"] = os.getcwd()
     values["numpy.geterr"] = np.geterr()
     if numba := sys.modules.get("numba"):
         # get_num_threads starts Numba's threads, which changes those of OpenMP. Before that, the default holds.

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -11,15 +14,51 @@ from sklearn.base import clone
 
 from usnet_env.config import quote
 from usnet_env.detection import Detection
+from usnet_env.processes import limited
 from usnet_env.window import Window
 
-__all__ = ["CheckError", "compare_detections", "copy_detector", "play_windows", "request_detection", "require"]
+__all__ = [
+    "CheckError",
+    "CheckWarning",
+    "calling",
+    "compare_detections",
+    "copy_detector",
+    "play_windows",
+    "request_detection",
+    "require",
+    "warn",
+]
 
 SEED = 5  # for the detectors' generators
 
 
 class CheckError(AssertionError):
     """A detector failed a check; the message is one sentence."""
+
+
+class CheckWarning(UserWarning):
+    """A detector passes a check, but does something that its author should know; the message is one sentence."""
+
+
+def warn(sentence: str) -> None:
+    """Issue a :class:`CheckWarning`; the result of the check that runs reports it."""
+    warnings.warn(sentence, CheckWarning, stacklevel=3)
+
+
+@contextmanager
+def calling(what: str) -> Iterator[None]:
+    """Mark a call of the detector's own code: in a child process the limits of time and memory apply to it.
+
+    Args:
+        what: a name of the call for reasons, such as ``"detect"``.
+    """
+    process = os.getpid()
+    try:
+        with limited(what):
+            yield
+    finally:
+        if os.getpid() != process:  # a copy of the process, made by os.fork, must not run the checks as well
+            os._exit(1)
 
 
 def require(holds: bool, sentence: str) -> None:
@@ -34,17 +73,21 @@ def copy_detector(detector: Any) -> Any:
     ``deepcopy`` keeps what ``fit`` has learned; ``clone`` does not, and serves only where ``deepcopy`` fails.
     """
     try:
-        return copy.deepcopy(detector)
+        with calling("its copy"):
+            return copy.deepcopy(detector)
     except Exception as error:  # an attribute may refuse to be copied with any exception
         try:
-            return clone(detector)
+            with calling("its clone"):
+                return clone(detector)
         except Exception:
             raise CheckError(f"copy.deepcopy must copy the detector, got {type(error).__name__}: {error}") from error
 
 
 def request_detection(detector: Any, window: Window) -> Detection:
     """Call ``detect`` and check that the result covers all N UAVs of the window."""
-    return validate_detection(detector.detect(window), window)
+    with calling("detect"):
+        answer = detector.detect(window)
+    return validate_detection(answer, window)
 
 
 def validate_detection(answer: Any, window: Window) -> Detection:
@@ -58,7 +101,8 @@ def validate_detection(answer: Any, window: Window) -> Detection:
 
 def play_windows(detector: Any, windows: Sequence[Window], seed: int | None = SEED) -> list[Detection]:
     """Play an episode: call ``reset(seed)``, then ``detect`` on each window in order."""
-    detector.reset(seed)
+    with calling("reset"):
+        detector.reset(seed)
     return [request_detection(detector, window) for window in windows]
 
 

@@ -10,13 +10,14 @@ import types
 import weakref
 from collections import deque
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from detectors.checks.harness import compare_detections, copy_detector, play_windows, require
-from detectors.checks.windows import simulate_swarm_with_heads, simulate_window
+from detectors.checks.windows import set_heads, simulate_window, start_environment
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -25,6 +26,7 @@ __all__ = ["check_no_reach_for_truth", "check_truth_nearby_changes_nothing", "fi
 _WORLD = ("usnet_env.swarm", "usnet_env.envs", "usnet_env.multiagent", "usnet_env.evaluation")
 _ENVIRONMENTS = {"Env", "VectorEnv", "VecEnv", "AECEnv", "ParallelEnv", "EnvBase"}
 _FRAMEWORKS = {"gymnasium", "gym", "pettingzoo", "stable_baselines3", "torchrl", "supersuit", "shimmy"}
+_VARIABLE = "_environment_of_the_checks"
 _LEAVES = (str, bytes, int, float, complex, bool, types.NoneType, type, types.ModuleType, types.CodeType)
 _GENERATORS = (np.random.Generator, np.random.BitGenerator, sys.modules["numpy.random"].RandomState, random.Random)
 
@@ -53,20 +55,47 @@ def check_no_reach_for_truth(detector: Any) -> None:
 
 
 def check_truth_nearby_changes_nothing(detector: Any) -> None:
-    """The detection doesn't depend on a swarm that is in the caller's frame, or anywhere else in memory."""
-    last = simulate_window().uavs - 1
-    gc.collect()  # a detector that searches memory should find the swarm below only
-    given = [_detect_beside_swarm(detector, simulate_window(), np.array(heads)) for heads in ([0, 1], [last - 1, last])]
+    """The detection doesn't depend on an environment in the caller's frame, in a module or elsewhere in memory.
+
+    The detector answers one window twice. The environment that the window comes from is within reach both times, in all
+    these places, but its swarm has other heads the second time.
+    """
+    given = _detect_beside_two_truths(detector)
     different = compare_detections(*given)
-    require(not different, f"the detection must not depend on a swarm elsewhere in memory, got different {different}.")
+    require(
+        not different,
+        f"the detection must not depend on an environment or swarm elsewhere in memory, got different {different}.",
+    )
 
 
-def _detect_beside_swarm(detector: Any, window: Window, heads: NDArray[np.intp]) -> Detection:
-    """Call ``detect`` while a swarm with these heads is a local variable of the calling frame."""
-    state = simulate_swarm_with_heads(window, heads)
-    (answer,) = play_windows(copy_detector(detector), [window])
-    del state
+def _detect_beside_two_truths(detector: Any) -> list[Detection]:
+    """Call ``detect`` twice; the environment is gone afterwards, so that no later check can find it."""
+    environment, window = start_environment()
+    ends = np.array([0, 1]), np.array([window.uavs - 2, window.uavs - 1])
+    return [_detect_beside_environment(detector, environment, window, heads) for heads in ends]
+
+
+def _detect_beside_environment(detector: Any, env: Any, window: Window, heads: NDArray[np.intp]) -> Detection:
+    """Call ``detect`` while the environment has these heads, and it and its swarm are within reach."""
+    set_heads(env, heads)
+    swarm = env.unwrapped.swarm
+    with _hold_in_modules(env):
+        (answer,) = play_windows(copy_detector(detector), [window])
+    del swarm
     return answer
+
+
+@contextmanager
+def _hold_in_modules(env: Any) -> Iterator[None]:
+    """Make the environment a global variable of the main module and of this one."""
+    modules = [vars(sys.modules[name]) for name in ("__main__", __name__)]
+    try:
+        for variables in modules:
+            variables[_VARIABLE] = env
+        yield
+    finally:
+        for variables in modules:
+            variables.pop(_VARIABLE, None)
 
 
 def find_truth(root: Any, name: str) -> str:

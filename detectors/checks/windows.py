@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.swarm import SwarmConfig, SwarmState, advance, destroy, start
+from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.window import Window
 
 __all__ = [
     "make_hovering_window",
     "permute_uavs",
+    "set_heads",
     "simulate_missing_samples",
-    "simulate_swarm_with_heads",
     "simulate_window",
+    "start_environment",
 ]
+
+STEPS = 30  # T_ob of most windows: what the checks look for shows in short windows too
 
 
 def simulate_window(
@@ -26,7 +29,7 @@ def simulate_window(
     *,
     seed: int = 0,
     destroyed: int = 0,
-    observation_steps: int = 60,
+    observation_steps: int = STEPS,
     round: int = 1,
     **config: Any,
 ) -> Window:
@@ -61,7 +64,7 @@ def simulate_missing_samples(seed: int = 0) -> Window:
     return _mask_unseen_samples(window.position, window.velocity, seen, window.alive, window.round)
 
 
-def make_hovering_window(uavs: int = 8, steps: int = 60, *, together: bool = False, seed: int = 0) -> Window:
+def make_hovering_window(uavs: int = 8, steps: int = STEPS, *, together: bool = False, seed: int = 0) -> Window:
     """Make a window in which no UAV moves, so that every spread is 0 and no UAV looks like a head.
 
     Args:
@@ -84,13 +87,29 @@ def permute_uavs(window: Window, order: NDArray[np.intp]) -> Window:
     )
 
 
-def simulate_swarm_with_heads(window: Window, heads: NDArray[np.intp]) -> SwarmState:
-    """Make the state of another swarm with the window's N, and with heads at the indices ``heads``."""
-    config = SwarmConfig(clusters=1, uavs=window.uavs, observation_steps=window.observation_steps)
-    state = start(config, [np.random.default_rng(0)]).episode()
-    head = np.zeros(window.uavs, bool)
-    head[heads] = True
-    return replace(state, head=head, leader=np.where(head, np.arange(window.uavs), heads[0]))
+def start_environment(seed: int = 0, **arguments: Any) -> tuple[gym.Env[Any, Any], Window]:
+    """Start an episode of an environment; returns the environment, with its wrappers, and the first window.
+
+    Args:
+        seed: seed of the episode.
+        arguments: of the environment ``USNET/MultiCluster-v0``; by default it has 15 UAVs, which no other window of
+            the checks has, in 3 clusters.
+    """
+    # As in an evaluation: without Gymnasium's checker, which compares an environment with its specification.
+    arguments = {"clusters": 3, "uavs": 15, "observation_steps": STEPS, **arguments}
+    env: gym.Env[Any, Any] = gym.make("USNET/MultiCluster-v0", disable_env_checker=True, **arguments)
+    observation, _ = env.reset(seed=seed)
+    return env, Window.from_observation(observation)
+
+
+def set_heads(env: Any, heads: NDArray[np.intp]) -> None:
+    """Change the true heads of the swarm in an environment; the observations stay as they are."""
+    state = env.unwrapped.get_state()
+    head = np.zeros_like(state["swarm"]["head"])
+    head[:, heads] = True
+    leader = np.where(head, np.arange(head.shape[1]), heads[0])
+    state["swarm"] |= {"head": head, "leader": leader}
+    env.unwrapped.set_state(state)
 
 
 def _mask_unseen_samples(

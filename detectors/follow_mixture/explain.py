@@ -95,9 +95,8 @@ def evidence_of(samples: Samples, most: int | None) -> tuple[OwnHistory, PairEvi
 
 
 def flown(window: Window, samples: Samples, living: NDArray[np.int64], lags: int) -> Samples | None:
-    """Samples of a window with filled gaps. Filled gaps lower the speed, so ``unit`` is taken from ``samples``."""
-    rows = samples_of(window, living, lags)
-    return None if rows is None else replace(rows, unit=samples.unit)
+    """Samples of a window with filled gaps, which lower the speed: so ``unit`` is taken from ``samples``."""
+    return samples_of(window, living, lags, like=samples)
 
 
 def by_flocks(rows: Samples, spectra: FlightSpectra, flocks: Flocks, most: int | None) -> Explanation | None:

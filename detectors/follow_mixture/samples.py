@@ -17,7 +17,11 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _EACH = ("target", "seen", "lagged", "lag_seen", "position", "position_seen")  # arrays with one row per UAV
-_UNIT_SPREAD = 0.02  # speeds with a smaller relative standard deviation count as equal
+# Speeds count as equal if their standard deviation is below this share of the velocities' scatter about their mean: the
+# speeds of a swarm that drifts fast as a whole hardly differ either.
+_UNIT_SPREAD = 0.02
+_ROUNDING = 1e-5  # of the speed; speeds that differ less are equal in single precision
+_DRIFT = 3.0  # a mean velocity of more than this many times the scatter is a drift of the swarm and taken off
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,14 +29,16 @@ class Samples:
     """R rows of n UAVs; row r is time t = ``memory`` + r of the window.
 
     Args:
-        target: ``(n, R, 3)`` velocity at t, in units of the swarm's mean speed; 0 where not seen.
+        target: ``(n, R, 3)`` velocity at t, in units of the swarm's mean speed, without a common drift; 0 where not
+            seen.
         seen: ``(n, R)`` bool, the target was seen.
         lagged: ``(n, R, L, 3)`` velocities at t - 1, ..., t - L, newest first; 0 where not seen.
         lag_seen: ``(n, R, L)`` bool.
         position: ``(n, R, 3)`` metres, at the instant t - 1, where the velocity of lag 1 begins.
         position_seen: ``(n, R)`` bool.
-        speed: mean speed, metres per step.
+        speed: mean speed without the drift, metres per step.
         unit: every UAV flies at the same constant speed: velocities are directions.
+        drift: ``(3,)`` metres per step, the velocity of the whole swarm that was taken off.
     """
 
     target: Floats
@@ -43,6 +49,7 @@ class Samples:
     position_seen: Mask
     speed: float
     unit: bool
+    drift: Floats
 
     @property
     def uavs(self) -> int:
@@ -79,13 +86,14 @@ class Samples:
         return replace(self, lagged=np.roll(self.lagged, shift, axis=1), lag_seen=np.roll(self.lag_seen, shift, axis=1))
 
 
-def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Samples | None:
+def samples_of(window: Window, living: NDArray[np.int64], memory: int, like: Samples | None = None) -> Samples | None:
     """Make the samples of the living UAVs.
 
     Args:
         window: the window.
         living: ``(n,)`` indices of the living UAVs.
         memory: L, smaller if the window has fewer than L + 4 velocities.
+        like: samples of the same swarm from which ``unit`` and ``drift`` are taken.
 
     Returns:
         ``None`` for fewer than 2 UAVs, fewer than 5 velocities, or if no UAV moves.
@@ -103,6 +111,10 @@ def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Sample
     speed = float(flown.mean())
     if speed <= 0:
         return None
+    drift, unit = common_drift(velocity[seen], flown) if like is None else (like.drift, like.unit)
+    if drift.any():
+        velocity = velocity - drift
+        speed = float(np.sqrt(np.vecdot(velocity, velocity)[seen]).mean())
     velocity = np.where(seen[..., None], velocity, 0.0) / speed
     rows = steps - memory
     lags = np.arange(memory)[None, :]
@@ -115,8 +127,35 @@ def samples_of(window: Window, living: NDArray[np.int64], memory: int) -> Sample
         position=window.position[memory - 1 : steps - 1, living].swapaxes(0, 1).astype(np.float64),
         position_seen=window.seen[memory - 1 : steps - 1, living].T.copy(),
         speed=speed,
-        unit=bool(flown.std() < _UNIT_SPREAD * speed),
+        unit=unit,
+        drift=drift,
     )
+
+
+def common_drift(velocity: Floats, speeds: Floats) -> tuple[Floats, bool]:
+    """The drift of a swarm, and whether all its UAVs fly at one speed relative to it.
+
+    Args:
+        velocity: ``(k, 3)`` seen velocities.
+        speeds: ``(k,)`` their lengths.
+
+    Returns:
+        ``(3,)``, 0 if the swarm flies at one speed or does not drift fast as a whole. A drift is the centre of the
+        sphere of velocities of one speed, or else the mean velocity.
+    """
+    none, mean = np.zeros(3), velocity.mean(axis=0)
+    scatter = float(np.sqrt(velocity.var(axis=0).sum()))
+    if speeds.std() < max(_UNIT_SPREAD * scatter, _ROUNDING * float(speeds.mean())):
+        return none, True
+    if not np.sqrt(mean @ mean) > _DRIFT * scatter > 0:
+        return none, False
+    # On a sphere about c, |u|² = 2 (c - mean)·u + constant holds for u = v - mean: a linear regression.
+    about = velocity - mean
+    squares = (about**2).sum(axis=1)
+    half, *_ = np.linalg.lstsq(2.0 * about, squares - squares.mean(), rcond=1e-6)
+    relative = np.sqrt(((about - half) ** 2).sum(axis=1))
+    unit = bool(relative.std() < _UNIT_SPREAD * scatter)
+    return (mean + half if unit else mean), unit
 
 
 def stride(observations: int, most: int, rows: int) -> int:

@@ -21,6 +21,7 @@ from detectors.follow_mixture.strategy import (
     gain_matrix,
     head_features,
     pair_features,
+    rows_seen,
 )
 
 __all__ = [
@@ -227,6 +228,8 @@ def within_reach(samples: Samples, leader: Indices, library: Library, start: Str
     if plain is None:
         return None
     followers = np.flatnonzero(leader >= 0)
+    # A follower that is never seen together with its head has no distance to it.
+    followers = followers[rows_seen(samples, library, followers, leader[followers]).any(axis=1)]
     gap = samples.position[leader[followers]] - samples.position[followers]
     distance = np.sqrt(np.vecdot(gap, gap))
     near = np.argsort(distance.min(axis=1), kind="stable")[:_NEAREST]
@@ -251,10 +254,10 @@ def explained_by_reach(
     """
     plain = replace(strategy.library, reach=0.0)
     unique, group = np.unique(heads, return_inverse=True)
-    shared, valid = head_features(samples, plain, unique)
-    extra, also = pair_features(samples, plain, followers, heads)
+    shared, _ = head_features(samples, plain, unique)
+    extra, _ = pair_features(samples, plain, followers, heads)
     predicted, _ = directions(samples, strategy, followers, heads)
-    keep = valid[group] & also & samples.seen[followers]
+    keep = rows_seen(samples, plain, followers, heads)
     known = np.concatenate([extra, shared[group]], axis=2)[keep]
     predicted = predicted[keep]
     target = samples.target[followers][keep] * np.sqrt(np.vecdot(predicted, predicted))[:, None]

@@ -25,6 +25,7 @@ __all__ = [
     "head_features",
     "pair_features",
     "pairs_seen",
+    "rows_seen",
 ]
 
 Floats = NDArray[np.float64]
@@ -177,6 +178,19 @@ def pairs_seen(samples: Samples, library: Library, behind: tuple[Indices, ...], 
     return valid
 
 
+def rows_seen(samples: Samples, library: Library, followers: Indices, heads: Indices) -> Mask:
+    """``(f, R)``: the rows in which a follower and all features that a class uses of it and of its head were seen.
+
+    Args:
+        samples: samples of n UAVs.
+        library: the class.
+        followers: ``(f,)`` indices.
+        heads: ``(f,)`` the head of each.
+    """
+    past = samples.lag_seen[heads, :, : library.lags].all(axis=2)
+    return np.asarray(past & samples.seen[followers] & pairs_seen(samples, library, (followers,), (heads,)), bool)
+
+
 def fit_strategy(
     samples: Samples, leader: Indices, library: Library, start: Strategy | None = None, by_head: bool = False
 ) -> Strategy | None:
@@ -242,9 +256,8 @@ def _paired_rows(
     """One row per follower and time; a subsample if there are many."""
     heads = leader[followers]
     unique, group = np.unique(heads, return_inverse=True)
-    shared, valid = head_features(samples, library, unique)
-    seen = valid[group] & samples.seen[followers] & pairs_seen(samples, library, (followers,), (heads,))
-    who, when = np.nonzero(seen)
+    shared, _ = head_features(samples, library, unique)
+    who, when = np.nonzero(rows_seen(samples, library, followers, heads))
     every = stride(len(who), PAIRED_ROWS, samples.rows)
     who, when = who[::every], when[::every]
     extra, _ = pair_features(samples, library, followers[who], heads[who], when)

@@ -15,11 +15,11 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from detectors.gassl.elementwise import exp_in_place, tanh
+from detectors.gassl.layers import affine, affine_backward, exp_in_place, products, tanh_backward, tanh_in_place
+from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
 __all__ = ["SLOPE", "AgatSizes", "attend", "attend_backward", "draw_agat"]
@@ -105,137 +105,158 @@ def draw_agat(sizes: AgatSizes, uavs: int, rng: np.random.Generator) -> NDArray[
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
-def _layers(from_query, from_key, second, bias, value, begin, end, hidden, deep):  # type: ignore[no-untyped-def]
-    """Both hidden layers of s_l at times begin to end, columns (time, UAV)."""
-    width, narrow, uavs = hidden.shape[0], deep.shape[0], value.shape[2]
-    for k in range(width):
-        b, c, d = from_key[0, k], from_key[1, k], from_key[2, k]
-        for t in range(begin, end):
-            a = from_query[t, k]
-            row = hidden[k, (t - begin) * uavs : (t - begin + 1) * uavs]
-            for j in range(uavs):
-                h = a + b * value[t, 0, j] + c * value[t, 1, j] + d * value[t, 2, j]
-                row[j] = h if h > _ZERO else _SLOPE * h
-    pairs = (end - begin) * uavs
-    for u in range(narrow):
-        row = deep[u]
-        for p in range(pairs):
-            row[p] = bias[u]
-        for k in range(width):
-            w, below = second[k, u], hidden[k]
-            for p in range(pairs):
-                row[p] += w * below[p]
-        for p in range(pairs):
-            h = row[p]
-            row[p] = h if h > _ZERO else _SLOPE * h
+@compiled()
+def _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep):  # type: ignore[no-untyped-def]
+    """Both hidden layers of s_l for the UAVs begin to end, columns (UAV, time); ``points`` gets their values.
+
+    Columns past the last UAV hold what they held before, and nothing reads them.
+    """
+    times = value.shape[2]
+    for c in range(3):
+        for j in range(begin, end):
+            columns, of_uav = points[c, (j - begin) * times : (j - begin + 1) * times], value[c, j]
+            for t in range(times):
+                columns[t] = of_uav[t]
+    for k in range(hidden.shape[0]):
+        a, b, c, d = from_query[k], from_key[0, k], from_key[1, k], from_key[2, k]
+        for j in range(begin, end):
+            x, y, z = value[0, j], value[1, j], value[2, j]
+            columns = hidden[k, (j - begin) * times : (j - begin + 1) * times]
+            for t in range(times):
+                h = a[t] + b * x[t] + c * y[t] + d * z[t]
+                columns[t] = max(h, _SLOPE * h)  # leaky ReLU, as the slope is below 1
+    np.dot(second.T, hidden, deep)
+    for u in range(deep.shape[0]):
+        row, a = deep[u], bias[u]
+        for p in range(row.shape[0]):
+            h = row[p] + a
+            row[p] = max(h, _SLOPE * h)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+@compiled(error_model="numpy")
 def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):  # type: ignore[no-untyped-def]
-    """One attention head: alpha ``(R, n)`` by equations (10), (11), and the pooled values ``(R, 3)`` by (13), (14)."""
-    times, uavs = value.shape[0], value.shape[2]
+    """One attention head: alpha ``(n, R)`` by equations (10), (11), and the pooled values ``(3, R)`` by (13), (14)."""
+    _, uavs, times = value.shape
     width, narrow = second.shape
-    step = max(1, _PAIRS // uavs)
-    hidden = np.empty((width, step * uavs), np.float32)
-    deep = np.empty((narrow, step * uavs), np.float32)
-    bits = np.empty(step * uavs, np.int32)
-    for begin in range(0, times, step):
-        end = min(begin + step, times)
-        _layers(from_query, from_key, second, bias, value, begin, end, hidden, deep)
-        for t in range(begin, end):
-            first = (t - begin) * uavs
-            row = alpha[t]
-            row[:] = _ZERO
+    step = max(1, _PAIRS // times)
+    points = np.zeros((3, step * times), np.float32)
+    hidden = np.zeros((width, step * times), np.float32)
+    deep = np.empty((narrow, step * times), np.float32)
+    bits = np.empty(times, np.int32)
+    highest, total = np.full(times, -np.inf, np.float32), np.zeros(times, np.float32)
+    for begin in range(0, uavs, step):
+        end = min(begin + step, uavs)
+        _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep)
+        for j in range(begin, end):
+            row = alpha[j]
+            for t in range(times):
+                row[t] = _ZERO
             for u in range(narrow):
-                w = last[u]
-                for j in range(uavs):
-                    row[j] += w * deep[u, first + j]
-            highest = row.max()
-            for j in range(uavs):
-                row[j] -= highest
-        exp_in_place(alpha[begin:end].reshape((end - begin) * uavs), bits)
-        for t in range(begin, end):
-            row = alpha[t]
-            total = _ZERO
-            for j in range(uavs):
-                total += row[j]
-            share = _ONE / total
-            x, y, z = _ZERO, _ZERO, _ZERO
-            for j in range(uavs):
-                w = row[j] * share
-                row[j] = w
-                x += w * value[t, 0, j]
-                y += w * value[t, 1, j]
-                z += w * value[t, 2, j]
-            pooled[t, 0], pooled[t, 1], pooled[t, 2] = x, y, z
+                w, columns = last[u], deep[u, (j - begin) * times : (j - begin + 1) * times]
+                for t in range(times):
+                    row[t] += w * columns[t]
+            for t in range(times):
+                highest[t] = max(highest[t], row[t])
+    for c in range(3):
+        for t in range(times):
+            pooled[c, t] = _ZERO
+    for j in range(uavs):
+        row = alpha[j]
+        for t in range(times):
+            row[t] -= highest[t]
+        exp_in_place(row, bits)
+        for t in range(times):
+            total[t] += row[t]
+        for c in range(3):
+            sums, of_uav = pooled[c], value[c, j]
+            for t in range(times):
+                sums[t] += row[t] * of_uav[t]
+    for t in range(times):
+        total[t] = _ONE / total[t]
+    for j in range(uavs):
+        row = alpha[j]
+        for t in range(times):
+            row[t] *= total[t]
+    for c in range(3):
+        sums = pooled[c]
+        for t in range(times):
+            sums[t] *= total[t]
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+@compiled(error_model="numpy")
 def _weigh_backward(  # type: ignore[no-untyped-def]
     from_query, from_key, second, bias, last, value, alpha, pooled, d_pooled,
     d_query, d_key, d_second, d_bias, d_last,
 ):  # fmt: skip
-    """Gradients of :func:`_weigh`, written to the d_… arrays; the layers are computed again, not stored."""
-    times, uavs = value.shape[0], value.shape[2]
+    """Gradients of :func:`_weigh`, written to the d_… arrays; the layers are computed again, not stored.
+
+    Sums over pairs are products of matrices, see :mod:`detectors.gassl.layers`.
+    """
+    _, uavs, times = value.shape
     width, narrow = second.shape
-    step = max(1, _PAIRS // uavs)
-    hidden = np.empty((width, step * uavs), np.float32)
-    deep = np.empty((narrow, step * uavs), np.float32)
-    above = np.empty(step * uavs, np.float32)
-    below = np.empty(step * uavs, np.float32)
-    d_key[:] = _ZERO
-    d_second[:] = _ZERO
-    d_bias[:] = _ZERO
-    d_last[:] = _ZERO
-    for begin in range(0, times, step):
-        end = min(begin + step, times)
-        pairs = (end - begin) * uavs
-        _layers(from_query, from_key, second, bias, value, begin, end, hidden, deep)
-        for t in range(begin, end):
-            first = (t - begin) * uavs
-            x, y, z = d_pooled[t, 0], d_pooled[t, 1], d_pooled[t, 2]
-            mean = x * pooled[t, 0] + y * pooled[t, 1] + z * pooled[t, 2]
-            for j in range(uavs):
-                gradient = x * value[t, 0, j] + y * value[t, 1, j] + z * value[t, 2, j] - mean
-                above[first + j] = alpha[t, j] * gradient
+    step = max(1, _PAIRS // times)
+    points = np.zeros((3, step * times), np.float32)
+    hidden = np.zeros((width, step * times), np.float32)
+    deep = np.empty((narrow, step * times), np.float32)
+    above = np.empty(step * times, np.float32)
+    below = np.empty((width, step * times), np.float32)
+    ones = np.ones(step * times, np.float32)
+    mean = np.zeros(times, np.float32)
+    of_last, of_bias = np.empty(narrow, np.float32), np.empty(narrow, np.float32)
+    of_second, of_key = np.empty((width, narrow), np.float32), np.empty((width, 3), np.float32)
+    for k in range(width):
+        for u in range(narrow):
+            d_second[k, u] = _ZERO
+        for c in range(3):
+            d_key[c, k] = _ZERO
+        for t in range(times):
+            d_query[k, t] = _ZERO
+    for u in range(narrow):
+        d_bias[u] = d_last[u] = _ZERO
+    for c in range(3):
+        for t in range(times):
+            mean[t] += d_pooled[c, t] * pooled[c, t]
+    for begin in range(0, uavs, step):
+        end = min(begin + step, uavs)
+        _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep)
+        for p in range((end - begin) * times, step * times):
+            above[p] = _ZERO
+        dx, dy, dz = d_pooled[0], d_pooled[1], d_pooled[2]
+        for j in range(begin, end):
+            x, y, z, weights = value[0, j], value[1, j], value[2, j], alpha[j]
+            columns = above[(j - begin) * times : (j - begin + 1) * times]
+            for t in range(times):
+                columns[t] = weights[t] * (dx[t] * x[t] + dy[t] * y[t] + dz[t] * z[t] - mean[t])
+        np.dot(deep, above, of_last)
         for u in range(narrow):  # deep becomes the gradient of itself
-            w, of_last, of_bias, row = last[u], _ZERO, _ZERO, deep[u]
-            for p in range(pairs):
-                h, g = row[p], above[p]
-                of_last += g * h
-                g = g if h > _ZERO else _SLOPE * g
-                of_bias += g
-                row[p] = w * g
-            d_last[u] += of_last
-            d_bias[u] += w * of_bias
+            w, row = last[u], deep[u]
+            for p in range(step * times):
+                g = w * above[p]
+                row[p] = g if row[p] > _ZERO else _SLOPE * g
+        np.dot(deep, ones, of_bias)
+        np.dot(hidden, deep.T, of_second)
+        np.dot(second, deep, below)
         for k in range(width):
-            row = hidden[k]
-            below[:] = _ZERO
+            row, gradients = hidden[k], below[k]
+            for p in range(step * times):
+                gradients[p] = gradients[p] if row[p] > _ZERO else _SLOPE * gradients[p]
+            sums = d_query[k]
+            for j in range(end - begin):
+                columns = gradients[j * times : (j + 1) * times]
+                for t in range(times):
+                    sums[t] += columns[t]
+        np.dot(below, points.T, of_key)
+        for u in range(narrow):
+            d_last[u] += of_last[u]
+            d_bias[u] += of_bias[u]
+        for k in range(width):
             for u in range(narrow):
-                w, total, g = second[k, u], _ZERO, deep[u]
-                for p in range(pairs):
-                    total += g[p] * row[p]
-                    below[p] += w * g[p]
-                d_second[k, u] += total
-            for p in range(pairs):
-                below[p] = below[p] if row[p] > _ZERO else _SLOPE * below[p]
-            for t in range(begin, end):
-                first = (t - begin) * uavs
-                total, x, y, z = _ZERO, _ZERO, _ZERO, _ZERO
-                for j in range(uavs):
-                    h = below[first + j]
-                    total += h
-                    x += h * value[t, 0, j]
-                    y += h * value[t, 1, j]
-                    z += h * value[t, 2, j]
-                d_query[t, k] = total
-                d_key[0, k] += x
-                d_key[1, k] += y
-                d_key[2, k] += z
+                d_second[k, u] += of_second[k, u]
+            for c in range(3):
+                d_key[c, k] += of_key[k, c]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _query_arrays(phi, numbers):  # type: ignore[no-untyped-def]
     """L's arrays, views of the flat vector."""
     _, inputs, width, outputs, _, _, _ = numbers
@@ -249,7 +270,7 @@ def _query_arrays(phi, numbers):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _attn_head_arrays(phi, numbers, head):  # type: ignore[no-untyped-def]
     """The arrays of attention head l, views of the flat vector."""
     _, inputs, width, outputs, key, first, second = numbers
@@ -272,7 +293,7 @@ def _attn_head_arrays(phi, numbers, head):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def attend(phi, numbers, history, value, alpha, pooled):  # type: ignore[no-untyped-def]
     """Forward pass of one UAV's AGAT over all R times.
 
@@ -280,53 +301,61 @@ def attend(phi, numbers, history, value, alpha, pooled):  # type: ignore[no-unty
         phi: ``(parameters,)`` Φ_i.
         numbers: :meth:`AgatSizes.numbers`.
         history: ``(R, 3 (T_0 + 1))`` V_{i,t}, newest first, and p_{i,t-T_0+1}.
-        value: ``(T_0 + 1, R, 3, n)`` x_{i',l} of all UAVs.
-        alpha: ``(T_0 + 1, R, n)``, written.
-        pooled: ``(T_0 + 1, R, 3)``, written: v̂_{i,t}, ..., v̂_{i,t-T_0+1}, p̂_{i,t-T_0+1}.
+        value: ``(T_0 + 1, 3, n, R)`` x_{i',l} of all UAVs.
+        alpha: ``(T_0 + 1, n, R)``, written.
+        pooled: ``(T_0 + 1, 3, R)``, written: v̂_{i,t}, ..., v̂_{i,t-T_0+1}, p̂_{i,t-T_0+1}.
 
     Returns:
         L's hidden layer and the query data, for :func:`attend_backward`.
     """
+    times = history.shape[0]
     query_in, query_in_bias, query_out, query_out_bias = _query_arrays(phi, numbers)
-    hidden = tanh(np.dot(history, query_in) + query_in_bias)
-    query = np.dot(hidden, query_out) + query_out_bias
+    hidden, query = np.empty((times, numbers[2]), np.float32), np.empty((times, numbers[3]), np.float32)
+    affine(history, query_in, query_in_bias, hidden)
+    tanh_in_place(hidden)
+    affine(hidden, query_out, query_out_bias, query)
+    from_query, from_key = np.empty((times, numbers[5]), np.float32), np.empty((3, numbers[5]), np.float32)
     for head in range(numbers[0]):
         key, first_query, first_key, first_bias, second, second_bias, last = _attn_head_arrays(phi, numbers, head)
-        from_query = np.dot(query, first_query) + first_bias
-        from_key = np.dot(key.T.copy(), first_key)
-        _weigh(from_query, from_key, second, second_bias, last, value[head], alpha[head], pooled[head])
+        affine(query, first_query, first_bias, from_query)
+        np.dot(key.T, first_key, from_key)
+        _weigh(from_query.T.copy(), from_key, second, second_bias, last, value[head], alpha[head], pooled[head])
     return hidden, query
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def attend_backward(  # type: ignore[no-untyped-def]
     phi, numbers, history, value, alpha, pooled, hidden, query, d_pooled, d_phi
 ):
     """The gradient with respect to Φ_i, written to ``d_phi``, from that with respect to the pooled values."""
     times = history.shape[0]
     _, _, query_out, _ = _query_arrays(phi, numbers)
-    d_query = np.zeros_like(query)
-    from_d_query = np.empty((times, numbers[5]), np.float32)
-    d_from_key = np.empty((3, numbers[5]), np.float32)
+    d_query, of_query = np.zeros_like(query), np.empty_like(query)
+    d_hidden = np.empty_like(hidden)
+    from_query, from_key = np.empty((times, numbers[5]), np.float32), np.empty((3, numbers[5]), np.float32)
+    d_from_query, d_from_key = np.empty_like(from_query), np.empty_like(from_key)
+    d_by_unit = np.empty((numbers[5], times), np.float32)
     for head in range(numbers[0]):
         key, first_query, first_key, first_bias, second, second_bias, last = _attn_head_arrays(phi, numbers, head)
         d_key, d_first_query, d_first_key, d_first_bias, d_second, d_second_bias, d_last = _attn_head_arrays(
             d_phi, numbers, head
         )
-        from_query = np.dot(query, first_query) + first_bias
-        from_key = np.dot(key.T.copy(), first_key)
+        affine(query, first_query, first_bias, from_query)
+        np.dot(key.T, first_key, from_key)
         _weigh_backward(
-            from_query, from_key, second, second_bias, last, value[head], alpha[head], pooled[head], d_pooled[head],
-            from_d_query, d_from_key, d_second, d_second_bias, d_last,
+            from_query.T.copy(), from_key, second, second_bias, last, value[head], alpha[head], pooled[head],
+            d_pooled[head], d_by_unit, d_from_key, d_second, d_second_bias, d_last,
         )  # fmt: skip
-        d_first_query[:] = np.dot(query.T, from_d_query)
-        d_first_bias[:] = from_d_query.sum(axis=0)
-        d_query += np.dot(from_d_query, first_query.T)
-        d_key[:] = np.dot(first_key, d_from_key.T)
-        d_first_key[:] = np.dot(key, d_from_key)
+        for t in range(times):
+            for k in range(numbers[5]):
+                d_from_query[t, k] = d_by_unit[k, t]
+        affine_backward(query, first_query, d_from_query, d_first_query, d_first_bias, of_query)
+        np.dot(first_key, d_from_key.T, d_key)
+        np.dot(key, d_from_key, d_first_key)
+        for t in range(times):
+            for o in range(query.shape[1]):
+                d_query[t, o] += of_query[t, o]
     d_query_in, d_query_in_bias, d_query_out, d_query_out_bias = _query_arrays(d_phi, numbers)
-    d_query_out[:] = np.dot(hidden.T, d_query)
-    d_query_out_bias[:] = d_query.sum(axis=0)
-    d_hidden = np.dot(d_query, query_out.T) * (_ONE - hidden * hidden)
-    d_query_in[:] = np.dot(history.T, d_hidden)
-    d_query_in_bias[:] = d_hidden.sum(axis=0)
+    affine_backward(hidden, query_out, d_query, d_query_out, d_query_out_bias, d_hidden)
+    tanh_backward(hidden, d_hidden)
+    products(history, d_hidden, d_query_in, d_query_in_bias)

@@ -84,7 +84,7 @@ def batch_loss(
 ) -> tuple[Tensor, Tensor]:
     """L_B(Θ_i), equation (23), and alpha_{i,i',l} at all times, ``(T_0 + 1, R, n)``."""
     network = dict(_named(phi, agat.shapes()))
-    value = torch.from_numpy(inputs.value).to(phi.dtype)  # (T_0 + 1, R, 3, n)
+    value = torch.from_numpy(inputs.value).to(phi.dtype).permute(0, 3, 1, 2)  # (T_0 + 1, R, 3, n)
     history = torch.from_numpy(inputs.history[i]).to(phi.dtype)  # (R, 3 (T_0 + 1)), V_{i,t} and p_{i,t-T_0+1}
     query = _query(network, history)
     alphas, pooled = [], []

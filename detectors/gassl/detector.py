@@ -16,7 +16,8 @@ from detectors.gassl.ifsn import IfsnSizes, draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Fit, Training, prepare_inputs, train
 from detectors.gassl.votes import RULES, choose_heads, count_votes, select_top
-from usnet_env.config import ArgumentError, Config, quote, unknown_name
+from detectors.series.pairs import check_pairs
+from usnet_env.config import ArgumentError, Config, unknown_name
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -58,8 +59,8 @@ class Gassl(Detector):
             :mod:`detectors.gassl.algorithm_1`, much slower, the same to float rounding.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the window has fewer than 3
-            UAVs, no velocity that was seen, or no more than T_0 velocities.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the window has no more than
+            T_0 velocities or more than 10,000 UAVs.
     """
 
     def __init__(
@@ -125,16 +126,18 @@ class Gassl(Detector):
             Candidates (``top_k`` of them), scores c_i, ``leader`` (the other UAV that each UAV attends to most),
             attention alpha ``(N, N)``, and in ``extras``: ``choice`` ``(N,)``, i_L^{(i)}, a UAV's own index where it
             attends to itself most; ``attention_heads`` ``(T_0 + 1, N, N)``, alpha_l; ``explained`` ``(N,)``, the share
-            of the squared velocity that the fit explains on the training times; ``loss`` ``(N, Ω)``.
+            of the squared velocity that the fit explains on the training times; ``loss`` ``(N, Ω)``. With fewer than
+            3 living UAVs, or where no velocity was seen, nothing can be learned: then ``top_k`` living UAVs are named
+            at random and all scores are 0.
         """
         self.settings()
-        members = check_window(window, self.memory)
+        check_window(window, self.memory)
+        members = np.flatnonzero(window.alive)
         rng = getattr(self, "rng", None) or np.random.default_rng()
-        uavs = window.uavs
-        if len(members) < _LEAST_UAVS:  # no evidence: one of them is named at random, decision (x)
-            candidates = np.zeros(uavs, bool)
+        if len(members) < _LEAST_UAVS or not window.velocity_seen.any():  # no evidence, decision (x)
+            candidates = np.zeros(window.uavs, bool)
             candidates[rng.permutation(members)[: self.top_k]] = True
-            return Detection(candidates=candidates, scores=np.zeros(uavs))
+            return Detection(candidates=candidates, scores=np.zeros(window.uavs))
         fit = self.fit_cluster(window, members, None, rng)
         return answer(window, members, fit, self.rule, self.top_k, rng)
 
@@ -164,19 +167,15 @@ class Gassl(Detector):
         return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, ifsn, training)
 
 
-def check_window(window: Window, memory: int) -> NDArray[np.intp]:
-    """Indices of the living UAVs of a window in which there is something to learn from.
+def check_window(window: Window, memory: int) -> None:
+    """Refuse a window that is too short for T_0, or too large for matrices of all pairs.
 
     Raises:
-        ArgumentError: fewer than 3 UAVs, no velocity that was seen, or no more than T_0 velocities.
+        ArgumentError: the window has no more than T_0 velocities, or more than 10,000 UAVs.
     """
-    if window.uavs < _LEAST_UAVS:
-        raise ArgumentError(f"window must hold at least {_LEAST_UAVS} UAVs, got {quote(window.uavs)}.")
+    check_pairs(window.uavs)
     if window.observation_steps <= memory:
         raise ArgumentError(f"window must hold more than memory = {memory} velocities, got {window.observation_steps}.")
-    if not window.velocity_seen.any():
-        raise ArgumentError("window must show at least one living UAV, got one in which all samples are masked.")
-    return np.flatnonzero(window.alive)
 
 
 def answer(

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from detectors.gassl.elementwise import tanh
+from detectors.gassl.layers import affine, affine_backward, tanh_backward, tanh_in_place
+from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
 __all__ = ["VARIANCE_FLOOR", "IfsnSizes", "draw_ifsn", "pair_losses", "predict", "predict_backward", "standardise"]
@@ -57,7 +57,7 @@ def draw_ifsn(sizes: IfsnSizes, inputs: int, rng: np.random.Generator) -> NDArra
     return np.concatenate(parts).astype(np.float32)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _arrays(gamma, inputs):  # type: ignore[no-untyped-def]
     """Γ's arrays, views of the flat vector; the width follows from its length."""
     width = 1
@@ -78,7 +78,7 @@ def _arrays(gamma, inputs):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def standardise(values, scale):  # type: ignore[no-untyped-def]
     """``values`` ``(R, d)`` become zero-mean with unit variance over the times; ``scale`` ``(d,)`` gets the factors."""
     times, entries = values.shape
@@ -96,36 +96,39 @@ def standardise(values, scale):  # type: ignore[no-untyped-def]
             values[t, f] = (values[t, f] - mean) * factor
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def predict(gamma, inputs):  # type: ignore[no-untyped-def]
     """v̂_{i,t+1} ``(R, 3)`` of standardised inputs ``(R, d)``, and the three hidden layers."""
     first, first_bias, second, second_bias, third, third_bias, output, output_bias = _arrays(gamma, inputs.shape[1])
-    one = tanh(np.dot(inputs, first) + first_bias)
-    two = tanh(np.dot(one, second) + second_bias)
-    three = tanh(np.dot(two, third) + third_bias)
-    return np.dot(three, output) + output_bias, one, two, three
+    times, width = inputs.shape[0], second.shape[0]
+    one = np.empty((times, width), np.float32)
+    two, three, predicted = np.empty_like(one), np.empty_like(one), np.empty((times, 3), np.float32)
+    affine(inputs, first, first_bias, one)
+    tanh_in_place(one)
+    affine(one, second, second_bias, two)
+    tanh_in_place(two)
+    affine(two, third, third_bias, three)
+    tanh_in_place(three)
+    affine(three, output, output_bias, predicted)
+    return predicted, one, two, three
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma):  # type: ignore[no-untyped-def]
     """The gradient with respect to Γ, written to ``d_gamma``; returns that with respect to the inputs as they were
     before they were standardised, ``(R, d)``.
     """  # noqa: D205  # one sentence
     times, entries = inputs.shape
-    _, _, second, _, third, _, output, _ = _arrays(gamma, entries)
+    first, _, second, _, third, _, output, _ = _arrays(gamma, entries)
     d_first, d_first_bias, d_second, d_second_bias, d_third, d_third_bias, d_out, d_out_bias = _arrays(d_gamma, entries)
-    d_out[:] = np.dot(three.T, d_output)
-    d_out_bias[:] = d_output.sum(axis=0)
-    back = np.dot(d_output, output.T) * (_ONE - three * three)
-    d_third[:] = np.dot(two.T, back)
-    d_third_bias[:] = back.sum(axis=0)
-    back = np.dot(back, third.T) * (_ONE - two * two)
-    d_second[:] = np.dot(one.T, back)
-    d_second_bias[:] = back.sum(axis=0)
-    back = np.dot(back, second.T) * (_ONE - one * one)
-    d_first[:] = np.dot(inputs.T, back)
-    d_first_bias[:] = back.sum(axis=0)
-    d_inputs = np.dot(back, _arrays(gamma, entries)[0].T)
+    d_one, d_two, d_three, d_inputs = np.empty_like(one), np.empty_like(one), np.empty_like(one), np.empty_like(inputs)
+    affine_backward(three, output, d_output, d_out, d_out_bias, d_three)
+    tanh_backward(three, d_three)
+    affine_backward(two, third, d_three, d_third, d_third_bias, d_two)
+    tanh_backward(two, d_two)
+    affine_backward(one, second, d_two, d_second, d_second_bias, d_one)
+    tanh_backward(one, d_one)
+    affine_backward(inputs, first, d_one, d_first, d_first_bias, d_inputs)
     for f in range(entries):
         mean, along = _ZERO, _ZERO
         for t in range(times):
@@ -138,7 +141,7 @@ def predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma): 
     return d_inputs
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def pair_losses(gamma, own, source, target, weight):  # type: ignore[no-untyped-def]
     """The squared error of Γ for every pair of UAVs, summed over the times: the sum of equation (37).
 
@@ -162,16 +165,24 @@ def pair_losses(gamma, own, source, target, weight):  # type: ignore[no-untyped-
     width = first.shape[1]
     from_own = np.empty((uavs, times, width), np.float32)
     from_source = np.empty((uavs, times, width), np.float32)
+    no_bias = np.zeros(width, np.float32)
     for i in range(uavs):
-        from_own[i] = np.dot(own[i], first[:owns]) + first_bias
-        from_source[i] = np.dot(source[i], first[owns:])
+        affine(own[i], first[:owns], first_bias, from_own[i])
+        affine(source[i], first[owns:], no_bias, from_source[i])
+    one = np.empty((times, width), np.float32)
+    two, three, predicted = np.empty_like(one), np.empty_like(one), np.empty((times, 3), np.float32)
     result = np.empty((uavs, uavs), np.float32)
     for i in range(uavs):
         for j in range(uavs):
-            one = tanh(from_own[i] + from_source[j])
-            two = tanh(np.dot(one, second) + second_bias)
-            three = tanh(np.dot(two, third) + third_bias)
-            predicted = np.dot(three, output) + output_bias
+            for t in range(times):
+                for k in range(width):
+                    one[t, k] = from_own[i, t, k] + from_source[j, t, k]
+            tanh_in_place(one)
+            affine(one, second, second_bias, two)
+            tanh_in_place(two)
+            affine(two, third, third_bias, three)
+            tanh_in_place(three)
+            affine(three, output, output_bias, predicted)
             total = _ZERO
             for t in range(times):
                 for c in range(3):

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.gassl.agat import AgatSizes, attend, attend_backward
 from detectors.gassl.ifsn import predict, predict_backward, standardise
 from detectors.gassl.topology_matrix import Batch
+from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
 __all__ = ["Fit", "Inputs", "Training", "loss_and_gradient", "prepare_inputs", "train"]
@@ -41,7 +41,7 @@ class Inputs:
 
     Args:
         history: ``(n, R, 3 (T_0 + 1))`` each UAV's standardised v_{i,t}, ..., v_{i,t-T_0+1} and p_{i,t-T_0+1}.
-        value: ``(T_0 + 1, R, 3, n)`` the same of all UAVs, by attention head.
+        value: ``(T_0 + 1, 3, n, R)`` the same of all UAVs, by attention head.
         own: ``(n, R, 3 (T_0 + 1))`` metres, P_{i,t+1} less its mean over the times.
         target: ``(n, R, 3)`` metres per step, v_{i,t+1}.
         weight: ``(n, R)``.
@@ -75,7 +75,7 @@ def prepare_inputs(batch: Batch) -> Inputs:
     own = (own - own.mean(axis=(0, 2), keepdims=True)).reshape(batch.times, batch.uavs, -1)
     arrays = (
         np.concatenate(by_head, axis=2).swapaxes(0, 1),
-        np.stack(by_head).swapaxes(2, 3),
+        np.stack(by_head).transpose(0, 3, 2, 1),
         own.swapaxes(0, 1),
         batch.target.swapaxes(0, 1),
         batch.weight.swapaxes(0, 1),
@@ -106,14 +106,17 @@ class Fit:
         return mean
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _forward(phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale):  # type: ignore[no-untyped-def]
     """L_B(Θ_i) of equation (23), and what the gradient needs."""
     hidden, query = attend(phi, numbers, history, value, alpha, pooled)
     owns = own.shape[1]
-    inputs[:, :owns] = own
-    for head in range(numbers[0]):
-        inputs[:, owns + 3 * head : owns + 3 * head + 3] = pooled[head]
+    for t in range(own.shape[0]):
+        for f in range(owns):
+            inputs[t, f] = own[t, f]
+        for head in range(numbers[0]):
+            for c in range(3):
+                inputs[t, owns + 3 * head + c] = pooled[head, c, t]
     standardise(inputs, scale)
     predicted, one, two, three = predict(gamma, inputs)
     loss = _ZERO
@@ -125,7 +128,7 @@ def _forward(phi, gamma, numbers, history, value, own, target, weight, alpha, po
     return loss, predicted, hidden, query, one, two, three
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _gradient(  # type: ignore[no-untyped-def]
     phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale, d_pooled, d_phi, d_gamma
 ):
@@ -136,21 +139,23 @@ def _gradient(  # type: ignore[no-untyped-def]
     d_inputs = predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma)
     owns = own.shape[1]
     for head in range(numbers[0]):
-        d_pooled[head] = d_inputs[:, owns + 3 * head : owns + 3 * head + 3]
+        for t in range(own.shape[0]):
+            for c in range(3):
+                d_pooled[head, c, t] = d_inputs[t, owns + 3 * head + c]
     attend_backward(phi, numbers, history, value, alpha, pooled, hidden, query, d_pooled, d_phi)
     return loss
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _train_uav(  # type: ignore[no-untyped-def]
     phi, gamma, numbers, history, value, own, target, weight, rate, loss, attn_heads
 ):
     """Lines 3 to 6 of Algorithm 1 for one UAV: Φ_i and Γ move, equations (24), (25); returns the last L_B(Θ_i)."""
-    heads, times, _, uavs = value.shape
+    heads, _, uavs, times = value.shape
     entries = own.shape[1] + 3 * heads
-    alpha = np.empty((heads, times, uavs), np.float32)
-    pooled = np.empty((heads, times, 3), np.float32)
-    d_pooled = np.empty((heads, times, 3), np.float32)
+    alpha = np.empty((heads, uavs, times), np.float32)
+    pooled = np.empty((heads, 3, times), np.float32)
+    d_pooled = np.empty((heads, 3, times), np.float32)
     inputs = np.empty((times, entries), np.float32)
     scale = np.empty(entries, np.float32)
     d_phi, d_gamma = np.empty_like(phi), np.empty_like(gamma)
@@ -168,7 +173,7 @@ def _train_uav(  # type: ignore[no-untyped-def]
         for j in range(uavs):
             total = _ZERO
             for t in range(times):
-                total += alpha[head, t, j]
+                total += alpha[head, j, t]
             attn_heads[head, j] = total / np.float32(times)
     return last
 
@@ -185,13 +190,13 @@ def loss_and_gradient(
         gamma: ``(parameters,)`` Γ.
         sizes: of the AGAT.
     """
-    heads, times, _, uavs = inputs.value.shape
+    heads, _, uavs, times = inputs.value.shape
     d_phi, d_gamma = np.empty_like(phi), np.empty_like(gamma)
     loss = _gradient(
         phi, gamma, sizes.numbers(), inputs.history[uav], inputs.value, inputs.own[uav], inputs.target[uav],
-        inputs.weight[uav], np.empty((heads, times, uavs), np.float32), np.empty((heads, times, 3), np.float32),
+        inputs.weight[uav], np.empty((heads, uavs, times), np.float32), np.empty((heads, 3, times), np.float32),
         np.empty((times, inputs.entries), np.float32), np.empty(inputs.entries, np.float32),
-        np.empty((heads, times, 3), np.float32), d_phi, d_gamma,
+        np.empty((heads, 3, times), np.float32), d_phi, d_gamma,
     )  # fmt: skip
     return float(loss), d_phi, d_gamma
 

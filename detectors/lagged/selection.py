@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
+from detectors.series.pairs import check_pairs
 from usnet_env.config import ArgumentError, Config
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -235,9 +236,11 @@ class LaggedDetector(Detector):
             rule for unknown M found (0: no UAV seems to follow another one).
 
         Raises:
-            ArgumentError: an argument of the constructor is refused, or ``clusters`` exceeds the window's N.
+            ArgumentError: an argument of the constructor is refused, ``clusters`` exceeds the window's N, or N is above
+                10,000.
         """
         self.check_arguments()
+        check_pairs(window.uavs)
         if self.clusters is not None and self.clusters > window.uavs:
             raise ArgumentError(
                 f"clusters must be at most the number of UAVs in the window ({window.uavs}), got {self.clusters}."

@@ -15,6 +15,7 @@ from detectors.neural_granger import NeuralGranger
 from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate
 from detectors.neural_granger.shared_network import Following, follow_by_shared_network
+from detectors.series.pairs import check_pairs
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -75,7 +76,7 @@ class LeadVotes(Detector):
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is invalid, or a window has no more than T_0
-            velocities.
+            velocities or more than 10,000 UAVs.
     """
 
     def __init__(
@@ -140,11 +141,12 @@ class LeadVotes(Detector):
             gate, and ``followed`` ``(N,)``, the number of followers of each UAV (0 without the gate).
         """
         clusterer = self._make_clusterer()
+        check_pairs(window.uavs)
         if not hasattr(self, "_heads"):
             self.reset()
         living = np.flatnonzero(window.alive)
         followed = np.zeros(window.uavs)
-        if len(living) < _LEAST_UAVS:
+        if len(living) < _LEAST_UAVS or not window.velocity_seen.any():  # no evidence, decision (x)
             candidates = np.zeros(window.uavs, bool)
             candidates[self.rng.permutation(living)[:1]] = True
             few = {"count": min(1, len(living)), "proposed": candidates, "followed": followed}

@@ -13,6 +13,7 @@ from detectors.base import Detector
 from detectors.follow_mixture.policy import Policy, choose
 from detectors.learned.inputs import make_inputs
 from detectors.learned.network import HeadNetwork, build_network
+from detectors.series.pairs import check_pairs
 from detectors.weights import packaged_arrays, read_arrays
 from usnet_env.config import ArgumentError, Config, unknown_name
 from usnet_env.detection import Detection
@@ -103,6 +104,7 @@ class Learned(Detector):
         arguments = self._arguments()
         if not hasattr(self, "_network"):
             self.reset()
+        check_pairs(window.uavs)
         living = np.flatnonzero(window.alive)
         if len(living) > MOST_UAVS:
             raise ArgumentError(

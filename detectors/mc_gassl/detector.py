@@ -51,7 +51,8 @@ class McGassl(Detector):
     defaults are the paper's.
 
     Edge cases: in a cluster of one or two UAVs, or of which no velocity was seen, one UAV is named at random. With
-    fewer than three living UAVs, one is named at random; with none, the answer is empty.
+    fewer than three living UAVs, or where no velocity of the whole swarm was seen, one is named at random; with no
+    living UAV, the answer is empty.
 
     Args:
         clusterer: a name of :func:`detectors.clustering.clusterers`, or an object with ``cluster(window, rng)``.
@@ -67,7 +68,7 @@ class McGassl(Detector):
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or a window has no more than T_0
-            velocities.
+            velocities or more than 10,000 UAVs.
     """
 
     def __init__(
@@ -154,6 +155,8 @@ class McGassl(Detector):
         if len(living) < LEAST_UAVS:
             return self._name_one(window, living)
         check_window(window, self.memory)
+        if not window.velocity_seen.any():
+            return self._name_one(window, living)
         found = run_round(window, self._parameters, self._cluster, gassl, online, self.rng)
         self._parameters = found.parameters
         extras = {"count": found.clustering.count, "followed": found.followed, "online_loss": found.loss}
@@ -161,7 +164,7 @@ class McGassl(Detector):
         return Detection(heads.candidates, heads.scores, found.clustering.labels, heads.leader, heads.attention, extras)
 
     def _name_one(self, window: Window, living: np.ndarray[Any, np.dtype[np.intp]]) -> Detection:
-        """One of the last living UAVs, at random."""
+        """One of the living UAVs, at random: nothing shows which is a head."""
         candidates = np.zeros(window.uavs, bool)
         candidates[self.rng.permutation(living)[:1]] = True
         extras = {"count": min(1, len(living)), "followed": np.zeros(window.uavs), "online_loss": []}

@@ -18,7 +18,7 @@ def best_heads(inputs: Inputs, gamma: NDArray[np.float32]) -> NDArray[np.int64]:
         inputs: of all n living UAVs of the swarm.
         gamma: ``(parameters,)`` the Γ that GASSL trained in the clusters.
     """
-    own, source = inputs.own.copy(), np.ascontiguousarray(inputs.value.transpose(3, 1, 0, 2))
+    own, source = inputs.own.copy(), np.ascontiguousarray(inputs.value.transpose(2, 3, 0, 1))
     source = source.reshape(inputs.uavs, source.shape[1], -1)  # (n, R, 3 (T_0 + 1))
     scale = np.empty(max(own.shape[2], source.shape[2]), np.float32)
     for i in range(inputs.uavs):

@@ -13,6 +13,7 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate, fit_per_candidate
+from detectors.series.pairs import check_pairs
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -60,7 +61,7 @@ class NeuralGranger(Detector):
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is invalid, the device does not exist, or the
-            window has fewer than 3 UAVs, no visible living UAV, or no more than T_0 velocities.
+            window has no more than T_0 velocities or more than 10,000 UAVs.
     """
 
     side_by_side: ClassVar[bool] = True
@@ -138,6 +139,8 @@ class NeuralGranger(Detector):
             attends most to its own past; ``explained`` ``(N,)``, the fraction of the squared velocity that the fit
             explains on held-out times; ``gain`` ``(N,)``, the second largest gain that other UAVs have from each UAV,
             which the gate compares with ``gate_threshold``; ``followed`` (bool), whether it reaches the threshold.
+            With fewer than 3 living UAVs, or where no velocity was seen, nothing can be learned: then ``top_k`` living
+            UAVs are named at random (none with the gate) and all scores are 0.
         """
         return self.detect_batch([window])[0]
 
@@ -163,17 +166,18 @@ class NeuralGranger(Detector):
         settings = self.settings()
         device = self._resolve_device()
         rng = getattr(self, "rng", None) or np.random.default_rng()
-        groups: dict[tuple[int, int], list[int]] = {}
+        groups: dict[tuple[int, int, bool], list[int]] = {}
         members = []
         for number, window in enumerate(windows):
             index = self._select_members(window)
             members.append(index)
-            groups.setdefault((len(index), window.observation_steps), []).append(number)
+            shown = len(index) >= _LEAST_UAVS and bool(window.velocity_seen.any())
+            groups.setdefault((len(index), window.observation_steps, shown), []).append(number)
         answers: dict[int, Detection] = {}
-        for (count, _), numbers in groups.items():
+        for (_, _, shown), numbers in groups.items():
             chosen = [windows[number] for number in numbers]
             among = [members[number] for number in numbers]
-            if count < _LEAST_UAVS:
+            if not shown:
                 found = [
                     self._answer_without_evidence(window, index, rng)
                     for window, index in zip(chosen, among, strict=True)
@@ -185,18 +189,15 @@ class NeuralGranger(Detector):
 
     def _select_members(self, window: Window) -> NDArray[np.intp]:
         """Check the window and return the indices of its living UAVs."""
-        if window.uavs < _LEAST_UAVS:
-            raise ArgumentError(f"window must hold at least {_LEAST_UAVS} UAVs, got {window.uavs}.")
+        check_pairs(window.uavs)
         if window.observation_steps <= self.memory:
             raise ArgumentError(
                 f"window must hold more than memory = {self.memory} velocities, got {window.observation_steps}."
             )
-        if not window.velocity_seen.any():
-            raise ArgumentError("window must show at least one living UAV, got one in which all samples are masked.")
         return np.flatnonzero(window.alive)
 
     def _answer_without_evidence(self, window: Window, index: NDArray[np.intp], rng: np.random.Generator) -> Detection:
-        """One or two UAVs give no evidence: ``top_k`` of them are named at random, decision (x)."""
+        """One or two UAVs, or unseen ones, give no evidence: ``top_k`` of them are named at random, decision (x)."""
         candidates = np.zeros(window.uavs, bool)
         candidates[rng.permutation(index)[: self.top_k]] = not self.gate
         return Detection(candidates=candidates, scores=np.zeros(window.uavs), extras={"followed": False})

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
+import threading
 import time
 
 import numpy as np
 
-from usnet_env import Detection, Window
+from usnet_env import ArgumentError, Detection, Window
 
 
 class Base:
@@ -105,6 +109,62 @@ class NoDetection(Base):
         return window.alive
 
 
+class Ending(AllAlive):
+    """Ends its process, hangs, or takes too much of something in the second round of an episode, or in its warm-up."""
+
+    def __init__(self, how="os._exit", first=False):
+        self.how = how
+        self.first = first
+
+    def detect(self, window):
+        if window.round == 1 and not self.first:
+            return Detection(np.zeros(window.uavs), np.zeros(window.uavs))
+        if self.how == "os._exit":
+            os._exit(0)
+        elif self.how == "sys.exit":
+            sys.exit(0)
+        elif self.how == "kill":
+            os.kill(os.getpid(), signal.SIGKILL)
+        elif self.how == "hang":
+            time.sleep(10_000)
+        elif self.how == "memory":
+            np.ones(500_000_000)
+        elif self.how == "interrupt":
+            raise KeyboardInterrupt
+        return super().detect(window)
+
+
+class Staying(AllAlive):
+    """Starts a thread in every episode, and in the warm-up; they stay until ``release`` is set."""
+
+    release = threading.Event()
+
+    def reset(self, seed=None):
+        super().reset(seed)
+        threading.Thread(target=self.release.wait, name="staying").start()
+
+
+class Printing(AllAlive):
+    """Prints in every round."""
+
+    def detect(self, window):
+        print("looking at round", window.round)
+        os.write(1, b"and once more\n")
+        return super().detect(window)
+
+
+class Demanding(AllAlive):
+    """Refuses its argument in ``reset``, as detectors do."""
+
+    def __init__(self, clusters=3):
+        self.clusters = clusters
+
+    def reset(self, seed=None):
+        if not isinstance(self.clusters, int):
+            raise ArgumentError(f"clusters must be a whole number, got {self.clusters!r}.")
+        super().reset(seed)
+
+
 class Slow(AllAlive):
     """Takes a tenth of a second for each round."""
 
@@ -128,6 +188,18 @@ class Policy:
         action = np.zeros(len(observation["alive"]), np.float32)
         action[number % len(action)] = 1
         return action, (number + 1,)
+
+
+class MaskedPolicy:
+    """Takes action masks, and names the first UAV that they allow."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False, action_masks=None):
+        allowed = action_masks.reshape(-1, 2)
+        assert allowed[:, 0].all()
+        assert np.array_equal(allowed[:, 1], observation["alive"])
+        action = np.zeros(len(allowed), np.int8)
+        action[np.flatnonzero(allowed[:, 1])[0]] = 1
+        return action, state
 
 
 class WrongPolicy:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import warnings
 
 import gymnasium as gym
@@ -12,14 +14,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_detectors import (
     AllAlive,
+    Ending,
     Failing,
     FailingWithOne,
     Followed,
+    MaskedPolicy,
     NoDetection,
     NoUav,
     Policy,
     RandomThird,
     Recorder,
+    Staying,
     WrongLength,
     WrongPolicy,
 )
@@ -274,9 +279,131 @@ def test_a_detector_that_fails_in_a_worker_ends_it_as_well():
         evaluate(MULTI, FailingWithOne(), episodes=5, env_kwargs=SMALL, workers=2)
 
 
+def test_detectors_that_end_hang_or_eat_memory_fail_and_the_others_play_on(tmp_path):
+    """The process of the first two dies, so that four processes start in all."""
+    ways = ["os._exit", "hang", "sys.exit", "interrupt", "memory"]
+    detectors = [*(Ending(how) for how in ways), AllAlive()]
+    with pytest.raises(EvaluationError) as failed:
+        evaluate(
+            MULTI, detectors, episodes=2, env_kwargs=SMALL, workers=2, out=tmp_path, time_limit=4, memory_limit=1000
+        )
+    sentence = str(failed.value)
+    for how, reason in (
+        ("os._exit", "round 2: it ended its process with status 0."),
+        ("hang", "round 2: it took longer than 4 seconds, the time limit."),
+        ("sys.exit", "round 2: SystemExit: 0."),
+        ("interrupt", ": KeyboardInterrupt."),
+        ("memory", "round 2: MemoryError: it needed more than 1000 MB, the memory limit."),
+    ):
+        label = "Ending" if how == "os._exit" else f"Ending(how={how!r})"
+        start = sentence.index(f"detector {label!r} failed in episode ")
+        assert reason in sentence[start:], sentence
+    assert [entry["detector"] for entry in failed.value.result.summary] == ["AllAlive"]
+    rows = (tmp_path / "episodes.csv").read_text().splitlines()[1:]
+    assert [row.split(",")[0] for row in rows] == ["AllAlive"] * 2
+    assert not (tmp_path / "summary.json").exists()
+
+
+def test_here_too_a_detector_that_leaves_the_program_has_failed_and_the_others_play_on():
+    with pytest.raises(
+        EvaluationError, match=r"^detector \"Ending.*\" failed in its warm-up: SystemExit: 0\."
+    ) as failed:
+        evaluate(MULTI, [Ending("sys.exit", first=True), AllAlive()], episodes=2, env_kwargs=SMALL)
+    assert [row["detector"] for row in failed.value.result.rows] == ["AllAlive"] * 2
+
+
+def test_threads_that_stay_are_named():
+    try:
+        with pytest.warns(RuntimeWarning, match=r"^detector 'Staying' left 2 threads running, no daemons: staying\.$"):
+            evaluate(MULTI, Staying(), episodes=1, env_kwargs=SMALL)
+    finally:
+        Staying.release.set()
+
+
+def test_a_policy_that_takes_masks_receives_them():
+    result = evaluate(MULTI, MaskedPolicy(), episodes=1, env_kwargs=SMALL | {"max_rounds": 20})
+    assert result["MaskedPolicy"]["success"]["mean"] == 1
+
+
+def train(env, **options):
+    sb3 = pytest.importorskip("stable_baselines3")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return sb3.PPO("MultiInputPolicy", env, n_steps=8, batch_size=8, n_epochs=1, device="cpu", **options).learn(8)
+
+
+def test_a_model_trained_behind_vecnormalize_receives_normalised_windows(monkeypatch):
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        behind = vec_env.VecNormalize(
+            vec_env.DummyVecEnv([lambda: gym.make(MULTI, **SMALL)]), norm_obs_keys=["position", "velocity"]
+        )
+    model = train(behind)
+    received = []
+    monkeypatch.setattr(
+        model, "predict", lambda window, **_: (received.append(window), (np.ones(20, np.int8), None))[1]
+    )
+    recorder = Recorder()
+    evaluate(MULTI, [model, recorder], episodes=1, env_kwargs=SMALL)
+    plain = {"position": recorder.windows[0].position, "velocity": recorder.windows[0].velocity}
+    for key, values in plain.items():
+        mean, var = behind.obs_rms[key].mean, behind.obs_rms[key].var
+        expected = np.clip((values - mean) / np.sqrt(var + behind.epsilon), -10, 10)
+        assert np.allclose(received[-1][key], expected, atol=1e-5)
+    assert not np.allclose(received[-1]["position"], plain["position"])
+
+
+@pytest.mark.slow
+def test_a_model_that_was_just_trained_plays_in_worker_processes():
+    """PyTorch refuses to send tensors that hold gradients to another process in its own way."""
+    from detectors.policy_detector import PolicyDetector
+
+    model = train(gym.make(MULTI, **SMALL))
+    here, there = (
+        evaluate(MULTI, [model, PolicyDetector(model.policy)], episodes=2, env_kwargs=SMALL, workers=workers)
+        for workers in (1, 2)
+    )
+    assert untimed(here.rows) == untimed(there.rows)
+
+
+SCRIPT = """
+import usnet_env
+from usnet_env import Detection, evaluate
+
+if {guard}:
+    # As in a notebook: nothing that is made here can be imported in a worker process.
+    class Mine:
+        def reset(self, seed=None): ...
+        def detect(self, window):
+            return Detection(window.alive, window.alive)
+
+    usnet_env.register_follow_strategy("mirrored", lambda inputs: -inputs.head_velocity[:, 0], lags=1)
+    usnet_env.register_detector("mine", Mine)
+    arguments = dict(clusters=3, uavs=20, observation_steps=20, max_rounds=5, follow="mirrored")
+    result = evaluate("USNET/MultiCluster-v0", ["mine", Mine()], episodes=2, workers=2, env_kwargs=arguments)
+    print([(entry["detector"], entry["episodes"]) for entry in result.summary])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("guard", ["__name__ == '__main__'", "True"])
+def test_a_script_s_own_parts_reach_the_workers_and_a_missing_guard_is_named(tmp_path, guard):
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(guard=guard))
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    if guard == "True":
+        assert done.returncode == 1
+        last = done.stderr.strip().splitlines()[-1]
+        assert last.startswith("usnet_env.evaluation.errors.EvaluationError: a worker process ")
+        assert 'if __name__ == "__main__":' in last
+    else:
+        assert (done.returncode, done.stdout) == (0, "[('mine', 2), ('mine #2', 2)]\n"), done.stderr
+
+
 def test_a_detector_that_cannot_be_pickled_needs_one_worker():
     detector = AllAlive()
-    detector.tool = lambda: None
+    detector.tool = (number for number in range(3))
     with pytest.raises(ArgumentError, match=r"^workers must be 1"):
         evaluate(MULTI, detector, episodes=2, env_kwargs=SMALL, workers=2)
     assert len(evaluate(MULTI, detector, episodes=2, env_kwargs=SMALL).rows) == 2
@@ -308,6 +435,9 @@ def test_a_detector_that_cannot_be_pickled_needs_one_worker():
         ({"workers": 0}, ["workers", "0"]),
         ({"workers": 10**6}, ["workers"]),
         ({"trivial": "yes"}, ["trivial", "yes"]),
+        ({"time_limit": 0}, ["time_limit", "0"]),
+        ({"time_limit": "long"}, ["time_limit", "'long'"]),
+        ({"memory_limit": float("inf")}, ["memory_limit", "inf"]),
     ],
 )
 def test_bad_input_is_one_sentence_with_the_name(changes, words):
@@ -332,6 +462,8 @@ def test_an_environment_object_takes_no_arguments_and_one_worker():
     env = gym.make(MULTI, **SMALL)
     with pytest.raises(ArgumentError, match=r"^workers must be 1"):
         evaluate(env, NoUav(), workers=2)
+    with pytest.raises(ArgumentError, match=r"^time_limit and memory_limit must be None"):
+        evaluate(env, NoUav(), time_limit=1)
     with pytest.raises(ArgumentError, match=r"^env_kwargs must be empty"):
         evaluate(env, NoUav(), env_kwargs={"follow": "f2"})
     with pytest.raises(ArgumentError, match=r"^env must be"):

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
+import shutil
+from functools import partial
 
+import numpy as np
 import pytest
-from sample_detectors import AllAlive, Base, Failing, Followed, RandomThird
+from sample_detectors import AllAlive, Base, Failing, Followed, Policy, RandomThird
 
 from usnet_env import ArgumentError, Detection, evaluate
 from usnet_env.evaluation import EvaluationError
 from usnet_env.evaluation.store import COLUMNS, write_text
+from usnet_env.swarm.follow import StayInRange
 
 MULTI = "USNET/MultiCluster-v0"
 SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
@@ -120,6 +125,142 @@ def test_another_run_s_folder_is_refused(tmp_path, changes, name):
     with pytest.raises(ArgumentError, match=rf"^out must be .*different values of .*{name}"):
         evaluate(**(asked | changes))
     assert (tmp_path / "episodes.csv").read_bytes() == before
+
+
+LONG = "x" * 200
+
+
+class Described(RandomThird):
+    """Takes any argument; ``reset`` refuses a number below 0."""
+
+    def __init__(self, what=None):
+        self.what = what
+
+    def reset(self, seed=None):
+        if isinstance(self.what, int) and self.what < 0:
+            raise ArgumentError(f"what must be at least 0, got {self.what}.")
+        super().reset(seed)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (LONG + "a", LONG + "b"),
+        (list(range(200)), list(range(201))),
+        (np.arange(500.0), np.arange(500.0) + 1),
+        (lambda window: window, lambda window: None),
+        (partial(max, 1), partial(max, 2)),
+        (AllAlive(), RandomThird()),
+        (Followed(2), Followed(3)),
+    ],
+)
+def test_detectors_whose_arguments_differ_anywhere_do_not_share_rows(tmp_path, first, second):
+    asked = {"episodes": 1, "env_kwargs": SMALL, "out": tmp_path}
+    evaluate(MULTI, Described(first), **asked)
+    evaluate(MULTI, Described(first), **asked)
+    with pytest.raises(ArgumentError, match=r"different values of .*identities"):
+        evaluate(MULTI, Described(second), **asked)
+
+
+def test_policies_with_other_weights_do_not_share_rows(tmp_path):
+    class Network(Policy):
+        def __init__(self, weight):
+            super().__init__()
+            self.weight = weight
+
+        def state_dict(self):
+            return {"weight": np.array(self.weight)}
+
+    asked = {"episodes": 1, "env_kwargs": SMALL, "out": tmp_path}
+    evaluate(MULTI, Network(1.0), **asked)
+    evaluate(MULTI, Network(1.0), **asked)
+    with pytest.raises(ArgumentError, match="different values of identities"):
+        evaluate(MULTI, Network(1.5), **asked)
+
+
+def test_follow_strategies_given_as_objects_do_not_share_rows(tmp_path):
+    def run(pull):
+        evaluate(MULTI, "none", episodes=1, env_kwargs=SMALL | {"follow": StayInRange(pull=pull)}, out=tmp_path)
+
+    run(1.0)
+    run(1.0)
+    with pytest.raises(ArgumentError, match="different values of env_kwargs, environment"):
+        run(2.0)
+
+
+def test_rows_of_another_seed_are_refused(tmp_path):
+    asked = {"env": MULTI, "detector": RandomThird(), "episodes": 2, "env_kwargs": SMALL, "out": tmp_path}
+    evaluate(**asked, seed=1)
+    foreign = (tmp_path / "episodes.csv").read_text()
+    evaluate(**asked | {"out": tmp_path / "other"}, seed=2)
+    (tmp_path / "other" / "episodes.csv").write_text(foreign)
+    with pytest.raises(ArgumentError, match=r"^out must hold only rows of this run, got rows of another seed\."):
+        evaluate(**asked | {"out": tmp_path / "other"}, seed=2)
+
+
+class Nested(RandomThird):
+    """Evaluates into the folder in which it is being evaluated, as a second run at the same time would."""
+
+    def __init__(self, out):
+        self.out = out
+
+    def detect(self, window):
+        evaluate(MULTI, RandomThird(), episodes=1, env_kwargs=SMALL, out=self.out)
+
+
+def test_two_runs_at_once_do_not_share_a_folder(tmp_path):
+    with pytest.raises(
+        EvaluationError, match=rf"out must be a folder that no other run uses, .* which process {os.getpid()} uses\."
+    ):
+        evaluate(MULTI, Nested(tmp_path / "run"), episodes=1, env_kwargs=SMALL, out=tmp_path / "run")
+    assert files(tmp_path) == set()
+
+
+def test_the_lock_of_a_killed_run_is_no_obstacle(tmp_path):
+    (tmp_path / ".run.json.lock").write_text("4000000\n")
+    evaluate(MULTI, RandomThird(), episodes=1, env_kwargs=SMALL, out=tmp_path)
+    assert files(tmp_path) == {"run.json", "episodes.csv", "summary.json"}
+
+
+def test_a_refused_run_leaves_nothing_and_the_corrected_one_is_accepted(tmp_path):
+    asked = {"episodes": 1, "env_kwargs": SMALL, "out": tmp_path / "new" / "run"}
+    with pytest.raises(ArgumentError, match=r"^detector 'Described.*' refuses an argument: what must be at least 0"):
+        evaluate(MULTI, [RandomThird(), Described(-1)], **asked)
+    assert files(tmp_path) == set()
+    evaluate(MULTI, [RandomThird(), Described(1)], **asked)
+
+
+class Removing(RandomThird):
+    """Removes the folder of the run in the second episode, as an impatient user would."""
+
+    def __init__(self, out):
+        self.out = out
+        self.begun = 0
+
+    def reset(self, seed=None):
+        super().reset(seed)
+        self.begun += 1
+        if self.begun == 2:
+            shutil.rmtree(self.out)
+
+    def __deepcopy__(self, memo):
+        return RandomThird()
+
+
+def test_a_folder_that_is_removed_during_the_run_is_an_error(tmp_path):
+    with pytest.raises(ArgumentError, match=r"^out must stay as it is during a run, .* was removed"):
+        evaluate(MULTI, Removing(tmp_path / "run"), episodes=3, env_kwargs=SMALL, out=tmp_path / "run")
+
+
+def test_the_rows_of_the_other_detectors_are_kept_and_the_run_can_be_completed(tmp_path):
+    failing, steady = Failing(), Counted()
+    asked = {"episodes": 5, "env_kwargs": SMALL, "out": tmp_path}
+    with pytest.raises(EvaluationError, match="'Failing' failed in episode 2"):
+        evaluate(MULTI, [failing, steady], **asked)
+    assert len((tmp_path / "episodes.csv").read_text().splitlines()) == 1 + 2 + 5
+    failing.episodes = 10  # it never fails again
+    assert len(evaluate(MULTI, [failing, steady], **asked).rows) == 10
+    assert steady.begun == 5
 
 
 @pytest.mark.parametrize(

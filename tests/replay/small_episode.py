@@ -53,3 +53,26 @@ def small_episode(**changes: Any) -> EpisodeRecord:
         "versions": {"numpy": np.__version__},
     }
     return EpisodeRecord(**{**values, **changes})
+
+
+def large_episode(**changes: Any) -> EpisodeRecord:
+    """A round with 60 UAVs; 30, 31 and 40 are heads, 40 and 55 are candidates."""
+    head, named = (np.isin(np.arange(60), uavs) for uavs in ((30, 31, 40), (40, 55)))
+    values: dict[str, Any] = {
+        "position": np.zeros((1, 21, 60, 3)),
+        "velocity": np.zeros((1, 20, 60, 3)),
+        "seen": np.ones((1, 21, 60), bool),
+        "alive": np.ones((1, 60), bool),
+        "leader": np.where(head, np.arange(60), 30)[None],
+        "candidates": named[None],
+        "scores": np.zeros((1, 60)),
+        "objective": [1.0],
+        "head": head,
+        "decoy": np.zeros(60, bool),
+        "over_budget": [False],
+        "seconds": [0.1],
+        "clusters": None,
+        "leader_estimate": None,
+        "attention": None,
+    }
+    return small_episode(**values | changes)

@@ -1,7 +1,11 @@
 """Rows of any measurement: read back as written, made once, on any number of processes."""
 
+import os
+import shutil
+import sys
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing import parent_process
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from usnet_env import ArgumentError
+from usnet_env.evaluation import EvaluationError
 from usnet_env.reproduce.rows import Measurement, counter, episode_means, measure, read_rows, write_rows
 
 
@@ -63,6 +68,44 @@ def test_what_is_kept_is_not_made_again(tmp_path):
     measure(square_measurement(counting), TASKS, path, 1, counts.append)
     assert made == TASKS
     assert counts == [2, 2, 2]
+
+
+def test_a_measurement_that_is_running_is_not_joined_by_a_second_one(tmp_path):
+    path = tmp_path / "rows.csv"
+
+    def nested(task, power):
+        return measure(square_measurement(), TASKS, path, 1)
+
+    with pytest.raises(ArgumentError, match=r"^out must be a folder that no other run uses"):
+        measure(square_measurement(nested), TASKS, path, 1)
+    assert list(tmp_path.iterdir()) == []  # neither rows nor a lock
+
+
+def test_a_folder_that_is_removed_during_the_measurement_is_an_error(tmp_path):
+    path = tmp_path / "run" / "rows.csv"
+
+    def removing(task, power):
+        shutil.rmtree(path.parent)
+        return play(task, power)
+
+    with pytest.raises(ArgumentError, match=r"^out must stay as it is during a run, .* was removed"):
+        measure(square_measurement(removing), TASKS[:1], path, 1)
+
+
+def leaves(task, power):
+    """Play; the second task ends its process."""
+    if task == TASKS[1]:
+        os._exit(0) if parent_process() is not None else sys.exit(0)
+    return play(task, power)
+
+
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_task_that_ends_its_process_is_named(tmp_path, workers):
+    with pytest.raises(
+        EvaluationError, match=r"^\('a', 0\) failed: (SystemExit: 0|it ended its process with status 0)"
+    ):
+        measure(square_measurement(leaves), TASKS, tmp_path / "rows.csv", workers)
+    assert set(play(TASKS[0], 2)) <= set(read_rows(tmp_path / "rows.csv", Square))
 
 
 def test_rows_of_finished_tasks_survive_a_failure(tmp_path):

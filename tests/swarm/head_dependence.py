@@ -40,7 +40,7 @@ def _explained_share(features: NDArray[np.float64], target: NDArray[np.float64])
     R² is relative to zero, not to the mean: a straight track must count as predictable from the UAV's own past.
     """
     cut = 2 * len(features) // 3
-    models = (RidgeCV(np.logspace(-3, 3, 7)), ExtraTreesRegressor(100, min_samples_leaf=3, random_state=0))
+    models = (RidgeCV(np.logspace(-3, 3, 7)), ExtraTreesRegressor(30, min_samples_leaf=3, random_state=0))
     shares = []
     for model in models:
         error = target[cut:] - model.fit(features[:cut], target[:cut]).predict(features[cut:])

@@ -6,7 +6,9 @@ modules itself, so that ``usnet --help`` is fast.
 
 from __future__ import annotations
 
+import io
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -45,17 +47,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit status: 0 for success, 1 for a failure, 2 if an argument was refused or a detector failed, 130 after an
         interruption.
     """
-    if "" not in sys.path and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())  # a console script lacks it, but module:Class is often there
+    context: click.Context | None = None
     try:
+        _open_streams()
+        _add_current_folder()
         with _usnet.make_context("usnet", list(sys.argv[1:] if argv is None else argv)) as context:
-            try:
-                _usnet.invoke(context)
-                sys.stdout.flush()
-            except (KeyboardInterrupt, EOFError):
-                print_message(f"interrupted. {context.obj or ''}".rstrip())
-                return _INTERRUPTED
+            _usnet.invoke(context)
+            sys.stdout.flush()
         return 0
+    except (KeyboardInterrupt, EOFError):
+        if argv is None:  # this process ends now: a second Ctrl-C must not break the sentence
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        print_message(f"interrupted. {(context.obj if context else None) or ''}".rstrip())
+        return _INTERRUPTED
     except click.exceptions.Exit as end:
         return int(end.exit_code)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -64,17 +68,45 @@ def main(argv: Sequence[str] | None = None) -> int:
     except click.ClickException as error:
         print_message(" ".join(error.format_message().split()).rstrip(".") + ".")
         return _REFUSED
-    except KeyboardInterrupt:
-        print_message("interrupted.")
-        return _INTERRUPTED
     except BrokenPipeError:  # the program that reads our output has ended, for example `head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _FAILED
     except ArgumentError as error:
         print_message(str(error))
         return _REFUSED
+    except SystemExit as end:  # of a detector: a program that was ended by it has not succeeded
+        print_message(f"ended by sys.exit({end.code!r}) in a detector or another plug-in.")
+        return _FAILED
     except Exception as error:
         return _report_failure(error)
+
+
+def _open_streams() -> None:
+    """Make standard output and error usable: closed ones are discarded, and no character is refused.
+
+    A closed stream would also give its number to the next file that is opened, which would then receive messages.
+    """
+    for number, name in ((0, "stdin"), (1, "stdout"), (2, "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this one
+        if getattr(sys, name) is None:
+            mode = "r" if number == 0 else "w"
+            setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115  # for all the run
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that cannot show a character must not lose results
+
+
+def _add_current_folder() -> None:
+    """Make the modules of the current folder importable, since ``module:Class`` is often there; installed ones win."""
+    try:
+        folder = os.getcwd()
+    except FileNotFoundError:
+        raise ArgumentError("the current folder must exist, got one that was removed; change to another one.") from None
+    if "" not in sys.path and folder not in sys.path:
+        sys.path.append(folder)
 
 
 def _report_failure(error: Exception) -> int:
@@ -90,6 +122,12 @@ def _report_failure(error: Exception) -> int:
     if isinstance(error, MemoryError):
         print_message("not enough memory; try fewer UAVs, observation steps or workers.")
         return _FAILED
+    if isinstance(error, ImportError):
+        from usnet_env.plugins import describe_foreign_detectors
+
+        if reason := describe_foreign_detectors():
+            print_message(reason)
+            return _FAILED
     text = " ".join(str(error).split())
     print_message(f"failed with {type(error).__name__}: {text.rstrip('.')}. USNET_TRACEBACK=1 shows where.")
     return _FAILED

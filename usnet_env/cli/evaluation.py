@@ -4,20 +4,42 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
 from typing import TYPE_CHECKING
 
 import click
 
-from usnet_env.cli.options import PairsCommand, WholeNumber, parse_pairs
-from usnet_env.cli.output import PIPE_WIDTH, show
+from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, parse_pairs
+from usnet_env.cli.output import PIPE_WIDTH, print_message, show
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from usnet_env.evaluation import EvaluationResult
 
 __all__ = ["demo", "evaluate"]
 
 
-@click.command(cls=PairsCommand, short_help="Play detectors against the same swarms and score them.")
+_EXAMPLES = """
+\b
+Examples:
+  usnet evaluate --detector lagged-regression --trivial --episodes 20
+  usnet evaluate --detector granger --detector factions --all \\
+      --set follow=f3 clusters=3 uavs=40 mobility=gauss_markov
+  usnet evaluate --env USNET/SingleCluster-v0 --detector gassl \\
+      --episodes 5 --set followers=10 decoys=1
+
+\b
+Arguments for --set:
+  swarm     follow, mobility, formation, clusters, uavs, cluster_sizes,
+            decoys, head_jitter, memory, follow_seed; SingleCluster takes
+            followers instead of clusters, uavs and cluster_sizes
+  observer  observation_steps, sample_every, position_noise, miss_rate
+  game      max_rounds, shot_budget, redundancy_price, reveal_truth
+"""  # click reads the control characters: they keep the lines
+
+
+@click.command(cls=PairsCommand, short_help="Play detectors against the same swarms and score them.", epilog=_EXAMPLES)
 @click.option(
     "--env",
     "env_id",
@@ -39,7 +61,7 @@ __all__ = ["demo", "evaluate"]
     "settings",
     multiple=True,
     metavar="KEY=VALUE …",
-    help="Arguments of the environment, e.g. --set follow=f3 uavs=40. May be repeated.",
+    help="Arguments of the environment, see below. May be repeated.",
 )
 @click.option(
     "--episodes", type=WholeNumber(1, 1_000_000), default=100, show_default=True, help="Episodes for each detector."
@@ -47,11 +69,20 @@ __all__ = ["demo", "evaluate"]
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the evaluation.")
 @click.option("--workers", type=WholeNumber(1, 256), default=1, show_default=True, help="Number of processes.")
 @click.option(
+    "--time-limit",
+    type=PositiveNumber(),
+    default=3600,
+    show_default=True,
+    help="Seconds that one answer of a detector may take.",
+)
+@click.option("--memory-limit", type=PositiveNumber(), help="Megabytes that one answer of a detector may allocate.")
+@click.option(
     "--out", metavar="DIR", help="Folder for rows, summary and config; the same command resumes an interrupted run."
 )
 @click.option(
     "--trivial", is_flag=True, help="Also evaluate the trivial policies destroy-all, none, random and one-per-round."
 )
+@click.option("--all", "show_all", is_flag=True, help="Print all metrics, each with its interval.")
 @click.option("--json", "as_json", is_flag=True, help="Print only the summary, as JSON.")
 @click.pass_context
 def evaluate(
@@ -62,40 +93,69 @@ def evaluate(
     episodes: int,
     seed: int,
     workers: int,
+    time_limit: float,
+    memory_limit: float | None,
     out: str | None,
     trivial: bool,
+    show_all: bool,
     as_json: bool,
 ) -> None:
-    """Play every detector against the same swarms, and print its metrics with 95 % intervals.
+    """Play every detector against the same swarms, and print a table of them, best first.
 
-    The arguments of an environment that --set takes are described in the documentation of the environments.
+    Episodes are played in worker processes. A detector that hangs or ends its process has failed; the other detectors
+    play to the end.
     """
     env_kwargs = parse_pairs(settings)
     if out is not None:
         ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes from there."
     from usnet_env import evaluation
 
-    result = evaluation.evaluate(
-        env_id,
-        list(detectors),
-        episodes=episodes,
-        seed=seed,
-        env_kwargs=env_kwargs,
-        workers=workers,
-        trivial=trivial,
-        out=out,
-        progress=sys.stderr.isatty(),
-    )
+    failure: evaluation.EvaluationError | None = None
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", RuntimeWarning)
+        try:
+            result = evaluation.evaluate(
+                env_id,
+                list(detectors),
+                episodes=episodes,
+                seed=seed,
+                env_kwargs=env_kwargs,
+                workers=workers,
+                trivial=trivial,
+                out=out,
+                progress=sys.stderr is not None and sys.stderr.isatty(),
+                time_limit=time_limit,
+                memory_limit=memory_limit,
+            )
+        except evaluation.EvaluationError as error:
+            if error.result is None:
+                raise
+            result, failure = error.result, error  # the other detectors have played to the end
+    for warning in caught:
+        print_message(str(warning.message))
     if as_json:
         click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
-        return
-    _print_result(result)
-    if out is not None:
+    else:
+        _print_result(result, show_all)
+    if failure is not None:
+        raise failure
+    if out is not None and not as_json:
         click.echo(f"Rows, summary and config are in {out}.", err=True)
 
 
-def _print_result(result: EvaluationResult) -> None:
-    """Print one table, or several with some of the columns each if one is too wide for the terminal."""
+def _print_result(result: EvaluationResult, show_all: bool) -> None:
+    """Print the ranking, or all metrics, and a sentence about the best detector.
+
+    If the table of all metrics is too wide for the terminal, it is printed as several with some of the columns each.
+    """
+    if not result.summary:
+        return
+    show(*_split_table(result) if show_all else [result.ranking()])
+    click.echo(result.conclusion())
+
+
+def _split_table(result: EvaluationResult) -> list[Table]:
+    """The table of all metrics, in parts that fit the terminal."""
     from rich.console import Console
 
     from usnet_env.evaluation import METRICS
@@ -103,24 +163,26 @@ def _print_result(result: EvaluationResult) -> None:
     console = Console()
     width = console.width if console.is_terminal else PIPE_WIDTH
     unlimited = console.options.update(max_width=10_000)
-    columns: list[str] = []
+    parts: list[list[str]] = [[]]
     for name in METRICS:
-        if columns and console.measure(result.table([*columns, name]), options=unlimited).maximum > width:
-            show(result.table(columns))
-            columns = []
-        columns.append(name)
-    show(result.table(columns))
+        if parts[-1] and console.measure(result.table([*parts[-1], name]), options=unlimited).maximum > width:
+            parts.append([])
+        parts[-1].append(name)
+    return [result.table(columns) for columns in parts]
 
 
 @click.command(short_help="Play one episode; save a replay and a picture of it.")
 @click.option("--out", default="runs/demo", show_default=True, metavar="DIR", help="Folder for the files.")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the episode.")
-@click.option("--detector", metavar="NAME", help="Detector; by default follow-mixture.")
-def demo(out: str, seed: int, detector: str | None) -> None:
-    """Play one episode with 8 clusters and 185 UAVs, and save a replay and a picture of it."""
-    from usnet_env.replay.demo import run_demo
+@click.option("--detector", default="follow-mixture", show_default=True, metavar="NAME", help="Detector.")
+@click.option("--follow", default="f1", show_default=True, metavar="NAME", help="Strategy; see `usnet list follow`.")
+@click.option("--clusters", type=WholeNumber(1, 9_000), default=8, show_default=True, help="Number of clusters.")
+@click.option("--uavs", type=WholeNumber(3, 90_000), default=185, show_default=True, help="Number of UAVs.")
+@click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
+def demo(out: str, seed: int, detector: str, follow: str, clusters: int, uavs: int, open_viewer: bool) -> None:
+    """Play one episode of USNET/MultiCluster-v0, and save a replay and a picture of it."""
+    from usnet_env.replay.demo import open_replay, run_demo
 
-    if detector is None:
-        run_demo(out, seed=seed)
-    else:
-        run_demo(out, seed=seed, detector=detector)
+    files = run_demo(out, seed=seed, detector=detector, follow=follow, clusters=clusters, uavs=uavs)
+    if open_viewer and "replay" in files:
+        open_replay(files["replay"])

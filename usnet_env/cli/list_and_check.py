@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
+import textwrap
+from functools import partial
+from typing import TYPE_CHECKING
+
 import click
 
 from usnet_env.cli.output import progress_bar, show
 from usnet_env.config import ArgumentError, quote
 
+if TYPE_CHECKING:
+    from usnet_env.plugins import DetectorEntry
+
 __all__ = ["check_detector", "list_"]
+
+_NARROWEST = 30  # columns of a description
 
 
 @click.command(name="check-detector", short_help="Test that a detector keeps the contract.")
@@ -25,13 +37,31 @@ __all__ = ["check_detector", "list_"]
     default=10.0,
     show_default=True,
     metavar="S",
-    help="Time limit for one answer with 82 UAVs.",
+    help="Time budget for an answer with 82 UAVs.",
 )
+@click.option(
+    "--time-limit",
+    type=float,
+    default=300.0,
+    show_default=True,
+    metavar="S",
+    help="Seconds after which a call of the detector is stopped.",
+)
+@click.option("--memory-limit", type=float, metavar="MB", help="Memory that a call of the detector may allocate.")
 @click.pass_context
-def check_detector(ctx: click.Context, name: str, expected: tuple[str, ...], seconds: float) -> None:
+def check_detector(
+    ctx: click.Context,
+    name: str,
+    expected: tuple[str, ...],
+    seconds: float,
+    time_limit: float,
+    memory_limit: float | None,
+) -> None:
     """Test that a detector keeps the contract of usnet_env detectors.
 
     NAME is a detector's name, with or without arguments, or module:Class. The exit status is 1 if a check fails.
+
+    The detector is imported and tested in a process of its own, which it may end or stop without harm.
     """
     reasons: dict[str, str] = {}
     for text in expected:
@@ -40,41 +70,62 @@ def check_detector(ctx: click.Context, name: str, expected: tuple[str, ...], sec
             raise ArgumentError(f"--expect must be written check=reason, got {quote(text)}.")
         reasons[check.strip()] = reason.strip()
     from detectors import checks
-    from usnet_env.plugins import make_detector
+    from usnet_env.plugins import detector_names, make_detector
 
-    results: list[checks.CheckResult] = []
+    plain = name.partition("(")[0].strip()
+    if ":" not in plain and plain not in detector_names():
+        make_detector(name)  # refuses the name; a known one is imported in the child process only
+    done: list[checks.CheckResult] = []
     with progress_bar("checks") as progress:
 
         def count(result: checks.CheckResult) -> None:
-            results.append(result)
-            progress(len(results), len(checks.CHECKS))
+            done.append(result)
+            progress(len(done), len(checks.CHECKS))
 
-        checks.check_detector(
-            make_detector(name), expected_failed_checks=reasons, seconds=seconds, on_fail=None, callback=count
+        results = checks.check_factory(
+            partial(make_detector, name),
+            name,
+            expected_failed_checks=reasons,
+            seconds=seconds,
+            callback=count,
+            time_limit=time_limit,
+            memory_limit=memory_limit,
         )
     show(checks.results_table(results))
+    if os.environ.get("USNET_TRACEBACK"):
+        click.echo(next((result.traceback for result in results if result.traceback), ""), err=True)
     ctx.exit(checks.exit_status(results))
 
 
 @click.command(name="list", short_help="List envs, detectors, follow strategies, mobilities.")
 @click.argument("part", type=click.Choice(["envs", "detectors", "follow", "mobility"]))
 def list_(part: str) -> None:
-    """List the available environments, detectors, follow strategies or mobilities, with one line about each."""
-    from rich.table import Table
-    from rich.text import Text
+    """List the available environments, detectors, follow strategies or mobilities, with one line about each.
 
-    table = Table(box=None, show_header=False, pad_edge=False)
-    for name, description in _describe_parts(part):
-        table.add_row(Text(name), Text(description))
-    show(table)
+    The list of detectors also names the packages that a detector needs beyond those that USNET always installs.
+    """
+    rows = _describe_parts(part)
+    width = max(len(name) for name, _ in rows) + 2
+    for name, description in rows:
+        click.echo(_wrap(f"{name:{width}}", description))
+
+
+def _wrap(start: str, description: str) -> str:
+    """Put the description after ``start``, in lines that fit the terminal; into a pipe it is one line."""
+    if not sys.stdout.isatty():
+        return f"{start}{description}".rstrip()
+    columns = max(shutil.get_terminal_size().columns, len(start) + _NARROWEST)
+    indent = " " * len(start)
+    lines = textwrap.fill(description, columns, initial_indent=start, subsequent_indent=indent, break_on_hyphens=False)
+    return lines or start.rstrip()
 
 
 def _describe_parts(part: str) -> list[tuple[str, str]]:
     """Return the names of all parts of this type, each with a description of one line."""
     if part == "detectors":
-        from usnet_env.plugins import describe_detectors
+        from usnet_env.plugins import list_detectors
 
-        return sorted(describe_detectors().items())
+        return [(entry.name, entry.description + _format_needs(entry)) for entry in list_detectors()]
     if part == "follow":
         from usnet_env.swarm import follow_strategies
 
@@ -84,6 +135,11 @@ def _describe_parts(part: str) -> list[tuple[str, str]]:
         from usnet_env.swarm import mobilities
 
         return [(name, law.description) for name, law in mobilities().items()]
-    from usnet_env.evaluation.environments import describe_environment, usnet_ids
+    from usnet_env.evaluation.environments import describe_environments
 
-    return [(name, describe_environment(name)) for name in usnet_ids()]
+    return list(describe_environments().items())
+
+
+def _format_needs(entry: DetectorEntry) -> str:
+    needs = ", ".join(f"{name}: not installed" if name in entry.missing else name for name in entry.needs)
+    return f" (needs {needs})" if needs else ""

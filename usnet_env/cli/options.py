@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from functools import cache
@@ -11,7 +12,7 @@ import click
 
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["PairsCommand", "WholeNumber", "parse_pairs"]
+__all__ = ["PairsCommand", "PositiveNumber", "WholeNumber", "parse_pairs"]
 
 _WHOLE = re.compile(r"[-+]?[0-9]+\Z")
 _REAL = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
@@ -34,6 +35,23 @@ class WholeNumber(click.ParamType):  # type: ignore[type-arg]  # generic in the 
             return int(text)
         option = param.opts[0] if param is not None else "value"
         raise ArgumentError(f"{option} must be a whole number from {self.least} to {self.most}, got {quote(value)}.")
+
+
+class PositiveNumber(click.ParamType):  # type: ignore[type-arg]  # generic in the newest click only
+    """A positive, finite number; anything else is refused in one sentence."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Convert an option's text to a number."""
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not 0 < number < math.inf:
+            option = param.opts[0] if param is not None else "value"
+            raise ArgumentError(f"{option} must be a positive number, got {quote(value)}.")
+        return number
 
 
 class PairsCommand(click.Command):

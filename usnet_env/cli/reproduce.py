@@ -60,7 +60,14 @@ def _add_head_motion(command: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def _resumable(out: Path, what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show the progress of a measurement; an interruption prints how to continue it."""
+    """Show the progress of a measurement; an interruption prints how to continue it.
+
+    Raises:
+        MissingExtraError: matplotlib, which draws the picture of the results, is not installed.
+    """
+    from usnet_env.drawing import new_figure
+
+    new_figure(1, 1)  # before anything is measured
     click.get_current_context().find_root().obj = (
         f"Finished {what} are kept in {out}: the same command continues from there."
     )

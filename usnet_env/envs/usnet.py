@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from usnet_env.config import ArgumentError, Config, optional_seed, quote, refuse_unknown_arguments
+from usnet_env.drawing import EpisodeFrames, describe_frame
 from usnet_env.envs import game
 from usnet_env.swarm import SwarmConfig, SwarmState
 
@@ -55,7 +56,9 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         self.action_space = game.action_space(config)
         self._game: game.GameState | None = None
         self._window: Observation = {}  # the present observation
-        self._last_round: tuple[Observation, SwarmState, NDArray[np.bool_]] | None = None  # the round before it
+        # The round before it: window, swarm, candidates, and title of its frame.
+        self._last_round: tuple[Observation, SwarmState, NDArray[np.bool_], str] | None = None
+        self._frames = EpisodeFrames()
 
     @property
     def problem(self) -> str:
@@ -91,7 +94,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         super().reset(seed=optional_seed("seed", seed))
         state = game.start_games(self.config, [self.np_random])
         metrics = game.initial_info(self.rules, state)
-        self._last_round = None
+        self._last_round, self._frames = None, EpisodeFrames()
         return self._observe(state), self._info(metrics)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -112,19 +115,19 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             raise ArgumentError("reset must be called first, got a step in an episode that is over.")
         candidates = game.parse_candidates(action, (self.config.uavs,))
         state, result = game.play_round(self.rules, before, candidates[None])
-        self._last_round = (self._window, before.swarm, candidates)
-        observation = self._observe(state)
-        return (
-            observation,
-            float(result.reward[0]),
-            bool(state.terminated[0]),
-            bool(state.truncated[0]),
-            self._info(result.metrics),
+        reward, values = float(result.reward[0]), {name: each[0].item() for name, each in result.metrics.items()}
+        title = describe_frame(
+            values["round"], values["hits"], values["redundant"], values["J"], reward, bool(values["over_budget"])
         )
+        self._last_round = (self._window, before.swarm, candidates, title)
+        observation = self._observe(state)
+        return observation, reward, bool(state.terminated[0]), bool(state.truncated[0]), self._info(result.metrics)
 
     def _observe(self, state: game.GameState) -> Observation:
         self._game, observation = game.observe_windows(self.config, state, [self.np_random])
         self._window = {name: values[0] for name, values in observation.items()}
+        if self.render_mode is not None:
+            self._frames.watch(self._window["position"], self._window["seen"].astype(bool))
         return copy.deepcopy(self._window)
 
     def _info(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
@@ -171,7 +174,9 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         saved = copy.deepcopy(state)
         self._game = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
         self._window = saved["observation"]
-        self._last_round = None
+        self._last_round, self._frames = None, EpisodeFrames()
+        if self.render_mode is not None:
+            self._frames.watch(self._window["position"], self._window["seen"].astype(bool))
         if self._np_random is None:
             super().reset(seed=0)
         self.np_random.bit_generator.state = saved["generator"]
@@ -179,6 +184,9 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the last round (before the first round: the present window) as seen from above.
+
+        The axes fit the first window with a margin, and change only if a later window does not fit. Crosses mark UAVs
+        that were destroyed in earlier rounds. The title has the result of the round, J, and the reward.
 
         Returns:
             ``(H, W, 3)`` uint8, or ``None`` unless ``render_mode="rgb_array"``.
@@ -188,12 +196,12 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         """
         if self.render_mode is None:
             return None
-        from usnet_env.drawing import round_frame  # not at the top: matplotlib is an optional dependency
-
         state = self._require_game()
-        window, swarm, candidates = self._last_round or (self._window, state.swarm, None)
+        window, swarm, candidates, title = self._last_round or (
+            self._window, state.swarm, None, f"round {int(self._window['round'][0])}: observed, no answer yet"
+        )  # fmt: skip
         truth = swarm.episode()
-        return round_frame(
+        return self._frames.render(
             position=window["position"],
             seen=window["seen"].astype(bool),
             alive=truth.alive,
@@ -201,7 +209,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             leader=truth.leader,
             decoy=truth.decoy,
             candidates=candidates,
-            title=f"round {int(window['round'][0])}",
+            title=title,
         )
 
 

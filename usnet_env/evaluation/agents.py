@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["Agent", "Answer", "DetectorAgent", "PolicyAgent", "as_agent"]
+__all__ = ["Agent", "Answer", "DetectorAgent", "PolicyAgent", "RefusedArgumentError", "as_agent"]
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,10 @@ class Answer:
     scores: NDArray[np.float64]
     clusters: NDArray[np.int64] | None
     seconds: float
+
+
+class RefusedArgumentError(ArgumentError):
+    """A detector refused an argument of its constructor when it was reset for the first time."""
 
 
 class Agent(Protocol):
@@ -79,7 +84,10 @@ class DetectorAgent:
         except Exception:  # it cannot be copied; its reset must then discard what it learns here
             detector = self.detector
         agent = DetectorAgent(detector)
-        agent.reset(0)
+        try:
+            agent.reset(0)
+        except ArgumentError as error:  # a detector checks its arguments here: they are refused, nothing has failed
+            raise RefusedArgumentError(str(error)) from error
         agent.answer(observation)
 
 
@@ -87,11 +95,15 @@ class PolicyAgent:
     """Any object with the ``predict`` method of Stable-Baselines3, called with ``deterministic=True``.
 
     A policy returns no scores, so its candidates serve as scores (0 and 1). It has no ``reset``, so its own random
-    numbers are not seeded here.
+    numbers are not seeded here. A policy whose ``predict`` has the argument ``action_masks`` receives the mask of the
+    UAVs that are alive. A model that was trained behind ``VecNormalize`` receives normalised observations, with the
+    means and variances that it had at the end of its training.
     """
 
     def __init__(self, policy: Any) -> None:
         self.policy = policy
+        self._masked = _takes_masks(policy)
+        self._normaliser = _find_normaliser(policy)
         self._state: Any = None
         self._start = True
 
@@ -101,9 +113,11 @@ class PolicyAgent:
 
     def answer(self, observation: Any) -> Answer:
         """Return the policy's action; only the call of ``predict`` is timed."""
+        seen = observation if self._normaliser is None else self._normaliser.normalize_obs(observation)
+        more = {"action_masks": _action_masks(observation)} if self._masked else {}
         begin = time.perf_counter()
         action, state = self.policy.predict(
-            observation, state=self._state, episode_start=np.array([self._start]), deterministic=True
+            seen, state=self._state, episode_start=np.array([self._start]), deterministic=True, **more
         )
         seconds = time.perf_counter() - begin
         self._state, self._start = state, False
@@ -118,6 +132,26 @@ class PolicyAgent:
     def warm_up(self, observation: Any) -> None:
         """Answer once and discard the state that ``predict`` returns."""
         PolicyAgent(self.policy).answer(observation)
+
+
+def _takes_masks(policy: Any) -> bool:
+    try:
+        return "action_masks" in inspect.signature(policy.predict).parameters
+    except (TypeError, ValueError):  # a method written in C may have no signature
+        return False
+
+
+def _action_masks(observation: Any) -> NDArray[np.bool_]:
+    """The mask ``(2 N,)`` of the allowed values of each bit: 0 for every UAV, 1 for those that are alive."""
+    alive = np.asarray(observation["alive"], bool)
+    return np.stack([np.ones(len(alive), bool), alive], axis=1).ravel()
+
+
+def _find_normaliser(policy: Any) -> Any:
+    """The ``VecNormalize`` that a model of Stable-Baselines3 was trained behind, if it normalises observations."""
+    find = getattr(policy, "get_vec_normalize_env", None)
+    normaliser = find() if callable(find) else None
+    return normaliser if normaliser is not None and getattr(normaliser, "norm_obs", True) else None
 
 
 def as_agent(detector: Any) -> Agent:

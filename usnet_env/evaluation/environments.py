@@ -14,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 from usnet_env.config import ArgumentError, quote
 
 __all__ = [
-    "describe_environment",
+    "describe_environments",
     "find_environment",
     "is_usnet",
     "list_arguments",
@@ -101,9 +101,21 @@ def make_environment(spec: EnvSpec, env_kwargs: Mapping[str, Any]) -> gym.Env[An
     return env
 
 
-def describe_environment(env_id: str) -> str:
-    """Describe a registered id in one line: the first line of its class's docstring, and the arguments that it sets."""
-    spec = gym.registry[env_id]
-    line = (inspect.getdoc(_load_creator(spec)) or "").partition("\n")[0]
-    presets = ", ".join(f"{name}={value}" for name, value in spec.kwargs.items())
-    return f"{line} ({presets})" if presets else line
+def describe_environments() -> dict[str, str]:
+    """Describe each id of this package in one line, and each PettingZoo game by its module's name.
+
+    An id that only sets arguments of another one is described by this id and the arguments.
+    """
+    from usnet_env.multiagent.registration import GAMES  # not at the top: it registers the games with PettingZoo
+
+    texts: dict[str, str] = {}
+    base: dict[Any, str] = {
+        gym.registry[name].entry_point: name for name in usnet_ids() if not gym.registry[name].kwargs
+    }
+    for name in usnet_ids():
+        spec = gym.registry[name]
+        presets = ", ".join(f"{key}={value}" for key, value in spec.kwargs.items())
+        line = (inspect.getdoc(_load_creator(spec)) or "").partition("\n")[0]
+        other = base.get(spec.entry_point)
+        texts[name] = f"{other} with {presets}" if presets and other else f"{line} ({presets})" if presets else line
+    return texts | {f"usnet_env.multiagent.{name}": text for name, text in GAMES.items()}

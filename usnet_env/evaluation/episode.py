@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import gymnasium as gym
@@ -9,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError
-from usnet_env.evaluation.agents import Agent, Answer
+from usnet_env.evaluation.agents import Agent, Answer, RefusedArgumentError
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.metrics import episode_metrics
+from usnet_env.processes import ProcessDied, limited
 
-__all__ = ["Row", "episode_seeds", "play_episode", "warm_up"]
+__all__ = ["Row", "detector_error", "episode_seeds", "play_episode", "warm_up"]
 
 Row = dict[str, Any]
 
@@ -37,19 +40,43 @@ def episode_seeds(seed: int, episode: int) -> tuple[int, int]:
     return swarm_seed, int(detector.generate_state(1)[0] >> np.uint32(1))
 
 
-def _detector_error(label: str, where: str, error: Exception) -> EvaluationError:
+def detector_error(label: str, where: str, error: BaseException) -> EvaluationError:
+    """The error for a detector that failed; one sentence."""
+    if isinstance(error, ProcessDied):
+        return EvaluationError(f"detector {label!r} failed in {error.during or where}: {error.reason}.")
     text = " ".join(str(error).split())
     cause = text if isinstance(error, ArgumentError) else f"{type(error).__name__}: {text}".rstrip(": ")
     return EvaluationError(f"detector {label!r} failed in {where}: {cause.rstrip('.')}.")
 
 
+@contextmanager
+def _step(label: str, where: str) -> Iterator[None]:
+    """Run a step of a detector with the limits of this process; whatever it raises becomes an EvaluationError.
+
+    ``SystemExit`` is an error here as well: a detector must not end the program, least of all with status 0.
+    """
+    try:
+        with limited(where):
+            yield
+    except (Exception, SystemExit) as error:
+        raise detector_error(label, where, error) from error
+
+
 def warm_up(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int) -> None:
-    """Let the agent answer the first window of episode 0 once, before anything is timed."""
+    """Let the agent answer the first window of episode 0 once, before anything is timed.
+
+    Raises:
+        RefusedArgumentError: the detector refused one of its arguments.
+        EvaluationError: the detector failed.
+    """
     observation, _ = env.reset(seed=episode_seeds(seed, 0)[0])
     try:
-        agent.warm_up(observation)
-    except Exception as error:
-        raise _detector_error(label, "its warm-up", error) from error
+        with _step(label, "its warm-up"):
+            agent.warm_up(observation)
+    except EvaluationError as error:
+        if isinstance(error.__cause__, RefusedArgumentError):
+            raise RefusedArgumentError(f"detector {label!r} refuses an argument: {error.__cause__}") from error
+        raise
 
 
 def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int, episode: int) -> Row:
@@ -74,19 +101,15 @@ def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int, ep
     answers: list[Answer] = []
     fired: list[NDArray[np.bool_]] = []
     over = False
-    try:
+    with _step(label, f"the reset of episode {episode}"):
         agent.reset(detector_seed)
-    except Exception as error:
-        raise _detector_error(label, f"the reset of episode {episode}", error) from error
     while not over:
-        try:
+        with _step(label, f"episode {episode}, round {len(answers) + 1}"):
             answer = agent.answer(observation)
             if answer.candidates.shape != truth.head.shape:
                 raise ArgumentError(
                     f"candidates must hold one value for each of {len(truth.head)} UAVs, got {len(answer.candidates)}."
                 )
-        except Exception as error:
-            raise _detector_error(label, f"episode {episode}, round {len(answers) + 1}", error) from error
         observation, _, terminated, truncated, info = env.step(answer.candidates.astype(np.int8))
         answers.append(answer)
         fired.append(answer.candidates & (not info["over_budget"]))

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from os import PathLike
 from typing import Annotated, Any
 
 import gymnasium as gym
-import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.evaluation.agents import PolicyAgent, as_agent
 from usnet_env.evaluation.environments import find_environment, is_usnet, make_environment
-from usnet_env.evaluation.episode import Row
+from usnet_env.evaluation.episode import Row, episode_seeds
+from usnet_env.evaluation.errors import EvaluationError
+from usnet_env.evaluation.identity import describe, describe_detector
 from usnet_env.evaluation.result import EvaluationResult, summarise
 from usnet_env.evaluation.store import RunStore
-from usnet_env.evaluation.workers import Contestant, Worker, run_in_processes
+from usnet_env.evaluation.workers import PREPARE, Contestant, Plan, Task, run_here, run_in_processes
 from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
+from usnet_env.processes import Limits, Outcome
 
 __all__ = ["MOST_EPISODES", "MOST_WORKERS", "TRIVIAL", "evaluate"]
 
 #: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
 TRIVIAL = ("destroy-all", "none", "random", "one-per-round")
+
+Rows = dict[tuple[str, int], Row]  # by detector and episode
 
 MOST_EPISODES = 1_000_000
 MOST_WORKERS = 256
@@ -51,6 +56,8 @@ def evaluate(
     trivial: bool = False,
     out: str | PathLike[str] | None = None,
     progress: bool = False,
+    time_limit: float | None = None,
+    memory_limit: float | None = None,
 ) -> EvaluationResult:
     """Play the same episodes with every detector, and score them.
 
@@ -66,69 +73,140 @@ def evaluate(
         episodes: number of episodes for each detector.
         seed: seed of the whole evaluation.
         env_kwargs: arguments of the environment.
-        workers: number of processes; the rows do not depend on it, except for the seconds.
+        workers: number of processes; the rows do not depend on it, except for the seconds. A script that uses worker
+            processes must call ``evaluate`` in a block that begins with ``if __name__ == "__main__":``, because each
+            worker process imports the script.
         trivial: also evaluate the policies of :data:`TRIVIAL`.
         out: folder for ``run.json`` (arguments, versions, machine), ``episodes.csv`` and ``summary.json``. An
             interrupted run keeps its finished episodes there, and the same call plays the remaining ones.
         progress: show a progress bar on standard error.
+        time_limit: largest wall time of one answer, or of one ``reset``, in seconds; ``None``: no limit. A detector
+            that exceeds it has failed.
+        memory_limit: largest memory in megabytes (10^6 bytes) that one answer, or one ``reset``, may allocate;
+            ``None``: no limit. Linux only. With one of the two limits, episodes are played in worker processes, also
+            if ``workers`` is 1.
 
     Returns:
         Rows, summary and table.
 
     Raises:
         ArgumentError: an argument was refused.
-        EvaluationError: a detector raised an exception, or its answer has a wrong type or shape; the message names the
-            detector, the episode and the cause. Finished rows are kept in ``out``.
+        EvaluationError: a detector raised an exception, ended its process, exceeded a limit, or its answer has a wrong
+            type or shape; the message names the detector, the episode and the cause. The other detectors play to the
+            end: the error's ``result`` holds theirs. Finished rows are kept in ``out``.
     """
     folder = None if out is None else as_path("out", out)
     run = _Run(episodes=episodes, seed=seed, workers=workers, trivial=trivial, progress=progress)
+    limits = _make_limits(time_limit, memory_limit)
     arguments = _check_env_kwargs(env_kwargs)
     contestants = _make_contestants(detector, run.trivial)
-    created_here = isinstance(env, str)
-    if isinstance(env, str):
-        environment = make_environment(find_environment(env), arguments)
-    else:
-        environment = _check_environment(env, arguments, run.workers)
-    try:
+    with ExitStack() as stack:
+        if isinstance(env, str):
+            environment = make_environment(find_environment(env), arguments)
+            stack.callback(environment.close)
+        else:
+            environment = _check_environment(env, arguments, run.workers, limits)
         config = _make_config(environment, arguments, contestants, run)
-        store = None if folder is None else RunStore(folder, config)
-        rows = _load_rows(store, contestants, run.episodes)
-        tasks = [
-            (episode, number)
-            for episode in range(run.episodes)
-            for number, contestant in enumerate(contestants)
-            if (contestant.label, episode) not in rows
-        ]
+        store = None if folder is None else stack.enter_context(RunStore(folder, config))
+        rows = _load_rows(store, contestants, run)
+        tasks = _Tasks(rows, contestants, run.episodes)
+        threads: list[tuple[str, Task]] = []
+        if isinstance(env, str) and tasks.count and (limits.any or (run.workers > 1 and tasks.count > 1)):
+            processes = min(run.workers, tasks.count)
+            plan = Plan(env, arguments, contestants, run.seed)
+            outcomes = run_in_processes(plan, tasks, tasks.is_wanted, processes, limits, threads)
+        else:
+            outcomes = run_here(environment, contestants, run.seed, tasks, threads)
         try:
-            with _progress_bar(run.progress, run.episodes * len(contestants), len(rows)) as advance:
-
-                def collect(row: Row) -> None:
-                    rows[row["detector"], row["episode"]] = row
+            with closing(outcomes), _progress_bar(run.progress, run.episodes * len(contestants), len(rows)) as advance:
+                for outcome in outcomes:
+                    tasks.note(outcome)
+                    if outcome.result is None:
+                        continue
+                    rows[outcome.result["detector"], outcome.result["episode"]] = outcome.result
                     advance()
-                    if store is not None and store.should_save():
+                    if store is not None and tasks.prepared and store.should_save():
                         store.save_rows(_sort_rows(rows, contestants))
-
-                if isinstance(env, str) and run.workers > 1 and len(tasks) > 1:
-                    workers = min(run.workers, len(tasks))
-                    run_in_processes(env, arguments, contestants, run.seed, tasks, workers, collect)
-                else:
-                    worker = Worker(environment, contestants, run.seed)
-                    for task in tasks:
-                        collect(worker.run_task(task))
         finally:
-            if store is not None and rows:
+            if store is not None and rows and tasks.prepared:
                 store.save_rows(_sort_rows(rows, contestants))
-    finally:
-        if created_here:
-            environment.close()
-    ordered = _sort_rows(rows, contestants)
-    result = EvaluationResult(ordered, summarise(ordered), config)
-    if store is not None:
-        store.save_summary(result.summary)
+        _warn_of_threads(threads, contestants)
+        failed = {contestants[number].label for number in tasks.failures}
+        ordered = [row for row in _sort_rows(rows, contestants) if row["detector"] not in failed]
+        result = EvaluationResult(ordered, summarise(ordered), config)
+        if tasks.failures:
+            error = EvaluationError(" ".join(map(str, tasks.failures.values())))
+            error.result = result if ordered else None
+            raise error
+        if store is not None:
+            store.save_summary(result.summary)
     return result
 
 
-Rows = dict[tuple[str, int], Row]
+class _Tasks:
+    """Iterates over the tasks that are to be played; a detector that has failed gets no more of them.
+
+    At first every detector is prepared, so that one that refuses its arguments is found before anything is written.
+    """
+
+    def __init__(self, rows: Rows, contestants: Sequence[Contestant], episodes: int) -> None:
+        self.failures: dict[int, BaseException] = {}
+        self._episodes = [
+            (episode, number)
+            for episode in range(episodes)
+            for number, contestant in enumerate(contestants)
+            if (contestant.label, episode) not in rows
+        ]
+        self._unprepared = {number for _, number in self._episodes}
+        self._left = iter([*((PREPARE, number) for number in sorted(self._unprepared)), *self._episodes])
+
+    @property
+    def count(self) -> int:
+        """Number of episodes to play."""
+        return len(self._episodes)
+
+    @property
+    def prepared(self) -> bool:
+        """Whether every detector has been prepared, or has failed."""
+        return not self._unprepared
+
+    def __iter__(self) -> Iterator[Task]:
+        return self
+
+    def __next__(self) -> Task:
+        return next(filter(self.is_wanted, self._left))
+
+    def is_wanted(self, task: Task) -> bool:
+        """Whether the detector of the task has not failed."""
+        return task[1] not in self.failures
+
+    def note(self, outcome: Outcome[Task, Row | None]) -> None:
+        """Take notice of an outcome."""
+        self._unprepared.discard(outcome.task[1])
+        if outcome.error is not None:
+            self.failures.setdefault(outcome.task[1], outcome.error)
+
+
+def _warn_of_threads(threads: Sequence[tuple[str, Task]], contestants: Sequence[Contestant]) -> None:
+    """Warn of threads that detectors have started and that keep a program from ending."""
+    for label in dict.fromkeys(contestants[number].label for _, (_, number) in threads):
+        names = [name for name, (_, number) in threads if contestants[number].label == label]
+        count = "1 thread running that is no daemon" if len(names) == 1 else f"{len(names)} threads running, no daemons"
+        warnings.warn(
+            f"detector {label!r} left {count}: {', '.join(dict.fromkeys(names))}.", RuntimeWarning, stacklevel=3
+        )
+
+
+def _make_limits(time_limit: float | None, memory_limit: float | None) -> Limits:
+    try:
+        return Limits(seconds=time_limit, megabytes=memory_limit)
+    except ArgumentError as error:
+        text = str(error)
+        raise ArgumentError(
+            text.replace("seconds", "time_limit", 1)
+            if text.startswith("seconds")
+            else text.replace("megabytes", "memory_limit", 1)
+        ) from None
 
 
 def _sort_rows(rows: Rows, contestants: Sequence[Contestant]) -> list[Row]:
@@ -137,11 +215,15 @@ def _sort_rows(rows: Rows, contestants: Sequence[Contestant]) -> list[Row]:
     return sorted(rows.values(), key=lambda row: (order[row["detector"]], row["episode"]))
 
 
-def _load_rows(store: RunStore | None, contestants: Sequence[Contestant], episodes: int) -> Rows:
+def _load_rows(store: RunStore | None, contestants: Sequence[Contestant], run: _Run) -> Rows:
     rows = {} if store is None else {(row["detector"], row["episode"]): row for row in store.load_rows()}
     labels = {contestant.label for contestant in contestants}
-    if any(label not in labels or not 0 <= episode < episodes for label, episode in rows):
+    if any(label not in labels or not 0 <= episode < run.episodes for label, episode in rows):
         raise ArgumentError("out must hold only rows of this run, got rows of other detectors or episodes.")
+    if any(
+        (row["swarm_seed"], row["detector_seed"]) != episode_seeds(run.seed, row["episode"]) for row in rows.values()
+    ):
+        raise ArgumentError("out must hold only rows of this run, got rows of another seed.")
     return rows
 
 
@@ -153,7 +235,7 @@ def _check_env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
     return dict(env_kwargs)
 
 
-def _check_environment(env: Any, arguments: Mapping[str, Any], workers: int) -> gym.Env[Any, Any]:
+def _check_environment(env: Any, arguments: Mapping[str, Any], workers: int, limits: Limits) -> gym.Env[Any, Any]:
     """Check an environment object given by the caller, and return it."""
     if not isinstance(env, gym.Env) or not is_usnet(env):
         raise ArgumentError(f"env must be a registered id or a USNET environment, got {quote(env)}.")
@@ -161,6 +243,8 @@ def _check_environment(env: Any, arguments: Mapping[str, Any], workers: int) -> 
         raise ArgumentError("env_kwargs must be empty if env is an environment object, got arguments for it.")
     if workers != 1:
         raise ArgumentError(f"workers must be 1 if env is an environment object, got {workers}.")
+    if limits.any:
+        raise ArgumentError("time_limit and memory_limit must be None if env is an environment object, got a limit.")
     return env
 
 
@@ -190,19 +274,6 @@ def _make_label(detector: Any) -> str:
     return type(detector).__name__ if isinstance(agent, PolicyAgent) else detector_label(detector)
 
 
-def _to_plain(value: Any) -> Any:
-    """Convert a value to plain JSON types; an object without such a form becomes the name of its class."""
-    if isinstance(value, BaseModel):
-        return _to_plain(value.model_dump())
-    if isinstance(value, Mapping):
-        return {str(name): _to_plain(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_to_plain(item) for item in value]
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    return value if value is None or isinstance(value, str | int | float) else type(value).__qualname__
-
-
 def _make_config(
     environment: gym.Env[Any, Any], arguments: Mapping[str, Any], contestants: Sequence[Contestant], run: _Run
 ) -> dict[str, Any]:
@@ -210,9 +281,12 @@ def _make_config(
     inner: Any = environment.unwrapped
     return {
         "env": type(inner).__name__ if environment.spec is None else environment.spec.id,
-        "env_kwargs": _to_plain(arguments),
-        "environment": {name: _to_plain(getattr(inner, name)) for name in ("config", "rules") if hasattr(inner, name)},
+        "env_kwargs": describe(arguments),
+        "environment": {name: describe(getattr(inner, name)) for name in ("config", "rules") if hasattr(inner, name)},
         "detectors": [contestant.label for contestant in contestants],
+        "identities": [
+            each.label if isinstance(each.detector, str) else describe_detector(each.detector) for each in contestants
+        ],
         "episodes": run.episodes,
         "seed": run.seed,
     }

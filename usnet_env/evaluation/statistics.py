@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from usnet_env.config import ArgumentError
 
@@ -46,6 +45,8 @@ def rate_interval(values: Sequence[float] | NDArray[np.float64]) -> Interval:
     sample = _check_sample(values)
     if not ((sample == 0) | (sample == 1)).all():
         raise ArgumentError("values of a rate must be 0 or 1.")
+    from scipy.stats import binomtest  # takes a second to import, and worker processes need no intervals
+
     interval = binomtest(int(sample.sum()), len(sample)).proportion_ci(CONFIDENCE, method="wilson")
     mean = float(sample.mean())
     # For 0 and for n successes the interval must include the mean, which rounding could prevent.

@@ -15,7 +15,7 @@ from typing import Any
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation.episode import Row
 from usnet_env.evaluation.metrics import CLUSTER_METRICS, METRICS
-from usnet_env.files import atomic_write
+from usnet_env.files import FileLock, atomic_write
 from usnet_env.provenance import machine, versions
 
 __all__ = ["COLUMNS", "RunStore", "write_text"]
@@ -51,8 +51,10 @@ class RunStore:
         folder: the folder; it is created if it does not exist.
         config: the arguments of the run as JSON values; a folder with a different config is refused.
 
+    While it is open no other process can use the folder. Use it in a ``with`` statement.
+
     Raises:
-        ArgumentError: the folder holds a different run, or files that are not a run.
+        ArgumentError: the folder holds a different run, files that are not a run, or a run that another process plays.
     """
 
     def __init__(self, folder: Path, config: Mapping[str, Any]) -> None:
@@ -62,16 +64,24 @@ class RunStore:
         self._write_seconds = 0.0
         if folder.exists() and not folder.is_dir():
             raise ArgumentError(f"out must be a folder, got the file {str(folder)!r}.")
-        if (folder / RUN).exists():
-            self._check_same_run()
-            return
-        if (folder / EPISODES).exists():
-            raise ArgumentError(
-                f"out must be a new folder or the folder of a run, got {str(folder)!r} with rows but no {RUN}."
-            )
-        folder.mkdir(parents=True, exist_ok=True)
-        description = {"config": self._config, "versions": versions(), "machine": machine()}
-        write_text(folder / RUN, json.dumps(description, indent=2) + "\n")
+        self._lock = FileLock(folder / RUN)
+        try:
+            self._begun = (folder / RUN).exists()
+            if self._begun:
+                self._check_same_run()
+            elif (folder / EPISODES).exists():
+                raise ArgumentError(
+                    f"out must be a new folder or the folder of a run, got {str(folder)!r} with rows but no {RUN}."
+                )
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def __enter__(self) -> RunStore:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
 
     def _check_same_run(self) -> None:
         """Refuse the folder if its run has other arguments or was made by another version."""
@@ -117,8 +127,17 @@ class RunStore:
         return time.monotonic() - self._saved_at >= self._write_seconds / _SHARE_OF_TIME
 
     def save_rows(self, rows: Iterable[Row]) -> None:
-        """Write all rows, replacing those in the file."""
+        """Write all rows, replacing those in the file; the first call writes ``run.json`` as well.
+
+        Raises:
+            ArgumentError: the folder was removed during the run, or it cannot be written.
+        """
         begin = time.monotonic()
+        self._lock.check()
+        if not self._begun:  # only now: a run that is refused before its first row leaves nothing
+            description = {"config": self._config, "versions": versions(), "machine": machine()}
+            write_text(self.folder / RUN, json.dumps(description, indent=2) + "\n")
+            self._begun = True
         text = io.StringIO()
         writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
         writer.writeheader()
@@ -129,4 +148,5 @@ class RunStore:
 
     def save_summary(self, summary: Sequence[Mapping[str, Any]]) -> None:
         """Write the summary of a finished run."""
+        self._lock.check()
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=2) + "\n")

@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import pickle
-import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import islice
-from multiprocessing.context import SpawnContext
+from importlib import import_module
 from typing import Any
 
 import gymnasium as gym
+from gymnasium.vector.utils import CloudpickleWrapper
 
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation.agents import Agent, as_agent
 from usnet_env.evaluation.environments import find_environment, make_environment
-from usnet_env.evaluation.episode import Row, play_episode, warm_up
+from usnet_env.evaluation.episode import Row, detector_error, play_episode, warm_up
 from usnet_env.evaluation.errors import EvaluationError
-from usnet_env.plugins import make_detector
+from usnet_env.plugins import make_detector, register_detector, registered_detectors
+from usnet_env.processes import Limits, Outcome, ProcessDied, ProcessPool, SendError
+from usnet_env.swarm import register_follow_strategy, register_mobility
+from usnet_env.swarm.follow import FollowFunction, follow_strategies
+from usnet_env.swarm.mobility import MobilityFunction, mobilities
 
-__all__ = ["Contestant", "Worker", "run_in_processes"]
-
-_TASKS_AHEAD = 2  # queued tasks for each worker: enough to keep it busy, few enough to cancel quickly
+__all__ = ["PREPARE", "Contestant", "Plan", "Task", "Worker", "run_here", "run_in_processes"]
 
 Task = tuple[int, int]  # episode, index of the contestant
+
+#: In place of an episode: only create the agent and warm it up.
+PREPARE = -1
 
 
 @dataclass(frozen=True)
@@ -64,128 +64,207 @@ class Worker:
     seed: int
     _agents: dict[int, Agent] = field(default_factory=dict)
 
-    def run_task(self, task: Task) -> Row:
-        """Play one episode with one contestant."""
+    def run_task(self, task: Task) -> Row | None:
+        """Play one episode with one contestant; ``None`` if the contestant was only prepared.
+
+        Raises:
+            EvaluationError: the contestant failed.
+            ArgumentError: the contestant refused one of its arguments.
+        """
         episode, number = task
         contestant = self.contestants[number]
         if number not in self._agents:
             agent = contestant.make_agent()
             warm_up(self.env, agent, contestant.label, self.seed)
             self._agents[number] = agent
+        if episode == PREPARE:
+            return None
         return play_episode(self.env, self._agents[number], contestant.label, self.seed, episode)
 
 
-_worker: Worker | None = None  # of this worker process
-_worker_arguments: tuple[str, dict[str, Any], list[Contestant], int]
-
-
-def _prepare_process(env_id: str, env_kwargs: dict[str, Any], contestants: list[Contestant], seed: int) -> None:
-    # The processes already share the cores. Numeric libraries that a detector imports later read this variable.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    global _worker_arguments
-    _worker_arguments = (env_id, env_kwargs, contestants, seed)
-    threading.Thread(target=_exit_with_parent, daemon=True).start()
-
-
-def _exit_with_parent() -> None:
-    """Exit this worker process as soon as its parent has ended, even if the parent was killed."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _run_task(task: Task) -> Row:
-    # The first task creates the worker, not the initializer: an error there would not reach the caller.
-    global _worker
-    if _worker is None:
-        env_id, env_kwargs, contestants, seed = _worker_arguments
-        _worker = Worker(make_environment(find_environment(env_id), env_kwargs), contestants, seed)
-    return _worker.run_task(task)
-
-
-class _TrackedProcesses(SpawnContext):
-    """Keeps a list of the processes that it starts, because an executor has no public way to stop a running task."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.started: list[Any] = []
-
-    def Process(self, *args: Any, **kwargs: Any) -> Any:  # type: ignore[override]  # a class in the base
-        """Create a process and add it to the list."""
-        process = multiprocessing.context.SpawnProcess(*args, **kwargs)
-        self.started.append(process)
-        return process
-
-
-@contextmanager
-def _ignore_interrupts() -> Iterator[None]:
-    """Let processes started inside ignore Ctrl-C, which a terminal sends to all: only the parent handles it."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def run_in_processes(
-    env_id: str,
-    env_kwargs: Mapping[str, Any],
-    contestants: list[Contestant],
-    seed: int,
-    tasks: Iterable[Task],
-    workers: int,
-    collect: Callable[[Row], None],
-) -> None:
-    """Run all tasks in separate processes; ``collect`` receives each row when it is finished, in any order.
+@dataclass(frozen=True)
+class Plan:
+    """All that another process needs to know of an evaluation.
 
     Args:
         env_id: id of the environment, created once in each process; a module before the id is imported there.
         env_kwargs: arguments of the environment.
         contestants: all contestants of the evaluation.
         seed: the seed of the evaluation.
+    """
+
+    env_id: str
+    env_kwargs: dict[str, Any]
+    contestants: list[Contestant]
+    seed: int
+
+
+@dataclass
+class _RemoteWorker:
+    """A :class:`Worker` that is created in another process, by its first task.
+
+    Args:
+        plan: the evaluation.
+        registered: what the program has registered itself.
+    """
+
+    plan: Plan
+    registered: list[_Part]
+    _worker: Worker | None = None
+
+    def run_task(self, task: Task) -> Row | None:
+        if self._worker is None:
+            _register_parts(self.registered)
+            environment = make_environment(find_environment(self.plan.env_id), self.plan.env_kwargs)
+            self._worker = Worker(environment, self.plan.contestants, self.plan.seed)
+        return self._worker.run_task(task)
+
+
+@dataclass(frozen=True)
+class _Sent:
+    """Carries a :class:`_RemoteWorker` to another process by value: classes of a notebook cannot be imported there."""
+
+    wrapper: Any
+
+    def __call__(self, task: Task) -> Row | None:
+        return self.wrapper.fn.run_task(task)
+
+
+_REGISTER = {"follow": register_follow_strategy, "mobility": register_mobility, "detector": register_detector}
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A follow strategy, mobility or detector that the program has registered itself.
+
+    Args:
+        kind, name: what it is, and its name.
+        module: where it is defined.
+        part: the object, to be pickled by value.
+    """
+
+    kind: str
+    name: str
+    module: str
+    part: CloudpickleWrapper[Any]
+
+
+def _registered_parts() -> list[_Part]:
+    """What this program has registered itself.
+
+    What cannot be pickled is left out; a worker process that needs it then refuses its name.
+    """
+    found: list[tuple[str, str, Any, Any]] = [
+        (kind, name, part, part.function if isinstance(part, FollowFunction | MobilityFunction) else type(part))
+        for kind, parts in (("follow", follow_strategies()), ("mobility", mobilities()))
+        for name, part in parts.items()
+    ]
+    found += [("detector", name, factory, factory) for name, factory in registered_detectors().items()]
+    parts = []
+    for kind, name, part, origin in found:
+        module = str(getattr(origin, "__module__", ""))
+        if not module.startswith("usnet_env."):
+            with suppress(Exception):
+                pickle.dumps(wrapper := CloudpickleWrapper(part))
+                parts.append(_Part(kind, name, module, wrapper))
+    return parts
+
+
+def _register_parts(parts: Iterable[_Part]) -> None:
+    """Register parts in this process, unless the main script or their module has registered them here too."""
+    known = {"follow": follow_strategies(), "mobility": mobilities(), "detector": registered_detectors()}
+    for part in parts:
+        with suppress(Exception):  # its module cannot be imported here: its name is refused if it is used
+            if part.module != "__main__":
+                import_module(part.module)
+            if part.name not in known[part.kind]:
+                _REGISTER[part.kind](part.name, part.part.fn)  # type: ignore[operator]
+
+
+def run_here(
+    env: gym.Env[Any, Any], contestants: list[Contestant], seed: int, tasks: Iterable[Task], threads: list[_Thread]
+) -> Generator[Outcome[Task, Row | None], None, None]:
+    """Run all tasks in this process.
+
+    Args:
+        env: the environment.
+        contestants: all contestants of the evaluation.
+        seed: the seed of the evaluation.
         tasks: pairs of an episode and the index of a contestant.
+        threads: receives the names of threads that are not daemons and stay after a task, each with the task.
+    """
+    worker = Worker(env, contestants, seed)
+    known = set(threading.enumerate())
+    for task in tasks:
+        try:
+            yield Outcome(task, worker.run_task(task))
+        except EvaluationError as error:
+            yield Outcome(task, error=error)
+        fresh = [each for each in threading.enumerate() if each not in known]
+        threads += [(each.name, task) for each in fresh if not each.daemon]
+        known.update(fresh)
+
+
+_Thread = tuple[str, Task]
+
+
+def run_in_processes(
+    plan: Plan,
+    tasks: Iterable[Task],
+    is_wanted: Callable[[Task], bool],
+    workers: int,
+    limits: Limits,
+    threads: list[_Thread],
+) -> Generator[Outcome[Task, Row | None], None, None]:
+    """Run all tasks in separate processes; the outcomes come in any order.
+
+    Args:
+        plan: the evaluation.
+        tasks: pairs of an episode and the index of a contestant.
+        is_wanted: whether a task is still wanted whose process has died before the task was begun.
         workers: number of processes.
-        collect: called with each row, in this process.
+        limits: limits of each answer.
+        threads: receives the names of threads because of which a process did not end by itself, each with its task.
 
     Raises:
-        ArgumentError: an argument cannot be sent to another process.
-        EvaluationError: a detector failed, or a process ended early.
+        ArgumentError: an argument cannot be sent to another process, or was refused there.
+        EvaluationError: no process could start.
     """
-    arguments = (env_id, dict(env_kwargs), contestants, seed)
     try:
-        pickle.dumps(arguments)
-    except Exception as error:
-        raise ArgumentError(
-            f"workers must be 1 for a detector or argument that cannot be sent to another process, got {workers}: "
-            f"{error}."
-        ) from None
-    context = _TrackedProcesses()
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_process, initargs=arguments)
-    queue, waiting = iter(tasks), set[Future[Row]]()
-    try:
-        with _ignore_interrupts():
-            waiting.update(pool.submit(_run_task, task) for task in islice(queue, workers * _TASKS_AHEAD))
-        while waiting:
-            done, _ = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in done:
-                collect(future.result())
-                waiting.discard(future)
-            waiting.update(pool.submit(_run_task, task) for task in islice(queue, len(done)))
-    except BrokenProcessPool:
-        raise EvaluationError(
-            "a worker process ended unexpectedly (it ran out of memory, or could not import what it received); "
-            "workers=1 shows the cause."
-        ) from None
-    except BaseException:
-        for future in waiting:  # keep the rows that are finished but not collected yet
-            if future.done() and not future.cancelled() and future.exception() is None:
-                collect(future.result())
-        for process in context.started:
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        remote: Any = _RemoteWorker(plan, _registered_parts())
+        pool = ProcessPool[Task, "Row | None"](_Sent(CloudpickleWrapper(remote)), workers, limits)
+    except SendError as error:
+        raise _cannot_be_sent(workers, limits, error) from None
+    with pool:
+        try:
+            for outcome in pool.run(tasks, is_wanted):
+                yield _as_failure(outcome, plan.contestants)
+        except SendError as error:
+            if error.started:
+                raise _cannot_be_sent(workers, limits, error) from None
+            raise EvaluationError(f"{error}. {_GUARD}") from None
+        threads += pool.left_threads
+
+
+_GUARD = (
+    "A worker process imports the script that started it, so a script must call evaluate in a block that begins with "
+    '`if __name__ == "__main__":`.'
+)
+
+
+def _cannot_be_sent(workers: int, limits: Limits, error: SendError) -> ArgumentError:
+    what = f"got {workers}" if workers > 1 else "and time_limit and memory_limit must be None, got a limit"
+    return ArgumentError(
+        f"workers must be 1 for a detector or argument that cannot be sent to another process, {what}: {error}."
+    )
+
+
+def _as_failure(outcome: Outcome[Task, Row | None], contestants: list[Contestant]) -> Outcome[Task, Row | None]:
+    """Turn what ended a task into the failure of its detector; errors of arguments are raised."""
+    error, (episode, number) = outcome.error, outcome.task
+    if error is None or isinstance(error, EvaluationError):
+        return outcome
+    if isinstance(error, ProcessDied) or not isinstance(error, Exception):
+        where = "its warm-up" if episode == PREPARE else f"episode {episode}"
+        return Outcome(outcome.task, error=detector_error(contestants[number].label, where, error))
+    raise error

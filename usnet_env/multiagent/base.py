@@ -12,8 +12,9 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, is_whole_number, optional_seed, quote
-from usnet_env.drawing import MissingExtraError
+from usnet_env.drawing import EpisodeFrames, MissingExtraError, describe_frame
 from usnet_env.envs.game import GameState, Rules
+from usnet_env.objectives import hits_and_redundant
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 
 try:
@@ -136,6 +137,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         self._game: GameState | None = None
         self._sighting: ObservationBatch | None = None  # the current window
         self.last_round: RoundRecord | None = None
+        self._frames = EpisodeFrames()
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """Return the observation space of an agent; the same object every time."""
@@ -193,22 +195,27 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the last round from above, or the current window before the first round, ``(H, W, 3)`` uint8.
 
+        Crosses mark UAVs that were destroyed in earlier rounds, where an earlier frame showed them.
+
         Returns:
             The picture; ``None`` unless ``render_mode="rgb_array"``.
         """
         if self.render_mode is None:
             return None
-        from usnet_env.drawing import round_frame  # imported here because only rendering needs matplotlib
-
         game = self._current_game()
         if self.last_round is not None:
             last = self.last_round
             sighting, truth, candidates = last.sighting, last.truth, last.candidates
-            number = int(game.rounds[0])
+            hits, redundant = hits_and_redundant(truth.head, truth.alive, candidates & (not last.over_budget))
+            title = describe_frame(
+                int(game.rounds[0]), int(hits), int(redundant), last.objective, over_budget=last.over_budget
+            )
         else:
+            self._frames = EpisodeFrames()
             sighting, truth, candidates = self._current_window(), self._reveal_swarm(game), None
-            number = int(game.rounds[0]) + 1
-        return round_frame(
+            title = f"round {int(game.rounds[0]) + 1}: observed, no answer yet"
+        self._frames.watch(sighting.position, sighting.seen)
+        return self._frames.render(
             position=sighting.position,
             seen=sighting.seen,
             alive=truth.alive,
@@ -216,7 +223,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             leader=truth.leader,
             decoy=truth.decoy,
             candidates=candidates,
-            title=f"round {number}",
+            title=title,
         )
 
     def close(self) -> None:

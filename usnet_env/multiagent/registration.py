@@ -4,7 +4,11 @@ from __future__ import annotations
 
 __all__ = ["GAMES", "register_games"]
 
-GAMES = ("usnet_observers_v0", "usnet_evasion_v0")
+#: The modules of the games, and what happens in each.
+GAMES = {
+    "usnet_observers_v0": "PettingZoo: several observers each see a part of one swarm, and vote on the candidates.",
+    "usnet_evasion_v0": "PettingZoo: heads choose how to fly in order to evade detection.",
+}
 
 
 def register_games() -> None:

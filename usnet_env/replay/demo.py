@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from usnet_env.replay.play import Round, record_episode
 from usnet_env.replay.recording import write_recording
 from usnet_env.replay.story import describe_outcome
 
-__all__ = ["run_demo"]
+__all__ = ["open_replay", "run_demo"]
 
 _ROW = "{:>5}  {:>10}  {:>9}  {:>9}  {:>10}  {:>7}"
 
@@ -35,6 +36,22 @@ def _find_viewer() -> str:
     """The command that opens a replay: ``rerun`` if the shell finds it, else the path of the one beside this Python."""
     beside = Path(sys.executable).with_name("rerun")
     return "rerun" if shutil.which("rerun") or not beside.exists() else os.path.relpath(beside)
+
+
+def open_replay(path: str | os.PathLike[str]) -> None:
+    """Open a replay in the Rerun viewer, in a process that continues after this one.
+
+    Args:
+        path: the file of the replay.
+    """
+    # The output is discarded, so that the viewer writes nothing into the terminal of a program that has ended.
+    subprocess.Popen(
+        [_find_viewer(), os.fspath(path)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def run_demo(

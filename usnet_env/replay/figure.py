@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usnet_env.drawing import HIT, REDUNDANT, draw_legend, draw_round, last_seen_position, new_figure, round_marks
+from usnet_env.drawing import (
+    HIT,
+    MISSED,
+    REDUNDANT,
+    dashed_ring,
+    draw_legend,
+    draw_round,
+    last_seen_position,
+    limits_around,
+    new_figure,
+    round_marks,
+)
 from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.story import describe_outcome, describe_round, format_count, rank_scores
@@ -20,63 +31,72 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_episode", "write_picture"]
 
-_MOST_PANELS = 3
-_MAP, _LEGEND, _SCORES, _MARGIN, _LINE = 5.4, 2.6, 2.3, 0.6, 0.17  # inches
-_HEAD_BAR, _OTHER_BAR = "#0072B2", "#C4C4C4"
+_MOST_PANELS, _MOST_COLUMNS = 6, 3
+_MAP, _SCORES, _LEGEND, _GAP, _LINE = 5.4, 1.5, 2.6, 0.6, 0.17  # inches
+_CELL = _MAP + _SCORES + 1.35  # inches: a map, its scores, and the words above and below them
+_BARS_WITH_LEVEL_NUMBERS = 20
+_OTHER_BAR = "#C4C4C4"
 
 
-def _choose_rounds(rounds: int) -> list[int]:
-    """Choose the rounds to show: all of them, or the first ones and the last."""
-    return list(range(1, rounds + 1)) if rounds <= _MOST_PANELS else [*range(1, _MOST_PANELS), rounds]
+def _choose_rounds(record: EpisodeRecord) -> list[int]:
+    """Choose the rounds to show: all of them, or six: the first, the last, and first of all those with hits."""
+    numbers = np.arange(1, record.rounds + 1)
+    outer = (numbers == 1) | (numbers == record.rounds)
+    order = np.lexsort((numbers, record.hits == 0, ~outer))
+    return sorted(numbers[order[:_MOST_PANELS]].tolist())
 
 
-def _draw_scores(axes: Axes, record: EpisodeRecord) -> None:
-    """Draw the highest scores of round 1 as bars, heads in blue; candidates have the same marks as on the map."""
-    scores, alive, head = record.scores[0], record.alive[0], record.head
-    bars = rank_scores(record, 1)
-    rank = np.arange(1, len(bars) + 1)
-    height = scores[bars]
-    for who, color, label in ((head[bars], _HEAD_BAR, "a head"), (~head[bars], _OTHER_BAR, "not a head")):
-        axes.bar(rank[who], height[who], width=0.8, color=color, label=label if who.any() else None)
-    lift = 0.08 * max(float(np.ptp(np.append(height, 0))), 1e-12)
-    for chosen, color, shape, label in (
-        (record.candidates[0] & head, HIT, "o", "candidate: hit"),
-        (record.candidates[0] & ~head, REDUNDANT, "s", "candidate: redundant"),
+def _draw_scores(axes: Axes, record: EpisodeRecord, number: int) -> None:
+    """Draw the scores of a round as bars, in the colours of the marks on the map, with the number of each UAV."""
+    r = number - 1
+    bars = rank_scores(record, number)
+    rank, height = np.arange(len(bars)), record.scores[r][bars]
+    named, head = record.candidates[r][bars], record.head[bars]
+    lift = 0.12 * max(float(np.ptp(np.append(height, 0))), 1e-12)
+    ring: dict[str, Any] = {"facecolors": "none", "linewidths": 1.6, "s": 42}
+    for who, color, label, shape in (
+        (named & head, HIT, "hit", "o"),
+        (named & ~head, REDUNDANT, "redundant", "s"),
+        (~named & head, MISSED, "head, not a candidate", dashed_ring()),
+        (~named & ~head, _OTHER_BAR, "other", None),
     ):
-        who = chosen[bars]
-        ring: dict[str, Any] = {"facecolors": "none", "edgecolors": color, "linewidths": 1.8}
-        axes.scatter(
-            rank[who], np.maximum(height[who], 0) + lift, s=42, marker=shape, label=label if who.any() else None, **ring
-        )
+        axes.bar(rank[who], height[who], width=0.8, color=color, label=label)
+        if shape is not None:  # the marks show the UAVs whose score is 0, too
+            axes.scatter(rank[who], np.maximum(height[who], 0) + lift, marker=shape, edgecolors=color, **ring)
     axes.axhline(0, color="#888888", linewidth=0.6)
-    axes.margins(x=0.01, y=0.12)
-    axes.set_xlabel("UAVs by score, highest first", fontsize=9)
-    axes.set_ylabel("score", fontsize=9)
-    axes.tick_params(labelsize=8, colors="#555555")
+    axes.margins(y=0.18)
+    axes.set_xlim(-0.7, len(bars) - 0.3)
+    if not height.any():
+        axes.set_ylim(0, 1)
+        axes.text(0.5, 0.6, "All scores are 0.", transform=axes.transAxes, ha="center", color="#555555")
+    rotation = 0 if len(bars) <= _BARS_WITH_LEVEL_NUMBERS else 90
+    axes.set_xticks(rank, [str(i) for i in bars], fontsize=7.5, rotation=rotation)
+    axes.tick_params(axis="y", labelsize=8, colors="#555555")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
-    shown = f"the {len(bars)} highest of {alive.sum()}" if len(bars) < int(alive.sum()) else "all living UAVs"
-    hidden = int((head & alive).sum() - head[bars].sum())
-    below = f"; {format_count(hidden, 'head')} ranked lower" if hidden else ""
-    axes.set_title(f"Scores of the detector in round 1: {shown}{below}", fontsize=11, loc="left")
-    axes.legend(loc="upper right", frameon=False, fontsize=9, ncols=2)
+    living = int(record.alive[r].sum())
+    shown = f"{len(bars)} of {living} UAVs" if len(bars) < living else "all living UAVs"
+    axes.set_title(f"Scores: {shown}, highest first, with the UAV's number", fontsize=9.5, loc="left")
 
 
 def draw_episode(record: EpisodeRecord) -> Figure:
-    """Draw an episode: a map of each round, the scores of round 1, and an explanation.
+    """Draw an episode: for each round a map and the scores, and an explanation.
 
     Args:
         record: the episode.
 
     Returns:
-        A matplotlib figure. If there are more than three rounds, it shows the first two and the last.
+        A matplotlib figure. If there are more than six rounds, it shows six of them: the first, the last, and first of
+        all those with hits. All maps have the same scale.
 
     Raises:
         ArgumentError: ``record`` is not an episode.
         MissingExtraError: matplotlib is not installed.
     """
-    panels = _choose_rounds(check_record(record).rounds)
-    width = max(len(panels) * (_MAP + _MARGIN) + _LEGEND, 9.0)
+    panels = _choose_rounds(check_record(record))
+    columns = min(len(panels), _MOST_COLUMNS)
+    rows = -(-len(panels) // columns)
+    width = max(columns * (_MAP + _GAP) + _LEGEND, 9.0)
     sizes = f"{record.uavs} UAVs in {format_count(int(record.head.sum()), 'cluster')}"
     follow = f", follow strategy {record.config['follow']}" if "follow" in record.config else ""
     about = (
@@ -85,35 +105,43 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         "candidates. The candidates are destroyed, and followers without a head join the nearest head that is left."
     )
     played = f"{record.detector or 'a detector'} on {record.env_id or 'an episode'}, seed {record.seed}: "
-    about, ending = fill(about, int(width * 12)), fill(played + describe_outcome(record), int(width * 10))
-    header = 1.6 + _LINE * (about.count("\n") + ending.count("\n"))
-    total = header + _MAP + _SCORES + 2 * _MARGIN + 0.3
+    left_out = f" The picture shows {len(panels)} of {record.rounds} rounds." if len(panels) < record.rounds else ""
+    about = fill(about, int(width * 12))
+    ending = fill(played + describe_outcome(record) + left_out, int(width * 10))
+    header = 1.3 + _LINE * (about.count("\n") + ending.count("\n"))
+    total = header + rows * _CELL
     figure = new_figure(width, total)
     figure.text(0.5 / width, 1 - 0.25 / total, "Who leads this swarm?", fontsize=17, weight="bold", va="top")
     figure.text(0.5 / width, 1 - 0.65 / total, about, fontsize=10, va="top", color="#333333")
     below = (0.95 + _LINE * about.count("\n")) / total
     figure.text(0.5 / width, 1 - below, ending, fontsize=10.5, weight="bold", va="top")
+
+    places = [last_seen_position(record.position[n - 1], record.seen[n - 1]) for n in panels]
+    limits = [limits_around(place) for place in places]
+    half = max(each[2] for each in limits)
     marks: set[str] = set()
     for place, number in enumerate(panels):
         r = number - 1
-        left, bottom = 0.75 + place * (_MAP + _MARGIN), _SCORES + 2 * _MARGIN + 0.3
-        axes = figure.add_axes((left / width, bottom / total, _MAP / width, _MAP / total))
-        skipped = place > 0 and number > panels[place - 1] + 1
-        note = f"(rounds {panels[place - 1] + 1} to {number - 1} are not shown)\n" if skipped else ""
-        title = f"{note}Round {number}: {describe_round(record, number)}"
+        left = 0.75 + place % columns * (_MAP + _GAP)
+        top = header + place // columns * _CELL + 0.35
+        axes = figure.add_axes((left / width, 1 - (top + _MAP) / total, _MAP / width, _MAP / total))
         truth = (record.alive[r], record.head, record.leader[r], record.decoy)
         gone = record.last_position(number)
         draw_round(
             record.position[r], record.seen[r], *truth, record.candidates[r],
-            destroyed_at=gone, axes=axes, title=title, legend=False,
+            destroyed_at=gone, axes=axes, title=f"Round {number}: {describe_round(record, number)}", legend=False,
+            limits=(*limits[place][:2], half),
         )  # fmt: skip
-        present = round_marks(
-            last_seen_position(record.position[r], record.seen[r]), *truth, record.candidates[r], gone
-        )
+        if place % columns:
+            axes.set_ylabel("")
+        if place == columns - 1:
+            beside = axes
+        present = round_marks(places[place], *truth, record.candidates[r], gone)
         marks |= {mark for mark, who in present.items() if who.any()}
-    draw_legend(axes, {mark: mark for mark in present if mark in marks})
-    axes = figure.add_axes((0.75 / width, 0.55 / total, (width - 1.1) / width, _SCORES / total))
-    _draw_scores(axes, record)
+        bottom = top + _MAP + 0.7 + _SCORES
+        scores = figure.add_axes((left / width, 1 - bottom / total, _MAP / width, _SCORES / total))
+        _draw_scores(scores, record, number)
+    draw_legend(beside, {mark: mark for mark in present if mark in marks})
     return figure
 
 

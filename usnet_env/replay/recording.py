@@ -7,7 +7,7 @@ recording has a stream of its own; Rerun's global state does not change.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
@@ -26,11 +26,25 @@ if TYPE_CHECKING:
 
 __all__ = ["list_steps", "write_recording"]
 
-_SWARM, _CANDIDATES, _SCORES, _GAME = "swarm", "candidates", "scores", "game"  # first parts of the entities' paths
-_BACKGROUND, _DESTROYED, _MISSED, _HEAD_BAR, _OTHER_BAR = "#101418", "#8A8A8A", "#F5F5F5", "#56B4E9", "#9A9A9A"
+_SWARM, _CANDIDATES, _SCORES, _GAME, _ROUND = (
+    "swarm",
+    "candidates",
+    "scores",
+    "game",
+    "this_round",
+)  # first parts of the entities' paths
+_BACKGROUND, _DESTROYED, _DECOY, _MISSED = "#101418", "#8A8A8A", "#FFE45C", "#F5F5F5"
+_HEADS_LEFT, _OTHER_BAR, _TEXT = "#56B4E9", "#6A6A6A", "#C8C8C8"
 _HIT, _REDUNDANT = "#1ED9A0", "#FF7A1A"  # green and orange of the picture, brighter for a dark view
-_SMALL, _LARGE, _RING = 5.0, 12.0, 24.0  # metres: radii of a follower, of a head, and of the mark of a candidate
-_MOST_LABELS = 12  # with more marks of one kind, the labels are hidden
+_SMALL, _LARGE, _RING = 5.0, 14.0, 30.0  # metres: radii of a follower, of a head, and of the mark of a candidate
+_MOST_LABELS = 16  # in a round with more candidates and missed heads, the labels are left out, and the text says so
+_MOST_LISTED = 30  # rows of the table of a round's candidates
+_CHART_WIDTH, _CHART_HEIGHT = 8.0, 1.0  # of the bars, in the units of their view
+_ONE_ROW = 20  # with more bars, the numbers below them take turns in two rows
+_DIAMOND = np.array(
+    [[0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 0], [0, 0, 1], [0, 1, 0], [0, 0, -1], [0, -1, 0], [0, 0, 1]]
+)
+_CROSS = np.array([[[-1, -1, 0], [1, 1, 0]], [[-1, 1, 0], [1, -1, 0]]])
 
 
 def list_steps(record: EpisodeRecord) -> NDArray[np.int64]:
@@ -124,16 +138,33 @@ class _Writer:
         columns = self.rr.LineStrips3D.columns(strips=strips, colors=np.concatenate(colors))
         self._send(path, self._all_rounds(), columns, lengths, kind=self.rr.LineStrips3D, radii=0.8)
 
+    def write_decoys(self, path: str) -> None:
+        """Write the decoys as diamonds, at every instant."""
+        record = self.record
+        visible = record.seen & (record.alive & record.decoy)[:, None]
+        strips = record.position[visible][:, None] + 1.4 * _LARGE * _DIAMOND.astype(np.float32)
+        columns = self.rr.LineStrips3D.columns(strips=list(strips))
+        look = {"kind": self.rr.LineStrips3D, "radii": 1.6, "colors": _parse_color(_DECOY)}
+        self._send(path, self._all_instants(), columns, visible.sum(axis=2).reshape(-1), **look)
+
     def write_destroyed(self, path: str) -> None:
-        """Write the destroyed UAVs as points where they were seen last."""
+        """Write the destroyed UAVs as crosses where they were seen last."""
         record = self.record
         places = [record.last_position(r + 1)[~record.alive[r]] for r in range(record.rounds)]
         places = [place[np.isfinite(place[:, 0])] for place in places]
-        columns = self.rr.Points3D.columns(positions=np.concatenate(places))
-        look = {"kind": self.rr.Points3D, "radii": 1.4 * _SMALL, "colors": _parse_color(_DESTROYED)}
-        self._send(path, self._all_rounds(), columns, [len(place) for place in places], **look)
+        strips = np.concatenate(places)[:, None, None] + 1.6 * _SMALL * _CROSS.astype(np.float32)
+        columns = self.rr.LineStrips3D.columns(strips=list(strips.reshape(-1, 2, 3)))
+        look = {"kind": self.rr.LineStrips3D, "radii": 1.2, "colors": _parse_color(_DESTROYED)}
+        self._send(path, self._all_rounds(), columns, [2 * len(place) for place in places], **look)
 
-    def write_marks(self, path: str, who: NDArray[np.bool_], color: str, word: str, square: bool = False) -> None:
+    def write_centers(self, paths: Iterable[str]) -> None:
+        """Move the middle of the swarm to the origin in each round, so that a fixed camera has all rounds in view."""
+        middles = [(low + high) / 2 for low, high in map(_corners, _list_windows(self.record))]
+        columns = self.rr.Transform3D.columns(translation=-np.array(middles, np.float32))
+        for path in paths:
+            self.stream.send_columns(path, self._all_rounds(), columns)
+
+    def write_marks(self, path: str, who: NDArray[np.bool_], color: str, square: bool = False) -> None:
         """Write a wire sphere (or box) around some UAVs, ``who`` ``(R, N)``, at every instant of the window."""
         record = self.record
         visible = record.seen & who[:, None]
@@ -141,22 +172,87 @@ class _Writer:
         total = int(visible.sum())
         # Every row has sizes: with one static size, an empty row would show a mark at the origin.
         half = np.full((total, 3), _RING * (0.8 if square else 1.0))
-        columns = kind.columns(centers=record.position[visible], half_sizes=half, labels=[word] * total)
-        look: dict[str, Any] = {"kind": kind, "colors": _parse_color(color), "radii" if square else "line_radii": 1.2}
-        look["show_labels"] = bool(who.sum(axis=1).max() <= _MOST_LABELS)
+        columns = kind.columns(centers=record.position[visible], half_sizes=half)
+        look: dict[str, Any] = {"kind": kind, "colors": _parse_color(color), "radii" if square else "line_radii": 0.6}
         self._send(path, self._all_instants(), columns, visible.sum(axis=2).reshape(-1), **look)
 
-    def write_scores(self, heads: str, others: str) -> None:
-        """Write the highest scores of each round, highest first, heads and other UAVs as two charts on one axis."""
+    def write_labels(self, path: str, marks: Mapping[str, tuple[NDArray[np.bool_], str]]) -> None:
+        """Write the words of the marks above them; rounds with too many marks have none."""
         record = self.record
+        shown = np.sum([who for who, _ in marks.values()], axis=(0, 2)) <= _MOST_LABELS
+        every = np.any([who for who, _ in marks.values()], axis=0) & shown[:, None]
+        visible = record.seen & every[:, None]
+        numbers, uavs = np.nonzero(visible)[0], np.nonzero(visible)[2]
+        words, colors = np.empty(every.shape, object), np.zeros((*every.shape, 4), np.uint8)
+        for word, (who, color) in marks.items():
+            words[who], colors[who] = word, _parse_color(color)
+        columns = self.rr.Points3D.columns(
+            positions=record.position[visible] + np.array([0, 0, 3.2 * _RING], np.float32),
+            colors=colors[numbers, uavs],
+            labels=[f"{words[r, i]} {i}" for r, i in zip(numbers, uavs, strict=True)],
+        )
+        look = {"kind": self.rr.Points3D, "radii": 0.1, "show_labels": True}
+        self._send(path, self._all_instants(), columns, visible.sum(axis=2).reshape(-1), **look)
+
+    def _mark(self, r: int, uav: int) -> tuple[str, str]:
+        """The word and the colour of a UAV in round ``r`` (from 0)."""
+        record = self.record
+        if record.candidates[r, uav]:
+            return ("hit", _HIT) if record.head[uav] and record.alive[r, uav] else ("redundant", _REDUNDANT)
+        return ("missed", _MISSED) if record.head[uav] and record.alive[r, uav] else ("other", _OTHER_BAR)
+
+    def write_scores(self, path: str) -> None:
+        """Write the scores of each round as bars, highest first, with the numbers of candidates and heads below."""
+        record, rr = self.record, self.rr
         for r in range(record.rounds):
             self.stream.set_time("round", sequence=r + 1)
             self.stream.set_time("step", sequence=int(self.steps[r, 0]))
             order = rank_scores(record, r + 1)
-            for path, who, color in ((heads, record.head, _HEAD_BAR), (others, ~record.head, _OTHER_BAR)):
-                bars = np.where(who[order], record.scores[r, order], 0.0)
-                self.stream.log(path, self.rr.BarChart(bars, color=_parse_color(color)))
+            scores, marks = record.scores[r, order], [self._mark(r, int(i)) for i in order]
+            top = max(float(np.abs(scores).max(initial=0)), np.finfo(float).tiny)
+            height, step = scores / top * _CHART_HEIGHT, _CHART_WIDTH / max(len(order), 1)
+            colors = [_parse_color(color) for _, color in marks]
+            left = step * np.arange(len(order))
+            # y grows downwards; a thin base shows the UAVs whose score is 0, too.
+            mins = np.stack([left, np.minimum(-height, 0)], axis=1)
+            sizes = np.stack([np.full(len(order), 0.8 * step), np.abs(height) + 0.03], axis=1)
+            words = [
+                f"UAV {i}: score {score:.3g}, {word}" for i, score, (word, _) in zip(order, scores, marks, strict=True)
+            ]
+            bars = rr.Boxes2D(mins=mins, sizes=sizes, colors=colors, labels=words, show_labels=False)
+            self.stream.log(f"{path}/bars", bars)
+            named = [k for k, (word, _) in enumerate(marks) if word != "other"]
+            named = named if len(named) <= _MOST_LABELS else []
+            below = (
+                max(float(-height.min(initial=0)), 0)
+                + 0.18
+                + 0.22 * (np.arange(len(named)) % 2) * (len(order) > _ONE_ROW)
+            )
+            places = [[left[k] + 0.4 * step, y] for k, y in zip(named, below, strict=True)]
+            numbers = rr.Points2D(
+                np.array(places).reshape(-1, 2),
+                colors=[colors[k] for k in named],
+                labels=[str(order[k]) for k in named],
+                radii=0.001,
+                show_labels=True,
+            )
+            self.stream.log(f"{path}/numbers", numbers)
+            scale = f"highest score {scores.max():.3g}" if scores.any() else "all scores are 0"
+            title = rr.Points2D(
+                [[0.8 * _CHART_WIDTH, -1.2]],
+                labels=[scale],
+                colors=_parse_color(_TEXT),
+                radii=0.001,
+                show_labels=True,
+            )
+            self.stream.log(f"{path}/scale", title)
         self.stream.reset_time()
+
+    def write_rounds(self, path: str) -> None:
+        """Write for each round its result, and a table of the candidates and missed heads, as Markdown."""
+        texts = [_describe_marks(self.record, number, self._mark) for number in range(1, self.record.rounds + 1)]
+        columns = self.rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(texts))
+        self.stream.send_columns(path, self._all_rounds(), columns)
 
     def write_progress(self, path: str, name: str, values: NDArray[Any], color: str) -> None:
         """Write a number before the first round and after each round, ``(R + 1,)``."""
@@ -171,12 +267,36 @@ class _Writer:
         )
 
 
+def _list_windows(record: EpisodeRecord) -> list[NDArray[np.float32]]:
+    """The positions that were seen in each round, ``(n, 3)`` each; those of the round before if there is none."""
+    windows: list[NDArray[np.float32]] = []
+    for position, seen in zip(record.position, record.seen, strict=True):
+        windows.append(position[seen] if seen.any() or not windows else windows[-1])
+    return windows
+
+
+def _corners(places: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The lowest and the highest coordinates of some positions; the origin if there are none."""
+    return (places.min(axis=0), places.max(axis=0)) if len(places) else (np.zeros(3, np.float32),) * 2
+
+
+def _describe_marks(record: EpisodeRecord, number: int, mark: Callable[[int, int], tuple[str, str]]) -> str:
+    """Describe a round (from 1) in Markdown: its result, and its candidates and missed heads by their scores."""
+    r = number - 1
+    order = np.argsort(-record.scores[r], kind="stable").tolist()
+    rows = [(i, mark(r, i)[0]) for i in order if mark(r, i)[0] != "other"]
+    lines = [f"| {i} | {word} | {record.scores[r, i]:.3g} |" for i, word in rows[:_MOST_LISTED]]
+    table = "\n".join(["| UAV | mark | score |", "| --- | --- | --- |", *lines]) if lines else ""
+    more = f"\n\n… and {len(rows) - _MOST_LISTED} more." if len(rows) > _MOST_LISTED else ""
+    hidden = "\n\nThe marks have no labels here, because there are too many." if len(rows) > _MOST_LABELS else ""
+    return f"**Round {number} of {record.rounds}:** {describe_round(record, number)}.{hidden}\n\n{table}{more}\n"
+
+
 def _explain(record: EpisodeRecord) -> str:
     """Explain the recording in Markdown; the links select the entities in the viewer."""
     heads, decoys = int(record.head.sum()), int(record.decoy.sum())
-    rounds = "\n".join(f"- Round {r}: {describe_round(record, r)}" for r in range(1, record.rounds + 1))
     decoy = (
-        f"- [decoys](recording://{_SWARM}/decoys): {decoys}, flying like heads but without followers\n"
+        f"- [decoys](recording://{_SWARM}/decoys), yellow diamonds: {decoys}, flying like heads but without followers\n"
         if decoys
         else ""
     )
@@ -185,8 +305,6 @@ def _explain(record: EpisodeRecord) -> str:
 
 **{record.detector or "A detector"}** on {record.env_id or "an episode"}, seed {record.seed}. {describe_outcome(record)}
 
-{rounds}
-
 ## What you see
 {record.uavs} UAVs in {format_count(heads, "cluster")}, in {windows}. **Press play.**
 
@@ -194,7 +312,7 @@ def _explain(record: EpisodeRecord) -> str:
 - [followers](recording://{_SWARM}/followers): the small points, in the colour of the head that they follow
 - [links](recording://{_SWARM}/links) from each follower to its head, and [tracks](recording://{_SWARM}/tracks) of all
   UAVs in this window
-{decoy}- [destroyed](recording://{_SWARM}/destroyed) in earlier rounds: grey, where they were seen last
+{decoy}- [destroyed](recording://{_SWARM}/destroyed) in earlier rounds: grey crosses, where they were seen last
 
 The detector receives the flight paths of all UAVs, but not the roles, colours and links. It names its candidates at the
 end of each window:
@@ -204,25 +322,26 @@ end of each window:
 - [missed](recording://{_CANDIDATES}/missed), white spheres: heads that are no candidates in this round
 
 The candidates are destroyed after the window. Followers without a head join the nearest head that is left. The marks
-move with their UAVs through the whole window, so that you can compare the flight of candidates and other UAVs.
+move with their UAVs through the whole window, so that you can compare the flight of candidates and other UAVs. In each
+round the view is centred on the swarm.
 
-The bars are the highest scores of this round, highest first: [heads](recording://{_SCORES}/heads) in blue,
-[other UAVs](recording://{_SCORES}/others) in grey.
+The [bars](recording://{_SCORES}/bars) are scores of this round, highest first, in the colours of the marks; other UAVs
+are grey. The numbers below them are those of the marked UAVs. The [table](recording://{_ROUND}) lists the marked UAVs.
 """
 
 
 def _arrange_views(record: EpisodeRecord) -> rrb.Blueprint:
     import rerun.blueprint as rrb
 
-    place = record.position[record.seen & record.alive[:, None]]
-    low, high = (place.min(axis=0), place.max(axis=0)) if len(place) else (np.zeros(3), np.ones(3))
-    middle, span = (low + high) / 2, max(float((high - low).max()), 1.0)
+    spans = [float((high - low).max()) for low, high in map(_corners, _list_windows(record))]
+    span = max(*spans, 1.0)
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
-        position=middle + span * np.array([0.0, -0.75, 0.9]),
-        look_target=middle - span * np.array([0.0, 0.05, 0.0]),
+        position=span * np.array([0.0, -0.74, 0.82]),
+        look_target=span * np.array([0.0, -0.08, 0.0]),
         eye_up=[0.0, 0.0, 1.0],
     )
+    lowest = 0.62 + _CHART_HEIGHT * bool((record.scores < 0).any())
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Spatial3DView(
@@ -235,9 +354,15 @@ def _arrange_views(record: EpisodeRecord) -> rrb.Blueprint:
             ),
             rrb.Vertical(
                 rrb.TextDocumentView(origin="/about", name="What you see"),
-                rrb.BarChartView(origin=f"/{_SCORES}", name="Highest scores in this round"),
-                rrb.TimeSeriesView(origin=f"/{_GAME}", name="The game so far", plot_legend=rrb.Corner2D.RightTop),
-                row_shares=[5, 2, 2],
+                rrb.TextDocumentView(origin=f"/{_ROUND}", name="This round"),
+                rrb.Spatial2DView(
+                    origin=f"/{_SCORES}",
+                    name="Scores in this round, highest first",
+                    background=_parse_color(_BACKGROUND)[:3],
+                    visual_bounds=rrb.VisualBounds2D(x_range=[-0.1, _CHART_WIDTH + 0.1], y_range=[-1.35, lowest]),
+                ),
+                rrb.TimeSeriesView(origin=f"/{_GAME}", name="The game so far", plot_legend=rrb.Corner2D.LeftTop),
+                row_shares=[5, 2, 2, 2],
             ),
             column_shares=[5, 3],
         ),
@@ -268,7 +393,9 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
         raise MissingExtraError("Replays need rerun-sdk: pip install 'usnet[replay]'.") from None
     check_record(record)
     place = as_path("path", path)
-    stream = rr.RecordingStream("usnet", recording_id=str(uuid4()))
+    # Recordings with the same application id share one camera and one layout in the viewer.
+    recording_id = str(uuid4())
+    stream = rr.RecordingStream(f"usnet {recording_id}", recording_id=recording_id)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     with atomic_write(place) as aside:
@@ -289,18 +416,23 @@ def _write(record: EpisodeRecord, writer: _Writer) -> None:
     writer.write_uavs(f"{_SWARM}/followers", ~record.head & ~record.decoy, _SMALL)
     writer.write_uavs(f"{_SWARM}/heads", record.head, _LARGE)
     if record.decoy.any():
-        writer.write_uavs(f"{_SWARM}/decoys", record.decoy, _LARGE)
+        writer.write_decoys(f"{_SWARM}/decoys")
     writer.write_links(f"{_SWARM}/links")
     writer.write_tracks(f"{_SWARM}/tracks")
     writer.write_destroyed(f"{_SWARM}/destroyed")
-    writer.write_marks(f"{_CANDIDATES}/hit", record.candidates & target, _HIT, "hit")
-    writer.write_marks(
-        f"{_CANDIDATES}/redundant", record.candidates & record.alive & ~target, _REDUNDANT, "redundant", square=True
-    )
-    writer.write_marks(f"{_CANDIDATES}/missed", ~record.candidates & target, _MISSED, "missed")
-    writer.write_scores(f"{_SCORES}/heads", f"{_SCORES}/others")
+    writer.write_centers((_SWARM, _CANDIDATES))
+    marks = {
+        "hit": (record.candidates & target, _HIT),
+        "redundant": (record.candidates & record.alive & ~target, _REDUNDANT),
+        "missed": (~record.candidates & target, _MISSED),
+    }
+    for word, (who, color) in marks.items():
+        writer.write_marks(f"{_CANDIDATES}/{word}", who, color, square=word == "redundant")
+    writer.write_labels(f"{_CANDIDATES}/labels", marks)
+    writer.write_scores(_SCORES)
+    writer.write_rounds(_ROUND)
     start = np.array([record.head.sum()])
-    writer.write_progress(f"{_GAME}/heads_left", "heads left", np.append(start, record.heads_left), _HEAD_BAR)
+    writer.write_progress(f"{_GAME}/heads_left", "heads left", np.append(start, record.heads_left), _HEADS_LEFT)
     wrong = np.append([0], np.cumsum(record.redundant))
     writer.write_progress(f"{_GAME}/redundant", "redundant so far", wrong, _REDUNDANT)
     writer.write_progress(f"{_GAME}/J", "J so far", np.append([0.0], record.objective), _HIT)

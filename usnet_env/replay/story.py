@@ -9,7 +9,7 @@ from usnet_env.replay.episode import EpisodeRecord
 
 __all__ = ["describe_outcome", "describe_round", "format_count", "rank_scores"]
 
-_FEWEST_SCORES = 40
+_FEWEST_SCORES, _MOST_SCORES, _UNMARKED = 12, 40, 5
 
 
 def format_count(number: int, noun: str) -> str:
@@ -40,10 +40,15 @@ def describe_outcome(record: EpisodeRecord) -> str:
 
 
 def rank_scores(record: EpisodeRecord, number: int) -> NDArray[np.intp]:
-    """Indices of the living UAVs with the highest scores in a round (from 1), highest first.
+    """Indices of the living UAVs that a chart of a round's scores shows (number from 1), highest score first.
 
-    There are at least 40 of them, if so many live, and always more than the round's candidates.
+    If there is not room for all, heads are preferred, then candidates. Among equal scores, candidates are first. There
+    are 12 to 40 UAVs, if so many live.
     """
-    scores, alive = record.scores[number - 1], record.alive[number - 1]
-    order = np.flatnonzero(alive)[np.argsort(-scores[alive], kind="stable")]
-    return order[: max(_FEWEST_SCORES, 3 * int(record.head.sum()), int(record.candidates[number - 1].sum()) + 5)]
+    r = number - 1
+    scores, named = record.scores[r], record.candidates[r]
+    living = np.flatnonzero(record.alive[r])
+    marked = int((named | record.head)[living].sum())
+    count = min(max(marked + _UNMARKED, _FEWEST_SCORES), _MOST_SCORES)
+    shown = living[np.lexsort((-scores[living], ~named[living], ~record.head[living]))][:count]
+    return shown[np.lexsort((shown, ~named[shown], -scores[shown]))]

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 import time
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, fields
-from itertools import islice
 from math import isfinite
-from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from usnet_env.config import ArgumentError
-from usnet_env.files import atomic_write
+from usnet_env.evaluation.errors import EvaluationError
+from usnet_env.files import FileLock, atomic_write
+from usnet_env.processes import ProcessDied, ProcessPool, SendError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,49 +76,69 @@ def measure(
 
     Returns:
         The rows of the tasks, in their order.
+
+    Raises:
+        ArgumentError: another process measures into the same file, or its folder was removed.
+        EvaluationError: a task ended its process; the message names it. Rows that were finished are kept.
     """
-    rows = {what.key(row): row for row in read_rows(path, what.row)}
     wanted = [key for task in tasks for key in what.keys(task)]
-    todo = [task for task in tasks if any(key not in rows for key in what.keys(task))]
-    advance(len(set(wanted) & rows.keys()))
-    saved = time.monotonic()
-    try:
-        for done in _played(what.play, todo, workers):
-            fresh = {what.key(row): row for row in done if what.key(row) not in rows}
-            rows.update(fresh)
-            advance(len(fresh))
-            if time.monotonic() - saved > _SAVE_EVERY:
-                write_rows(path, rows.values(), what.row, what.order)
-                saved = time.monotonic()
-    finally:
-        if todo:
+    with FileLock(path) as lock:
+        rows = {what.key(row): row for row in read_rows(path, what.row)}
+        todo = [task for task in tasks if any(key not in rows for key in what.keys(task))]
+        advance(len(set(wanted) & rows.keys()))
+
+        def save() -> None:
+            lock.check()
             write_rows(path, rows.values(), what.row, what.order)
+
+        saved = time.monotonic()
+        unsaved = False
+        try:
+            with closing(_played(what.play, todo, workers)) as played:
+                for done in played:
+                    fresh = {what.key(row): row for row in done if what.key(row) not in rows}
+                    rows.update(fresh)
+                    unsaved = True
+                    advance(len(fresh))
+                    if time.monotonic() - saved > _SAVE_EVERY:
+                        save()
+                        saved, unsaved = time.monotonic(), False
+        finally:
+            if unsaved:
+                save()
     return [rows[key] for key in wanted]
 
 
-def _prepare() -> None:
-    """One thread a process: the processes are as many as the cores."""
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-
-def _played(play: Callable[[TaskT], list[RowT]], tasks: Sequence[TaskT], workers: int) -> Iterator[list[RowT]]:
+def _played(
+    play: Callable[[TaskT], list[RowT]], tasks: Sequence[TaskT], workers: int
+) -> Generator[list[RowT], None, None]:
+    """Play the tasks in this process if there is one worker or task, else in others."""
     if workers == 1 or len(tasks) < 2:
         for task in tasks:
-            yield play(task)
+            try:
+                yield play(task)
+            except SystemExit as error:
+                raise _failure(task, error) from error
         return
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_prepare)
-    queue = iter(tasks)
-    waiting: set[Future[list[RowT]]] = set()
-    try:
-        while True:
-            waiting.update(pool.submit(play, task) for task in islice(queue, 2 * workers - len(waiting)))
-            if not waiting:
-                return
-            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    with ProcessPool[TaskT, list[RowT]](play, min(workers, len(tasks))) as pool:
+        try:
+            for outcome in pool.run(tasks):
+                if isinstance(outcome.error, Exception) and not isinstance(outcome.error, ProcessDied):
+                    raise outcome.error
+                if outcome.error is not None:
+                    raise _failure(outcome.task, outcome.error)
+                yield cast("list[RowT]", outcome.result)
+        except SendError as error:
+            raise EvaluationError(
+                f"{error}. A worker process imports the script that started it, so a script must start a measurement "
+                'in a block that begins with `if __name__ == "__main__":`.'
+            ) from None
+
+
+def _failure(task: object, error: BaseException) -> EvaluationError:
+    """The error for a task that ended its process; one sentence with the task."""
+    reason = error.reason if isinstance(error, ProcessDied) else f"{type(error).__name__}: {error}"
+    return EvaluationError(f"{' '.join(repr(task).split())} failed: {reason}.")
 
 
 def counter(total: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from usnet_env.config import ArgumentError, quote
+from usnet_env.envs import SingleClusterEnv
 from usnet_env.evaluation.statistics import Interval, rate_interval
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.reproduce.detection_rate import Cell, Row, measure, rate_of, read_rows, tasks_for
@@ -141,6 +142,8 @@ def reproduce(
     for detector in detectors:
         make_detector(detector).reset(seed)  # a wrong name or argument is refused before anything is measured
     grid = [Cell(follow, followers, decoys, mobility, head_jitter) for follow, followers in parse_cells(cells)]
+    for cell in grid:
+        SingleClusterEnv(**asdict(cell))  # a wrong mobility or number of decoys, too
 
     def count(cell: Cell) -> int:
         return episodes or (_MANY if cell.followers <= 15 else _FEW)

@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from usnet_env.compiling import compiled
 
 __all__ = [
     "DESTROYED",
@@ -51,13 +52,13 @@ _ZERO = np.float32(0.0)
 _TINY = np.float32(1e-12)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _uniform(z):
     """Map the standard normal number z to a uniform number in (0, 1) by the normal distribution function."""
     return min(max(0.5 * math.erfc(-z / math.sqrt(2.0)), 1e-12), 1.0 - 1e-12)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _turn_towards(state, x, y, z, limit):
     """Turn the unit direction ``state[0:3]`` towards (x, y, z) by at most ``limit`` radians."""
     length = math.sqrt(x * x + y * y + z * z)
@@ -80,7 +81,7 @@ def _turn_towards(state, x, y, z, limit):
     state[0], state[1], state[2] = c * state[0] + s * px, c * state[1] + s * py, c * state[2] + s * pz
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _draw_turn(state, z, rate, max_angle):
     """Draw a turn: its axis (perpendicular to the direction), its angle per step and its duration in steps."""
     x, y, w = float(z[0]), float(z[1]), float(z[2])
@@ -94,7 +95,7 @@ def _draw_turn(state, z, rate, max_angle):
     state[7] = -math.log(_uniform(z[4])) / rate
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _step_mobility(code, state, z, p, numbers, out):
     """One step of one free UAV: update ``state`` and write the direction of flight (3 float32) to ``out``."""
     if code == IID:
@@ -133,7 +134,7 @@ def _step_mobility(code, state, z, p, numbers, out):
     out[0], out[1], out[2] = state[0], state[1], state[2]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fly_free(code, numbers, free, start, normals, jitter, state, position, velocity):
     """Velocities of the free UAVs by mobility ``code``; writes ``state`` and ``velocity`` in place.
 
@@ -172,7 +173,7 @@ def fly_free(code, numbers, free, start, normals, jitter, state, position, veloc
                 p[2] += z
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _find_indices(motion, value, into):
     """Write the indices i with ``motion[i] == value`` to ``into`` and return their number."""
     count = 0
@@ -183,7 +184,7 @@ def _find_indices(motion, value, into):
     return count
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fly_lags(kappa, square, noise_scale, motion, leader, start, noise, velocity):
     """f1 to f5: v_{i,t+1} = norm(sum_tau kappa_tau v_{iL,t-tau}^p + kappa_n n), with p = 2 where ``square``.
 
@@ -219,7 +220,7 @@ def fly_lags(kappa, square, noise_scale, motion, leader, start, noise, velocity)
                 velocity[b, t, i, 2] = z * size
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fly_range(kappa, pull, reach, noise_scale, motion, leader, start, noise, position, velocity):
     """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}.
 
@@ -251,7 +252,7 @@ def fly_range(kappa, pull, reach, noise_scale, motion, leader, start, noise, pos
                     position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _tanh(x):
     """Hyperbolic tangent in float32 without a library call: (1 - e) / (1 + e), e = exp(-2|x|) by range reduction.
 
@@ -273,7 +274,7 @@ def _tanh(x):
     return result if x >= _ZERO else -result
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fly_mlp(parameters, position_scale, noise_scale, motion, leader, start, noise, position, velocity):
     """f7: norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n), one network per episode.
 
@@ -335,7 +336,7 @@ def fly_mlp(parameters, position_scale, noise_scale, motion, leader, start, nois
                     position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def integrate(start, position, velocity):
     """Integrate the velocities, p_{t+1} = p_t + v_t, from ``start`` on, in place."""
     episodes, end, uavs = velocity.shape[0], velocity.shape[1], velocity.shape[2]
@@ -346,7 +347,7 @@ def integrate(start, position, velocity):
                     position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def remerge(head, alive, decoy, position, leader):
     """Assign every living follower of a destroyed head to the nearest remaining head; -1 if no head remains.
 

@@ -5,12 +5,13 @@ import re
 from itertools import combinations
 
 import broken_detectors as broken
+import cheating_detectors as cheating
 import numpy as np
 import pytest
 import torch
 
-from detectors.checks import CHECKS, check_detector
-from detectors.checks.repeatability import compute_p_value
+from detectors.checks import CHECKS, CheckWarning, check_detector
+from detectors.checks.repeatability import check_permuting_uavs_permutes_the_answer, compute_p_value
 
 MISTAKES = [
     ("check_constructor_only_stores", broken.StoresMore(), "also got extra"),
@@ -38,7 +39,6 @@ MISTAKES = [
         "must give the same detection, got different",
     ),
     ("check_episodes_start_afresh", broken.Remembers(), "reset must clear the previous episode"),
-    ("check_permuting_uavs_permutes_the_answer", broken.FavoursLowIndices(), "got another where no UAV moves"),
     ("check_permuting_uavs_permutes_the_answer", broken.NamesTheFirst(), "got another in a swarm"),
     ("check_pickling", broken.CannotBePickled(), "pickle"),
     ("check_pickling", broken.ForgetsWhenPickled(), "must continue it"),
@@ -52,8 +52,9 @@ MISTAKES = [
     ("check_no_reach_for_truth", broken.SharesAGenerator(), r"a shared one at detector\.generator"),
     ("check_no_reach_for_truth", broken.SharesBits(), r"a shared one at detector\.more\.bit_generator"),
     ("check_no_reach_for_truth", broken.KeepsTheGlobalGenerator(), r"a shared one at detector\.fallback"),
-    ("check_truth_nearby_changes_nothing", broken.LooksAtTheCaller(), "must not depend on a swarm"),
-    ("check_truth_nearby_changes_nothing", broken.SearchesMemory(), "must not depend on a swarm"),
+    ("check_truth_nearby_changes_nothing", broken.LooksAtTheCaller(), "must not depend on an environment or swarm"),
+    ("check_truth_nearby_changes_nothing", broken.SearchesMemory(), "must not depend on an environment or swarm"),
+    ("check_seeds_reveal_no_heads", cheating.SearchesItsSeed(), "must not search the seed of the swarm"),
     ("check_large_swarm", broken.NeedsLessMemory(), "MemoryError"),
     ("check_time_budget", broken.Slow(), r"at most 0\.05 s for 82 UAVs, got 0\.(0[6-9]|[1-9])"),
 ]
@@ -68,7 +69,6 @@ ALSO = {
     "DividesByTheSpread": {"check_permuting_uavs_permutes_the_answer"},
     "OwnClockAsSeed": {"check_episodes_start_afresh", "check_pickling", "check_truth_nearby_changes_nothing"},
     "KeepsAState": {"check_pickling"},
-    "SearchesMemory": {"check_permuting_uavs_permutes_the_answer"},
 }
 
 
@@ -116,6 +116,11 @@ def test_it_fails_no_other_check(name, detector, sentence):
     assert set(failed) == {name} | ALSO.get(type(detector).__name__, set()), failed
     assert re.search(sentence, failed[name]), failed[name]
     assert "\n" not in failed[name]
+
+
+def test_ties_by_index_where_nothing_distinguishes_the_uavs_are_a_warning_with_its_remedy():
+    with pytest.warns(CheckWarning, match=r"ties are broken by the index .* self\.rng\.permutation\(window\.uavs\)\.$"):
+        check_permuting_uavs_permutes_the_answer(broken.FavoursLowIndices())
 
 
 def test_two_samples_of_one_distribution_seldom_differ():

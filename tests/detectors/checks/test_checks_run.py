@@ -47,11 +47,9 @@ def test_a_good_detector_has_a_result_for_every_check():
 
 
 def test_a_broken_one_raises_after_all_checks_and_says_what_failed():
-    with pytest.raises(
-        DetectorChecksError, match=rf"^FavoursLowIndices fails 1 of {len(CHECKS)} checks:\n  {PERMUTING}: "
-    ):
-        check_detector(broken.FavoursLowIndices())
-    results = check_detector(broken.FavoursLowIndices(), on_fail=None)
+    with pytest.raises(DetectorChecksError, match=rf"^NamesTheFirst fails 1 of {len(CHECKS)} checks:\n  {PERMUTING}: "):
+        check_detector(broken.NamesTheFirst())
+    results = check_detector(broken.NamesTheFirst(), on_fail=None)
     failed = by_check(results)[PERMUTING]
     assert failed.status == "failed"
     assert isinstance(failed.error, AssertionError)
@@ -60,7 +58,7 @@ def test_a_broken_one_raises_after_all_checks_and_says_what_failed():
 
 
 def test_an_expected_failure_carries_its_reason():
-    results = check_detector(broken.FavoursLowIndices(), expected_failed_checks={PERMUTING: REASON})
+    results = check_detector(broken.NamesTheFirst(), expected_failed_checks={PERMUTING: REASON})
     expected = by_check(results)[PERMUTING]
     assert expected.status == "expected failure"
     assert expected.reason.startswith(f"{REASON} (permuting the UAVs must permute")
@@ -116,10 +114,8 @@ def test_the_decorator_refuses_the_same():
 
 
 @parametrize_with_checks(
-    [broken.Good(), broken.FavoursLowIndices(count=3), broken.NoBase()],
-    expected_failed_checks=lambda detector: (
-        {PERMUTING: REASON} if isinstance(detector, broken.FavoursLowIndices) else None
-    ),
+    [broken.Good(), broken.NamesTheFirst(count=3), broken.NoBase()],
+    expected_failed_checks=lambda detector: {PERMUTING: REASON} if isinstance(detector, broken.NamesTheFirst) else None,
 )
 def test_as_pytest_cases(detector, check):
     check(detector)
@@ -145,9 +141,65 @@ def test_the_table_has_a_row_a_check():
     console.print(results_table(results))
     text = console.file.getvalue()
     assert all(name in text for name in NAMES)
-    assert text.count(" skipped ") == 4  # three rows and the line that counts
+    assert text.count(" skipped ") == 3
+    assert text.count("skipped: it has no method get_params") == 1  # of two checks
     assert f"{len(NAMES)} checks: {len(NAMES) - 3} passed, 3 skipped" in text
     assert "expected to fail: [b]no[/b]" in text
+
+
+class RaisesAlways(broken.Good):
+    def detect(self, window):
+        return self.boom(window)
+
+    def boom(self, window):
+        raise RuntimeError("boom")
+
+
+def test_equal_reasons_are_printed_once_with_file_and_line_in_80_columns():
+    results = check_detector(RaisesAlways(), on_fail=None)
+    failed = [result.check for result in results if result.status == "failed"]
+    assert len(failed) > 15
+    line = RaisesAlways.boom.__code__.co_firstlineno + 1
+    assert {result.location for result in results if result.status == "failed"} == {
+        f"tests/detectors/checks/test_checks_run.py, line {line}, in boom"
+    }
+    console = Console(width=80, file=io.StringIO())
+    console.print(results_table(results))
+    text = console.file.getvalue()
+    assert text.count("RuntimeError: boom") == 1
+    assert text.count(f"line {line}, in boom") == 1
+    assert all(text.count(f" {name} ") == 2 for name in failed)  # in the table, and below the reason; never broken
+    with pytest.raises(DetectorChecksError, match=r"(?s)boom.*line \d+, in boom") as error:
+        check_detector(RaisesAlways())
+    assert str(error.value).count("boom (") == 1
+    assert "in boom" in results[0].traceback
+
+
+def test_an_error_of_a_library_is_located_in_the_detector():
+    class Misshapen(broken.Good):
+        def scores(self, window):
+            return clone(window)
+
+    results = by_check(check_detector(Misshapen(), on_fail=None))
+    assert results["check_smallest_swarm"].location.endswith(", in scores")
+
+
+@pytest.mark.parametrize("name", ["time_limit", "memory_limit"])
+@pytest.mark.parametrize("value", [0, -1, "1", True, float("nan"), float("inf")])
+def test_a_limit_is_a_positive_number(name, value):
+    with pytest.raises(ArgumentError, match=rf"^{name} must be a number above 0 or None, got "):
+        check_detector(broken.Good(), **{name: value})
+
+
+def test_a_child_process_needs_a_detector_that_can_be_pickled():
+    detector = broken.CannotBePickled()
+    detector.reset(0)
+    with pytest.raises(
+        ArgumentError, match=r"^child_process must be false for a detector that cannot be pickled, got "
+    ):
+        check_detector(detector, child_process=True)
+    with pytest.raises(ArgumentError, match=r"^child_process must be true or false, got 1"):
+        check_detector(detector, child_process=1)
 
 
 # The windows

@@ -45,6 +45,7 @@ def wrong_about_heads(truth, found):
     return not np.array_equal(found.heads, np.flatnonzero(truth.head))
 
 
+@pytest.mark.slow
 def test_what_flocks_got_wrong_everybody_puts_right():
     """Of some swarms behind a network in smooth turns, flocks miss heads of some; everybody together of none."""
     wrong, mended = 0, 0
@@ -132,6 +133,7 @@ def test_heads_of_as_many_have_the_same_say_anyway(library):
     assert one.noise.spread == pytest.approx(other.noise.spread, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_law_that_no_class_holds_does_not_hide_heads_behind_smooth_flight():
     named = sum(
         np.array_equal(FollowMixture().detect(window).candidates, truth.head)

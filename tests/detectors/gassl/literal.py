@@ -132,7 +132,7 @@ def loss_and_attention(
     times = inputs.target.shape[1]
     alphas, concatenations = [], []
     for t in range(times):
-        x = torch.from_numpy(inputs.value[:, t]).to(dtype)  # (T_0 + 1, 3, n)
+        x = torch.from_numpy(inputs.value[..., t]).to(dtype)  # (T_0 + 1, 3, n)
         velocity, position = x[:-1].permute(2, 0, 1), x[-1].T
         alpha = attention_at(network, velocity, position, i)
         v_hat, p_hat = pooled_at(alpha, velocity, position)

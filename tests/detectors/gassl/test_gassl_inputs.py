@@ -104,7 +104,7 @@ def test_inputs_are_the_standardised_batch():
         for i in range(4):
             columns = [*(velocity[t, i, 3 - lag] for lag in range(4)), position[t, i]]  # newest first
             np.testing.assert_allclose(inputs.history[i, t], np.concatenate(columns), atol=1e-4)
-            np.testing.assert_allclose(inputs.value[:, t, :, i], columns, atol=1e-4)
+            np.testing.assert_allclose(inputs.value[:, :, i, t], columns, atol=1e-4)
             mean = batch.own[:, i].mean(axis=(0, 1))
             np.testing.assert_allclose(inputs.own[i, t], (batch.own[t, i] - mean).ravel(), atol=1e-3)
             np.testing.assert_array_equal(inputs.target[i, t], batch.target[t, i])

@@ -40,7 +40,7 @@ def loss_of_pair(inputs, gamma, hidden, i, other):
     rows = []
     for t in range(times):
         own = torch.from_numpy(inputs.own[i, t]).double()  # P_i
-        source = [torch.from_numpy(inputs.value[column, t, :, other]).double() for column in range(len(inputs.value))]
+        source = [torch.from_numpy(inputs.value[column, :, other, t]).double() for column in range(len(inputs.value))]
         rows.append(torch.cat([own, *source]))  # V_{i'}, newest first, and p_{i'}
     mean = sum(rows) / times
     variance = sum((row - mean) ** 2 for row in rows) / times
@@ -69,7 +69,7 @@ def test_losses_of_pairs_are_those_of_the_loop():
     inputs = inputs_of_swarm(3, uavs=6, miss_rate=0.2)
     gamma = draw_gamma(inputs)
     own = inputs.own.copy()
-    source = np.ascontiguousarray(inputs.value.transpose(3, 1, 0, 2)).reshape(6, inputs.target.shape[1], -1)
+    source = np.ascontiguousarray(inputs.value.transpose(2, 3, 0, 1)).reshape(6, inputs.target.shape[1], -1)
     for values in (*own, *source):
         standardise(values, np.empty(values.shape[1], np.float32))
     found = pair_losses(gamma, own, source, inputs.target, inputs.weight)

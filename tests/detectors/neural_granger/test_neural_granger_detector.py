@@ -422,24 +422,30 @@ def test_on_a_gpu():
         np.testing.assert_allclose(one.scores, two.scores, atol=0.25)
 
 
-def test_windows_that_are_refused():
+def test_a_window_that_is_too_short_is_refused():
+    window, _ = cluster(followers=4)
+    short = changed(window, position=window.position[:5], velocity=window.velocity[:4], seen=window.seen[:5])
+    sentence = r"^window must hold more than memory = 4 velocities, got 4\.$"
+    with pytest.raises(ArgumentError, match=sentence):
+        detector().detect(short)
+    with pytest.raises(ArgumentError, match=sentence):
+        detector().detect_batch([window, short])
+
+
+def test_windows_that_show_nothing():
     window, _ = cluster(followers=4)
     two = changed(
         window, position=window.position[:, :2], velocity=window.velocity[:, :2], seen=window.seen[:, :2], alive=[1, 1]
     )
-    short = changed(window, position=window.position[:5], velocity=window.velocity[:4], seen=window.seen[:5])
-    masked = without(window, list(range(5)))
     unseen = changed(window, seen=np.zeros_like(window.seen))
-    for refused, sentence in [
-        (two, r"^window must hold at least 3 UAVs, got 2\.$"),
-        (short, r"^window must hold more than memory = 4 velocities, got 4\.$"),
-        (masked, r"^window must show at least one living UAV, got one in which all samples are masked\.$"),
-        (unseen, r"^window must show at least one living UAV, got one in which all samples are masked\.$"),
-    ]:
-        with pytest.raises(ArgumentError, match=sentence):
-            detector().detect(refused)
-        with pytest.raises(ArgumentError, match=sentence):
-            detector().detect_batch([window, refused])
+    for poor in (two, unseen):
+        found = detector(**FEW).detect_batch([poor, window, poor])
+        assert [answer.candidates.sum() for answer in found] == [1, 1, 1]
+        assert not found[0].scores.any()
+        assert found[1].scores.any()
+        assert not detector(gate=True).detect(poor).candidates.any()
+    nobody = detector().detect(without(window, list(range(5))))
+    assert not nobody.candidates.any()
 
 
 def test_a_window_with_nan_is_refused_at_the_border():

@@ -1,0 +1,97 @@
+"""What the compiled networks are made of: affine layers, exp and tanh of whole arrays.
+
+No function may reorder its floating-point operations (Numba's ``fastmath``): how a compiler reorders them depends on
+where a function is inlined, and answers of a process that compiles would differ from those of one that loads the cache.
+Sums over many terms are products of matrices instead, which BLAS computes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from usnet_env.compiling import compiled
+
+__all__ = ["affine", "affine_backward", "exp_in_place", "products", "tanh_backward", "tanh_in_place"]
+
+_ZERO = np.float32(0.0)
+_ONE = np.float32(1.0)
+_TWO = np.float32(2.0)
+_LOG2_E = np.float32(1.4426950408889634)
+_LN_2 = np.float32(0.6931471805599453)
+_HALF = np.float32(0.5)
+_THIRD, _FOURTH, _FIFTH = np.float32(1.0 / 6.0), np.float32(1.0 / 24.0), np.float32(1.0 / 120.0)
+_SIXTH = np.float32(1.0 / 720.0)
+_LOWEST = np.float32(-120.0)  # 2**-120 is 0 beside any other term of a softmax, and no denormal number
+
+
+@compiled()
+def exp_in_place(x, bits):  # type: ignore[no-untyped-def]
+    """``x`` becomes e**x, for x <= 0: a power of two by its exponent bits times a polynomial of degree 6.
+
+    Args:
+        x: ``(n,)`` float32.
+        bits: ``(>= n,)`` int32, a buffer.
+    """
+    power = bits.view(np.float32)
+    for p in range(x.shape[0]):
+        y = max(x[p] * _LOG2_E, _LOWEST)
+        whole = np.int32(y + np.float32(128.5)) - np.int32(128)  # the nearest whole number
+        f = (y - np.float32(whole)) * _LN_2
+        e = _SIXTH
+        e = e * f + _FIFTH
+        e = e * f + _FOURTH
+        e = e * f + _THIRD
+        e = e * f + _HALF
+        e = e * f + _ONE
+        x[p] = e * f + _ONE
+        bits[p] = (whole + np.int32(127)) << np.int32(23)
+    for p in range(x.shape[0]):
+        x[p] *= power[p]
+
+
+@compiled(error_model="numpy")
+def tanh_in_place(x):  # type: ignore[no-untyped-def]
+    """``x`` ``(R, d)``, contiguous float32, becomes tanh(x), by e**(-2 |x|)."""
+    flat = x.reshape(x.size)
+    small, bits = np.empty(x.size, np.float32), np.empty(x.size, np.int32)
+    for p in range(x.size):
+        small[p] = -_TWO * abs(flat[p])
+    exp_in_place(small, bits)
+    for p in range(x.size):
+        magnitude = (_ONE - small[p]) / (_ONE + small[p])
+        flat[p] = magnitude if flat[p] >= _ZERO else -magnitude
+
+
+@compiled()
+def tanh_backward(y, d_y):  # type: ignore[no-untyped-def]
+    """The gradient with respect to y = tanh(x), ``(R, d)``, becomes that with respect to x."""
+    for t in range(y.shape[0]):
+        for k in range(y.shape[1]):
+            d_y[t, k] *= _ONE - y[t, k] * y[t, k]
+
+
+@compiled()
+def affine(x, weight, bias, out):  # type: ignore[no-untyped-def]
+    """``out`` ``(R, outputs)`` = ``x`` ``(R, inputs)`` times ``weight`` plus ``bias``."""
+    np.dot(x, weight, out)
+    for t in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            out[t, k] += bias[k]
+
+
+@compiled()
+def products(x, d_out, d_weight, d_bias):  # type: ignore[no-untyped-def]
+    """Gradients of :func:`affine` with respect to weight and bias, written to ``d_weight`` and ``d_bias``."""
+    np.dot(x.T, d_out, d_weight)
+    for k in range(d_out.shape[1]):
+        d_bias[k] = _ZERO
+    for t in range(d_out.shape[0]):
+        for k in range(d_out.shape[1]):
+            d_bias[k] += d_out[t, k]
+
+
+@compiled()
+def affine_backward(x, weight, d_out, d_weight, d_bias, d_x):  # type: ignore[no-untyped-def]
+    """As :func:`products`, and the gradient with respect to ``x``, written to ``d_x``."""
+    products(x, d_out, d_weight, d_bias)
+    np.dot(d_out, weight.T, d_x)

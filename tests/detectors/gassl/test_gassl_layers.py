@@ -1,0 +1,68 @@
+"""The compiled exp and tanh against NumPy's."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from detectors.gassl.layers import exp_in_place, tanh_in_place
+
+
+@pytest.mark.parametrize("size", [1, 7, 1000])
+def test_exp_of_numbers_up_to_0(size):
+    x = -np.random.default_rng(size).exponential(10.0, size).astype(np.float32)
+    x[0] = 0.0
+    expected = np.exp(x.astype(np.float64))
+    exp_in_place(x, np.empty(size + 3, np.int32))
+    np.testing.assert_allclose(x, expected, rtol=2e-5)
+    assert x[0] == 1.0
+
+
+def test_exp_of_very_negative_numbers_is_nothing_beside_1():
+    x = np.array([-80.0, -200.0, -1e30, -np.inf], np.float32)
+    exp_in_place(x, np.empty(4, np.int32))
+    assert (x >= 0).all()
+    assert (x < 1e-30).all()
+
+
+@pytest.mark.parametrize("shape", [(1,), (5, 3), (2, 3, 4)])
+def test_tanh_is_odd_bounded_and_numpys(shape):
+    x = np.random.default_rng(0).normal(0, 3, shape).astype(np.float32)
+    result, opposite = x.copy(), -x
+    tanh_in_place(result)
+    tanh_in_place(opposite)
+    assert result.shape == shape
+    np.testing.assert_allclose(result, np.tanh(x.astype(np.float64)), atol=2e-6)
+    np.testing.assert_array_equal(opposite, -result)
+    ends = np.array([-1e4, 1e4, 0.0], np.float32)
+    tanh_in_place(ends)
+    assert ends.tolist() == [-1.0, 1.0, 0.0]
+
+
+DIGEST = """
+import hashlib, sys
+import gymnasium as gym
+import usnet_env
+from detectors.gassl import Gassl
+
+window = usnet_env.Window.from_observation(gym.make("USNET/SingleCluster-v0", followers=4).reset(seed=1)[0])
+detector = Gassl(steps=20)
+detector.reset(0)
+print(hashlib.sha256(detector.detect(window).attention.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_a_process_that_compiles_answers_as_one_that_loads_the_cache(tmp_path):
+    # Functions that may reorder sums round differently when they are compiled inside another function.
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    digests = [
+        subprocess.run(
+            [sys.executable, "-c", DIGEST], env=environment, capture_output=True, text=True, check=True
+        ).stdout
+        for _ in range(2)
+    ]
+    assert list(tmp_path.rglob("*.nbc"))
+    assert digests[0] == digests[1]
