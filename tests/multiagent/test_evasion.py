@@ -335,7 +335,7 @@ def test_the_observers_view_has_no_trace_of_roles():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"mobilities": ("iid", "hover")}, "mobility must be one of .*got 'hover'"),
+        ({"mobilities": ("iid", "hover")}, "mobilities must be one of .*got 'hover'"),
         ({"mobilities": ()}, "mobilities must hold one or more different names"),
         ({"mobilities": ("iid", "iid")}, "mobilities must hold one or more different names"),
         ({"mobilities": "iid"}, "mobilities must be a list, got 'iid'"),
