@@ -413,7 +413,14 @@ def test_a_disk_that_cannot_be_written_is_one_sentence(run, tmp_path):
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize(("how", "workers"), [("ctrl-c", 1), ("ctrl-c", 2), ("killed", 2)])
+@pytest.mark.parametrize(
+    ("how", "workers"),
+    [
+        pytest.param("ctrl-c", 1, marks=pytest.mark.slow),
+        ("ctrl-c", 2),
+        pytest.param("killed", 2, marks=pytest.mark.slow),
+    ],
+)
 def test_a_stopped_run_leaves_whole_files_and_the_same_command_resumes(tmp_path, how, workers):
     words = ["evaluate", "--detector", "sample_detectors:Slow", "--episodes", "12", *SMALL, "--json"]
     words += ["--out", str(tmp_path), "--workers", str(workers)]

@@ -275,7 +275,10 @@ def offences(source: str) -> list[str]:
 
 
 # The check of pickling reads what it has written a line before, and never a file.
-EXCUSED = {"detectors/checks/arguments.py": ["pickle.loads"]}
+EXCUSED = {  # bytes that the same run has pickled, no files
+    "detectors/checks/arguments.py": ["pickle.loads"],
+    "detectors/checks/run.py": ["pickle.loads"],
+}
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))

@@ -12,15 +12,16 @@ from synthetic_windows import flight, window_of
 
 import usnet_env
 from detectors.checks import CHECKS, check_detector
+from detectors.checks.windows import STEPS
 from detectors.policy_detector import PolicyDetector, observation_of
 from usnet_env import ArgumentError, Window, make_detector
 
 UAVS = 14
-SMALL = {"clusters": 2, "uavs": UAVS, "observation_steps": 60, "max_rounds": 4}
+SMALL = {"clusters": 2, "uavs": UAVS, "observation_steps": STEPS, "max_rounds": 4}
 
 
 def a_window(alive=None, seed=0, round=1):
-    velocity, _ = flight(np.random.default_rng(seed), sizes=(7, 5), steps=60)
+    velocity, _ = flight(np.random.default_rng(seed), sizes=(7, 5), steps=STEPS)
     return window_of(velocity, alive=alive, round=round)
 
 
@@ -239,7 +240,7 @@ def test_a_maskable_policy(trained):
     assert np.unique(answer.scores).size > 2
 
 
-FOR_ANY_SIZE = [  # these look at 14 UAVs and 60 steps only, which is what the policy was trained with
+FOR_ANY_SIZE = [  # these look at 14 UAVs and T_ob = STEPS only, which is what the policy was trained with
     "check_process_settings_untouched",
     "check_global_generators_untouched",
     "check_constructor_only_stores",

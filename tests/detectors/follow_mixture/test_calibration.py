@@ -146,6 +146,7 @@ def test_something_else_is_no_calibration(tmp_path, text):
         read_calibration(tmp_path / "missing.json")
 
 
+@pytest.mark.slow
 def test_interrupted_training_goes_on_to_the_identical_result(tmp_path):
     def stop(done, total):
         if done == 3:

@@ -61,6 +61,7 @@ def test_what_flocks_got_wrong_everybody_puts_right():
     assert mended >= wrong - 1
 
 
+@pytest.mark.slow
 def test_a_third_of_an_assignment_leads_to_all_of_it():
     samples, history, leader, truth = problem(41, **TURNS)
     rng = np.random.default_rng(0)
@@ -79,6 +80,7 @@ def test_nonsense_explains_nobody():
     assert all(guess.shape == (30,) for guess in first_guesses(samples, watch))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [43, 44])
 def test_followers_with_delays_of_their_own_do_not_lead_the_later(seed):
     window, truth, samples, flocks, found = told(seed, follow=OWN_DELAYS, clusters=5, uavs=82)
@@ -157,6 +159,7 @@ def test_a_head_that_flies_like_none_of_those_it_is_put_among_is_not_dropped():
     assert not drops(samples, history, right, replace(found, heads=np.append(heads, fellow), passed=np.ones(4, bool)))
 
 
+@pytest.mark.slow
 def test_without_a_gate_that_passed_nobody_is_said_to_be_followed(monkeypatch):
     _, truth, samples, flocks, found = told(2, **BY_MAJORITY)
     assert not wrong_about_heads(truth, everybody(samples, flocks, found))

@@ -113,7 +113,9 @@ def test_destroyed_uavs_are_no_candidates_and_change_nothing():
 
 def test_no_living_uav_gives_no_candidate():
     window = simulate_window(2, 8)
-    dead = Window(np.zeros_like(window.position), np.zeros_like(window.velocity), np.zeros((61, 8)), np.zeros(8))
+    dead = Window(
+        np.zeros_like(window.position), np.zeros_like(window.velocity), np.zeros_like(window.seen), np.zeros(8)
+    )
     assert not answer(dead).candidates.any()
 
 
@@ -131,7 +133,7 @@ def test_same_seed_same_answer_and_ties_are_drawn():
 
 
 def test_the_choice_follows_the_probabilities():
-    window = simulate_window(3, 14)
+    window = simulate_window(3, 14, observation_steps=60)
     probability = answer(window).extras["probability"]
     for policy in ("threshold", "map"):
         np.testing.assert_array_equal(answer(window, policy=policy).candidates, probability > 0.5)
