@@ -14,7 +14,7 @@ from copied_network import Bits, CopiedNetwork, copied_share
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.collectors import Collector
-from torchrl.envs import GymWrapper
+from torchrl.envs import GymWrapper, InitTracker, TransformedEnv
 from torchrl.modules import ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
@@ -42,12 +42,15 @@ class Critic(nn.Module):
         return self.layers(copied_share(velocity, alive).sort(dim=-1, descending=True).values)
 
 
-def make_env() -> GymWrapper:
-    """The environment in TorchRL, with masks as boxes, because TorchRL cannot read other masks."""
-    return GymWrapper(BoxMasks(gym.make(ENV, **ARGUMENTS, redundancy_price=PRICE)))
+def make_env() -> TransformedEnv:
+    """The environment in TorchRL, with masks as boxes, because TorchRL cannot read other masks.
+
+    ``InitTracker`` marks the first step of an episode, as the collector expects for an actor with random actions.
+    """
+    return TransformedEnv(GymWrapper(BoxMasks(gym.make(ENV, **ARGUMENTS, redundancy_price=PRICE))), InitTracker())
 
 
-def make_actor(env: GymWrapper) -> ProbabilisticActor:
+def make_actor(env: TransformedEnv) -> ProbabilisticActor:
     """The network gives logits; the action is sampled from them during training, and is the mode otherwise."""
     network = TensorDictModule(CopiedNetwork(), in_keys=SEEN, out_keys=["logits"])
     return ProbabilisticActor(
@@ -66,7 +69,7 @@ def train(steps: int, seed: int = 0) -> tuple[ProbabilisticActor, list[float]]:
     optimizer = torch.optim.Adam(loss.parameters(), lr=2e-2)
     returns = []
     frames = {"frames_per_batch": BATCH, "total_frames": max(steps, BATCH)}
-    for batch in Collector(env, actor, auto_register_policy_transforms=True, **frames):
+    for batch in Collector(env, actor, **frames):
         for _ in range(5):
             advantage(batch)
             for rows in torch.randperm(len(batch)).split(128):
