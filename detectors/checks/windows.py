@@ -96,7 +96,7 @@ def start_environment(seed: int = 0, **arguments: Any) -> tuple[gym.Env[Any, Any
             the checks has, in 3 clusters.
     """
     # As in an evaluation: without Gymnasium's checker, which compares an environment with its specification.
-    arguments = {"clusters": 3, "uavs": 14, "observation_steps": STEPS, **arguments}
+    arguments = {"clusters": 3, "uavs": 15, "observation_steps": STEPS, **arguments}
     env: gym.Env[Any, Any] = gym.make("USNET/MultiCluster-v0", disable_env_checker=True, **arguments)
     observation, _ = env.reset(seed=seed)
     return env, Window.from_observation(observation)

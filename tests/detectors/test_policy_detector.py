@@ -250,7 +250,6 @@ FOR_ANY_SIZE = [  # these look at 14 UAVs and T_ob = STEPS only, which is what t
     "check_same_seed_same_answer",
     "check_pickling",
     "check_no_reach_for_truth",
-    "check_truth_nearby_changes_nothing",
 ]
 
 
