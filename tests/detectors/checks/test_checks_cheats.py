@@ -158,5 +158,5 @@ def test_a_module_that_patches_the_score_when_it_is_imported_fails(monkeypatch):
 def test_a_detector_object_runs_in_a_child_process():
     results = check_detector(cheating.Good(), child_process=True)
     assert {result.status for result in results} == {"passed"}
-    with pytest.raises(AssertionError, match=r"Ends fails .* it ended its process with status 0, in detect"):
+    with pytest.raises(AssertionError, match=r"(?s)Ends fails .* it ended its process with status 0, in detect"):
         check_detector(cheating.Ends(), time_limit=120)
