@@ -55,10 +55,10 @@ def test_frames_have_the_size_asked_for(size):
 
 
 def test_marks_tell_what_was_named():
-    nobody = drawing.round_frame(**scene())
+    no_candidate = drawing.round_frame(**scene())
     hit = drawing.round_frame(**scene(), candidates=named(0, 4))
     wrong = drawing.round_frame(**scene(), candidates=named(0, 4, 1))
-    assert painted(nobody, drawing.HIT) == painted(nobody, drawing.REDUNDANT) == 0
+    assert painted(no_candidate, drawing.HIT) == painted(no_candidate, drawing.REDUNDANT) == 0
     assert painted(hit, drawing.HIT) > 100
     assert painted(hit, drawing.REDUNDANT) == 0
     assert painted(wrong, drawing.REDUNDANT) > 50

@@ -14,7 +14,7 @@ def pivot(rows: Sequence[Row], episode: str) -> str:
     names = list(dict.fromkeys(row["detector"] for row in rows))
     lines = []
     for key, own in grouped(rows, lambda row: (row["swarm"], row["follow"])).items():
-        swarm, follow = key  # type: ignore[misc]
+        swarm, follow = key
         by_name = {name: [row for row in own if row["detector"] == name] for name in names}
         counts = "–".join(map(str, sorted({len(some) for some in by_name.values()})))
         costs = [mean_of(some, "J", 2, episode) if some else "" for some in by_name.values()]
@@ -28,7 +28,7 @@ def exact(rows: Sequence[Row]) -> str:
     lines = []
     groups = grouped(rows, lambda row: (row["swarm"], "f1–f7" if row["follow"] in _SEVEN else EIGHT))
     for key, own in groups.items():
-        swarm, strategies = key  # type: ignore[misc]
+        swarm, strategies = key
         by_name = [[row for row in own if row["detector"] == name] for name in names]
         counts = "–".join(map(str, sorted({len(some) for some in by_name})))
         lines.append((swarm, strategies, counts, *(exact_of(some) for some in by_name)))
@@ -43,7 +43,7 @@ def limits() -> str:
     rows = read_csv(RESULTS / "learned_limits.csv")
     lines = []
     for key, own in grouped(rows, _variant).items():
-        tier, variant, name = key  # type: ignore[misc]
+        tier, variant, name = key
         empty = tier in ("silence", "shifted")
         lines.append(
             (

@@ -17,7 +17,7 @@ def means(rows: Sequence[Row], keys: Sequence[str], columns: dict[str, str]) -> 
             else mean_of(own, name, 2, "seed")
             for name in columns
         ]
-        lines.append((*key, str(len(own)), *numbers))  # type: ignore[misc]
+        lines.append((*key, str(len(own)), *numbers))
     return table((*keys, "n", *columns.values()), lines)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from commands import commands_of
 
@@ -32,6 +33,7 @@ __all__ = [
 ]
 
 Row = Mapping[str, str]
+KeyT = TypeVar("KeyT", bound=Hashable)
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -45,9 +47,9 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def grouped(rows: Iterable[Row], key: Callable[[Row], Hashable]) -> dict[Hashable, list[Row]]:
+def grouped(rows: Iterable[Row], key: Callable[[Row], KeyT]) -> dict[KeyT, list[Row]]:
     """The rows by a key, in the order in which the keys appear."""
-    found: dict[Hashable, list[Row]] = {}
+    found: dict[KeyT, list[Row]] = {}
     for row in rows:
         found.setdefault(key(row), []).append(row)
     return found

@@ -122,6 +122,7 @@ def check_detector(
                 f"child_process must be false for a detector that cannot be pickled, got {type(error).__name__}: "
                 f"{' '.join(str(error).split())}."
             ) from None
+        # The child makes the detector from bytes of this process, never of a file: a failure there is a result, too.
         results = run_in_child(functools.partial(pickle.loads, content), checks, excuses, limits, callback)
     else:
         results = []

@@ -548,8 +548,8 @@ def test_wrappers_that_ask_for_a_limit_of_steps_get_it_from_gymnasium():
     env = gym.make(MULTI, max_rounds=3, max_episode_steps=3, **SMALL)
     timed = gym.wrappers.TimeAwareObservation(env, flatten=False, normalize_time=True)
     assert timed.reset(seed=0)[0]["time"] == 0
-    nobody = np.zeros(20, np.int8)
-    truncated = [timed.step(nobody)[3] for _ in range(3)]
+    no_candidate = np.zeros(20, np.int8)
+    truncated = [timed.step(no_candidate)[3] for _ in range(3)]
     assert truncated == [False, False, True]
 
 

@@ -112,9 +112,9 @@ def test_candidates_and_heads_are_in_the_chart_whatever_their_scores():
     axes = draw_episode(episode).axes[1]
     assert axes.get_ylim() == (0, 1)
     assert [text.get_text() for text in axes.texts] == ["All scores are 0."]
-    everybody = large_episode(candidates=np.ones((1, 60), bool))
-    assert len(rank_scores(everybody, 1)) == 40
-    assert {30, 31, 40} <= set(rank_scores(everybody, 1).tolist())
+    all_named = large_episode(candidates=np.ones((1, 60), bool))
+    assert len(rank_scores(all_named, 1)) == 40
+    assert {30, 31, 40} <= set(rank_scores(all_named, 1).tolist())
 
 
 @pytest.mark.parametrize("scores", [np.zeros((ROUNDS, UAVS)), -np.ones((ROUNDS, UAVS)), np.eye(ROUNDS, UAVS) * 1e30])

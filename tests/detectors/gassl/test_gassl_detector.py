@@ -303,8 +303,8 @@ def test_windows_that_show_nothing():
         answer = detector(top_k=2).detect(poor)
         assert answer.candidates.sum() == 2
         assert not answer.scores.any()
-    nobody = detector().detect(without(window, list(range(5))))
-    assert not nobody.candidates.any()
+    answer = detector().detect(without(window, list(range(5))))
+    assert not answer.candidates.any()
 
 
 @pytest.mark.parametrize("steps", [5, 6, 12])

@@ -18,7 +18,7 @@ def drawn(sampling, inputs, labels, anchors=10_000, seed=0):
 
 
 def loss_of(features, triplets, margin):
-    """The loss of each triplet, from the features ``(R, n, w)`` of everybody."""
+    """The loss of each triplet, from the features ``(R, n, w)`` of all UAVs."""
     members = (triplets.anchor, triplets.positive, triplets.negative)
     return triplet_loss(*(features[triplets.time, member] for member in members), margin)
 

@@ -444,8 +444,8 @@ def test_windows_that_show_nothing():
         assert not found[0].scores.any()
         assert found[1].scores.any()
         assert not detector(gate=True).detect(poor).candidates.any()
-    nobody = detector().detect(without(window, list(range(5))))
-    assert not nobody.candidates.any()
+    answer = detector().detect(without(window, list(range(5))))
+    assert not answer.candidates.any()
 
 
 def test_a_window_with_nan_is_refused_at_the_border():
