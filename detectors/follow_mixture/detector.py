@@ -11,8 +11,8 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.follow_mixture.calibration import calibrated
 from detectors.follow_mixture.explain import explain
-from detectors.follow_mixture.policy import Policy, choose
 from detectors.follow_mixture.samples import samples_of
+from detectors.policy import Policy, choose
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
 from usnet_env.window import Window

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.follow_mixture.policy import Policy, choose
 from detectors.learned.inputs import make_inputs
 from detectors.learned.network import HeadNetwork, build_network
+from detectors.policy import Policy, choose
 from detectors.series.pairs import check_pairs
 from detectors.weights import packaged_arrays, read_arrays
 from usnet_env.config import ArgumentError, Config, unknown_name
@@ -51,7 +51,7 @@ class Learned(Detector):
             :class:`detectors.follow_mixture.FollowMixture`.
 
             * ``"cost"`` (default) minimises the expected J_m of P2
-              (:func:`detectors.follow_mixture.policy.choose`). A redundant candidate costs 1/N of a round, a missed
+              (:func:`detectors.policy.choose`). A redundant candidate costs 1/N of a round, a missed
               head costs ``round_price`` rounds; so it also names doubtful UAVs. It names at least
               one UAV.
             * ``"map"`` minimises the expected number of wrong decisions: it names the UAVs with a probability above

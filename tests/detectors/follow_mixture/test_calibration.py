@@ -22,7 +22,6 @@ from detectors.follow_mixture.calibration import (
     verdict,
 )
 from detectors.follow_mixture.explanation import KINDS, Explanation
-from detectors.follow_mixture.policy import Policy, choose
 from detectors.follow_mixture.train import (
     COLUMNS,
     CalibrationTraining,
@@ -31,6 +30,7 @@ from detectors.follow_mixture.train import (
     read_rows,
     train_calibration,
 )
+from detectors.policy import Policy, choose
 from usnet_env.config import ArgumentError
 from usnet_env.swarm.follow import FollowInputs, follow_strategy
 from usnet_env.swarm.random_follow import RandomFollowStrategy

@@ -15,7 +15,6 @@ from detectors.follow_mixture.evidence import FeatureKind, affordable_kinds, gai
 from detectors.follow_mixture.facility import LEAST_VOTERS, locate_heads
 from detectors.follow_mixture.likelihood import Noise, fit_directions, log_normaliser, natural_parameters
 from detectors.follow_mixture.noise import fit_spectra, smoothed_pasts
-from detectors.follow_mixture.policy import Policy, choose
 from detectors.follow_mixture.samples import samples_of
 from detectors.follow_mixture.search import explained_by_reach, misfit, within_reach
 from detectors.follow_mixture.strategy import (
@@ -26,6 +25,7 @@ from detectors.follow_mixture.strategy import (
     head_features,
     pair_features,
 )
+from detectors.policy import Policy, choose
 
 
 def test_rows_are_the_velocities_and_what_came_before():
