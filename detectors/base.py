@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator
 
-from usnet_env.config import optional_seed
+from usnet_env.config import Config, optional_seed
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -27,19 +28,31 @@ class Detector(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no ty
     Attributes:
         side_by_side: whether :meth:`detect_batch` trains on all windows together, so that an answer depends on the
             windows that it is given with. A table of results records the batch of such a detector.
+        Parameters: the config that checks the arguments of the constructor, if there is one.
     """
 
     side_by_side: ClassVar[bool] = False
+    Parameters: ClassVar[type[Config] | None] = None
+
+    def check_arguments(self) -> Any:
+        """Check the arguments of the constructor by ``Parameters`` and return them; raises ``ArgumentError``."""
+        return None if self.Parameters is None else self.Parameters(**self.get_params())
+
+    @cached_property
+    def rng(self) -> np.random.Generator:
+        """The generator of the episode; with a seed from the operating system if :meth:`reset` was not called."""
+        return np.random.default_rng()
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode: clear the state of the previous episode and create the generator ``self.rng``.
+        """Start an episode: clear the state of the previous episode and create the generator :attr:`rng`.
 
         Args:
             seed: seed of ``self.rng``, never that of the environment; ``None`` takes one from the operating system.
 
         Raises:
-            ArgumentError: the seed is not a whole number from 0.
+            ArgumentError: an argument of the constructor is refused, or the seed is not a whole number from 0.
         """
+        self.check_arguments()
         self.rng = np.random.default_rng(optional_seed("seed", seed))
 
     def detect(self, window: Window) -> Detection:

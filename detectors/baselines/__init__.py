@@ -1,6 +1,6 @@
-"""Baselines: the trivial policies, pairwise Granger causality, and factions with their leaders."""
+"""Baselines: the trivial policies, factions with their leaders, and pairwise Granger causality."""
 
 from detectors.baselines.factions import Factions
-from detectors.baselines.granger import Granger
+from detectors.lagged import Granger
 
 __all__ = ["Factions", "Granger"]

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.lagged.selection import centre_columns, rank_uavs
-from detectors.series.pairs import check_pairs
+from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
+from detectors.series.regressions import correlate_over_lags
+from detectors.series.votes import rank_uavs
 from usnet_env.config import Config
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -47,17 +48,11 @@ class Factions(Detector):
             UAVs.
     """
 
+    Parameters = _Arguments
+
     def __init__(self, max_lag: int = 4, threshold: float = 0.4) -> None:
         self.max_lag = max_lag
         self.threshold = threshold
-
-    def _arguments(self) -> _Arguments:
-        return _Arguments(max_lag=self.max_lag, threshold=self.threshold)
-
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the generator only breaks ties."""
-        self._arguments()
-        super().reset(seed)
 
     def detect(self, window: Window) -> Detection:
         """Name the leaders of all factions, or the UAV with the highest PageRank if there is no leader.
@@ -65,9 +60,8 @@ class Factions(Detector):
         Returns:
             Candidates, scores (PageRank), clusters (factions; -1: in no faction) and leader (-1: none).
         """
-        arguments = self._arguments()
+        arguments = self.check_arguments()
         check_pairs(window.uavs)
-        rng = getattr(self, "rng", None) or np.random.default_rng()
         living = np.flatnonzero(window.alive)
         scores = np.zeros(window.uavs)
         leader = np.full(window.uavs, -1, np.int64)
@@ -87,7 +81,7 @@ class Factions(Detector):
                 clusters[living[mine]] = label
             candidates[living[leads]] = True
             if not len(leads):
-                candidates[rank_uavs(scores, window.alive, rng)[:1]] = True
+                candidates[rank_uavs(scores, window.alive, self.rng)[:1]] = True
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader)
 
 
@@ -102,14 +96,8 @@ def build_following_network(
         max_lag: the largest lag, in samples.
         threshold: the smallest correlation that counts as following.
     """
-    steps, uavs = velocity.shape[:2]
-    flight = centre_columns(velocity.astype(np.float64), seen)
-    length = np.sqrt((flight**2).sum(axis=(0, 2)))
-    flight = (flight / np.where(length > 1e-9, length, np.inf)[:, None]).transpose(1, 0, 2)
-    best = np.full((uavs, uavs), -np.inf)
-    for lag in range(1, min(max_lag, steps - 2) + 1):
-        later, earlier = flight[:, lag:].reshape(uavs, -1), flight[:, : steps - lag].reshape(uavs, -1)
-        best = np.maximum(best, later @ earlier.T)
+    flight = scale_to_unit(centre_columns(velocity.astype(np.float64), seen))
+    best = correlate_over_lags(flight, flight, min(max_lag, len(velocity) - 2))
     ahead = np.where((best >= threshold) & (best > best.T), best, 0.0)
     np.fill_diagonal(ahead, 0.0)
     return np.where(np.isfinite(ahead), ahead, 0.0)

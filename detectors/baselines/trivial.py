@@ -33,19 +33,15 @@ class RandomDetector(Detector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if ``count`` is not a whole number from 1.
     """
 
+    Parameters = _RandomArguments
+
     def __init__(self, count: int = 1) -> None:
         self.count = count
 
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode with a new generator."""
-        _RandomArguments(count=self.count)
-        super().reset(seed)
-
     def detect(self, window: Window) -> Detection:
         """Name the living UAVs with the ``count`` highest of N random scores in (0, 1]; a destroyed UAV has score 0."""
-        count = _RandomArguments(count=self.count).count
-        rng = getattr(self, "rng", None) or np.random.default_rng()
-        scores = np.where(window.alive, 1.0 - rng.random(window.uavs), 0.0)
+        count = self.check_arguments().count
+        scores = np.where(window.alive, 1.0 - self.rng.random(window.uavs), 0.0)
         candidates = np.zeros(window.uavs, bool)
         candidates[np.argsort(-scores)[:count]] = True
         return Detection(candidates=candidates & window.alive, scores=scores)

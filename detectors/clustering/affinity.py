@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from detectors.lagged.correlation import lagged_correlation
-from detectors.lagged.selection import centre_columns
+from detectors.series.designs import centre_columns, scale_to_unit
+from detectors.series.regressions import correlate_at_lag, correlate_over_lags
+from detectors.series.surrogates import compute_chance, shift_in_time
 from usnet_env.config import ArgumentError
 from usnet_env.window import frozen_array
 
@@ -18,7 +19,7 @@ __all__ = [
     "compute_cosine_affinity",
     "compute_lag_affinity",
     "compute_rbf_affinity",
-    "correlate_over_lags",
+    "correlate_both_ways",
     "normalise_affinity",
     "regularise_affinity",
 ]
@@ -30,7 +31,7 @@ _REGULARISATION = 0.25  # sum of the weights that regularisation adds to each UA
 Affinity = Callable[[Floats], ArrayLike]
 
 
-def correlate_over_lags(series: Floats, max_lag: int, surrogate: bool = False) -> Floats:
+def correlate_both_ways(series: Floats, max_lag: int, surrogate: bool = False) -> Floats:
     """Compute the highest correlation of every two series over the lags -L to L.
 
     Args:
@@ -42,15 +43,12 @@ def correlate_over_lags(series: Floats, max_lag: int, surrogate: bool = False) -
         ``(n, n)`` symmetric, from -1 to 1, with 1 on the diagonal unless ``surrogate``. The correlation with a
         constant series is 0.
     """
-    flight = centre_columns(series.swapaxes(0, 1), np.ones(series.shape[1::-1], bool))
-    length = np.sqrt((flight**2).sum(axis=(0, 2)))
-    flight /= np.where(length > 1e-9, length, np.inf)[:, None]
-    steps, uavs = flight.shape[:2]
-    other = np.roll(flight, steps // 2, axis=0) if surrogate else flight
-    best: Floats = flight.transpose(1, 0, 2).reshape(uavs, -1) @ other.transpose(1, 0, 2).reshape(uavs, -1).T
-    if lags := min(max_lag, steps - 1):
-        np.maximum(best, lagged_correlation(flight, other, lags), out=best)
-        np.maximum(best, lagged_correlation(other, flight, lags).T, out=best)
+    flight = scale_to_unit(centre_columns(series.swapaxes(0, 1), np.ones(series.shape[1::-1], bool)))
+    other = shift_in_time(flight) if surrogate else flight
+    best = correlate_at_lag(flight, other, 0)
+    lags = min(max_lag, len(flight) - 1)
+    np.maximum(best, correlate_over_lags(flight, other, lags), out=best)
+    np.maximum(best, correlate_over_lags(other, flight, lags).T, out=best)
     best = np.maximum(best, best.T)
     if not surrogate:
         np.fill_diagonal(best, 1.0)
@@ -58,7 +56,7 @@ def correlate_over_lags(series: Floats, max_lag: int, surrogate: bool = False) -
 
 
 def compute_lag_affinity(features: Floats, max_lag: int) -> Floats:
-    """Compute max(0, (ρ - c) / (1 - c)), ``(n, n)``, where ρ is the result of :func:`correlate_over_lags`.
+    """Compute max(0, (ρ - c) / (1 - c)), ``(n, n)``, where ρ is the result of :func:`correlate_both_ways`.
 
     c is the level of chance: the median over the UAVs of the highest correlation of a UAV with another one that is
     shifted in time. Without it the sum of many small correlations by chance would connect the clusters of a large
@@ -75,10 +73,10 @@ def compute_lag_affinity(features: Floats, max_lag: int) -> Floats:
         raise ArgumentError(
             f"affinity must be 'rbf', 'cosine' or None for features without a time axis {features.shape}, got 'lag'."
         )
-    by_chance = correlate_over_lags(features, max_lag, surrogate=True)
+    by_chance = correlate_both_ways(features, max_lag, surrogate=True)
     np.fill_diagonal(by_chance, -1.0)
-    chance = float(np.clip(np.median(by_chance.max(axis=1)), 0.0, 0.99))
-    return np.clip((correlate_over_lags(features, max_lag) - chance) / (1.0 - chance), 0.0, 1.0)
+    chance = float(np.clip(compute_chance(by_chance), 0.0, 0.99))
+    return np.clip((correlate_both_ways(features, max_lag) - chance) / (1.0 - chance), 0.0, 1.0)
 
 
 def _flatten_series(features: Floats) -> Floats:

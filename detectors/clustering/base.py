@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,6 +147,7 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
         ArgumentError: raised by :meth:`cluster` for an invalid argument.
     """
 
+    arguments: ClassVar[type[ClustererArguments]] = ClustererArguments  #: what checks the constructor's arguments
     counts: tuple[str, ...] = COUNTS  #: the strings that ``count`` accepts
 
     def __init__(
@@ -164,8 +165,8 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
         self.memory = memory
 
     def check_arguments(self) -> ClustererArguments:
-        """Check all arguments; return the common ones. A subclass with more arguments extends this method."""
-        common = ClustererArguments(**{name: getattr(self, name) for name in ClustererArguments.model_fields})
+        """Check all arguments and return those of :attr:`arguments`."""
+        common = self.arguments(**{name: getattr(self, name) for name in self.arguments.model_fields})
         if isinstance(common.count, str) and common.count not in self.counts:
             raise unknown_name("count", common.count, (*self.counts, "a whole number"))
         if isinstance(common.features, str) and common.features not in FEATURES:

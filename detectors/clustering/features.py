@@ -1,9 +1,8 @@
 """Features of every UAV, computed from a window: the input of the clusterers.
 
 ``"raw"`` and ``"scaled"`` are the paper's window of T_0 samples as one row per UAV, in metres or standardised.
-``"velocities"`` is the time series of the whole window. Missing samples are filled in: an unseen position is
-interpolated linearly in time (at the ends, the nearest seen position is repeated), an unseen velocity is the mean
-velocity of the UAV, and a UAV that was never seen gets the mean of the other UAVs.
+``"velocities"`` is the time series of the whole window. Missing samples are filled in by
+:func:`detectors.series.gaps.fill_gaps`.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from detectors.series.gaps import fill_gaps
 from usnet_env.config import ArgumentError
 from usnet_env.window import Window, frozen_array
 
@@ -29,38 +29,11 @@ Floats = NDArray[np.float64]
 Features = Callable[[Window], ArrayLike]
 
 
-def _fill_positions(window: Window) -> Floats:
-    """Return positions without missing samples, ``(T_ob + 1, N, 3)`` in metres."""
-    position = window.position.astype(np.float64)
-    seen = window.seen & window.alive
-    instants = np.arange(len(position))
-    for uav in np.flatnonzero(seen.any(axis=0) & ~seen.all(axis=0)):
-        at = np.flatnonzero(seen[:, uav])
-        for axis in range(3):
-            position[:, uav, axis] = np.interp(instants, at, position[at, uav, axis])
-    return _fill_unseen_uavs(position, seen)
-
-
-def _fill_velocities(window: Window) -> Floats:
-    """Return velocities without missing samples, ``(T_ob, N, 3)`` in metres per step."""
-    seen = window.velocity_seen[..., None]
-    velocity = window.velocity.astype(np.float64) * seen
-    mean = velocity.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-    return _fill_unseen_uavs(np.where(seen, velocity, mean), window.velocity_seen)
-
-
-def _fill_unseen_uavs(values: Floats, seen: NDArray[np.bool_]) -> Floats:
-    """Set the ``values`` ``(T, N, 3)`` of UAVs that were never ``seen`` ``(T, N)`` to the mean of the others."""
-    known: NDArray[np.bool_] = np.asarray(seen.any(axis=0))
-    if known.any():
-        values[:, ~known] = values[:, known].mean(axis=1, keepdims=True)
-    return values
-
-
 def _take_last_samples(window: Window, memory: int) -> tuple[Floats, Floats]:
     """Return the positions at the start of the last T_0 steps and their velocities, each ``(N, T_0, 3)``."""
-    position, velocity = _fill_positions(window)[:-1], _fill_velocities(window)
-    return position[-memory:].swapaxes(0, 1), velocity[-memory:].swapaxes(0, 1)
+    whole = fill_gaps(window)
+    position, velocity = whole.position[:-1][-memory:], whole.velocity[-memory:]
+    return position.swapaxes(0, 1).astype(np.float64), velocity.swapaxes(0, 1).astype(np.float64)
 
 
 def _flatten_samples(position: Floats, velocity: Floats) -> Floats:
@@ -98,7 +71,7 @@ def compute_scaled_features(window: Window, memory: int) -> Floats:
 
 def collect_velocity_series(window: Window, memory: int) -> Floats:
     """Return the velocities of the whole window, ``(N, T_ob, 3)`` in metres per step; ``memory`` is not used."""
-    return _fill_velocities(window).swapaxes(0, 1)
+    return fill_gaps(window).velocity.swapaxes(0, 1).astype(np.float64)
 
 
 #: The built-in features by name.

@@ -14,9 +14,9 @@ from detectors.clustering.base import COUNTS, OWN, Clusterer, ClustererArguments
 from detectors.clustering.features import Features
 from detectors.clustering.k_means import assign_k_means_labels
 from detectors.clustering.snmf import factorise_affinity
-from detectors.lagged.regression import regression_evidence
-from detectors.lagged.selection import detection_from_evidence
-from usnet_env.config import ArgumentError, Config, quote, unknown_name
+from detectors.series.evidence import regression_evidence
+from detectors.series.votes import detection_from_evidence
+from usnet_env.config import ArgumentError, quote, unknown_name
 
 __all__ = ["Agglomerative", "Hdbscan", "KMeans", "LeadVotes", "Spectral", "SymmetricNMF"]
 
@@ -50,7 +50,7 @@ class Spectral(Clusterer):
         return labels
 
 
-class _SymmetricNMFArguments(Config):
+class _SymmetricNMFArguments(ClustererArguments):
     starts: Annotated[int, Field(ge=1, le=1_000_000)]
     steps: Annotated[int, Field(ge=1, le=1_000_000)]
 
@@ -66,6 +66,8 @@ class SymmetricNMF(Clusterer):
         steps: the largest number of updates of each start.
     """
 
+    arguments = _SymmetricNMFArguments
+
     def __init__(
         self,
         count: int | str = "eigengap",
@@ -79,11 +81,6 @@ class SymmetricNMF(Clusterer):
         super().__init__(count, features, affinity, max_lag, memory)
         self.starts = starts
         self.steps = steps
-
-    def check_arguments(self) -> ClustererArguments:
-        """Check all arguments; return the common ones."""
-        _SymmetricNMFArguments(starts=self.starts, steps=self.steps)
-        return super().check_arguments()
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
         """Return labels ``(n,)`` of the best start."""
@@ -118,7 +115,7 @@ class Agglomerative(Clusterer):
         self.linkage = linkage
 
     def check_arguments(self) -> ClustererArguments:
-        """Check all arguments; return the common ones."""
+        """Check all arguments and return those of :attr:`arguments`."""
         if not isinstance(self.linkage, str) or self.linkage not in LINKAGES:
             raise unknown_name("linkage", self.linkage, LINKAGES)
         return super().check_arguments()
@@ -130,7 +127,7 @@ class Agglomerative(Clusterer):
         return labels
 
 
-class _HdbscanArguments(Config):
+class _HdbscanArguments(ClustererArguments):
     least: Annotated[int, Field(ge=2, le=100_000)]
 
 
@@ -146,6 +143,7 @@ class Hdbscan(Clusterer):
         least: the smallest number of members of a cluster, at least 2.
     """
 
+    arguments = _HdbscanArguments
     counts = (OWN,)
 
     def __init__(
@@ -161,8 +159,7 @@ class Hdbscan(Clusterer):
         self.least = least
 
     def check_arguments(self) -> ClustererArguments:
-        """Check all arguments; return the common ones."""
-        _HdbscanArguments(least=self.least)
+        """Check all arguments and return those of :attr:`arguments`."""
         if not isinstance(self.count, str) or self.count != OWN:
             raise ArgumentError(
                 f"count must be {OWN!r} for HDBSCAN, which estimates the number of clusters, got {quote(self.count)}."
@@ -183,7 +180,7 @@ class Hdbscan(Clusterer):
         return found
 
 
-class _LeadVotesArguments(Config):
+class _LeadVotesArguments(ClustererArguments):
     lags: Annotated[int, Field(ge=1, le=1000)]
     squares: bool
     ridge: Annotated[float, Field(ge=0)]
@@ -203,6 +200,7 @@ class LeadVotes(Clusterer):
         lags, squares, ridge: as in :class:`detectors.lagged.LaggedRegression`.
     """
 
+    arguments = _LeadVotesArguments
     counts = (*COUNTS, OWN)
 
     def __init__(
@@ -220,11 +218,6 @@ class LeadVotes(Clusterer):
         self.lags = lags
         self.squares = squares
         self.ridge = ridge
-
-    def check_arguments(self) -> ClustererArguments:
-        """Check all arguments; return the common ones."""
-        _LeadVotesArguments(lags=self.lags, squares=self.squares, ridge=self.ridge)
-        return super().check_arguments()
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
         """Return labels ``(n,)``; ``rng`` breaks ties between leaders."""

@@ -15,14 +15,15 @@ from detectors.gassl.algorithm_1 import algorithm_1
 from detectors.gassl.ifsn import IfsnSizes, draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Fit, Training, prepare_inputs, train
-from detectors.gassl.votes import RULES, choose_heads, count_votes, select_top
-from detectors.series.pairs import check_pairs
+from detectors.series.designs import check_window
+from detectors.series.votes import choose_heads, count_votes, select_top
 from usnet_env.config import ArgumentError, Config, unknown_name
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
 __all__ = ["Gassl"]
 
+RULES = ("paper", "exclude-self")
 IMPLEMENTATIONS = ("compiled", "printed")
 _LEAST_UAVS = 3  # a head and two followers
 
@@ -110,14 +111,7 @@ class Gassl(Detector):
             raise ArgumentError(f"ifsn_{error}") from None
         return agat, ifsn, Training(steps=self.steps, learning_rate=self.learning_rate)
 
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode.
-
-        Raises:
-            ArgumentError: an argument of the constructor is refused.
-        """
-        self.settings()
-        super().reset(seed)
+    check_arguments = settings
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
@@ -133,13 +127,12 @@ class Gassl(Detector):
         self.settings()
         check_window(window, self.memory)
         members = np.flatnonzero(window.alive)
-        rng = getattr(self, "rng", None) or np.random.default_rng()
         if len(members) < _LEAST_UAVS or not window.velocity_seen.any():  # no evidence, decision (x)
             candidates = np.zeros(window.uavs, bool)
-            candidates[rng.permutation(members)[: self.top_k]] = True
+            candidates[self.rng.permutation(members)[: self.top_k]] = True
             return Detection(candidates=candidates, scores=np.zeros(window.uavs))
-        fit = self.fit_cluster(window, members, None, rng)
-        return answer(window, members, fit, self.rule, self.top_k, rng)
+        fit = self.fit_cluster(window, members, None, self.rng)
+        return answer(window, members, fit, self.rule, self.top_k, self.rng)
 
     def draw_gamma(self, rng: np.random.Generator) -> NDArray[np.float32]:
         """An initial Γ, ``(parameters,)``."""
@@ -165,17 +158,6 @@ class Gassl(Detector):
         if self.implementation == "compiled":
             return train(inputs, phi, gamma, agat, training)
         return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, ifsn, training)
-
-
-def check_window(window: Window, memory: int) -> None:
-    """Refuse a window that is too short for T_0, or too large for matrices of all pairs.
-
-    Raises:
-        ArgumentError: the window has no more than T_0 velocities, or more than 10,000 UAVs.
-    """
-    check_pairs(window.uavs)
-    if window.observation_steps <= memory:
-        raise ArgumentError(f"window must hold more than memory = {memory} velocities, got {window.observation_steps}.")
 
 
 def answer(

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.series.gaps import fill_with_nearest
+from detectors.series.designs import check_window, stack_past
+from detectors.series.gaps import fill_gaps
 from usnet_env.config import ArgumentError, quote
 from usnet_env.window import Window
 
@@ -27,7 +28,7 @@ class Batch:
         target: ``(R, n, 3)`` metres per step, v_{i,t+1}.
         weight: ``(R, n)``, 1 where the target was seen, else 0.
 
-    A velocity that was not seen is 0; a position that was not seen is the nearest seen one in time (decision (y)).
+    What was not seen is filled in (:func:`detectors.series.gaps.fill_gaps`, decision (y)), but a target is 0 then.
     """
 
     position: Floats
@@ -63,23 +64,22 @@ def build_batch(window: Window, members: NDArray[np.intp] | None = None, memory:
     Raises:
         ArgumentError: the window holds no more than T_0 velocities.
     """
-    steps = window.observation_steps
-    if steps <= memory:
-        raise ArgumentError(f"window must hold more than memory = {memory} velocities, got {steps}.")
+    check_window(window, memory)
     index = np.flatnonzero(window.alive) if members is None else np.asarray(members)
-    seen = window.velocity_seen[:, index]
-    velocity = np.where(seen[..., None], window.velocity[:, index], np.float32(0))
-    position = fill_with_nearest(window.position[:, index], window.seen[:, index])
-    times = np.arange(memory - 1, steps - 1)
-    past = times[:, None] - np.arange(memory - 1, -1, -1)  # (R, T_0): t - T_0 + 1, ..., t
-    instants = times[:, None] - np.arange(memory - 1, -2, -1)  # (R, T_0 + 1): t - T_0 + 1, ..., t + 1
+    whole = fill_gaps(window)
+    position, velocity, seen = whole.position[:, index], whole.velocity[:, index], window.velocity_seen[memory:, index]
     return Batch(
-        position=position[times - memory + 1],
-        velocity=velocity[past].swapaxes(1, 2),
-        own=position[instants].swapaxes(1, 2),
-        target=velocity[times + 1],
-        weight=seen[times + 1].astype(np.float32),
+        position=position[: -memory - 1],
+        velocity=_stack_columns(velocity, memory),
+        own=_stack_columns(position, memory + 1),
+        target=np.where(seen[..., None], velocity[memory:], np.float32(0)),
+        weight=seen.astype(np.float32),
     )
+
+
+def _stack_columns(values: Floats, columns: int) -> Floats:
+    """``(R, n, columns, 3)``, oldest first, of ``values`` ``(R + columns, n, 3)``."""
+    return np.ascontiguousarray(stack_past(values, columns)[:, :, ::-1].transpose(1, 2, 0, 3)).swapaxes(1, 2)
 
 
 def topology_matrix(
@@ -104,8 +104,6 @@ def topology_matrix(
         raise ArgumentError(f"time must be a whole number from {memory - 1} to {steps - 1}, got {quote(time)}.")
     index = np.flatnonzero(window.alive) if members is None else np.asarray(members)
     first = int(time) - memory + 1
-    seen = window.velocity_seen[first : first + memory, index]
-    velocity = np.where(seen[..., None], window.velocity[first : first + memory, index], np.float32(0))
-    position = fill_with_nearest(window.position[:, index], window.seen[:, index])[first]
-    columns = np.concatenate([position[None], velocity])  # (T_0 + 1, n, 3)
+    whole = fill_gaps(window)
+    columns = np.concatenate([whole.position[first, None], whole.velocity[first : first + memory]])[:, index]
     return np.ascontiguousarray(columns.transpose(1, 2, 0).reshape(3 * len(index), memory + 1))

@@ -15,7 +15,7 @@ from detectors.neural_granger import NeuralGranger
 from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate
 from detectors.neural_granger.shared_network import Following, follow_by_shared_network
-from detectors.series.pairs import check_pairs
+from detectors.series.designs import check_pairs
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window

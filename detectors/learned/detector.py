@@ -13,7 +13,7 @@ from detectors.base import Detector
 from detectors.learned.inputs import make_inputs
 from detectors.learned.network import HeadNetwork, build_network
 from detectors.policy import Policy, choose
-from detectors.series.pairs import check_pairs
+from detectors.series.designs import check_pairs
 from detectors.weights import packaged_arrays, read_arrays
 from usnet_env.config import ArgumentError, Config, unknown_name
 from usnet_env.detection import Detection
@@ -75,7 +75,8 @@ class Learned(Detector):
         self.round_price = round_price
         self.weights = weights
 
-    def _arguments(self) -> _Arguments:
+    def check_arguments(self) -> _Arguments:
+        """Check all arguments and return them."""
         arguments = _Arguments(**self.get_params())
         if arguments.policy not in POLICIES:
             raise unknown_name("policy", arguments.policy, POLICIES)
@@ -87,7 +88,7 @@ class Learned(Detector):
         Raises:
             ArgumentError: an argument of the constructor is refused.
         """
-        self._network = load_network(self._arguments().weights)
+        self._network = load_network(self.check_arguments().weights)
         super().reset(seed)
 
     def detect(self, window: Window) -> Detection:
@@ -101,7 +102,7 @@ class Learned(Detector):
         Raises:
             ArgumentError: an argument of the constructor is refused, or more than ``MOST_UAVS`` UAVs are alive.
         """
-        arguments = self._arguments()
+        arguments = self.check_arguments()
         if not hasattr(self, "_network"):
             self.reset()
         check_pairs(window.uavs)

@@ -12,7 +12,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.lagged.selection import centre_columns
+from detectors.series.designs import centre_columns, count_lags, scale_to_unit, stack_past
+from detectors.series.null_models import compute_innovations
+from detectors.series.regressions import correlate_at_lag, explain_pairs
+from detectors.series.surrogates import shift_in_time
 from usnet_env.window import Window
 
 __all__ = ["LAGS", "PAIR_FEATURES", "pair_features"]
@@ -21,8 +24,7 @@ Floats = NDArray[np.float32]
 
 LAGS = 5  # number of single lags; f1 to f7 use at most 4 past steps
 _JOINT_LAGS = 4  # lags of the regressions on several lags together
-_ROWS_PER_FEATURE = 1.5  # least samples per feature of a regression, as in detectors.lagged.regression
-_RIDGE = 1e-3
+_ROWS_PER_FEATURE = 1.5  # least samples per feature of a regression
 _LONG = 20  # with at least as many velocities, the innovation is taken against two own past velocities, otherwise one
 _SPREADS = 10.0  # standardised values are clipped to this many standard deviations
 
@@ -68,16 +70,16 @@ def pair_features(window: Window, living: NDArray[np.intp]) -> Floats:
 
 def _compute_flight_statistics(velocity: Floats, seen: NDArray[np.bool_]) -> Iterator[Floats]:
     steps = len(velocity)
-    linear = _centre_columns(velocity, seen)
-    quadratic = _centre_columns(_make_quadratic_features(velocity), seen)
-    products = _centre_columns(_make_product_features(velocity), seen[1:] & seen[:-1])
+    linear = centre_columns(velocity, seen)
+    quadratic = centre_columns(_make_quadratic_features(velocity), seen)
+    products = centre_columns(_make_product_features(velocity), seen[1:] & seen[:-1])
     own = 2 if steps >= _LONG else 1
-    surprise, late = _compute_innovation(linear, own), seen[own:]
+    surprise, late = compute_innovations(linear, own), seen[own:]
     for target, first, second, third, there in (
         (linear, linear, quadratic, products, seen),
-        (surprise, surprise, _compute_innovation(quadratic, 1), _compute_innovation(products, 1), late),
+        (surprise, surprise, compute_innovations(quadratic, 1), compute_innovations(products, 1), late),
     ):
-        unit = _normalise_target(target)
+        unit = scale_to_unit(target)
         yield _explain_at_lag(first, unit, 0)
         single = [_explain_at_lag(features, unit, lag) for lag in range(1, LAGS + 1) for features in (first, second)]
         single += [_explain_at_lag(third, unit, lag) for lag in range(1, _PRODUCT_LAGS + 1)]
@@ -97,10 +99,6 @@ def _scale_velocity(velocity: Floats, seen: NDArray[np.bool_]) -> Floats:
     return np.asarray(velocity * seen[..., None] / (speed if speed > 0 else np.inf), np.float32)
 
 
-def _centre_columns(values: Floats, seen: NDArray[np.bool_]) -> Floats:
-    return centre_columns(values, seen).astype(np.float32)  # type: ignore[arg-type]
-
-
 def _make_quadratic_features(velocity: Floats) -> Floats:
     """``(T, n, 6)``: the products of the axes, weighted so that a rotation of the axes rotates this vector."""
     x, y, z = np.moveaxis(velocity, 2, 0)
@@ -114,50 +112,20 @@ def _make_product_features(velocity: Floats) -> Floats:
     return mixed.reshape(len(mixed), velocity.shape[1], 9)
 
 
-def _whiten_features(features: Floats) -> Floats:
-    """Q of the shape of ``features`` ``(n, rows, p)`` such that a ridge on them explains |Qᵀ y|² of y."""
-    gram = features.transpose(0, 2, 1) @ features
-    size = np.trace(gram, axis1=1, axis2=2) / gram.shape[1]
-    flat = np.where(size > 1e-9, _RIDGE * size, 1.0)  # avoids a division by 0 for a UAV that never moves
-    gram[:, np.arange(gram.shape[1]), np.arange(gram.shape[1])] += flat[:, None]
-    root = np.linalg.inv(np.linalg.cholesky(gram))
-    return np.asarray(features @ root.transpose(0, 2, 1), np.float32)
-
-
-def _compute_innovation(values: Floats, lags: int) -> Floats:
-    """``(T - lags, n, d)``: residuals of a ridge of ``values`` ``(T, n, d)`` on their last ``lags`` values."""
-    steps = len(values)
-    past = np.concatenate([values[lags - lag : steps - lag] for lag in range(1, lags + 1)], axis=2)
-    white = _whiten_features(past.transpose(1, 0, 2))
-    target = values[lags:].transpose(1, 0, 2)
-    left = target - white @ (white.transpose(0, 2, 1) @ target)
-    return left.transpose(1, 0, 2)
-
-
-def _normalise_target(target: Floats) -> Floats:
-    """Scale ``target`` ``(T, n, 3)`` to a squared sum of 1 per UAV; 0 for a UAV that never moves."""
-    total = (target**2).sum(axis=(0, 2))
-    return np.asarray(target / np.sqrt(np.where(total > 1e-9, total, np.inf))[:, None], np.float32)
-
-
-def _explain_share(features: Floats, target: Floats) -> Floats:
-    """Share of ``target`` ``(rows, n, 3)`` that ``features`` ``(rows, n, p)`` explain, corrected for chance."""
-    rows, uavs, count = features.shape
+def _explain_shares(features: Floats, targets: list[Floats]) -> list[Floats]:
+    """Shares of ``targets`` ``(rows, n, 3)`` that ``features`` ``(n, rows, p)`` explain, corrected for chance."""
+    uavs, rows, count = features.shape
     if rows < _ROWS_PER_FEATURE * count:
-        return np.zeros((uavs, uavs), np.float32)
-    total = np.maximum((target**2).sum(axis=(0, 2)), 1e-9)
-    white = _whiten_features(features.transpose(1, 0, 2))
-    product = white.transpose(0, 2, 1).reshape(uavs * count, rows) @ target.transpose(0, 2, 1).reshape(rows, -1)
-    share = (product**2).reshape(uavs, count * 3, uavs).sum(axis=1).T / total[:, None]
+        return [np.zeros((uavs, uavs), np.float32) for _ in targets]
     chance = count / rows
-    return np.asarray((share - chance) / (1.0 - chance), np.float32)
+    return [np.asarray((share - chance) / (1.0 - chance), np.float32) for share in explain_pairs(features, targets)[0]]
 
 
 def _explain_at_lag(features: Floats, target: Floats, lag: int) -> Floats:
     """Share of ``target``, ``lag`` steps later, that ``features`` explain; both series end at the same time."""
     steps = min(len(features), len(target))
     features, target = features[len(features) - steps :], target[len(target) - steps :]
-    return _explain_share(features[: steps - lag], target[lag:])
+    return _explain_shares(features[: steps - lag].transpose(1, 0, 2), [target[lag:]])[0]
 
 
 def _compute_mean_cosine(direction: Floats, seen: NDArray[np.bool_], lag: int) -> Floats:
@@ -165,26 +133,19 @@ def _compute_mean_cosine(direction: Floats, seen: NDArray[np.bool_], lag: int) -
     steps, uavs = seen.shape
     if steps - lag < 2:
         return np.zeros((uavs, uavs), np.float32)
-    later = direction[lag:].transpose(1, 0, 2).reshape(uavs, -1)
-    before = direction[: steps - lag].transpose(1, 0, 2).reshape(uavs, -1)
     times = seen[lag:].T.astype(np.float32) @ seen[: steps - lag].astype(np.float32)
-    return np.asarray((later @ before.T) / np.maximum(times, 1.0), np.float32)
+    return np.asarray(correlate_at_lag(direction, direction, lag) / np.maximum(times, 1.0), np.float32)
 
 
 def _explain_jointly(linear: Floats, quadratic: Floats, surprise: Floats) -> Iterator[Floats]:
     """Yield the shares by several lags together: of v_i and of e_i, each also shifted by half a window."""
-    steps = len(linear)
-    width = _LINEAR + _QUADRATIC
-    lags = _JOINT_LAGS
-    while lags > 1 and steps - lags < _ROWS_PER_FEATURE * width * lags:
-        lags -= 1
-    both = np.concatenate([linear, quadratic], axis=2)
-    past = np.concatenate([both[lags - lag : steps - lag] for lag in range(1, lags + 1)], axis=2)
+    lags = max(1, count_lags(len(linear), _JOINT_LAGS, _LINEAR + _QUADRATIC, _ROWS_PER_FEATURE))
+    past = stack_past(np.concatenate([linear, quadratic], axis=2), lags)
+    past = past.reshape(*past.shape[:2], lags * (_LINEAR + _QUADRATIC))
     for target in (linear, surprise):
-        rows = min(len(past), len(target))
+        rows = min(past.shape[1], len(target))
         recent = target[len(target) - rows :]
-        for shift in (0, rows // 2):
-            yield _explain_share(past[len(past) - rows :], np.roll(recent, shift, axis=0))
+        yield from _explain_shares(past[:, past.shape[1] - rows :], [recent, shift_in_time(recent)])
 
 
 def _compute_direction_cosine(window: Window, living: NDArray[np.intp]) -> Floats:

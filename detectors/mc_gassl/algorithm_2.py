@@ -22,6 +22,7 @@ from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import GruParameters
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
 from detectors.mc_gassl.reclustering import best_heads, count_scores, recluster
+from usnet_env.detection import Detection
 from usnet_env.window import Window
 
 __all__ = ["Round", "detect_heads", "run_round", "update_gru"]
@@ -33,37 +34,18 @@ Cluster = Callable[[Window, GruParameters, np.random.Generator], Clustering]
 
 
 @dataclass(frozen=True, eq=False)
-class Heads:
-    """What line 4 gives, for all N UAVs of the window.
-
-    Args:
-        candidates: ``(N,)`` bool, Ĥ_r.
-        scores: ``(N,)`` c_i within the clusters, equation (20).
-        leader: ``(N,)`` the other UAV that each UAV attends to most, within its cluster; -1 without.
-        attention: ``(N, N)`` alpha_{i,i'} within the clusters.
-        gamma: the trained Γ.
-    """
-
-    candidates: NDArray[np.bool_]
-    scores: NDArray[np.float64]
-    leader: NDArray[np.int64]
-    attention: NDArray[np.float64]
-    gamma: NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
 class Round:
     """What a round gives.
 
     Args:
-        heads: line 4.
+        heads: line 4, without the clusters.
         clustering: lines 2 and 3.
         followed: ``(N,)`` c_{i'} of equation (38).
         parameters: W_r, for the next round.
         loss: of each step of on-line training.
     """
 
-    heads: Heads
+    heads: Detection
     clustering: Clustering
     followed: NDArray[np.float64]
     parameters: GruParameters
@@ -89,15 +71,19 @@ def run_round(
         rng: where all draws come from.
     """
     clustering = cluster(window, parameters, rng)  # lines 2, 3
-    heads = detect_heads(window, clustering, gassl, rng)  # line 4
-    followed, updated, loss = update_gru(
-        window, parameters, clustering.count, heads.gamma, gassl, online, rng
-    )  # line 5
+    heads, gamma = detect_heads(window, clustering, gassl, rng)  # line 4
+    followed, updated, loss = update_gru(window, parameters, clustering.count, gamma, gassl, online, rng)  # line 5
     return Round(heads, clustering, followed, updated, loss)
 
 
-def detect_heads(window: Window, clustering: Clustering, gassl: Gassl, rng: np.random.Generator) -> Heads:
-    """Line 4: Algorithm 1 in every cluster; one Γ is handed through all UAVs of all clusters (decision (z))."""
+def detect_heads(
+    window: Window, clustering: Clustering, gassl: Gassl, rng: np.random.Generator
+) -> tuple[Detection, NDArray[np.float32]]:
+    """Line 4: Algorithm 1 in every cluster; one Γ is handed through all UAVs of all clusters (decision (z)).
+
+    Returns:
+        The candidates, with c_i of equation (20), leaders and attention within the clusters; and the trained Γ.
+    """
     uavs = window.uavs
     candidates, scores = np.zeros(uavs, bool), np.zeros(uavs)
     leader, attention = np.full(uavs, -1, np.int64), np.zeros((uavs, uavs))
@@ -116,7 +102,7 @@ def detect_heads(window: Window, clustering: Clustering, gassl: Gassl, rng: np.r
         scores += found.scores
         leader[members] = found.leader[members]
         attention += found.attention
-    return Heads(candidates, scores, leader, attention, gamma)
+    return Detection(candidates, scores, None, leader, attention), gamma
 
 
 def update_gru(

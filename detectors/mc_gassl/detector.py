@@ -13,13 +13,13 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.clustering import Clustering, make_clusterer
 from detectors.gassl import Gassl
-from detectors.gassl.detector import check_window
 from detectors.mc_gassl.algorithm_2 import LEAST_UAVS, run_round
 from detectors.mc_gassl.features import MODES, gru_features
 from detectors.mc_gassl.gru import GruParameters, GruSizes, draw_parameters
 from detectors.mc_gassl.online_training import OnlineTraining
 from detectors.mc_gassl.triplet import Metric
 from detectors.mc_gassl.weights import load_meta_weights
+from detectors.series.designs import check_window
 from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -126,13 +126,14 @@ class McGassl(Detector):
         gassl.settings()
         return gassl, online
 
+    check_arguments = settings
+
     def reset(self, seed: int | None = None) -> None:
         """Start an episode: the GRU network is what it was off line.
 
         Raises:
             ArgumentError: an argument of the constructor is refused.
         """
-        self.settings()
         super().reset(seed)
         if self.start == "meta":
             self._parameters = load_meta_weights()

@@ -10,8 +10,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from pydantic import Field
 
-from detectors.clustering.features import compute_raw_features
 from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, embed
+from detectors.series.gaps import fill_gaps
 from usnet_env.config import Config, unknown_name
 from usnet_env.window import Window
 
@@ -33,7 +33,7 @@ def inputs_of(window: Window, memory: int = 4) -> GruInputs:
     """What the GRU network reads of all N UAVs at all R = T_ob - T_0 + 1 times of a window.
 
     Args:
-        window: what the observer saw. What it did not see is filled in, see :mod:`detectors.clustering.features`.
+        window: what the observer saw. What it did not see is filled in, see :func:`detectors.series.gaps.fill_gaps`.
         memory: T_0; of a shorter window, all samples that there are make one time.
 
     Returns:
@@ -41,16 +41,15 @@ def inputs_of(window: Window, memory: int = 4) -> GruInputs:
     """
     steps = window.observation_steps
     memory = min(memory, steps)
-    filled = compute_raw_features(window, steps).reshape(window.uavs, steps, 6).swapaxes(0, 1)
-    filled[:, ~window.alive] = 0.0
-    position = filled[: steps - memory + 1, :, :3]
-    velocity = sliding_window_view(filled[:, :, 3:], memory, axis=0).swapaxes(2, 3)
+    whole, alive = fill_gaps(window), window.alive[:, None]
+    position = whole.position[: steps - memory + 1] * alive
+    velocity = sliding_window_view(whole.velocity * alive, memory, axis=0).swapaxes(2, 3)
     seen = sliding_window_view(window.velocity_seen, memory, axis=0).all(axis=-1)
     return GruInputs(_single(position), _single(velocity), torch.from_numpy(seen))
 
 
-def _single(values: NDArray[np.float64]) -> torch.Tensor:
-    return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))
+def _single(values: NDArray[np.float32]) -> torch.Tensor:
+    return torch.from_numpy(np.array(values))
 
 
 def gru_features(

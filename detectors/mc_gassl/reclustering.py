@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from detectors.gassl.ifsn import pair_losses, standardise
 from detectors.gassl.training import Inputs
+from detectors.series.votes import select_top
 
 __all__ = ["best_heads", "count_scores", "recluster"]
 
@@ -46,7 +47,7 @@ def recluster(chosen: NDArray[np.int64], count: int, rng: np.random.Generator) -
         Labels from 0; -1 for UAVs of no cluster.
     """
     score = count_scores(chosen)
-    heads = np.lexsort((rng.random(len(score)), -score))[:count]
+    heads = select_top(score, count, rng)
     labels = np.full(len(chosen), -1, np.int64)
     for label, head in enumerate(heads):
         labels[chosen == head] = label

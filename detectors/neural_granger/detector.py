@@ -13,7 +13,8 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate, fit_per_candidate
-from detectors.series.pairs import check_pairs
+from detectors.series.designs import check_window
+from detectors.series.votes import choose_heads, select_top
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -100,13 +101,14 @@ class NeuralGranger(Detector):
         self.ridge = ridge
         self.floor = floor
 
-    def settings(self) -> PerCandidate:
+    def check_arguments(self) -> PerCandidate:
         """Check all arguments and return the settings of the training.
 
         Raises:
             ArgumentError: an argument is invalid.
         """
         _Arguments(**{name: getattr(self, name) for name in _Arguments.model_fields})
+        self._resolve_device()
         names = PerCandidate.model_fields
         return PerCandidate(**{name: getattr(self, name) for name in names if getattr(self, name) is not None})
 
@@ -118,16 +120,6 @@ class NeuralGranger(Detector):
         if self.device == "cuda" and not torch.cuda.is_available():
             raise ArgumentError("device must be 'cpu' or 'auto' on a machine without a GPU, got 'cuda'.")
         return torch.device(self.device)
-
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode.
-
-        Raises:
-            ArgumentError: an argument of the constructor is invalid.
-        """
-        self.settings()
-        self._resolve_device()
-        super().reset(seed)
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
@@ -163,9 +155,9 @@ class NeuralGranger(Detector):
         Windows with equal T_ob and equal numbers of living UAVs share a batch. All random numbers of a batch come from
         one generator, so the answer for a window depends on the batch that it is in.
         """
-        settings = self.settings()
+        settings = self.check_arguments()
         device = self._resolve_device()
-        rng = getattr(self, "rng", None) or np.random.default_rng()
+        rng = self.rng
         groups: dict[tuple[int, int, bool], list[int]] = {}
         members = []
         for number, window in enumerate(windows):
@@ -189,11 +181,7 @@ class NeuralGranger(Detector):
 
     def _select_members(self, window: Window) -> NDArray[np.intp]:
         """Check the window and return the indices of its living UAVs."""
-        check_pairs(window.uavs)
-        if window.observation_steps <= self.memory:
-            raise ArgumentError(
-                f"window must hold more than memory = {self.memory} velocities, got {window.observation_steps}."
-            )
+        check_window(window, self.memory)
         return np.flatnonzero(window.alive)
 
     def _answer_without_evidence(self, window: Window, index: NDArray[np.intp], rng: np.random.Generator) -> Detection:
@@ -236,14 +224,14 @@ class NeuralGranger(Detector):
     ) -> Detection:
         """Turn the attention ``(n, n)`` of the living UAVs into a detection for all N UAVs of the window."""
         uavs = window.uavs
-        choice, own = _choose(attention, False, rng), _choose(attention, True, rng)
+        choice, own = choose_heads(attention, False, rng), choose_heads(attention, True, rng)
         c = attention.copy()
         np.fill_diagonal(c, 0.0)
         c = c.sum(axis=0) / len(attention)
         candidates, scores = np.zeros(uavs, bool), np.zeros(uavs)
         scores[index] = c
         if not self.gate or extras["followed"]:
-            candidates[index[np.lexsort((rng.random(len(c)), -c))[: self.top_k]]] = True
+            candidates[index[select_top(c, self.top_k, rng)]] = True
         leader, chosen = np.full(uavs, -1, np.int64), np.full(uavs, -1, np.int64)
         leader[index], chosen[index] = index[own], index[choice]
         spread = {
@@ -268,12 +256,3 @@ def _expand(values: Floats, index: NDArray[np.intp], uavs: int) -> Floats:
     wide = np.zeros((*values.shape[:-2], uavs, uavs))
     wide[..., index[:, None], index] = values
     return wide
-
-
-def _choose(attention: Floats, exclude_self: bool, rng: np.random.Generator) -> NDArray[np.int64]:
-    """The UAV that each UAV attends to most, ``(n,)``; ties are broken at random."""
-    weight = attention.copy()
-    if exclude_self:
-        np.fill_diagonal(weight, -np.inf)
-    ties = weight == weight.max(axis=1, keepdims=True)
-    return np.where(ties, rng.random(weight.shape), -1.0).argmax(axis=1).astype(np.int64)

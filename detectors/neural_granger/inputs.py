@@ -10,7 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from detectors.series.gaps import fill_with_nearest
+from detectors.series.designs import stack_past
+from detectors.series.gaps import fill_gaps
 from usnet_env.window import Window
 
 __all__ = ["Samples", "build_samples"]
@@ -21,16 +22,16 @@ class Samples:
     """Inputs and targets of E windows with n UAVs each, at R = T_ob - T_0 times t.
 
     Args:
-        velocity: ``(E, n, R, T_0, 3)`` metres per step, V_{i,t}: v_{i,t}, ..., v_{i,t-T_0+1}; 0 where unseen.
-        position: ``(E, n, R, 3)`` metres, p_{i,t-T_0+1}; where unseen, the seen position that is nearest in time.
-        position_now: ``(E, n, R, 3)`` metres, p_{i,t}, filled in the same way.
+        velocity: ``(E, n, R, T_0, 3)`` metres per step, V_{i,t}: v_{i,t}, ..., v_{i,t-T_0+1}.
+        position: ``(E, n, R, 3)`` metres, p_{i,t}.
         target: ``(E, n, R, 3)`` metres per step, v_{i,t+1}; 0 where unseen.
         weight: ``(E, n, R)``, 1 where the target was seen.
+
+    What was not seen is filled in by :func:`detectors.series.gaps.fill_gaps`, except for the target.
     """
 
     velocity: Tensor
     position: Tensor
-    position_now: Tensor
     target: Tensor
     weight: Tensor
 
@@ -61,22 +62,16 @@ def build_samples(
         memory: T_0.
         device: of the tensors.
     """
-    stacked: list[list[NDArray[np.float32]]] = []
+    stacked: list[tuple[NDArray[np.float32], ...]] = []
     for window, index in zip(windows, members, strict=True):
-        there = window.velocity_seen[:, index]
-        velocity = np.where(there[..., None], window.velocity[:, index], np.float32(0))
-        position = fill_with_nearest(window.position[:, index], window.seen[:, index])
-        steps = len(velocity)
-        rows = steps - memory
-        lagged = np.stack([velocity[memory - 1 - lag : steps - 1 - lag] for lag in range(memory)], axis=2)
-        stacked.append(
-            [
-                lagged.swapaxes(0, 1),
-                position[:rows].swapaxes(0, 1),
-                position[memory - 1 : steps - 1].swapaxes(0, 1),
-                velocity[memory:].swapaxes(0, 1),
-                there[memory:].T.astype(np.float32),
-            ]
+        whole = fill_gaps(window)
+        velocity, seen = whole.velocity[:, index], window.velocity_seen[memory:, index]
+        parts = (
+            stack_past(velocity, memory),
+            whole.position[memory - 1 : -2, index].swapaxes(0, 1),
+            np.where(seen[..., None], velocity[memory:], np.float32(0)).swapaxes(0, 1),
+            seen.T.astype(np.float32),
         )
+        stacked.append(parts)
     tensors = (torch.from_numpy(np.ascontiguousarray(np.stack(part))).to(device) for part in zip(*stacked, strict=True))
     return Samples(*tensors)

@@ -17,14 +17,17 @@ with the null model in the place of j = i.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
 
 from detectors.neural_granger.inputs import Samples
+from detectors.series.null_models import predict_from_own_past
 from usnet_env.config import Config
 
 __all__ = [
@@ -142,13 +145,20 @@ class AdditiveNetwork:
         same.free = [parameter.expand(count, *parameter.shape[1:]) for parameter in self.free]
         return same
 
-    def make_optimiser(self, settings: PerCandidate) -> torch.optim.AdamW:
-        """AdamW for all parameters, with weight decay for ``weights`` only."""
+    def train(self, settings: PerCandidate, draw_loss: Callable[[], Tensor]) -> None:
+        """Lower a loss by AdamW, with weight decay for ``weights`` only; ``draw_loss`` draws a batch in every step."""
         groups = [
             {"params": self.weights, "weight_decay": settings.weight_decay},
             {"params": self.free, "weight_decay": 0.0},
         ]
-        return torch.optim.AdamW(groups, lr=settings.learning_rate)
+        optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
+        for _ in range(settings.steps):
+            loss = draw_loss()
+            optimiser.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+            optimiser.step()
+            schedule.step()
 
     def encode_source(self, window: Tensor) -> Tensor:
         """Compute the terms that depend on the source alone: ``(S, t, C)`` to ``(S, t, 3)``."""
@@ -218,46 +228,22 @@ def find_untrained_times(used: Tensor, times: int) -> Tensor:
     return (rest if rest.any() else ~rest).nonzero()[:, 0]
 
 
-def predict_from_own_history(samples: Samples, ridge: float, folds: int = 8) -> Tensor:
-    """Predict each UAV's next velocity from its own last velocities: the null model, ``(E, n, R, 3)``.
+def predict_from_own_history(samples: Samples, ridge: float) -> Tensor:
+    """Predict each UAV's next velocity from its own last velocities, without those times: the null model.
 
-    A ridge regression that is cross-fitted: the times of a fold are predicted by a fit to the other folds, without the
-    T_0 times on each side of the fold.
+    Returns:
+        ``(E, n, R, 3)``, see :func:`detectors.series.null_models.predict_from_own_past`.
     """
-    windows, uavs, times = samples.windows, samples.uavs, samples.times
-    features = _VELOCITY_SCALE * samples.velocity.flatten(3)
-    features = torch.cat([features, torch.ones_like(features[..., :1])], dim=-1)
-    weighted = features * samples.weight.unsqueeze(-1)
-    prediction = torch.zeros_like(samples.target)
-    index = torch.arange(times, device=features.device)
-    fold = index * folds // times
-    eye = ridge * torch.eye(features.shape[-1], device=features.device)
-    gap = samples.velocity.shape[3]
-    for k in range(folds):
-        inside = (fold == k).nonzero()[:, 0]
-        if not len(inside):
-            continue
-        outside = ((index < inside[0] - gap) | (index > inside[-1] + gap)).nonzero()[:, 0]
-        left = weighted[:, :, outside].transpose(-1, -2)
-        solution = torch.linalg.solve(left @ features[:, :, outside] + eye, left @ samples.target[:, :, outside])
-        prediction[:, :, inside] = features[:, :, inside] @ solution
-    return prediction.view(windows, uavs, times, 3)
+    past = (_VELOCITY_SCALE * samples.velocity.flatten(3)).cpu().numpy()
+    past = np.concatenate([past, np.ones_like(past[..., :1])], axis=-1)
+    target, weight = samples.target.cpu().numpy(), samples.weight.cpu().numpy()
+    found = predict_from_own_past(past, target, weight, ridge, gap=samples.velocity.shape[3])
+    return torch.from_numpy(found).to(samples.target.device)
 
 
 def compute_weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
     """Mean over the last axis; 0 where all weights are 0."""
     return (values * weight).sum(-1) / weight.sum(-1).clamp(min=1.0)
-
-
-def _centre(velocity: Tensor) -> Tensor:
-    """Subtract each UAV's mean velocity from its velocities ``(E, n, R, T_0, 3)``; 0 where unseen.
-
-    This loses nothing, as the network has biases. A UAV that flies nearly straight turns little, and without this step
-    its mean velocity would dominate the inputs.
-    """
-    seen = (velocity != 0).any(-1, keepdim=True)
-    mean = velocity.sum((2, 3), keepdim=True) / seen.sum((2, 3), keepdim=True).clamp(min=1)
-    return torch.where(seen, velocity - mean, velocity)
 
 
 class Problem:
@@ -275,7 +261,8 @@ class Problem:
         self.null = predict_from_own_history(samples, settings.ridge)
         self.null_error = ((self.null - samples.target) ** 2).sum(-1)  # (E, n, R)
         windows, uavs, times = samples.windows, samples.uavs, samples.times
-        velocity = _centre(samples.velocity) if centre else samples.velocity
+        # The mean velocity of a UAV that flies nearly straight would dominate the inputs.
+        velocity = samples.velocity - samples.velocity.mean((2, 3), keepdim=True) if centre else samples.velocity
         self.source = _VELOCITY_SCALE * velocity.reshape(windows * uavs, times, -1)
         surprise = (compute_weighted_mean(self.null_error, samples.weight) / 3.0).sqrt()
         self.noise = (settings.input_noise * _VELOCITY_SCALE * surprise).reshape(-1, 1, 1)
@@ -305,8 +292,8 @@ class Problem:
         if generator is not None:
             noise = torch.randn(source.shape, generator=generator, device=source.device)
             source = source + self.noise[rows] * noise
-        theirs = samples.position_now.flatten(0, 1)[rows][:, times].view(windows, count, 1, len(times), 3)
-        own = samples.position_now[:, voters][:, :, times].unsqueeze(1)
+        theirs = samples.position.flatten(0, 1)[rows][:, times].view(windows, count, 1, len(times), 3)
+        own = samples.position[:, voters][:, :, times].unsqueeze(1)
         offset = (theirs - own).reshape(windows * count, *shape)
         null = self.null[:, voters][:, :, times].unsqueeze(1).expand(windows, count, *shape)
         predicted = network.predict(network.encode_source(source), offset, null.reshape(windows * count, *shape))
@@ -329,13 +316,13 @@ def fit_per_candidate(samples: Samples, settings: PerCandidate, generator: torch
     network = AdditiveNetwork(windows * uavs, problem.source.shape[2], settings.units, generator)
     _train(problem, network, used, generator)
 
-    all_uavs = torch.arange(uavs, device=device)
+    rows = torch.arange(windows, device=device)[:, None] * uavs
     with torch.no_grad():
         gains = []
         for times in (used, held, find_untrained_times(used, samples.times)):
             weight = samples.weight[:, :, times]
             null = compute_weighted_mean(problem.null_error[:, :, times], weight)
-            errors = compute_all_errors(problem, network, all_uavs, times)
+            errors = compute_all_errors(problem, lambda columns: network.select((rows + columns).reshape(-1)), times)
             gains.append(torch.log((null.unsqueeze(2) + settings.floor) / (errors + settings.floor)))
         trained, held_out, untrained = gains
         for gain in gains:
@@ -358,57 +345,43 @@ def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: 
     """
     settings, samples = problem.settings, problem.samples
     device = samples.target.device
-    optimiser = network.make_optimiser(settings)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
     columns = torch.arange(samples.uavs, device=device)
-    for _ in range(settings.steps):
+
+    def draw_loss() -> Tensor:
         times = used[torch.randperm(len(used), generator=generator, device=device)[: settings.times]]
         voters = torch.randperm(samples.uavs, generator=generator, device=device)[: settings.voters]
         errors = problem.compute_errors(network, columns, voters, times, generator)
         weight = samples.weight[:, voters][:, :, times].unsqueeze(1)
         others = (columns[:, None] != voters[None]) & (weight.sum(-1) > 0)
-        loss = (torch.log(compute_weighted_mean(errors, weight) + settings.floor) * others).sum() / len(voters)
-        optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
-        optimiser.step()
-        schedule.step()
+        return (torch.log(compute_weighted_mean(errors, weight) + settings.floor) * others).sum() / len(voters)
+
+    network.train(settings, draw_loss)
 
 
-def compute_all_errors(problem: Problem, network: AdditiveNetwork, voters: Tensor, times: Tensor) -> Tensor:
-    """Mean squared errors ``(E, n, n)`` in bounded memory; entry (i, j): of UAV i, by the network of candidate j."""
+def compute_all_errors(problem: Problem, select: Callable[[Tensor], AdditiveNetwork], times: Tensor) -> Tensor:
+    """Mean squared errors ``(E, n, n)`` of UAV i, predicted from candidate j, in bounded memory.
+
+    ``select`` takes the candidates ``(c,)`` and returns their E * c networks.
+    """
     samples = problem.samples
-    windows, uavs = samples.windows, samples.uavs
-    step = max(1, _CHUNK_ENTRIES // max(1, windows * uavs * len(times) * 3))
+    everyone = torch.arange(samples.uavs, device=times.device)
+    step = max(1, _CHUNK_ENTRIES // max(1, samples.windows * samples.uavs * len(times) * 3))
     weight = samples.weight[:, :, times].unsqueeze(1)
-    parts = []
-    for first in range(0, uavs, step):
-        columns = torch.arange(first, min(first + step, uavs), device=times.device)
-        rows = (torch.arange(windows, device=times.device)[:, None] * uavs + columns).reshape(-1)
-        parts.append(
-            compute_weighted_mean(problem.compute_errors(network.select(rows), columns, voters, times), weight)
-        )
+    parts = [
+        compute_weighted_mean(problem.compute_errors(select(columns), columns, everyone, times), weight)
+        for columns in torch.split(everyone, step)
+    ]
     return torch.cat(parts, dim=1).transpose(1, 2)
 
 
 def _attend(problem: Problem, network: AdditiveNetwork, winner: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
     """Log-likelihoods ``(E, n, n)`` of all pairs by the winner's network, and the explained fractions ``(E, n)``."""
     samples, floor = problem.samples, problem.settings.floor
-    windows, uavs, device = samples.windows, samples.uavs, winner.device
-    all_uavs = torch.arange(uavs, device=device)
-    all_times = torch.arange(samples.times, device=device)
-    rows = torch.arange(windows, device=device) * uavs + winner
+    all_times = torch.arange(samples.times, device=winner.device)
+    rows = torch.arange(samples.windows, device=winner.device) * samples.uavs + winner
 
     def shared(times: Tensor) -> Tensor:
-        step = max(1, _CHUNK_ENTRIES // max(1, windows * uavs * len(times) * 3))
-        parts = []
-        for first in range(0, uavs, step):
-            columns = all_uavs[first : first + step]
-            weight = samples.weight[:, :, times].unsqueeze(1)
-            errors = problem.compute_errors(
-                network.select(rows.repeat_interleave(len(columns))), columns, all_uavs, times
-            )
-            parts.append(compute_weighted_mean(errors, weight))
-        return torch.cat(parts, dim=1).transpose(1, 2)
+        return compute_all_errors(problem, lambda columns: network.select(rows.repeat_interleave(len(columns))), times)
 
     error = shared(all_times)
     null = compute_weighted_mean(problem.null_error, samples.weight)

@@ -92,9 +92,8 @@ def _train(
     followers = all_uavs[(head != all_uavs) & (samples.weight[0].sum(-1) > 0)]
     if not len(followers):
         return
-    optimiser = network.make_optimiser(settings)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
-    for _ in range(settings.steps):
+
+    def draw_loss() -> Tensor:
         times = used[torch.randperm(len(used), generator=generator, device=head.device)[: settings.times]]
         draw = torch.randperm(len(followers), generator=generator, device=head.device)[: settings.voters]
         voters = followers[draw]
@@ -102,11 +101,9 @@ def _train(
         weight = samples.weight[0, voters][:, times]
         mean = compute_weighted_mean(errors, weight)
         theirs = (heads[:, None] == head[voters]) & (weight.sum(-1) > 0)
-        loss = (torch.log(mean + settings.floor) * theirs).sum() / len(voters)
-        optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
-        optimiser.step()
-        schedule.step()
+        return (torch.log(mean + settings.floor) * theirs).sum() / len(voters)
+
+    network.train(settings, draw_loss)
 
 
 @torch.no_grad()

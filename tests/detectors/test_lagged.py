@@ -7,7 +7,6 @@ from sklearn.base import clone
 from synthetic_windows import flight, heads_of, window_of
 
 from detectors.lagged import LaggedCorrelation, LaggedRegression, OnePerRound
-from detectors.lagged.selection import Evidence, compute_votes, cover_voters
 from usnet_env import ArgumentError, Window
 
 BOTH = [LaggedRegression, LaggedCorrelation]
@@ -133,24 +132,6 @@ def test_three_uavs(kind, f):
         velocity, leader = flight(np.random.default_rng(seed), sizes=(2,), kind=f)
         for clusters in (None, 1):
             assert np.array_equal(answer(kind(clusters=clusters), window_of(velocity)).candidates, heads_of(leader))
-
-
-def test_a_head_needs_voters_that_no_other_head_explains():
-    pairs = np.zeros((9, 9))
-    pairs[[1, 2, 3], 0] = 0.9  # three follow 0
-    pairs[3, 2] = 0.95  # one of them looks a little more like its fellow
-    pairs[[5, 6], 4] = 0.8, 0.7  # two follow 4
-    pairs[8, 7] = 0.9  # a single stray voter
-    np.fill_diagonal(pairs, -np.inf)
-    surrogate = np.zeros((9, 9))
-    evidence = Evidence(pairs, surrogate, spread=0.05)
-    assert evidence.threshold == pytest.approx(0.15)
-    assert cover_voters(evidence) == [0, 4]
-    assert cover_voters(evidence, most=1) == [0]
-    assert cover_voters(Evidence(surrogate, surrogate, spread=0.05)) == []
-    vote, weight = compute_votes(evidence)
-    assert vote[[1, 3, 6, 8]].tolist() == [0, 2, 4, 7]
-    np.testing.assert_allclose(weight[[0, 1, 3, 6]], [0, 0.9, 0.95, 0.7])
 
 
 @pytest.mark.parametrize("kind", ALL)

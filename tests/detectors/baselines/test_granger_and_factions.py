@@ -6,7 +6,7 @@ from sklearn.base import clone
 
 from detectors.baselines import Factions, Granger
 from detectors.baselines.factions import build_following_network, compute_pagerank
-from detectors.baselines.granger import granger_evidence
+from detectors.series.evidence import granger_evidence
 from usnet_env import ArgumentError, Window
 from usnet_env.swarm import SwarmConfig, advance, start
 

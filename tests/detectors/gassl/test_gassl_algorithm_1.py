@@ -12,7 +12,7 @@ from detectors.gassl.algorithm_1 import algorithm_1, batch_loss, vote
 from detectors.gassl.ifsn import IfsnSizes, draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Training, loss_and_gradient, prepare_inputs, train
-from detectors.gassl.votes import choose_heads, count_votes
+from detectors.series.votes import choose_heads, count_votes
 
 #: widths that all differ, so that no two axes can be confused
 ODD = {"query_hidden": 7, "query": 5, "key": 6, "similarity_hidden": (9, 3)}

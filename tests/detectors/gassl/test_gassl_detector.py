@@ -9,7 +9,7 @@ from gassl_windows import changed, cluster, clusters, named, without
 from sklearn.base import clone
 
 from detectors.gassl import Gassl
-from detectors.gassl.votes import RULES
+from detectors.gassl.detector import RULES
 from usnet_env import ArgumentError, Window, evaluate, make_detector
 
 FEW = {"steps": 5}  # where the candidates don't matter
@@ -231,7 +231,7 @@ def test_arguments_are_stored_and_cloned():
     assert copy.get_params() == arguments
     assert copy.set_params(top_k=3).top_k == 3
     assert made.top_k == 2
-    assert not hasattr(made, "rng")
+    assert "rng" not in vars(made)
 
 
 def test_by_name():

@@ -6,11 +6,13 @@ import torch
 from single_cluster_windows import cluster, samples, without
 
 from detectors.neural_granger.inputs import build_samples
+from detectors.series.gaps import fill_gaps
 
 
 @pytest.mark.parametrize("memory", [2, 4])
 def test_samples_follow_the_index_convention(memory):
     window, _ = cluster(followers=3, miss_rate=0.2)
+    whole = fill_gaps(window)
     one = samples([window], memory)
     rows = 100 - memory
     assert (one.windows, one.uavs, one.times) == (1, 4, rows)
@@ -20,11 +22,8 @@ def test_samples_follow_the_index_convention(memory):
         np.testing.assert_array_equal(one.target[0, i, row], window.velocity[t + 1, i])
         assert bool(one.weight[0, i, row]) == window.velocity_seen[t + 1, i]
         for lag in range(memory):
-            np.testing.assert_array_equal(one.velocity[0, i, row, lag], window.velocity[t - lag, i])
-        for tensor, instant in ((one.position, t - memory + 1), (one.position_now, t)):
-            known = np.flatnonzero(window.seen[:, i])
-            nearest = known[np.abs(known - instant) == np.abs(known - instant).min()]
-            assert any(np.array_equal(tensor[0, i, row], window.position[k, i]) for k in nearest)
+            np.testing.assert_array_equal(one.velocity[0, i, row, lag], whole.velocity[t - lag, i])
+        np.testing.assert_array_equal(one.position[0, i, row], whole.position[t, i])
 
 
 def test_samples_of_the_members_only():
@@ -34,5 +33,5 @@ def test_samples_of_the_members_only():
     batch = build_samples([first, without(second, [0])], members, 4, torch.device("cpu"))
     for e, (window, index) in enumerate(zip((first, second), members, strict=True)):
         whole = samples([window])
-        for name in ("velocity", "position", "position_now", "target", "weight"):
+        for name in ("velocity", "position", "target", "weight"):
             np.testing.assert_array_equal(getattr(batch, name)[e], getattr(whole, name)[0, index])

@@ -1,10 +1,11 @@
-"""The votes of equations (12), (19) and (20), the top K of (21) and (22), and ties."""
+"""The votes of equations (12), (19) and (20), the top K of (21) and (22), ties, and the cover of the voters."""
 
 import numpy as np
 import pytest
 
 from detectors.gassl.training import Fit
-from detectors.gassl.votes import choose_heads, count_votes, select_top
+from detectors.series.evidence import Evidence
+from detectors.series.votes import choose_heads, compute_votes, count_votes, cover_voters, select_top
 
 
 def draw_attention(uavs=6, seed=0):
@@ -74,3 +75,21 @@ def test_the_top_k_are_the_highest_in_order():
     rng = np.random.default_rng(0)
     np.testing.assert_array_equal(select_top(np.array([0.1, 0.5, 0.3, 0.4]), 3, rng), [1, 3, 2])
     assert len(select_top(np.array([0.1, 0.5]), 7, rng)) == 2
+
+
+def test_a_head_needs_voters_that_no_other_head_explains():
+    pairs = np.zeros((9, 9))
+    pairs[[1, 2, 3], 0] = 0.9  # three follow 0
+    pairs[3, 2] = 0.95  # one of them looks a little more like its fellow
+    pairs[[5, 6], 4] = 0.8, 0.7  # two follow 4
+    pairs[8, 7] = 0.9  # a single stray voter
+    np.fill_diagonal(pairs, -np.inf)
+    surrogate = np.zeros((9, 9))
+    evidence = Evidence(pairs, surrogate, spread=0.05)
+    assert evidence.threshold == pytest.approx(0.15)
+    assert cover_voters(evidence) == [0, 4]
+    assert cover_voters(evidence, most=1) == [0]
+    assert cover_voters(Evidence(surrogate, surrogate, spread=0.05)) == []
+    vote, weight = compute_votes(evidence)
+    assert vote[[1, 3, 6, 8]].tolist() == [0, 2, 4, 7]
+    np.testing.assert_allclose(weight[[0, 1, 3, 6]], [0, 0.9, 0.95, 0.7])

@@ -1,0 +1,187 @@
+"""Detectors without training: they measure how well one UAV's past velocities predict another UAV's velocity."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from detectors.base import Detector
+from detectors.series.designs import check_pairs
+from detectors.series.evidence import Evidence, correlation_evidence, granger_evidence, regression_evidence
+from detectors.series.votes import detection_from_evidence, rank_uavs
+from usnet_env.config import ArgumentError, Config
+from usnet_env.detection import Detection
+from usnet_env.window import Window
+
+__all__ = ["EvidenceDetector", "Granger", "LaggedCorrelation", "LaggedRegression", "OnePerRound"]
+
+
+class _Arguments(Config):
+    """The checked arguments that all these detectors share."""
+
+    clusters: Annotated[int, Field(ge=1, le=100_000)] | None
+
+
+class EvidenceDetector(Detector):
+    """Base class of detectors that measure pairwise evidence; it derives votes, heads and clusters from the evidence.
+
+    A subclass stores its arguments, including ``clusters``, and defines ``Parameters`` and :meth:`evidence`.
+    """
+
+    clusters: int | None
+
+    @abstractmethod
+    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+        """Compute the evidence from ``velocity`` ``(T_ob, n, 3)`` and ``seen`` ``(T_ob, n)``; ``None``: no evidence."""
+
+    def detect(self, window: Window) -> Detection:
+        """Name the heads of one window.
+
+        Returns:
+            Candidates (at least one if a UAV is alive), scores (sums of weighted votes), clusters, leader, attention
+            (the evidence, clipped at 0) and in ``extras``: ``vote`` and ``weight`` ``(N,)``, the vote of each UAV and
+            its weight; ``threshold``, above which a vote is significant; ``heads_found``, the number of heads that the
+            rule for unknown M found (0: no UAV seems to follow another one).
+
+        Raises:
+            ArgumentError: an argument of the constructor is refused, ``clusters`` exceeds the window's N, or N is above
+                10,000.
+        """
+        self.check_arguments()
+        check_pairs(window.uavs)
+        if self.clusters is not None and self.clusters > window.uavs:
+            raise ArgumentError(
+                f"clusters must be at most the number of UAVs in the window ({window.uavs}), got {self.clusters}."
+            )
+        living = np.flatnonzero(window.alive)
+        evidence = self.evidence(window.velocity[:, living], window.velocity_seen[:, living])
+        return detection_from_evidence(evidence, window.alive, self.clusters, window.round == 1, self.rng)
+
+
+class _CorrelationArguments(_Arguments):
+    max_lag: Annotated[int, Field(ge=1, le=1000)]
+
+
+class LaggedCorrelation(EvidenceDetector):
+    """Votes for heads by net lead in lagged velocity correlation, for strategies that copy the head's direction.
+
+    The lagged correlation is C_ij(τ) = mean_t v_i(t + τ) · v_j(t), with centred and normalised velocities. The net lead
+    of UAV j over UAV i is max_τ C_ij(τ) - max_τ C_ji(τ) over τ = 1, ..., ``max_lag``. Each UAV votes for the UAV with
+    the highest net lead over it. The score of a UAV is the sum of its net leads over its voters, each less the value
+    expected by chance.
+
+    The method suits f1, f2, f3 and f6. It can't work on f4 and f5: a follower's velocity is an even function of its
+    head's velocity there, so the two are uncorrelated. It isn't expected to work on f7.
+
+    Args:
+        clusters: M, the number of heads at the start of the episode, or ``None`` if it is unknown; as in
+            :class:`detectors.lagged.LaggedRegression`.
+        max_lag: the largest lag in samples, at least 1; smaller in windows of fewer than ``max_lag`` + 6 velocities.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    """
+
+    Parameters = _CorrelationArguments
+
+    def __init__(self, clusters: int | None = None, max_lag: int = 4) -> None:
+        self.clusters = clusters
+        self.max_lag = max_lag
+
+    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+        """Compute the net lead of every pair, see :func:`detectors.series.evidence.correlation_evidence`."""
+        return correlation_evidence(velocity, seen, self.max_lag)
+
+
+class _RegressionArguments(_Arguments):
+    lags: Annotated[int, Field(ge=1, le=1000)]
+    squares: bool
+    ridge: Annotated[float, Field(ge=0)]
+
+
+class LaggedRegression(EvidenceDetector):
+    """Votes for heads by ridge regression of each UAV's velocity on another UAV's lagged velocities.
+
+    For every ordered pair (i, j), v_i(t+1) is regressed on v_j(t), ..., v_j(t - lags + 1), their axis-wise squares and
+    an intercept. Each UAV votes for the j with the highest adjusted R²; :mod:`detectors.series.votes` defines the
+    weight of a vote and the number of heads. Up to the normalisation norm(·), f1 to f6 are linear in these features,
+    and f7 nearly is.
+
+    In short windows fewer lags are used, and then no squares, so that there are at least 1.5 samples per feature. With
+    fewer than 7 velocities no regression is fitted and one UAV is named at random.
+    A missing sample of a feature is replaced by its mean; a missing target is left out.
+
+    Args:
+        clusters: M, the number of heads at the start of the episode. Round 1 names exactly M UAVs. Later rounds, in
+            which heads may be missing, name at most M by the rule for unknown M. ``None``: M is unknown, and
+            :func:`detectors.series.votes.cover_voters` estimates the number of heads in every round.
+        lags: the number of past velocities of j among the features, at least 1.
+        squares: whether the features include axis-wise squares; f4 and f5 need them.
+        ridge: the penalty, in units of the features' mean squared singular value, at least 0.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    """
+
+    Parameters = _RegressionArguments
+
+    def __init__(self, clusters: int | None = None, lags: int = 4, squares: bool = True, ridge: float = 1e-3) -> None:
+        self.clusters = clusters
+        self.lags = lags
+        self.squares = squares
+        self.ridge = ridge
+
+    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+        """Compute the adjusted R² of every pair, see :func:`detectors.series.evidence.regression_evidence`."""
+        return regression_evidence(velocity, seen, self.lags, self.squares, self.ridge)
+
+
+class _GrangerArguments(_Arguments):
+    lags: Annotated[int, Field(ge=1, le=1000)]
+    own_lags: Annotated[int, Field(ge=0, le=1000)]
+
+
+class Granger(EvidenceDetector):
+    """Votes for heads by pairwise Granger causality.
+
+    For every ordered pair (i, j), v_i(t+1) is regressed on i's own last velocities, and then on these and j's last
+    velocities. The evidence is the share of the first residual's variance that the second regression explains, adjusted
+    for the number of parameters. Votes and heads follow from it by :mod:`detectors.series.votes`.
+
+    Args:
+        clusters: M at the start of the episode, or ``None``; as in :class:`detectors.lagged.LaggedRegression`.
+        lags: the number of past velocities of j, at least 1; fewer in short windows.
+        own_lags: the number of past velocities of i, at least 0.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    """
+
+    Parameters = _GrangerArguments
+
+    def __init__(self, clusters: int | None = None, lags: int = 3, own_lags: int = 2) -> None:
+        self.clusters = clusters
+        self.lags = lags
+        self.own_lags = own_lags
+
+    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+        """Compute the Granger causality of every pair, see :func:`detectors.series.evidence.granger_evidence`."""
+        return granger_evidence(velocity, seen, self.lags, self.own_lags)
+
+
+class OnePerRound(Detector):
+    """Names the UAV with the highest score of lagged regression in each round, without clustering.
+
+    With a perfect ranking an episode takes M rounds and has no redundant candidate, so J_m = M.
+    """
+
+    def detect(self, window: Window) -> Detection:
+        """Name the UAV with the highest score of :class:`LaggedRegression`; scores and attention are from there."""
+        whole = LaggedRegression().detect(window)
+        candidates = np.zeros(window.uavs, bool)
+        candidates[rank_uavs(whole.scores, window.alive, self.rng)[:1]] = True
+        return Detection(candidates=candidates, scores=whole.scores, attention=whole.attention)

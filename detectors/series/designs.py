@@ -1,0 +1,89 @@
+"""Designs of lagged regressions: which rows and columns they have, and in which units."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.config import ArgumentError
+from usnet_env.window import Window
+
+__all__ = ["centre_columns", "centre_past", "check_pairs", "check_window", "count_lags", "scale_to_unit", "stack_past"]
+
+MOST_UAVS = 10_000  # a matrix of all pairs then takes 0.75 GiB, and a detector holds several
+LEAST_MOTION = 1e-9  # squared sum of a centred velocity, in (metres per step)²; less is rounding
+
+AnyT = TypeVar("AnyT", bound=np.generic)
+RealT = TypeVar("RealT", np.float32, np.float64)
+
+
+def check_pairs(uavs: int) -> None:
+    """Refuse a window whose matrices of pairs would be too large.
+
+    Raises:
+        ArgumentError: N is above 10,000.
+    """
+    if uavs > MOST_UAVS:
+        raise ArgumentError(
+            f"window must hold at most {MOST_UAVS} UAVs for a detector that compares all pairs, got {uavs}: "
+            f"one matrix of pairs takes {8 * uavs**2 / 2**30:.1f} GiB."
+        )
+
+
+def check_window(window: Window, memory: int) -> None:
+    """Refuse a window that is too short for ``memory``, T_0, or too large for matrices of all pairs.
+
+    Raises:
+        ArgumentError: the window has no more than T_0 velocities, or more than 10,000 UAVs.
+    """
+    check_pairs(window.uavs)
+    if window.observation_steps <= memory:
+        raise ArgumentError(f"window must hold more than memory = {memory} velocities, got {window.observation_steps}.")
+
+
+def count_lags(steps: int, most: int, width: int, rows_per_feature: float) -> int:
+    """Return the largest number of lags, at most ``most``, that leaves enough rows for a regression.
+
+    With L lags of ``width`` features each, a window of ``steps`` samples has ``steps`` - L rows, which must be at least
+    ``rows_per_feature`` for each of the L ``width`` features. The result is 0 if one lag is too much.
+    """
+    return max(0, min(most, int(steps / (1.0 + rows_per_feature * width))))
+
+
+def stack_past(values: NDArray[AnyT], lags: int) -> NDArray[AnyT]:
+    """Stack the samples before each row, ``(n, T - lags, lags, d)``, of ``values`` ``(T, n, d)``.
+
+    Row r belongs to time t = ``lags`` + r, whose sample is the target. Entry (i, r, l) is UAV i's sample at t - 1 - l,
+    so the newest is first.
+    """
+    at = np.arange(max(0, len(values) - lags))[:, None] + lags - 1 - np.arange(lags)
+    return values[at].transpose(2, 0, 1, 3)
+
+
+def centre_columns(values: NDArray[RealT], seen: NDArray[np.bool_]) -> NDArray[RealT]:
+    """Subtract the mean over the ``seen`` rows ``(R, ...)`` from ``values`` ``(R, ..., d)``; unseen rows become 0."""
+    weight = seen[..., None].astype(np.float64)
+    mean = (values * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0)
+    return np.asarray((values - mean) * weight, values.dtype)
+
+
+def centre_past(values: NDArray[RealT], seen: NDArray[np.bool_], lags: int) -> NDArray[RealT]:
+    """Stack the past and centre each column over its seen rows, ``(n, T - lags, lags d)``.
+
+    Args:
+        values: ``(T, n, d)``.
+        seen: ``(T, n)``; an unseen sample is replaced by the mean of its column, which is 0 here.
+        lags: 1 to T - 1.
+    """
+    past = centre_columns(
+        stack_past(values, lags).swapaxes(0, 1), stack_past(seen[..., None], lags)[..., 0].swapaxes(0, 1)
+    )
+    return past.swapaxes(0, 1).reshape(past.shape[1], len(past), lags * values.shape[2])
+
+
+def scale_to_unit(values: NDArray[RealT]) -> NDArray[RealT]:
+    """Scale centred ``values`` ``(T, n, d)`` to a squared sum of 1 per UAV; 0 for a UAV whose velocity never varies."""
+    total = (values**2).sum(axis=(0, 2))
+    return np.asarray(values / np.sqrt(np.where(total > LEAST_MOTION, total, np.inf))[:, None], values.dtype)

@@ -1,0 +1,65 @@
+"""Null models: what a UAV's own past says about its next velocity. The head of a follower must predict it better."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.series.designs import stack_past
+from detectors.series.regressions import RIDGE, subtract_projection, whiten
+
+__all__ = ["compute_innovations", "predict_from_own_past"]
+
+RealT = TypeVar("RealT", np.float32, np.float64)
+
+
+def compute_innovations(values: NDArray[RealT], lags: int, ridge: float = RIDGE) -> NDArray[RealT]:
+    """Compute the innovations: the residuals of a ridge regression of each UAV on its own past.
+
+    Args:
+        values: ``(T, n, d)``, centred; 0 where unseen.
+        lags: the number of own past samples, 1 to T - 1.
+        ridge: see :func:`detectors.series.regressions.whiten`.
+
+    Returns:
+        ``(T - lags, n, d)``.
+    """
+    past = stack_past(values, lags)
+    white, _ = whiten(past.reshape(*past.shape[:2], lags * values.shape[2]), ridge)
+    return subtract_projection(white, values[lags:].transpose(1, 0, 2)).transpose(1, 0, 2)
+
+
+def predict_from_own_past(
+    past: NDArray[RealT], target: NDArray[RealT], weight: NDArray[RealT], penalty: float, gap: int, folds: int = 8
+) -> NDArray[RealT]:
+    """Predict each UAV from its own past by a cross-fitted ridge regression.
+
+    The rows of a fold are predicted by a fit to the other folds, without the ``gap`` rows on each side of the fold,
+    which share samples with it. So the errors are those of rows that were not fitted.
+
+    Args:
+        past: ``(..., R, p)``, the features, with a column of ones for the mean.
+        target: ``(..., R, d)``.
+        weight: ``(..., R)``, 1 where the target was seen, else 0.
+        penalty: what is added to the diagonal of the Gram matrix.
+        gap: in rows.
+        folds: of consecutive rows.
+
+    Returns:
+        ``(..., R, d)``.
+    """
+    rows = past.shape[-2]
+    index = np.arange(rows)
+    fold = index * folds // rows
+    weighted = past * weight[..., None]
+    eye = (penalty * np.eye(past.shape[-1])).astype(past.dtype)
+    prediction = np.zeros_like(target)
+    for k in np.unique(fold):
+        inside = np.flatnonzero(fold == k)
+        outside = (index < inside[0] - gap) | (index > inside[-1] + gap)
+        left = weighted[..., outside, :].swapaxes(-1, -2)
+        weights = np.linalg.solve(left @ past[..., outside, :] + eye, left @ target[..., outside, :])
+        prediction[..., inside, :] = past[..., inside, :] @ weights
+    return prediction

@@ -1,0 +1,153 @@
+"""Regressions and correlations over all ordered pairs of UAVs by matrix products.
+
+Entry (i, j) of a result relates UAV i's present to UAV j's past.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.series.designs import LEAST_MOTION, scale_to_unit
+
+__all__ = [
+    "RIDGE",
+    "correlate_at_lag",
+    "correlate_over_lags",
+    "explain_beyond_own_past",
+    "explain_pairs",
+    "subtract_projection",
+    "whiten",
+]
+
+Floats = NDArray[np.float64]
+RealT = TypeVar("RealT", np.float32, np.float64)
+
+RIDGE = 1e-3  # in units of the mean squared singular value of the features
+_LEAST_RIDGE = 1e-9  # with |v| = 1 the squares and the intercept are linearly dependent
+_CHUNK_ENTRIES = 1_000_000  # entries of the whitened products in memory at a time: 4 MB for any N
+_CHUNK_PAIRS = 4096
+
+
+def whiten(features: NDArray[RealT], ridge: float = RIDGE, fitted: bool = False) -> tuple[NDArray[RealT], Floats]:
+    """Whiten the columns of features, so that one matrix product gives what a ridge regression on them explains.
+
+    With X = U S Vᵀ, λ the ``ridge`` times the mean of s², and d = s² / (s² + λ), a ridge regression of y on X has the
+    fit ŷ = U d Uᵀ y. Then Q = U √d, |Qᵀ y|² = yᵀ ŷ. With ``fitted``, Q = U √(d (2 - d)), |Qᵀ y|² = |y|² - |y - ŷ|².
+
+    Args:
+        features: ``(n, R, p)``, a block per UAV.
+        ridge: at least 0.
+        fitted: which of the two; they agree for small λ.
+
+    Returns:
+        Q of the shape and type of ``features``, 0 for a UAV without motion; and ``(n,)``, the sums of d, the degrees
+        of freedom of the fits.
+    """
+    wide = features.astype(np.float64, copy=False)  # a Gram matrix has the square of the features' condition number
+    gram = wide.transpose(0, 2, 1) @ wide
+    width = gram.shape[1]
+    diagonal = np.arange(width)
+    power = np.trace(gram, axis1=1, axis2=2) / width
+    penalty = np.where(power > LEAST_MOTION, max(ridge, _LEAST_RIDGE) * power, 1.0)
+    gram[:, diagonal, diagonal] += penalty[:, None]
+    root = np.linalg.inv(np.linalg.cholesky(gram))
+    freedom = width - penalty * (root**2).sum(axis=(1, 2))
+    mix = root.transpose(0, 2, 1)
+    if fitted:
+        gram[:, diagonal, diagonal] += penalty[:, None]
+        mix = mix @ (root @ np.linalg.cholesky(gram))
+    return np.asarray(wide @ mix, features.dtype), freedom
+
+
+def explain_pairs(
+    features: NDArray[np.floating], targets: Sequence[NDArray[np.floating]], ridge: float = RIDGE, fitted: bool = False
+) -> tuple[Floats, Floats]:
+    """Compute the share of every target that each UAV's features explain.
+
+    One whitened matrix per UAV serves all targets, and the products are formed for a few UAVs at a time. They are in
+    single precision, which is enough for a share and takes half the time.
+
+    Args:
+        features: ``(n, R, p)``, centred.
+        targets: arrays ``(R, v, d)``, centred, with any number v of UAVs.
+        ridge: as in :func:`whiten`.
+        fitted: as in :func:`whiten`; the shares are then R².
+
+    Returns:
+        Shares ``(len(targets), v, n)`` from 0 to 1, entry (s, i, j) for target i and the features of j: 0 in the rows
+        and columns of UAVs without motion; and the degrees of freedom ``(n,)``, see :func:`whiten`.
+    """
+    uavs, rows, width = features.shape
+    voters, axes = targets[0].shape[1:]
+    # The axis is the slow index, so that the sums over features and axes below run along contiguous memory.
+    flat = [
+        np.ascontiguousarray(scale_to_unit(target).transpose(0, 2, 1).reshape(rows, -1), np.float32)
+        for target in targets
+    ]
+    shares = np.zeros((len(targets), voters, uavs))
+    freedom = np.zeros(uavs)
+    chunk = max(1, _CHUNK_ENTRIES // max(1, width * voters * axes))
+    for start in range(0, uavs, chunk):
+        part = slice(start, start + chunk)
+        white, freedom[part] = whiten(features[part], ridge, fitted)
+        stacked = white.transpose(0, 2, 1).reshape(-1, rows).astype(np.float32)
+        for share, target in zip(shares, flat, strict=True):
+            product = stacked @ target
+            np.square(product, out=product)
+            share[:, part] = product.reshape(len(white), width * axes, voters).sum(axis=1).T
+    return np.clip(shares, 0.0, 1.0), freedom
+
+
+def subtract_projection(white: NDArray[RealT], target: NDArray[RealT]) -> NDArray[RealT]:
+    """Residuals ``(n, R, d)`` of each UAV's ``target`` ``(n, R, d)`` on its own ``white`` ``(n, R, p)`` features."""
+    return target - white @ (white.transpose(0, 2, 1) @ target)
+
+
+def explain_beyond_own_past(target: Floats, own: Floats, theirs: Floats) -> Floats:
+    """Compute the share of what a regression on i's own past leaves of i that j's past explains, for all pairs.
+
+    Let r be the residual of the regression on i's own past, and F the part of j's features that is orthogonal to i's
+    own past. By the Frisch-Waugh theorem, adding j's features explains r' F (F' F)^-1 F' r more. With whitened
+    features Q_j and Q_i this is r' Q_j (I - C C')^-1 Q_j' r with C = Q_j' Q_i, a small linear system per pair.
+
+    Args:
+        target: ``(n, R, d)``.
+        own: ``(n, R, q)``, each UAV's whitened own past, see :func:`whiten`; q may be 0.
+        theirs: ``(n, R, p)``, the whitened features of each UAV as the other one.
+
+    Returns:
+        ``(n, n)`` from 0 to 1.
+    """
+    uavs, _, width = theirs.shape
+    residual = subtract_projection(own, target)
+    total = (residual**2).sum(axis=(1, 2))
+    scale = np.where(total > LEAST_MOTION, total, np.inf)
+    share = np.empty((uavs, uavs))
+    step = max(1, _CHUNK_PAIRS // uavs)
+    for first in range(0, uavs, step):
+        some = slice(first, first + step)
+        # Entry (i, j): Q_j' r_i (p, d), and C = Q_j' Q_i (p, q).
+        onto = np.einsum("jtp,itd->ijpd", theirs, residual[some], optimize=True)
+        shared = np.einsum("jtp,itq->ijpq", theirs, own[some], optimize=True)
+        left = (1.0 + 1e-6) * np.eye(width) - shared @ shared.swapaxes(-1, -2)
+        share[some] = (onto * np.linalg.solve(left, onto)).sum(axis=(2, 3)) / scale[some, None]
+    return np.clip(share, 0.0, 1.0)
+
+
+def correlate_at_lag(later: NDArray[RealT], earlier: NDArray[RealT], lag: int) -> NDArray[RealT]:
+    """``(n, n)``; entry (i, j) is Σ_t later_i(t + lag) · earlier_j(t); inputs ``(T, n, d)``, lag from 0 to T - 1."""
+    uavs = later.shape[1]
+    after = later[lag:].transpose(1, 0, 2).reshape(uavs, -1)
+    return after @ earlier[: len(earlier) - lag].transpose(1, 0, 2).reshape(uavs, -1).T
+
+
+def correlate_over_lags(later: NDArray[RealT], earlier: NDArray[RealT], max_lag: int) -> NDArray[RealT]:
+    """``(n, n)``; the largest result of :func:`correlate_at_lag` for a lag of 1 to ``max_lag``; -inf without a lag."""
+    best = np.full((later.shape[1],) * 2, -np.inf, later.dtype)
+    for lag in range(1, max_lag + 1):
+        np.maximum(best, correlate_at_lag(later, earlier, lag), out=best)
+    return best

@@ -1,0 +1,174 @@
+"""From evidence or attention to heads: votes, the number of heads, and the head of each follower."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.series.evidence import Evidence
+from usnet_env.detection import Detection
+
+__all__ = [
+    "choose_heads",
+    "compute_votes",
+    "count_votes",
+    "cover_voters",
+    "detection_from_evidence",
+    "rank_uavs",
+    "select_top",
+]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+LEAST_VOTERS = 1.5  # voters that a head must add: m_j >= 2 followers, of which a noisy one may count for half
+
+
+def choose_heads(attention: NDArray[np.floating[Any]], exclude_self: bool, rng: np.random.Generator) -> Indices:
+    """Choose the UAV that each UAV attends to most, ``(n,)``: i_L^{(i)} of equation (19).
+
+    Args:
+        attention: ``(n, n)`` alpha_{i,i'}.
+        exclude_self: whether a UAV may not choose itself.
+        rng: breaks ties, so that they don't favour low indices.
+    """
+    weight = attention.copy()
+    if exclude_self:
+        np.fill_diagonal(weight, -np.inf)
+    ties = weight == weight.max(axis=1, keepdims=True)
+    return np.where(ties, rng.random(weight.shape), -1.0).argmax(axis=1).astype(np.int64)
+
+
+def count_votes(chosen: Indices) -> Floats:
+    """Count the votes c_i = (1/n) sum_{i' != i} 1{i_L^{(i')} = i} of every UAV, ``(n,)``: equation (20).
+
+    Args:
+        chosen: ``(n,)`` from :func:`choose_heads`. A UAV that chose itself counts for no UAV.
+    """
+    uavs = len(chosen)
+    others = chosen[chosen != np.arange(uavs)]
+    return np.asarray(np.bincount(others, minlength=uavs) / uavs)
+
+
+def select_top(scores: Floats, count: int | None, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Indices of the ``count`` highest scores (all for ``None``), ties broken at random: equations (21), (22)."""
+    return np.lexsort((rng.random(len(scores)), -scores))[:count]
+
+
+def rank_uavs(scores: Floats, alive: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.intp]:
+    """Sort the indices of the living UAVs by decreasing score ``(N,)``; ``rng`` breaks ties."""
+    living = np.flatnonzero(alive)
+    return living[select_top(scores[living], None, rng)]
+
+
+def compute_votes(evidence: Evidence) -> tuple[NDArray[np.int64], Floats]:
+    """Compute the vote of each UAV and its weight.
+
+    A UAV votes for the UAV with the highest evidence in its row. The weight is the difference between this evidence and
+    its value by chance, at least 0. So the vote of a head, which follows no UAV, has nearly no weight.
+
+    Returns:
+        ``(n,)`` int64 votes and ``(n,)`` float64 weights.
+    """
+    vote = evidence.pairs.argmax(axis=1)
+    best = evidence.pairs.max(axis=1)
+    return vote.astype(np.int64), np.maximum(best - evidence.chance, 0.0)
+
+
+def cover_voters(evidence: Evidence, most: int | None = None) -> list[int]:
+    """Choose heads for unknown M by a greedy cover of the significant voters.
+
+    Let e_ij be the evidence above the threshold. Head j explains the share e_ij / max_k e_ik of a significant voter i;
+    several heads explain the largest of their shares. The algorithm repeatedly adds the head that raises the sum of
+    these shares the most, as long as it raises it by at least ``LEAST_VOTERS``. A follower that votes for another
+    follower of the same head doesn't add a head, since the true head explains it nearly as well.
+
+    Args:
+        evidence: the evidence among the n living UAVs.
+        most: the largest number of heads; ``None``: no limit.
+
+    Returns:
+        Indices of the heads in the order of choice; empty if no UAV follows another one.
+    """
+    threshold = evidence.threshold
+    above = np.maximum(evidence.pairs - threshold, 0.0)
+    best = above.max(axis=1)
+    voters = np.flatnonzero(best > 0)
+    share = above[voters] / best[voters, None]
+    explained = np.zeros(len(voters))
+    heads: list[int] = []
+    while len(heads) < (len(evidence.pairs) if most is None else most):
+        added = np.maximum(share - explained[:, None], 0.0).sum(axis=0)
+        head = int(added.argmax())
+        if added[head] < LEAST_VOTERS:
+            break
+        heads.append(head)
+        explained = np.maximum(explained, share[:, head])
+    return heads
+
+
+def detection_from_evidence(
+    evidence: Evidence | None,
+    alive: NDArray[np.bool_],
+    clusters: int | None,
+    first_round: bool,
+    rng: np.random.Generator,
+) -> Detection:
+    """Derive a detection from pairwise evidence.
+
+    Args:
+        evidence: the evidence among the living UAVs in index order; ``None``: the window is too short.
+        alive: ``(N,)`` bool.
+        clusters: M, the number of heads at the start of the episode, or ``None`` if it is unknown.
+        first_round: whether this is round 1, in which all M heads are alive.
+        rng: breaks ties, so that low indices have no advantage.
+
+    Returns:
+        Candidates: in the first round the UAVs with the ``clusters`` highest scores; otherwise the heads of
+        :func:`cover_voters` (at most ``clusters``), or the UAV with the highest score if there are none. There is at
+        least one candidate if a UAV is alive. A score is the sum of the weights of a UAV's votes; clusters are numbered
+        in the order of the heads' indices; attention is the evidence, clipped at 0.
+    """
+    uavs = len(alive)
+    living = np.flatnonzero(alive)
+    scores = np.zeros(uavs)
+    attention = np.zeros((uavs, uavs))
+    vote = np.full(uavs, -1, np.int64)
+    weight = np.zeros(uavs)
+    found: list[int] = []
+    if evidence is not None:
+        chosen, weight[living] = compute_votes(evidence)
+        vote[living] = living[chosen]
+        np.add.at(scores, vote[living], weight[living])
+        attention[np.ix_(living, living)] = np.maximum(evidence.pairs, 0.0)
+        found = cover_voters(evidence, clusters)
+
+    order = rank_uavs(scores, alive, rng)
+    heads = living[found] if found else order[:1]
+    if clusters is not None and first_round:
+        heads = order[:clusters]
+    heads = np.sort(heads)
+    candidates = np.zeros(uavs, bool)
+    candidates[heads] = True
+
+    label = np.full(uavs, -1, np.int64)
+    leader = np.full(uavs, -1, np.int64)
+    if len(heads):
+        label[living] = attention[np.ix_(living, heads)].argmax(axis=1)
+        label[heads] = np.arange(len(heads))
+        leader[living] = heads[label[living]]
+    return Detection(
+        candidates=candidates,
+        scores=scores,
+        clusters=label,
+        leader=leader,
+        attention=attention,
+        extras={
+            "vote": vote,
+            "weight": weight,
+            "threshold": np.inf if evidence is None else evidence.threshold,
+            "heads_found": len(found),
+        },
+    )

@@ -1,0 +1,59 @@
+"""Innovations and predictions from a UAV's own past, against one regression per UAV."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from series_windows import flight, flights, gaps
+
+from detectors.series.designs import centre_columns, stack_past
+from detectors.series.null_models import compute_innovations, predict_from_own_past
+
+
+@pytest.mark.parametrize("lags", [1, 2, 4])
+def test_innovations_are_the_residuals_of_least_squares(lags):
+    values = centre_columns(flight(0), gaps(0))
+    values[:, 3] = np.cumsum(values[:, 3], axis=0)  # with memory
+    values = centre_columns(values, np.ones(values.shape[:2], bool))
+    found = compute_innovations(values, lags, ridge=0.0)
+    assert found.shape == (40 - lags, 6, 3)
+    for i in range(6):
+        past = np.array([np.concatenate([values[t - 1 - lag, i] for lag in range(lags)]) for t in range(lags, 40)])
+        want = values[lags:, i] - past @ np.linalg.lstsq(past, values[lags:, i], rcond=None)[0]
+        np.testing.assert_allclose(found[:, i], want, atol=1e-6)
+
+
+@given(flights())
+def test_innovations_follow_the_order_and_the_scale_of_the_uavs(drawn):
+    velocity, seen, order = drawn
+    values = centre_columns(velocity, seen)
+    found = compute_innovations(values, 2)
+    np.testing.assert_allclose(
+        compute_innovations(7.0 * values[:, order], 2), 7.0 * found[:, order], rtol=1e-5, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("steps", [0, 1, 2])
+def test_series_without_a_past_have_no_innovations(steps):
+    assert compute_innovations(np.ones((steps, 3, 2)), 2).shape == (0, 3, 2)
+
+
+def test_innovations_of_single_precision_stay_single():
+    assert compute_innovations(flight(4).astype(np.float32), 2).dtype == np.float32
+
+
+@pytest.mark.parametrize(("rows", "folds", "gap"), [(40, 8, 4), (30, 4, 1), (3, 8, 1)])
+def test_predictions_are_cross_fitted(rows, folds, gap):
+    steps = rows + 2
+    velocity, seen = flight(5, steps), gaps(5, steps)
+    past = stack_past(velocity, 2).reshape(6, rows, 6)
+    target, weight = velocity[2:].swapaxes(0, 1), seen[2:].T.astype(float)
+    found = predict_from_own_past(past, target, weight, 0.3, gap, folds)
+    for i in range(6):
+        for row in range(rows):
+            fold = [r for r in range(rows) if r * folds // rows == row * folds // rows]
+            kept = [r for r in range(rows) if (r < fold[0] - gap or r > fold[-1] + gap) and weight[i, r]]
+            gram, moment = 0.3 * np.eye(6), np.zeros((6, 3))
+            for r in kept:
+                gram += np.outer(past[i, r], past[i, r])
+                moment += np.outer(past[i, r], target[i, r])
+            np.testing.assert_allclose(found[i, row], past[i, row] @ np.linalg.solve(gram, moment), atol=1e-9)

@@ -1,0 +1,171 @@
+"""Regressions and correlations of all pairs by matrix products, against one regression or one loop per pair."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from series_windows import flight, flights, gaps
+from sklearn.linear_model import Ridge
+
+from detectors.series import regressions
+from detectors.series.designs import centre_columns, centre_past
+from detectors.series.evidence import correlation_evidence, granger_evidence, regression_evidence
+from detectors.series.regressions import (
+    correlate_at_lag,
+    correlate_over_lags,
+    explain_beyond_own_past,
+    explain_pairs,
+    subtract_projection,
+    whiten,
+)
+
+
+def design(velocity, seen, lags, squares=False):
+    """Centred targets ``(R, n, 3)`` and centred features ``(n, R, p)``."""
+    values = np.concatenate([velocity, velocity**2], axis=2) if squares else velocity
+    return centre_columns(velocity[lags:], seen[lags:]), centre_past(values, seen, lags)
+
+
+def directions(seed, steps=60, uavs=5):
+    """Velocities of length 1, for which the squares and the intercept are linearly dependent."""
+    velocity = flight(seed, steps, uavs)
+    return velocity / np.linalg.norm(velocity, axis=2, keepdims=True)
+
+
+@pytest.mark.parametrize("make", [flight, directions])
+@pytest.mark.parametrize(
+    ("lags", "squares", "ridge"), [(4, True, 1e-3), (1, False, 0.0), (2, True, 0.3), (3, False, 1e-2)]
+)
+def test_shares_are_those_of_one_ridge_per_pair(make, lags, squares, ridge):
+    velocity = make(1, steps=60, uavs=5)
+    target, past = design(velocity, np.ones(velocity.shape[:2], bool), lags, squares)
+    shifted = np.roll(target, 17, axis=0)
+    r2, freedom = explain_pairs(past, (target, shifted), ridge, fitted=True)
+    product, _ = explain_pairs(past, (target, shifted), ridge)
+    for j, x in enumerate(past):
+        model = Ridge(alpha=ridge * np.sum(x**2) / x.shape[1], fit_intercept=False, solver="svd")
+        for index, targets in enumerate((target, shifted)):
+            for i in range(5):
+                y = targets[:, i]
+                fit = model.fit(x, y).predict(x)
+                assert r2[index, i, j] == pytest.approx(1 - np.sum((y - fit) ** 2) / np.sum(y**2), abs=2e-6)
+                assert product[index, i, j] == pytest.approx(np.sum(y * fit) / np.sum(y**2), abs=2e-6)
+        singular = np.linalg.svd(x, compute_uv=False) ** 2
+        if ridge:
+            assert freedom[j] == pytest.approx(np.sum(singular / (singular + model.alpha)), abs=1e-6)
+
+
+def test_chunks_do_not_change_the_result(monkeypatch):
+    target, past = design(flight(2), gaps(2), 4, True)
+    whole, freedom = explain_pairs(past, (target,))
+    monkeypatch.setattr(regressions, "_CHUNK_ENTRIES", 1)
+    pieces, same = explain_pairs(past, (target,))
+    np.testing.assert_allclose(pieces, whole, atol=1e-6)
+    np.testing.assert_allclose(same, freedom)
+
+
+def test_some_targets_are_rows_of_the_whole():
+    target, past = design(flight(3), gaps(3), 2)
+    whole = explain_pairs(past, (target,))[0][0]
+    np.testing.assert_allclose(explain_pairs(past, (target[:, [4, 1]],))[0][0], whole[[4, 1]], atol=1e-6)
+
+
+def test_white_features_of_full_rank_are_orthonormal_and_leave_the_residuals_of_least_squares():
+    target, past = design(flight(4), gaps(4), 3)
+    white, freedom = whiten(past, ridge=0.0)
+    np.testing.assert_allclose(white.transpose(0, 2, 1) @ white, np.broadcast_to(np.eye(9), (6, 9, 9)), atol=1e-7)
+    np.testing.assert_allclose(freedom, 9, atol=1e-6)
+    left = subtract_projection(white, target.swapaxes(0, 1))
+    for i in range(6):
+        want = target[:, i] - past[i] @ np.linalg.lstsq(past[i], target[:, i], rcond=None)[0]
+        np.testing.assert_allclose(left[i], want, atol=1e-6)
+
+
+@pytest.mark.parametrize("fitted", [False, True])
+def test_a_uav_that_never_moves_explains_nothing_and_is_not_explained(fitted):
+    velocity = flight(5)
+    velocity[:, 3] = [1.0, -2.0, 0.5]
+    target, past = design(velocity, np.ones(velocity.shape[:2], bool), 2)
+    (shares,), freedom = explain_pairs(past, (target,), fitted=fitted)
+    assert not shares[3].any()
+    assert not shares[:, 3].any()
+    assert freedom[3] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_unseen_samples_are_not_read():
+    velocity, seen = flight(6), gaps(6)
+    wild = np.where(seen[..., None], velocity, 1e3)
+    for one in (regression_evidence, granger_evidence, correlation_evidence):
+        arguments = {regression_evidence: (3, True, 1e-3), granger_evidence: (2, 1), correlation_evidence: (3,)}[one]
+        plain, other = (one(values, seen, *arguments) for values in (velocity, wild))
+        np.testing.assert_allclose(other.pairs, plain.pairs, atol=1e-6)
+        np.testing.assert_allclose(other.surrogate, plain.surrogate, atol=1e-6)
+
+
+@pytest.mark.parametrize("own_lags", [0, 1, 2])
+def test_the_share_beyond_the_own_past_is_the_ratio_of_two_least_squares(own_lags):
+    velocity = np.cumsum(flight(7), axis=0)
+    velocity -= 0.8 * np.roll(velocity, 1, axis=0)  # with memory
+    target, past = design(velocity, gaps(7), 2)
+    own = past[:, :, : 3 * own_lags]
+    white = whiten(own, ridge=0.0)[0] if own_lags else own
+    share = explain_beyond_own_past(target.swapaxes(0, 1), white, whiten(past, ridge=0.0)[0])
+    for i in range(6):
+        for j in range(6):
+            if i == j:
+                continue
+
+            def left(features, y=target[:, i]):
+                return np.sum((y - features @ np.linalg.lstsq(features, y, rcond=None)[0]) ** 2)
+
+            alone = left(own[i]) if own_lags else np.sum(target[:, i] ** 2)
+            assert share[i, j] == pytest.approx(1 - left(np.concatenate([own[i], past[j]], axis=1)) / alone, abs=1e-4)
+
+
+def test_correlations_are_sums_over_time():
+    later, earlier = flight(8, 12, 3), flight(9, 12, 3)
+    found = np.array([correlate_at_lag(later, earlier, lag) for lag in range(12)])
+    for lag in range(12):
+        for i in range(3):
+            for j in range(3):
+                want = sum(later[t + lag, i] @ earlier[t, j] for t in range(12 - lag))
+                assert found[lag, i, j] == pytest.approx(want)
+    np.testing.assert_allclose(correlate_over_lags(later, earlier, 4), found[1:5].max(axis=0))
+    assert np.isneginf(correlate_over_lags(later, earlier, 0)).all()
+
+
+MEASURES = {
+    "regression": lambda velocity, seen: regression_evidence(velocity, seen, 2, False, 1e-3),
+    "granger": lambda velocity, seen: granger_evidence(velocity, seen, 2, 1),
+    "correlation": lambda velocity, seen: correlation_evidence(velocity, seen, 2),
+}
+
+
+@pytest.mark.parametrize("name", MEASURES)
+@given(flights())
+def test_evidence_follows_the_order_of_the_uavs_and_not_the_unit(name, drawn):
+    velocity, seen, order = drawn
+    measure = MEASURES[name]
+    plain, moved = measure(velocity, seen), measure(40.0 * velocity[:, order], seen[:, order])
+    off = ~np.eye(len(order), dtype=bool)
+    for one, other in ((plain.pairs, moved.pairs), (plain.surrogate, moved.surrogate)):
+        np.testing.assert_allclose(other[off], one[np.ix_(order, order)][off], atol=2e-5)
+        assert np.isneginf(np.diag(one)).all()
+    assert moved.spread == pytest.approx(plain.spread)
+
+
+@pytest.mark.parametrize("name", ["regression", "correlation"])  # that of Granger is adjusted a little too much
+def test_evidence_is_about_zero_where_no_uav_follows(name):
+    velocity = np.random.default_rng(5).standard_normal((100, 40, 3))
+    evidence = MEASURES[name](velocity, np.ones(velocity.shape[:2], bool))
+    for matrix in (evidence.pairs, evidence.surrogate):
+        values = matrix[~np.eye(40, dtype=bool)]
+        assert abs(values.mean()) < 0.005
+        if name == "regression":  # for the correlation it is a lower bound
+            assert values.std() == pytest.approx(evidence.spread, rel=0.35)
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_too_short_windows_and_single_uavs_have_no_evidence(name):
+    velocity = flight(10)
+    assert MEASURES[name](velocity[:6], np.ones((6, 6), bool)) is None
+    assert MEASURES[name](velocity[:, :1], np.ones((40, 1), bool)) is None
