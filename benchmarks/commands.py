@@ -316,6 +316,7 @@ RESULTS: tuple[Result, ...] = (
         ("python benchmarks/neural_granger_products.py",),
     ),
     Result("the gate of neural-granger", ("neural_granger_gate.csv",), ("python benchmarks/neural_granger_gate.py",)),
+    Result("three rules for missed samples, on tuning seeds", ("gaps.csv",), ("python benchmarks/gaps.py",)),
 )
 
 

@@ -19,6 +19,7 @@ def play_cells(
     cells: Sequence[Mapping[str, Any]],
     games: Callable[[Mapping[str, Any]], int],
     play: Callable[[Mapping[str, Any], int], Mapping[str, Any]],
+    first_seed: int = SEED,
 ) -> list[dict[str, str]]:
     """Play the games of every cell, all with the same seeds, and write their rows after each cell.
 
@@ -31,7 +32,7 @@ def play_cells(
     for cell in cells:
         plain = {name: str(value) for name, value in cell.items()}
         known = {int(row["seed"]) for row in rows if plain.items() <= row.items()}
-        missing = [seed for seed in range(SEED, SEED + games(cell)) if seed not in known]
+        missing = [seed for seed in range(first_seed, first_seed + games(cell)) if seed not in known]
         began = time.perf_counter()
         for seed in missing:
             rows.append({**plain, "seed": str(seed), **{name: str(value) for name, value in play(cell, seed).items()}})

@@ -11,6 +11,7 @@ from typing import Any
 
 import commands
 import follow_mixture
+import gaps
 import learned
 import multiagent_observers
 import multiagent_payoff
@@ -98,6 +99,17 @@ def test_multiagent_scripts_make_their_rows(name: str, module: Any, columns: tup
         for seed in range(SEED, SEED + module.games(cell))
     }
     assert keys_of(RESULTS / name, (*columns, "seed")) == Counter(wanted)
+
+
+def test_the_rules_for_missed_samples_met_the_same_games() -> None:
+    assert words_of("gaps.csv", "python benchmarks/gaps.py") == [[]]
+    columns = ("detector", "rule", "miss_rate")
+    wanted = {
+        (*(str(cell[column]) for column in columns), str(seed))
+        for cell in gaps.cells()
+        for seed in range(gaps.SEED, gaps.SEED + gaps.games(cell))
+    }
+    assert keys_of(RESULTS / "gaps.csv", (*columns, "seed")) == Counter(wanted)
 
 
 def test_commands_of_multi_cluster_match_the_recorded_configuration() -> None:
