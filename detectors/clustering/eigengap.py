@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import eigsh
 
 from detectors.clustering.affinity import normalise_affinity
-from detectors.clustering.max_count import compute_max_count
+from detectors.clustering.gap_statistic import compute_max_count
 
 __all__ = ["compute_largest_eigenvalues", "estimate_count_by_eigengap"]
 
@@ -28,7 +28,7 @@ def estimate_count_by_eigengap(affinity: Floats, rng: np.random.Generator, max_c
     Args:
         affinity: ``(n, n)`` symmetric, from 0 to 1.
         rng: generator of the start vector of the Lanczos iterations (large matrices only).
-        max_count: K_max; ``None``: :func:`detectors.clustering.max_count.compute_max_count`.
+        max_count: K_max; ``None``: :func:`detectors.clustering.gap_statistic.compute_max_count`.
 
     Returns:
         M̂. It is 1 if all affinities between different UAVs are equal.

@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.clustering.k_means import compute_dispersions
-from detectors.clustering.max_count import compute_max_count
 
-__all__ = ["GapStatistic", "compute_gap_statistic"]
+__all__ = ["GapStatistic", "compute_gap_statistic", "compute_max_count"]
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +31,11 @@ REFERENCES = 15  # B
 # Margin, in s, by which a later gap must be higher. Measured: at least 40 on blobs, at most 8 on uniform clouds.
 MARGIN = 10.0
 _LEAST_DISPERSION = 1e-6  # W_k counts as at least this share of W_1: the logarithm of rounding errors means nothing
+
+
+def compute_max_count(uavs: int) -> int:
+    """Return K_max for n UAVs: 1.5 sqrt(n) rounded up, but at most n / 2 and at least 1."""
+    return max(1, min(uavs // 2, int(np.ceil(1.5 * np.sqrt(uavs)))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +70,7 @@ def compute_gap_statistic(
     Args:
         features: ``(n, d)``, n of at least 1.
         rng: generator of the reference sets and of the starts of K-Means.
-        max_count: K_max, the largest M̂; ``None``: :func:`detectors.clustering.max_count.compute_max_count`. It is
+        max_count: K_max, the largest M̂; ``None``: :func:`compute_max_count`. It is
             lowered to the number of distinct rows.
         references: B, the number of reference sets.
         margin: how much higher a later gap must be, in units of its s.

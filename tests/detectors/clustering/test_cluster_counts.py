@@ -7,8 +7,8 @@ from gaussian_blobs import blobs
 from detectors.clustering import compute_gap_statistic, estimate_count_by_eigengap, gap_statistic
 from detectors.clustering.affinity import normalise_affinity
 from detectors.clustering.eigengap import compute_largest_eigenvalues
+from detectors.clustering.gap_statistic import compute_max_count
 from detectors.clustering.k_means import compute_dispersions
-from detectors.clustering.max_count import compute_max_count
 
 
 def count_of(features, rng):
