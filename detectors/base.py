@@ -28,15 +28,15 @@ class Detector(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no ty
     Attributes:
         side_by_side: whether :meth:`detect_batch` trains on all windows together, so that an answer depends on the
             windows that it is given with. A table of results records the batch of such a detector.
-        Parameters: the config that checks the arguments of the constructor, if there is one.
+        Arguments: the config that checks the arguments of the constructor, if there is one.
     """
 
     side_by_side: ClassVar[bool] = False
-    Parameters: ClassVar[type[Config] | None] = None
+    Arguments: ClassVar[type[Config] | None] = None
 
     def check_arguments(self) -> Any:
-        """Check the arguments of the constructor by ``Parameters`` and return them; raises ``ArgumentError``."""
-        return None if self.Parameters is None else self.Parameters(**self.get_params())
+        """Check the arguments of the constructor by ``Arguments`` and return them; raises ``ArgumentError``."""
+        return None if self.Arguments is None else self.Arguments(**self.get_params(deep=False))
 
     @cached_property
     def rng(self) -> np.random.Generator:

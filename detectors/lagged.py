@@ -29,7 +29,7 @@ class _Arguments(Config):
 class EvidenceDetector(Detector):
     """Base class of detectors that measure pairwise evidence; it derives votes, heads and clusters from the evidence.
 
-    A subclass stores its arguments, including ``clusters``, and defines ``Parameters`` and :meth:`evidence`.
+    A subclass stores its arguments, including ``clusters``, and defines ``Arguments`` and :meth:`evidence`.
     """
 
     clusters: int | None
@@ -86,7 +86,7 @@ class LaggedCorrelation(EvidenceDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    Parameters = _CorrelationArguments
+    Arguments = _CorrelationArguments
 
     def __init__(self, clusters: int | None = None, max_lag: int = 4) -> None:
         self.clusters = clusters
@@ -127,7 +127,7 @@ class LaggedRegression(EvidenceDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    Parameters = _RegressionArguments
+    Arguments = _RegressionArguments
 
     def __init__(self, clusters: int | None = None, lags: int = 4, squares: bool = True, ridge: float = 1e-3) -> None:
         self.clusters = clusters
@@ -161,7 +161,7 @@ class Granger(EvidenceDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    Parameters = _GrangerArguments
+    Arguments = _GrangerArguments
 
     def __init__(self, clusters: int | None = None, lags: int = 3, own_lags: int = 2) -> None:
         self.clusters = clusters

@@ -48,7 +48,7 @@ class Factions(Detector):
             UAVs.
     """
 
-    Parameters = _Arguments
+    Arguments = _Arguments
 
     def __init__(self, max_lag: int = 4, threshold: float = 0.4) -> None:
         self.max_lag = max_lag

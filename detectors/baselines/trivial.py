@@ -33,7 +33,7 @@ class RandomDetector(Detector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if ``count`` is not a whole number from 1.
     """
 
-    Parameters = _RandomArguments
+    Arguments = _RandomArguments
 
     def __init__(self, count: int = 1) -> None:
         self.count = count
