@@ -117,6 +117,15 @@ def test_conventions_where_a_ratio_has_no_value():
     assert objectives.head_in_cluster(none, [-1, -1, -1], [0, 0, 0]) == 0
 
 
+@given(UAVS, st.data())
+def test_average_precision_is_that_of_scikit_learn(uavs, data):
+    head = data.draw(hnp.arrays(bool, uavs))
+    head[data.draw(st.integers(0, uavs - 1))] = True
+    ties_and_others = st.one_of(st.integers(-2, 2).map(float), st.floats(-1e6, 1e6))
+    scores = data.draw(hnp.arrays(np.float64, uavs, elements=ties_and_others) | hnp.arrays(np.uint8, uavs))
+    assert objectives.average_precision(head, scores) == average_precision_score(head, scores)
+
+
 def test_scores_rank_whatever_their_scale():
     head = np.array([False, True, False, True])
     assert objectives.average_precision(head, [0.1, 5.0, -3.0, 0.2]) == 1.0

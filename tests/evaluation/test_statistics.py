@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import bootstrap, norm
+from scipy.stats import binomtest, bootstrap, norm
 
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation.statistics import mean_interval, rate_interval
@@ -19,6 +19,15 @@ def test_wilson_is_its_formula(hits, n):
     half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
     interval = rate_interval([1] * hits + [0] * (n - hits))
     assert interval == pytest.approx((p, middle - half, middle + half))
+
+
+def test_wilson_is_scipy_s():
+    for n in (1, 2, 7, 60, 1001):
+        for hits in {0, 1, n // 3, n - 1, n}:
+            theirs = binomtest(hits, n).proportion_ci(0.95, method="wilson")
+            assert rate_interval([1] * hits + [0] * (n - hits))[1:] == pytest.approx(
+                tuple(theirs), rel=1e-13, abs=1e-16
+            )
 
 
 @given(st.lists(st.booleans(), min_size=1))
