@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from sklearn.metrics import average_precision_score, f1_score, precision_score, recall_score
@@ -97,6 +97,7 @@ def test_a_batch_is_its_rows(episode):
         assert function(heads, candidates).tolist() == [function(head, c) for c in candidates]
 
 
+@settings(max_examples=40)  # scikit-learn's functions are slow
 @given(episodes())
 def test_ratios_agree_with_scikit_learn(episode):
     head, candidates = episode
@@ -117,6 +118,7 @@ def test_conventions_where_a_ratio_has_no_value():
     assert objectives.head_in_cluster(none, [-1, -1, -1], [0, 0, 0]) == 0
 
 
+@settings(max_examples=50)
 @given(UAVS, st.data())
 def test_average_precision_is_that_of_scikit_learn(uavs, data):
     head = data.draw(hnp.arrays(bool, uavs))

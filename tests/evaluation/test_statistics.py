@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest, bootstrap, norm
 
 from usnet_env.config import ArgumentError
+from usnet_env.evaluation import statistics
 from usnet_env.evaluation.statistics import mean_interval, rate_interval
 
 NUMBERS = st.floats(-1e6, 1e6)
@@ -59,10 +60,28 @@ def test_the_interval_covers_the_mean_about_as_often_as_it_says():
     assert 180 <= covered <= 198
 
 
-def test_large_samples_are_resampled_in_parts():
-    sample = np.random.default_rng(0).random(30_000)
+def test_large_samples_are_resampled_in_parts(monkeypatch):
+    sample = np.random.default_rng(0).random(1_500)
     interval = mean_interval(sample)
     assert interval.high - interval.low == pytest.approx(2 * 1.96 * sample.std() / np.sqrt(len(sample)), rel=0.05)
+    sizes = []
+    monkeypatch.setattr(statistics, "_DRAWS_AT_ONCE", 20 * len(sample))
+    rng = np.random.default_rng
+    monkeypatch.setattr(np.random, "default_rng", lambda seed: Sized(rng(seed), sizes))
+    assert mean_interval(sample) == interval
+    assert max(map(np.prod, sizes)) == 20 * len(sample)
+
+
+class Sized:
+    """A generator that records how many numbers are drawn at once."""
+
+    def __init__(self, rng, sizes):
+        self.rng = rng
+        self.sizes = sizes
+
+    def integers(self, n, size):
+        self.sizes.append(size)
+        return self.rng.integers(n, size=size)
 
 
 def test_the_same_sample_has_the_same_interval():

@@ -18,7 +18,7 @@ from usnet_env.multiagent.wrappers import MultiDiscreteVotes
 
 @pytest.fixture(scope="module")
 def trained():
-    return example.train(4096, games=4)
+    return example.train(1536, games=4)
 
 
 def test_it_trains(trained):
