@@ -428,7 +428,7 @@ def test_a_disk_that_cannot_be_written_is_one_sentence(run, tmp_path):
         pytest.param("killed", 2, marks=pytest.mark.slow),
     ],
 )
-def test_a_stopped_run_leaves_whole_files_and_the_same_command_resumes(tmp_path, how, workers):
+def test_a_stopped_run_leaves_whole_files_and_the_same_command_resumes(run, monkeypatch, tmp_path, how, workers):
     words = ["evaluate", "--detector", "sample_detectors:Slow", "--episodes", "12", *SMALL, "--json"]
     words += ["--out", str(tmp_path), "--workers", str(workers)]
     rows = tmp_path / "episodes.csv"
@@ -453,9 +453,9 @@ def test_a_stopped_run_leaves_whole_files_and_the_same_command_resumes(tmp_path,
     assert living(running.pid) == []
     finished = rows.read_text().splitlines()[1:]
     assert 1 <= len(finished) < 12
-    again = process(*words)
-    out, err = again.communicate(timeout=60)
-    assert again.returncode == 0, err
+    monkeypatch.syspath_prepend(str(SAMPLES))
+    status, out, err = run(*words)
+    assert status == 0, err
     assert json.loads(out)[0]["episodes"] == 12
     whole = rows.read_text().splitlines()[1:]
     assert set(finished) <= set(whole)  # seconds and all: none was played again
