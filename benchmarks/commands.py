@@ -273,7 +273,7 @@ RESULTS: tuple[Result, ...] = (
             "usnet reproduce rounds --out benchmarks/results/rounds --seed 2022 --study follow --study clusters "
             "--study example --detector lead-votes --detector lagged-regression --episodes 10",
             "usnet reproduce rounds --out benchmarks/results/rounds --seed 2022 --study follow --study clusters "
-            "--detector mc-gassl --no-trivial --episodes 10",
+            "--study uavs --study example --detector mc-gassl --no-trivial --episodes 10",
             "usnet reproduce rounds --out benchmarks/results/rounds --seed 2022 --study uavs "
             "--detector lead-votes --detector lagged-regression --episodes 5",
         ),

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.base import BaseEstimator
 
+from detectors.parameters import Parameters
 from usnet_env.config import Config, optional_seed
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -17,7 +17,7 @@ from usnet_env.window import Window
 __all__ = ["Detector", "DetectorPolicy"]
 
 
-class Detector(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no types
+class Detector(Parameters):
     """Base class of detectors: :meth:`detect` takes a window and returns a detection.
 
     A subclass defines :meth:`detect`. A class without this base works as well if it has the methods ``reset`` and

@@ -2,12 +2,9 @@
 
 import os
 
-# Numba's cache of compiled loops is not safe for processes that compile different signatures of one function at the
-# same time. Each process of pytest-xdist keeps a cache of its own, which must be said before Numba is imported.
-if worker := os.environ.get("PYTEST_XDIST_WORKER"):
-    os.environ.setdefault("NUMBA_CACHE_DIR", os.path.abspath(f".pytest_cache/numba-{worker}"))
-    # As many processes as cores leave a core each: more threads than that make small tensor operations wait for each
-    # other, a hundred times longer than they take. This, too, is read at the first import.
+# As many processes as cores leave a core each: more threads than that make small tensor operations wait for each other,
+# a hundred times longer than they take. This must be said before the libraries are imported.
+if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # A property doesn't depend on time, but Hypothesis's deadline (200 ms per example) and its check for slow generation

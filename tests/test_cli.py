@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import json
 import os
 import signal
@@ -15,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usnet_env import cli
+from usnet_env import cli, evaluate
 from usnet_env.cli import main
 from usnet_env.cli.options import parse_pairs
 from usnet_env.evaluation import METRICS
@@ -79,24 +81,36 @@ def living(group):
     return found
 
 
-def test_json_is_the_summary_and_nothing_else(run):
-    status, out, err = run(*QUICK, "--trivial", "--json")
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    """The words of a run that has been played, and its folder: the same words show its results once more."""
+    out = tmp_path_factory.mktemp("played") / "run"
+    words = ["evaluate", "--detector", "none", "--detector", "random(count=3)", "--trivial", "--episodes", "2", *SMALL]
+    words += ["--out", str(out)]
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert main([*words, "--json"]) == 0
+    return words, out, printed.getvalue()
+
+
+def test_json_is_the_summary_and_nothing_else(run, played):
+    status, out, err = run(*played[0], "--json")
     assert (status, err) == (0, "")
     summary = json.loads(out)
-    assert [entry["detector"] for entry in summary] == ["destroy-all", "none", "random", "one-per-round"]
+    labels = ["none", "random(count=3)", "destroy-all", "random", "one-per-round"]
+    assert [entry["detector"] for entry in summary] == labels
     for entry in summary:
         assert set(entry) == {"detector", "episodes", "metrics"}
         assert entry["episodes"] == 2
         assert set(entry["metrics"]) <= set(METRICS)
         assert {"J", "rounds", "redundancy", "success", "exact", "ap_first"} <= set(entry["metrics"])
-    assert summary[0]["metrics"]["J"] == {"mean": 1.85, "low": 1.85, "high": 1.85}
+    assert summary[2]["metrics"]["J"] == {"mean": 1.85, "low": 1.85, "high": 1.85}
 
 
-def test_one_ranked_table_and_a_sentence(run, monkeypatch):
+def test_one_ranked_table_and_a_sentence(run, played):
     """The best J is first, whatever the order of the options; every line fits a terminal of 80 columns."""
-    words = ["evaluate", "--detector", "none", "--detector", "random(count=3)", "--trivial", "--episodes", "2", *SMALL]
-    status, out, _ = run(*words)
+    status, out, err = run(*played[0])
     assert status == 0
+    assert err == f"Rows, summary and config are in {played[1]}.\n"
     lines = out.splitlines()
     names = [
         line.split()[0] for line in lines if line and line.split()[0] in {"destroy-all", "none", "random(count=3)"}
@@ -110,22 +124,22 @@ def test_one_ranked_table_and_a_sentence(run, monkeypatch):
     assert "precision" not in out
 
 
-def test_all_prints_the_table_of_all_metrics(run):
-    status, out, _ = run(*QUICK, "--detector", "random", "--all")
+def test_all_prints_the_table_of_all_metrics(run, played):
+    status, out, _ = run(*played[0], "--all")
     assert status == 0
     for word in ("destroy-all", "random", "J", "redundancy", "precision", "AP", "seconds", "in round 1", "1.850"):
         assert word in out
 
 
-def test_one_set_takes_every_pair_and_may_repeat(run):
-    one = run(*QUICK, "--json")
+def test_one_set_takes_every_pair_and_may_repeat(run, played):
     many = run(
-        "evaluate", "--set", "clusters=3", "--detector", "destroy-all", "--set=uavs=20", "observation_steps=20",
+        "evaluate", "--set", "clusters=3", "--detector", "random(count=3)", "--set=uavs=20", "observation_steps=20",
         "--set", "max_rounds=5", "--json", "--episodes", "2",
     )  # fmt: skip
-    assert [entry["metrics"]["J"] for entry in json.loads(one[1])] == [
-        entry["metrics"]["J"] for entry in json.loads(many[1])
-    ]
+    (entry,) = json.loads(many[1])
+    (one,) = [each for each in json.loads(played[2]) if each["detector"] == entry["detector"]]
+    del one["metrics"]["seconds_per_round"], entry["metrics"]["seconds_per_round"]
+    assert entry == one
 
 
 def test_whole_numbers_are_decimal(run):
@@ -154,22 +168,21 @@ def test_values_are_yaml(run, tmp_path):
     }
 
 
-def test_out_keeps_the_run_and_the_same_command_reads_it(run, tmp_path):
-    words = [*QUICK, "--out", str(tmp_path / "run"), "--json"]
-    first, second = run(*words), run(*words)
-    assert first[0] == second[0] == 0
-    assert first[1] == second[1]
-    with open(tmp_path / "run" / "episodes.csv", newline="") as file:
-        assert [row["episode"] for row in csv.DictReader(file)] == ["0", "1"]
-    refused(run, [*words, "--seed", "9"], "out must be", "seed")
+def test_out_keeps_the_run_and_the_same_command_reads_it(run, played):
+    words, folder, first = played
+    second = run(*words, "--json")
+    assert second == (0, first, "")
+    with open(folder / "episodes.csv", newline="") as file:
+        assert [row["episode"] for row in csv.DictReader(file)] == ["0", "1"] * 5
+    refused(run, [*words, "--seed", "9", "--json"], "out must be", "seed")
 
 
 def test_arguments_of_a_detector_and_two_workers(run):
     name = "lagged-correlation(clusters=3)"
-    words = ["evaluate", "--detector", name, "--episodes", "3", *SMALL, "--json"]
-    one, two = run(*words), run(*words, "--workers", "2")
-    assert one[0] == two[0] == 0
-    ours, theirs = json.loads(one[1])[0], json.loads(two[1])[0]
+    status, out, err = run("evaluate", "--detector", name, "--episodes", "3", *SMALL, "--json", "--workers", "2")
+    assert (status, err) == (0, "")
+    (theirs,) = json.loads(out)
+    (ours,) = evaluate("USNET/MultiCluster-v0", name, episodes=3, env_kwargs=parse_pairs(SMALL[1:])).summary
     assert ours["detector"] == name
     for entry in (ours, theirs):
         del entry["metrics"]["seconds_per_round"]
@@ -316,9 +329,6 @@ def test_the_other_commands_refuse_in_one_sentence_too(run, words):
     st.one_of(st.text(max_size=8), st.floats().map(str), st.integers(max_value=-1).map(str)),
 )
 def test_no_word_after_a_number_s_option_brings_a_traceback(option, word):
-    import contextlib
-    import io
-
     with contextlib.redirect_stderr(io.StringIO()) as err, contextlib.redirect_stdout(io.StringIO()):
         status = main([*QUICK[:3], option, word, "--set", "uavs=0"])  # so that a good number ends at once as well
     assert status == 2
@@ -329,9 +339,6 @@ def test_no_word_after_a_number_s_option_brings_a_traceback(option, word):
 @settings(max_examples=60, deadline=None)
 @given(st.text(max_size=12), st.text(max_size=12))
 def test_no_pair_brings_a_traceback(key, value):
-    import contextlib
-    import io
-
     with contextlib.redirect_stderr(io.StringIO()) as err, contextlib.redirect_stdout(io.StringIO()):
         status = main([*QUICK[:3], "--set", "uavs=0", f"--set={key}={value}"])
     assert status == 2
@@ -421,7 +428,7 @@ def test_a_disk_that_cannot_be_written_is_one_sentence(run, tmp_path):
         pytest.param("killed", 2, marks=pytest.mark.slow),
     ],
 )
-def test_a_stopped_run_leaves_whole_files_and_the_same_command_resumes(tmp_path, how, workers):
+def test_a_stopped_run_leaves_whole_files_and_the_same_command_resumes(run, monkeypatch, tmp_path, how, workers):
     words = ["evaluate", "--detector", "sample_detectors:Slow", "--episodes", "12", *SMALL, "--json"]
     words += ["--out", str(tmp_path), "--workers", str(workers)]
     rows = tmp_path / "episodes.csv"
@@ -446,9 +453,9 @@ def test_a_stopped_run_leaves_whole_files_and_the_same_command_resumes(tmp_path,
     assert living(running.pid) == []
     finished = rows.read_text().splitlines()[1:]
     assert 1 <= len(finished) < 12
-    again = process(*words)
-    out, err = again.communicate(timeout=60)
-    assert again.returncode == 0, err
+    monkeypatch.syspath_prepend(str(SAMPLES))
+    status, out, err = run(*words)
+    assert status == 0, err
     assert json.loads(out)[0]["episodes"] == 12
     whole = rows.read_text().splitlines()[1:]
     assert set(finished) <= set(whole)  # seconds and all: none was played again

@@ -71,6 +71,9 @@ def play(program: Path | list[list[str]], folder: Path) -> None:
         os.dup2(printed.fileno(), 1)
         os.dup2(printed.fileno(), 2)
     sys.path.insert(0, str(ROOT / "examples"))
+    # An evaluation starts its worker processes anew; as copies of this one, they need not import everything once more.
+    context = multiprocessing.get_context
+    multiprocessing.get_context = lambda method=None: context("fork" if method == "spawn" else method)
     if isinstance(program, Path):
         sys.path.insert(0, str(program.parent))
         sys.argv = [str(program)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from sklearn.metrics import average_precision_score, f1_score, precision_score, recall_score
@@ -97,6 +97,7 @@ def test_a_batch_is_its_rows(episode):
         assert function(heads, candidates).tolist() == [function(head, c) for c in candidates]
 
 
+@settings(max_examples=40)  # scikit-learn's functions are slow
 @given(episodes())
 def test_ratios_agree_with_scikit_learn(episode):
     head, candidates = episode
@@ -115,6 +116,16 @@ def test_conventions_where_a_ratio_has_no_value():
     assert objectives.average_precision(none, [3.0, 2.0, 1.0]) == 0
     assert objectives.purity([-1, -1], [0, 0]) == 0
     assert objectives.head_in_cluster(none, [-1, -1, -1], [0, 0, 0]) == 0
+
+
+@settings(max_examples=50)
+@given(UAVS, st.data())
+def test_average_precision_is_that_of_scikit_learn(uavs, data):
+    head = data.draw(hnp.arrays(bool, uavs))
+    head[data.draw(st.integers(0, uavs - 1))] = True
+    ties_and_others = st.one_of(st.integers(-2, 2).map(float), st.floats(-1e6, 1e6))
+    scores = data.draw(hnp.arrays(np.float64, uavs, elements=ties_and_others) | hnp.arrays(np.uint8, uavs))
+    assert objectives.average_precision(head, scores) == average_precision_score(head, scores)
 
 
 def test_scores_rank_whatever_their_scale():

@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from usnet_env import ArgumentError, Detection, plugins
@@ -189,6 +189,7 @@ def test_brackets_take_literals_only(text):
         make_detector(text)
 
 
+@settings(max_examples=40)
 @given(st.text(max_size=30))
 def test_any_text_gives_a_detector_or_one_sentence(text):
     for name in (text, f"random({text})", f"random{text}"):

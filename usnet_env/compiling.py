@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from numba import njit
+from numba.core.compiler_lock import global_compiler_lock
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks
+    fcntl = None  # type: ignore[assignment]
 
 __all__ = ["compiled"]
+
+_held: set[str] = set()  # the lock files that this process holds
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function at its first call.
 
     Numba keeps machine code beside the source or in the user's cache folder. Where it can write neither, the function
-    is compiled again in every process.
+    is compiled again in every process. Of several processes that need the same code, one compiles it, and the others
+    wait and load it (except on Windows): Numba's own cache mixes up the code of two processes that compile different
+    signatures of one function at the same time.
 
     Args:
         options: further arguments of :func:`numba.njit`.
@@ -22,10 +34,49 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compile_function(function: Callable[..., Any]) -> Any:
         try:
-            return njit(cache=True, nogil=True, **options)(function)
+            loop = njit(cache=True, nogil=True, **options)(function)
         except RuntimeError as error:
             if "no locator available" not in str(error):
                 raise
             return njit(nogil=True, **options)(function)
+        if loop is function:  # NUMBA_DISABLE_JIT
+            return function
+        folder = loop.stats.cache_path
+        lock = os.path.join(folder, f".{function.__module__}.{function.__qualname__}.lock")
+        compile_signature = loop.compile
+
+        def compile_alone(signature: Any) -> Any:
+            with _one_process_at_a_time(lock):
+                return compile_signature(signature)
+
+        loop.compile = compile_alone
+        return loop
 
     return compile_function
+
+
+@contextmanager
+def _one_process_at_a_time(lock: str) -> Iterator[None]:
+    """Hold a lock file; without locks, where it cannot be written, or if this process holds it, do nothing.
+
+    Numba's own lock is taken first. It lets one thread of a process compile at a time, and a compilation begins others:
+    taken after the file, it would let two threads wait for each other.
+    """
+    with global_compiler_lock:
+        if fcntl is None or lock in _held:
+            yield
+            return
+        file = None
+        try:
+            with suppress(OSError):
+                os.makedirs(os.path.dirname(lock), exist_ok=True)
+                file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
+                fcntl.flock(file, fcntl.LOCK_EX)
+            _held.add(lock)
+            yield
+        finally:
+            _held.discard(lock)
+            if file is not None:
+                with suppress(OSError):
+                    fcntl.flock(file, fcntl.LOCK_UN)  # a process that was forked meanwhile would keep it
+                os.close(file)

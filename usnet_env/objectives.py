@@ -227,10 +227,13 @@ def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
         raise ArgumentError("scores must be finite, got NaN or infinity.")
     if not heads.any():
         return 0.0
-    # Not at the top: this import takes a second, and the environments don't need it.
-    from sklearn.metrics import average_precision_score
-
-    return float(average_precision_score(heads, values))
+    # Not by scikit-learn's function, whose import takes a second in every worker process of an evaluation.
+    order = np.argsort(values, kind="stable")[::-1]
+    ranked = values[order]
+    last = np.append(np.flatnonzero(ranked[1:] != ranked[:-1]), len(ranked) - 1)  # last UAV of each threshold
+    hits = np.cumsum(heads[order])[last]
+    precision, recall = hits / (last + 1), hits / heads.sum()
+    return float(np.sum((np.diff(recall, prepend=0.0) * precision)[::-1]))  # in its order: equal to the last bit
 
 
 def purity(leader: ArrayLike, clusters: ArrayLike) -> float:

@@ -12,10 +12,11 @@ from __future__ import annotations
 import ast
 import functools
 import inspect
+import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -449,7 +450,7 @@ def _entry_points() -> dict[str, EntryPoint]:
     loaded because it is malformed is ignored with a warning.
     """
     found: dict[str, EntryPoint] = {}
-    for point in sorted(entry_points(group=GROUP), key=_sort_key):
+    for point in _read_entry_points(entry_points, tuple(map(_stamp, sys.path))):
         if EntryPoint.pattern.match(point.value) is None or not _NAME.fullmatch(point.name):
             warnings.warn(
                 f"detector {point.name!r} of {_distribution_name(point)} is ignored: an entry point must be written "
@@ -465,6 +466,20 @@ def _entry_points() -> dict[str, EntryPoint]:
                 stacklevel=3,
             )
     return found
+
+
+@functools.lru_cache(maxsize=1)  # a detector is looked up by each call of make_detector, and reading all takes 50 ms
+def _read_entry_points(read: Callable[..., Iterable[EntryPoint]], places: object) -> list[EntryPoint]:
+    """Read the entry points of the group again if ``read`` or ``places`` is another, those of this package first."""
+    return sorted(read(group=GROUP), key=_sort_key)
+
+
+def _stamp(folder: str) -> tuple[str, int | None]:
+    """A folder of the path and when it was changed, as an installation changes it; ``None`` without one."""
+    try:
+        return folder, os.stat(folder or ".").st_mtime_ns
+    except (OSError, ValueError):
+        return folder, None
 
 
 def _distribution_name(point: EntryPoint) -> str:

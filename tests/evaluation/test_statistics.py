@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import bootstrap, norm
+from scipy.stats import binomtest, bootstrap, norm
 
 from usnet_env.config import ArgumentError
+from usnet_env.evaluation import statistics
 from usnet_env.evaluation.statistics import mean_interval, rate_interval
 
 NUMBERS = st.floats(-1e6, 1e6)
@@ -19,6 +20,15 @@ def test_wilson_is_its_formula(hits, n):
     half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
     interval = rate_interval([1] * hits + [0] * (n - hits))
     assert interval == pytest.approx((p, middle - half, middle + half))
+
+
+def test_wilson_is_scipy_s():
+    for n in (1, 2, 7, 60, 1001):
+        for hits in {0, 1, n // 3, n - 1, n}:
+            theirs = binomtest(hits, n).proportion_ci(0.95, method="wilson")
+            assert rate_interval([1] * hits + [0] * (n - hits))[1:] == pytest.approx(
+                tuple(theirs), rel=1e-13, abs=1e-16
+            )
 
 
 @given(st.lists(st.booleans(), min_size=1))
@@ -50,10 +60,28 @@ def test_the_interval_covers_the_mean_about_as_often_as_it_says():
     assert 180 <= covered <= 198
 
 
-def test_large_samples_are_resampled_in_parts():
-    sample = np.random.default_rng(0).random(30_000)
+def test_large_samples_are_resampled_in_parts(monkeypatch):
+    sample = np.random.default_rng(0).random(1_500)
     interval = mean_interval(sample)
     assert interval.high - interval.low == pytest.approx(2 * 1.96 * sample.std() / np.sqrt(len(sample)), rel=0.05)
+    sizes = []
+    monkeypatch.setattr(statistics, "_DRAWS_AT_ONCE", 20 * len(sample))
+    rng = np.random.default_rng
+    monkeypatch.setattr(np.random, "default_rng", lambda seed: Sized(rng(seed), sizes))
+    assert mean_interval(sample) == interval
+    assert max(map(np.prod, sizes)) == 20 * len(sample)
+
+
+class Sized:
+    """A generator that records how many numbers are drawn at once."""
+
+    def __init__(self, rng, sizes):
+        self.rng = rng
+        self.sizes = sizes
+
+    def integers(self, n, size):
+        self.sizes.append(size)
+        return self.rng.integers(n, size=size)
 
 
 def test_the_same_sample_has_the_same_interval():

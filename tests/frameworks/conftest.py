@@ -1,4 +1,4 @@
-"""What the tests of the frameworks share: their examples can be imported, and PyTorch uses one thread."""
+"""What the tests of the frameworks share: importable examples, one thread for PyTorch, loops that stay Python."""
 
 import sys
 from pathlib import Path
@@ -19,3 +19,18 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def tianshou_uncompiled():
+    """Tianshou's loops as they are written: it compiles them anew in every process, which takes 15 seconds."""
+    places = ("tianshou.algorithm.algorithm_base", "tianshou.data.buffer.manager")
+    modules = [sys.modules[name] for name in places if name in sys.modules]
+    loops = [
+        (module, name, loop) for module in modules for name, loop in vars(module).items() if hasattr(loop, "py_func")
+    ]
+    for module, name, loop in loops:
+        setattr(module, name, loop.py_func)
+    yield
+    for module, name, loop in loops:
+        setattr(module, name, loop)

@@ -17,20 +17,22 @@ from usnet_env.multiagent.wrappers import MultiDiscreteVotes
 
 
 @pytest.fixture(scope="module")
-def trained():
-    return example.train(4096, games=4)
+def untrained():
+    return example.train(0)
 
 
-def test_it_trains(trained):
+def test_it_trains(untrained):
+    trained = example.train(768, games=4)
     assert trained.n_envs == 4 * ARGUMENTS["observers"]
     assert np.isfinite(trained.logger.name_to_value["train/loss"])
-    before, after = example.train(0).get_parameters()["policy"], trained.get_parameters()["policy"]
+    before, after = untrained.get_parameters()["policy"], trained.get_parameters()["policy"]
     assert all(bool((before[name] != after[name]).any()) for name in before if name.endswith("weight"))
 
 
-def test_it_plays_games_as_a_detector(trained):
-    detector = PolicyDetector(trained.policy, observe=how_copied)
-    untrained = PolicyDetector(example.train(0).policy, observe=how_copied)
+@pytest.mark.slow
+def test_it_learns_and_plays_games_as_a_detector(untrained):
+    detector = PolicyDetector(example.train(4096, games=4).policy, observe=how_copied)
+    untrained = PolicyDetector(untrained.policy, observe=how_copied)
     scores = compare_detectors({"PPO": detector, "untrained": untrained}, games=10)
     assert scores["PPO"] < scores["untrained"]
 

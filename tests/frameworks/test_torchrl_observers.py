@@ -62,22 +62,19 @@ def test_heads_that_were_destroyed_are_masked():
     assert not played["next", "head", "mask"][-1].any()
 
 
-@pytest.fixture(scope="module")
-def trained():
-    return example.train(updates=20, games=8)
-
-
-def test_it_trains(trained):
-    network, returns = trained
+def test_it_trains():
+    network, returns = example.train(updates=2, games=4)
     assert np.isfinite(returns).all()
-    assert np.mean(returns[-4:]) > np.mean(returns[:4]) + 0.2
     torch.manual_seed(0)
     pairs = zip(network.parameters(), CopiedNetwork().parameters(), strict=True)
     assert all(bool((after != before).any()) for after, before in pairs)
 
 
-def test_it_plays_games_as_a_detector(trained):
-    detector = PolicyDetector(example.make_actor(trained[0], ["velocity", "alive"]))
+@pytest.mark.slow
+def test_it_learns_and_plays_games_as_a_detector():
+    network, returns = example.train(updates=20, games=8)
+    assert np.mean(returns[-4:]) > np.mean(returns[:4]) + 0.2
+    detector = PolicyDetector(example.make_actor(network, ["velocity", "alive"]))
     scores = compare_detectors({"REINFORCE": detector, "random": make_detector("random(count=1)")}, games=5)
     assert scores["REINFORCE"] < scores["random"]
 

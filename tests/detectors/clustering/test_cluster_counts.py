@@ -23,9 +23,9 @@ def test_the_gap_statistic_counts_separated_blobs(clusters, dimensions):
             blobs(np.random.default_rng(seed), clusters, dimensions), np.random.default_rng(seed)
         ).count
         == clusters
-        for seed in range(4)
+        for seed in range(2)
     ]
-    assert sum(right) == 4
+    assert all(right)
 
 
 @pytest.mark.slow
@@ -42,7 +42,7 @@ def test_the_gap_statistic_counts_separated_blobs_in_95_of_100_seeds(clusters, d
     assert sum(right) >= 95
 
 
-@pytest.mark.parametrize(("uavs", "dimensions", "seeds"), [(82, 3, 40), (82, 24, 10)])
+@pytest.mark.parametrize(("uavs", "dimensions", "seeds"), [(82, 3, 20), (82, 24, 10)])
 def test_a_uniform_cloud_is_one_cluster(uavs, dimensions, seeds):
     one = [
         compute_gap_statistic(

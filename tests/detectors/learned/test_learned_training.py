@@ -64,7 +64,7 @@ def test_interrupted_training_goes_on_to_the_identical_result(tmp_path):
 
 
 def test_a_short_training_lowers_the_loss_and_writes_what_it_did(tmp_path):
-    training = HeadTraining(**{**SMALL, "steps": 60, "swarms": 4, "width": 16, "rate": 1e-2})
+    training = HeadTraining(**{**SMALL, "steps": 60, "swarms": 2, "width": 16, "rate": 1e-2})
     path = train_heads(tmp_path, training)
     record = json.loads((tmp_path / "learned.json").read_text())
     assert record["training"] == {

@@ -1,0 +1,39 @@
+"""Compiled loops: of several processes that need the same code, one compiles it at a time."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from numba.core import config
+
+from usnet_env.compiling import compiled
+
+fcntl = pytest.importorskip("fcntl")
+
+
+def twice(number):
+    return 2 * number
+
+
+def test_a_function_is_not_compiled_while_another_process_compiles_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    loop = compiled()(twice)
+    assert loop(1.5) == 3.0
+    (lock,) = tmp_path.rglob("*.lock")
+    found = []
+    waiting = threading.Thread(target=lambda: found.append(loop(1)))
+    with lock.open() as other:
+        fcntl.flock(other, fcntl.LOCK_EX)  # an open file of its own, as in another process
+        waiting.start()
+        waiting.join(0.3)
+        assert not found
+        fcntl.flock(other, fcntl.LOCK_UN)
+        waiting.join(60)
+        assert found == [2]
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)  # it was given back
+    assert len(loop.signatures) == 2
+    again = compiled()(twice)  # as in another process, which finds both
+    assert (again(2.5), again(2)) == (5.0, 4)
+    assert len(again.stats.cache_hits) == 2
+    assert not again.stats.cache_misses
