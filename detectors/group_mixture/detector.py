@@ -1,0 +1,150 @@
+"""The group-mixture detector: groups of UAVs that move together, and the UAVs whose pasts predict these groups."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from detectors.base import Detector
+from detectors.group_mixture.calibration import shipped_calibration
+from detectors.group_mixture.fit import Fit, fit_motion
+from detectors.group_mixture.motion import read_motion
+from detectors.policy import Policy, choose
+from usnet_env.config import ArgumentError
+from usnet_env.detection import Detection
+from usnet_env.window import Window
+
+__all__ = ["GroupMixture"]
+
+Floats = NDArray[np.float64]
+
+
+class _Arguments(Policy):
+    clusters: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    memory: Annotated[int, Field(ge=1, le=64)] = 4
+
+
+class GroupMixture(Detector):
+    """Finds all heads: which UAV's past predicts each group of UAVs that move together, beyond the group's own past.
+
+    UAVs that move simultaneously form groups: the followers of one head do. A group follows a candidate if the
+    candidate's past adds to the group's own past as a predictor. Heads are chosen together, with one law that all
+    groups share or a law of each group's own. The result is a probability of each UAV of being a head, from which the
+    policy chooses the candidates. docs/group_mixture.md describes the method.
+
+    Args:
+        clusters: an upper bound on the number of heads, or ``None``; the number is estimated.
+        memory: the number of past velocities of a head that the strategy may use, at least 1.
+        policy: how candidates are chosen from the probabilities.
+
+            * ``"cost"`` (default) minimises the expected J_m (J_s for ``objective="P1"``). A missed head costs another
+              round and a redundant candidate only 1/N of a round; so it also names doubtful UAVs. Where the detector
+              believes that no UAV follows, it therefore names all UAVs. It names at least one UAV.
+            * ``"map"`` names only probable heads: the UAVs with a probability of being a head above 1/2. It may name
+              no UAV.
+        objective: ``"P2"`` (destroy all heads in few rounds) or ``"P1"`` (name the single head in one round).
+        shot_budget: the largest number of candidates per round, or ``None``.
+        redundancy_price: the cost of a redundant candidate, in units of the objective (1/N of a round in P2).
+        round_price: the cost of one more round of P2. ``None``: 1 if a UAV is a probable head, and N / 4 if none is,
+            so that heads could only be guessed.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    """
+
+    def __init__(
+        self,
+        clusters: int | None = None,
+        memory: int = 4,
+        policy: Literal["cost", "map"] = "cost",
+        objective: Literal["P1", "P2"] = "P2",
+        shot_budget: int | None = None,
+        redundancy_price: float = 1.0,
+        round_price: float | None = None,
+    ) -> None:
+        self.clusters = clusters
+        self.memory = memory
+        self.policy = policy
+        self.objective = objective
+        self.shot_budget = shot_budget
+        self.redundancy_price = redundancy_price
+        self.round_price = round_price
+
+    def _arguments(self) -> _Arguments:
+        return _Arguments(**self.get_params())
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode; the generator breaks ties and draws samples of large swarms.
+
+        Raises:
+            ArgumentError: an argument of the constructor is refused.
+        """
+        self._arguments()
+        super().reset(seed)
+
+    def detect(self, window: Window) -> Detection:
+        """Name the heads of one window.
+
+        Returns:
+            Candidates by the policy, scores (log-odds of being a head), clusters and leader; in ``extras``:
+            ``probability`` ``(N,)``, if the fit is right, and ``doubt``, the probability that it is not; ``gain``
+            ``(N,)``, the log-likelihood that the UAV's group gains by its head, in nats; ``group`` ``(N,)``, the group
+            of each living UAV, -1 for others; ``heads`` (indices) and ``reasons`` (one sentence per head);
+            ``strategy`` (feature class, weights of the shared law, noise) or ``None``; ``nats``, the gain of the whole
+            fit less the prices.
+
+        Raises:
+            ArgumentError: an argument of the constructor is refused, or ``clusters`` exceeds the window's N.
+        """
+        arguments = self._arguments()
+        if arguments.clusters is not None and arguments.clusters > window.uavs:
+            raise ArgumentError(
+                f"clusters must be at most the number of UAVs in the window ({window.uavs}), got {arguments.clusters}."
+            )
+        rng = getattr(self, "rng", None) or np.random.default_rng()
+        living = np.flatnonzero(window.alive)
+        most = 1 if arguments.objective == "P1" else arguments.clusters
+        motion = read_motion(window, living)
+        found = None if motion is None else fit_motion(motion, arguments.memory, most, rng)
+        probability, gain = np.zeros(window.uavs), np.zeros(window.uavs)
+        leader, clusters, group = np.full((3, window.uavs), -1, np.int64)
+        extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "reasons": [], "nats": 0.0}
+        probability[living] = 1.0 / (len(living) + 1.0)  # if no UAV seems to follow another one
+        doubt = 0.0
+        if found is not None:
+            calibration = shipped_calibration()
+            doubt, probability[living] = calibration.doubt, calibration(found.log_odds)
+            heads = living[found.heads]
+            leader[living] = np.where(found.leader >= 0, living[found.leader], -1)
+            leader[heads] = heads
+            for label, head in enumerate(heads):
+                clusters[leader == head] = label
+            gain[living], group[living] = found.gain, found.group
+            extras |= {
+                "strategy": {"features": found.features, "law": found.law, "noise": found.noise},
+                "heads": heads,
+                "reasons": _give_reasons(found),
+                "nats": found.value,
+            }
+        scores = np.zeros(window.uavs)
+        odds = np.clip(probability[living], 1e-12, 1 - 1e-12)
+        scores[living] = np.log(odds) - np.log1p(-odds)
+        if found is not None:
+            scores[window.alive] -= scores[window.alive].min()
+        extras |= {"probability": probability, "doubt": doubt, "gain": gain, "group": group}
+        candidates = choose(probability, window.alive, arguments, rng.random(window.uavs), doubt)
+        return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader, extras=extras)
+
+
+def _give_reasons(found: Fit) -> list[str]:
+    """One sentence per head: how many UAVs follow it, in how many groups, and what they gain."""
+    reasons = []
+    for head in found.heads:
+        behind = found.leader == head
+        groups, first = np.unique(found.group[behind], return_index=True)
+        nats = found.gain[behind][first].sum()
+        reasons.append(f"Adds {nats:.0f} nats to {behind.sum()} followers in {len(groups)} groups.")
+    return reasons

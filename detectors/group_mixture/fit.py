@@ -1,0 +1,280 @@
+"""Fits one window: groups, the evidence of each group for each candidate, the heads, and the posterior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detectors.group_mixture.assignment import Assignment, assign_groups
+from detectors.group_mixture.evidence import (
+    Pairs,
+    Statistics,
+    Targets,
+    choose_pairs,
+    fit_law,
+    gather_statistics,
+    make_targets,
+    own_evidence,
+    shared_evidence,
+)
+from detectors.group_mixture.features import LEVELS
+from detectors.group_mixture.groups import find_groups
+from detectors.group_mixture.motion import Motion, lagged
+from detectors.group_mixture.spectra import fit_spectra, smoothed_pasts
+
+__all__ = ["Fit", "fit_motion"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_STEPS_A_LAG = 5  # a window has at most one lag per so many steps
+_OWN_LAW = 3.0  # log prior odds of the shared law against a law of a group's own
+_CERTAIN = 7.0  # log-odds of every UAV at which the search ends
+_NO_HEAD = 0.05  # prior probability that the head of a group is not in the window
+_LEAST_TOGETHER = 0.01  # least prior probability that a head moves with its followers, relative to a single UAV
+_ROWS_A_WEIGHT = 2.0  # least number of rows, of all groups, for each weight of a shared law
+_ITERATIONS = 8
+_SHIFTS = 2  # time shifts that show what a single UAV gains by chance
+_ASKED = 30  # single UAVs of which chance is measured
+_NEVER = 1e9  # nats that no evidence reaches
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The result for n UAVs.
+
+    Args:
+        group: ``(n,)`` the group of each UAV.
+        heads: ``(M,)`` ascending.
+        leader: ``(n,)`` the head of each UAV, -1 for none and for heads.
+        log_odds: ``(n,)`` of being a head, before calibration; -inf for UAVs without any evidence.
+        gain: ``(n,)`` log-likelihood that the UAV's group gains by its head, in nats.
+        features: the class of features that the law uses.
+        law: ``(p, 3)`` weights of the shared law, or ``None`` if each group has a law of its own.
+        value: gain of all groups less the prices, in nats.
+        noise: variance of the position noise, in squared steps of mean speed.
+    """
+
+    group: Indices
+    heads: Indices
+    leader: Indices
+    log_odds: Floats
+    gain: Floats
+    features: str
+    law: Floats | None
+    value: float
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """One state of the search: the evidence ``(P,)`` of all pairs, and the heads that follow from it."""
+
+    assignment: Assignment
+    evidence: Floats
+    value: float
+    features: str = "each its own"
+    law: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What all states of the search share: targets, pairs, and the tables that :func:`assign_groups` reads.
+
+    Args:
+        targets: the groups.
+        pairs: the pairs with evidence.
+        chance: ``(C,)`` evidence that a group must exceed to follow: 0 for groups of two and more UAVs.
+        most: the largest number of heads.
+    """
+
+    targets: Targets
+    pairs: Pairs
+    chance: Floats
+    most: int | None
+
+    def assign(self, evidence: Floats) -> Assignment:
+        """The heads that a table of evidence ``(P,)`` implies."""
+        candidates, column = np.unique(self.pairs.uav, return_inverse=True)
+        gain = np.full((len(self.chance), len(candidates)), -np.inf)
+        gain[self.pairs.group, column] = evidence - self.chance[self.pairs.group]
+        sizes = self.targets.sizes
+        own = self.targets.label[candidates]
+        return assign_groups(gain, candidates, np.where(sizes[own] == 1, own, -1), sizes, self.most)
+
+    def explains(self, assignment: Assignment) -> bool:
+        """Whether every group follows, but the heads that are single UAVs."""
+        lead = np.zeros(len(self.chance), bool)
+        lead[self.targets.label[assignment.heads]] = True
+        return bool(((assignment.head >= 0) | (lead & (self.targets.sizes == 1))).all())
+
+    def chosen(self, assignment: Assignment) -> Indices:
+        """The pairs, each a group and its head, of an assignment."""
+        return np.flatnonzero(assignment.head[self.pairs.group] == self.pairs.uav)
+
+
+def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Generator) -> Fit | None:
+    """Fit one window.
+
+    Args:
+        motion: the velocities of n UAVs.
+        lags: the number of past velocities of a head that a law may use; fewer in short windows.
+        most: the largest number of heads, or ``None``.
+        rng: draws the UAVs that are grouped together in a large swarm.
+
+    Returns:
+        ``None`` if no UAV moves with or after another one.
+    """
+    velocity = motion.velocity
+    lags = int(np.clip(motion.steps // _STEPS_A_LAG, 1, lags))
+    spectra = fit_spectra(velocity, motion.unit)
+    targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
+    past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
+    for names in LEVELS:
+        pairs = choose_pairs(targets, past, names)
+        classes = gather_statistics(targets, past, pairs, names)
+        own = np.array([own_evidence(targets, pairs, some) for some in classes])
+        first = names is LEVELS[0]  # at first no single UAV follows, as heads and decoys do not
+        chance = np.where(targets.sizes == 1, _NEVER, 0.0) if first else _chance(targets, past, names)
+        search = _Search(targets, pairs, chance, most)
+        found = _search_laws(search, classes, own)
+        log_odds = _posterior(search, found, spectra.memory**lags)
+        if search.explains(found.assignment) and np.abs(log_odds).min() > _CERTAIN:
+            break
+    if found.assignment.value <= 0 and not (targets.sizes > 1).any():
+        return None
+    head = found.assignment.head
+    heads = found.assignment.heads
+    leader = head[label]
+    leader[heads] = -1
+    chosen = search.chosen(found.assignment)
+    gain = np.zeros(len(targets.sizes))
+    gain[pairs.group[chosen]] = found.evidence[chosen]
+    return Fit(
+        group=label,
+        heads=heads,
+        leader=leader,
+        log_odds=log_odds,
+        gain=np.where(leader >= 0, gain[label], 0.0),
+        features=found.features,
+        law=found.law,
+        value=found.value,
+        noise=spectra.noise,
+    )
+
+
+def _chance(targets: Targets, past: Floats, names: Sequence[str]) -> Floats:
+    """``(C,)``: what a group must gain to follow: for a single UAV, the most that one gains in time-shifted data.
+
+    Groups of two and more move together, so that they have a head. A single UAV may have none.
+    """
+    single = np.flatnonzero(targets.sizes == 1)
+    chance = np.zeros(len(targets.sizes))
+    if not len(single):
+        return chance
+    rows = targets.innovation.shape[1]
+    some = single[:: -(-len(single) // _ASKED)]
+    best = 0.0
+    for shift in {rows * k // (_SHIFTS + 1) for k in range(1, _SHIFTS + 1)} - {0}:
+        moved = targets.shift(shift)
+        pairs = choose_pairs(moved, past, names, some)
+        for statistics in gather_statistics(moved, past, pairs, names):
+            best = max(best, float(own_evidence(moved, pairs, statistics).max(initial=0.0)))
+    chance[single] = best if rows > _SHIFTS else _NEVER
+    return chance
+
+
+def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _Answer:
+    """Find the heads: first every group has a law of its own; then groups share one, of each class of features.
+
+    A group may deviate from the shared law, at a price. The state with the highest value wins. The search ends when a
+    shared law assigns all groups but the heads.
+
+    Args:
+        search: the groups and pairs.
+        classes: the statistics of all classes.
+        own: ``(K, P)`` evidence of laws of each group's own, by class.
+    """
+    each = own.max(axis=0) - np.log(len(own))
+    together = search.assign(each)
+    best = begin = _Answer(together, each, together.value)
+    gained = np.maximum(own - search.chance[search.pairs.group], 0.0)
+    order = np.argsort(-gained[:, search.chosen(together)].sum(axis=1), kind="stable")
+    for start in (begin, None):
+        start = best if start is None else start
+        for some in order:
+            found = _share_law(search, classes[some], start.assignment, each - _OWN_LAW)
+            if found is not None and found.value > best.value:
+                best = found
+                if search.explains(found.assignment):
+                    return best
+    return best
+
+
+def _share_law(search: _Search, some: Statistics, assignment: Assignment, own: Floats) -> _Answer | None:
+    """Fit the law and the heads alternately, within one class; ``own`` ``(P,)`` is the evidence of other laws."""
+    best: _Answer | None = None
+    variance = np.ones(len(search.pairs.group))
+    for turn in range(_ITERATIONS):
+        used = search.chosen(assignment)
+        rows = float(search.targets.rows[search.pairs.target[used]].sum())
+        if rows <= _ROWS_A_WEIGHT * some.width:
+            break
+        law = fit_law(some, used, variance[used])
+        shared, variance = shared_evidence(search.targets, search.pairs, some, law)
+        evidence = np.maximum(shared, own)
+        before, assignment = assignment, search.assign(evidence)
+        value = assignment.value - 1.5 * some.width * float(np.log(3.0 * rows))
+        if best is not None and turn > 1 and value <= best.value:
+            break
+        if best is None or value > best.value:
+            best = _Answer(assignment, evidence, value, some.name, law)
+        if turn > 0 and np.array_equal(before.head, assignment.head):
+            break
+    return best
+
+
+def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
+    """``(n,)``: log-odds of being a head.
+
+    Every group of two and more UAVs has one head, unless it is not in the window. A priori that is any single UAV, or
+    with a smaller probability a member of a group: followers copy their head later, so that it moves with them only as
+    far as its velocity predicts that of L steps later. A UAV that leads another group already has paid the price of a
+    head. A single UAV follows one of the heads found, or none: two or more followers make a head. The groups are
+    independent.
+
+    Args:
+        search: the groups and pairs.
+        found: the heads and the evidence.
+        kept: ``(n,)`` autocorrelation of each UAV's velocity at lag L.
+    """
+    targets, pairs = search.targets, search.pairs
+    sizes, uavs = targets.sizes, len(targets.label)
+    price = np.log(uavs)
+    assigned = np.bincount(np.maximum(found.assignment.head, 0), found.assignment.head >= 0, uavs)
+    others = assigned[pairs.uav] - (found.assignment.head[pairs.group] == pairs.uav)
+    alone = np.flatnonzero(sizes[targets.label] == 1)
+    together = max(float(np.median(kept[alone] if len(alone) > 1 else kept)), _LEAST_TOGETHER)
+    prior = np.where(sizes[targets.label] == 1, 0.0, np.log(together / sizes[targets.label]))
+    logit = np.full((len(sizes), uavs), 0.0) + prior  # pairs that were not chosen have no evidence
+    logit[pairs.group, pairs.uav] = found.evidence + prior[pairs.uav] + np.where(others > 0, price, 0.0)
+    lone = targets.label[alone]
+    unknown = np.setdiff1d(np.arange(uavs), found.assignment.heads)
+    logit[np.ix_(lone, unknown)] = -np.inf
+    logit[lone, alone] = -np.inf
+    none = np.where(sizes > 1, np.log(_NO_HEAD * np.exp(prior).sum()), search.chance)
+    top = np.maximum(logit.max(axis=1), none)
+    weight = np.exp(logit - top[:, None])
+    share = weight / (weight.sum(axis=1) + np.exp(none - top))[:, None]
+    # A head follows no UAV: a single UAV follows only if it leads no group of several.
+    leads = 1.0 - np.prod(1.0 - share[sizes > 1], axis=0)
+    share[lone] *= (1.0 - leads[alone])[:, None]
+    follows = np.zeros(uavs)
+    follows[alone] = share[lone].sum(axis=1)
+    stays = np.log1p(-np.minimum(share, 1.0 - 1e-9)).sum(axis=0)  # log probability of leading no group
+    probability = -np.expm1(stays) * (1.0 - follows)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(probability) - np.log1p(-np.minimum(probability, 1.0 - 1e-12)))

@@ -1,0 +1,131 @@
+"""Converts a window to the velocities of its living UAVs: without a common drift, in units of speed, without gaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.window import Window
+
+__all__ = ["Motion", "common_drift", "fill_gaps", "lagged", "read_motion"]
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LEAST_STEPS = 5  # velocities; a shorter window has no past to compare with
+# Speeds count as equal if their standard deviation is below this share of the velocities' scatter about their mean: the
+# speeds of a swarm that drifts fast as a whole hardly differ either.
+_UNIT_SPREAD = 0.02
+_ROUNDING = 1e-5  # of the speed; speeds that differ less are equal in single precision
+_DRIFT = 3.0  # a mean velocity of more than this many times the scatter is a drift of the swarm and taken off
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The velocities of n UAVs at T steps.
+
+    Args:
+        velocity: ``(n, T, 3)`` in units of the mean speed, without the drift; gaps are filled.
+        speed: mean speed without the drift, in metres per step.
+        unit: every UAV flies at the same constant speed; then positions are seen without noise.
+        drift: ``(3,)`` metres per step, the velocity of the whole swarm that was taken off.
+    """
+
+    velocity: Floats
+    speed: float
+    unit: bool
+    drift: Floats
+
+    @property
+    def uavs(self) -> int:
+        """Number of UAVs."""
+        return int(self.velocity.shape[0])
+
+    @property
+    def steps(self) -> int:
+        """T."""
+        return int(self.velocity.shape[1])
+
+
+def read_motion(window: Window, living: NDArray[np.int64]) -> Motion | None:
+    """Read the motion of the living UAVs.
+
+    Args:
+        window: the window.
+        living: ``(n,)`` indices of the living UAVs.
+
+    Returns:
+        ``None`` for fewer than 2 UAVs, fewer than :data:`LEAST_STEPS` velocities, or if no UAV is seen to move.
+    """
+    if len(living) < 2 or window.observation_steps < LEAST_STEPS:
+        return None
+    seen = np.ascontiguousarray(window.velocity_seen[:, living].T)
+    velocity = np.ascontiguousarray(window.velocity[:, living].swapaxes(0, 1), np.float64)
+    if not seen.any():
+        return None
+    flown = np.sqrt(np.vecdot(velocity, velocity))[seen]
+    if flown.mean() <= 0:
+        return None
+    drift, unit = common_drift(velocity[seen], flown)
+    if not seen.all():
+        velocity = fill_gaps(window, living, velocity, seen)
+    velocity = velocity - drift
+    speed = float(np.sqrt(np.vecdot(velocity, velocity))[seen].mean())
+    return Motion(velocity / speed, speed, unit, drift)
+
+
+def common_drift(velocity: Floats, speeds: Floats) -> tuple[Floats, bool]:
+    """The drift of a swarm, and whether all its UAVs fly at one speed relative to it.
+
+    Args:
+        velocity: ``(k, 3)`` seen velocities.
+        speeds: ``(k,)`` their lengths.
+
+    Returns:
+        ``(3,)``, 0 if the swarm flies at one speed or does not drift fast as a whole. A drift is the centre of the
+        sphere of velocities of one speed, or else the mean velocity.
+    """
+    none, mean = np.zeros(3), velocity.mean(axis=0)
+    scatter = float(np.sqrt(velocity.var(axis=0).sum()))
+    if speeds.std() < max(_UNIT_SPREAD * scatter, _ROUNDING * float(speeds.mean())):
+        return none, True
+    if not np.sqrt(mean @ mean) > _DRIFT * scatter > 0:
+        return none, False
+    # On a sphere about c, |u|² = 2 (c - mean)·u + constant holds for u = v - mean: a linear regression.
+    about = velocity - mean
+    squares = (about**2).sum(axis=1)
+    half, *_ = np.linalg.lstsq(2.0 * about, squares - squares.mean(), rcond=1e-6)
+    relative = np.sqrt(((about - half) ** 2).sum(axis=1))
+    unit = bool(relative.std() < _UNIT_SPREAD * scatter)
+    return (mean + half if unit else mean), unit
+
+
+def fill_gaps(window: Window, living: NDArray[np.int64], velocity: Floats, seen: Mask) -> Floats:
+    """Fill the velocities ``(n, T, 3)`` that are not ``seen`` ``(n, T)``.
+
+    Within a track the positions are interpolated linearly. Before its first and after its last position a UAV keeps its
+    mean velocity, which carries no information about other UAVs.
+    """
+    filled = velocity.copy()
+    instants = np.arange(window.observation_steps + 1)
+    for row in np.flatnonzero(~seen.all(axis=1)):
+        there = window.seen[:, living[row]]
+        if not there.any():
+            continue
+        track = window.position[:, living[row]].astype(np.float64)
+        whole = np.stack([np.interp(instants, instants[there], track[there, axis]) for axis in range(3)], axis=1)
+        steps = np.diff(whole, axis=0)
+        first, last = np.flatnonzero(there)[[0, -1]]
+        if last > first:
+            mean = (track[last] - track[first]) / (last - first)
+            steps[:first], steps[last:] = mean, mean
+        filled[row] = np.where(seen[row, :, None], velocity[row], steps)
+    return filled
+
+
+def lagged(velocity: Floats, lags: int) -> Floats:
+    """The velocities before each step from ``lags`` on: ``(n, T - lags, lags, 3)``, newest first."""
+    rows = velocity.shape[1] - lags
+    return velocity[:, np.arange(rows)[:, None] + lags - 1 - np.arange(lags)[None]]

@@ -1,0 +1,54 @@
+"""Windows of a simulated swarm with their truth, and the answer of a detector to one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from detectors.group_mixture import GroupMixture
+from usnet_env import Window
+from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, register_follow_strategy, start
+
+OWN_DELAYS = "tests_own_delays"
+MAJORITY = "tests_majority"
+ONWARDS = "tests_onwards"
+
+
+class OwnDelays(FollowStrategy):
+    """Every follower copies its head with a delay of its own, of one to three steps."""
+
+    lags = 3
+
+    def direction(self, inputs):
+        delay = np.arange(len(inputs.own_position)) % 3
+        return inputs.head_velocity[np.arange(len(delay)), delay]
+
+
+def majority(inputs):
+    """On every axis the sign of the sum of the head's last three velocities."""
+    return np.sign(inputs.head_velocity[:, :3].sum(axis=1))
+
+
+def onwards(inputs):
+    """The next direction of the head if it repeats its last turn."""
+    now, before = inputs.head_velocity[:, 0], inputs.head_velocity[:, 1]
+    return 2.0 * np.vecdot(now, before)[:, None] * now - before
+
+
+register_follow_strategy(OWN_DELAYS, OwnDelays())
+register_follow_strategy(MAJORITY, majority, lags=3)
+register_follow_strategy(ONWARDS, onwards, lags=2)
+
+
+def swarm_window(seed, **config):
+    """One window and the truth about it."""
+    settings = SwarmConfig(**{"clusters": 3, "uavs": 30, **config})
+    generators = [np.random.default_rng(seed)]
+    state, seen = advance(settings, start(settings, generators), generators)
+    return Window(seen.position[0], seen.velocity[0], seen.seen[0], seen.alive[0]), state.episode(0)
+
+
+def answer(window, seed=0, **arguments):
+    """The detection of one window by a detector with these arguments."""
+    detector = GroupMixture(**arguments)
+    detector.reset(seed)
+    return detector.detect(window)

@@ -1,0 +1,234 @@
+"""Calibration of group-mixture: the map, its file, its training and the policy that uses it."""
+
+import itertools
+import json
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from group_windows import answer, swarm_window
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import expit
+
+from detectors.group_mixture.calibration import Calibration, read_calibration, shipped_calibration
+from detectors.group_mixture.train import (
+    CalibrationTraining,
+    draw_swarm,
+    fit_calibration,
+    read_rows,
+    train_calibration,
+)
+from detectors.policy import Policy, choose
+from usnet_env.config import ArgumentError
+from usnet_env.swarm.follow import FollowInputs, follow_strategy
+from usnet_env.swarm.random_follow import RandomFollowStrategy
+
+SHIPPED = files("detectors.group_mixture") / "data" / "calibration.json"
+ROWS = Path(__file__).parents[3] / "benchmarks" / "results" / "group_mixture_calibration.csv.gz"
+TINY = CalibrationTraining(swarms=4, most_uavs=24, most_clusters=3)
+
+
+class Interrupted(Exception):
+    """Raised by a test to end a training early."""
+
+
+def record():
+    return json.loads(SHIPPED.read_text(encoding="utf-8"))
+
+
+@given(st.floats(0.01, 20), st.floats(-20, 20), st.lists(st.floats(-20, 20), min_size=2, max_size=20))
+def test_probabilities_rise_with_the_log_odds(slope, offset, odds):
+    mapped = Calibration(slope=slope, offset=offset)(np.array([-np.inf, *sorted(odds), np.inf]))
+    assert ((mapped >= 0) & (mapped <= 1)).all()
+    assert (np.diff(mapped) >= 0).all()
+
+
+def test_the_map_is_a_logistic_function():
+    odds = np.array([-3.0, 0.0, 0.5, 13.0])
+    np.testing.assert_allclose(Calibration(slope=0.5, offset=1.0)(odds), 1.0 / (1.0 + np.exp(-0.5 * odds - 1.0)))
+
+
+def test_the_detector_returns_calibrated_probabilities():
+    extras = answer(swarm_window(2, uavs=20, observation_steps=20)[0]).extras
+    least, most = shipped_calibration()(np.array([-np.inf, np.inf]))
+    assert ((extras["probability"] >= least) & (extras["probability"] <= most)).all()
+    assert extras["probability"].max() > 0.5
+
+
+def test_what_ships_was_made_by_the_defaults():
+    made = record()
+    assert read_calibration(str(SHIPPED)) == shipped_calibration()
+    draws = {name: made["training"][name] for name in CalibrationTraining.model_fields}
+    assert CalibrationTraining(**draws) == CalibrationTraining()
+    assert made["metrics"]["log loss"] <= made["metrics"]["log loss, before calibration"]
+
+
+def test_committed_rows_give_what_ships():
+    rows = read_rows(ROWS)
+    assert len(rows) == CalibrationTraining().swarms
+    fitted = fit_calibration(rows)
+    assert fitted.slope == pytest.approx(shipped_calibration().slope, abs=1e-4)
+    assert fitted.offset == pytest.approx(shipped_calibration().offset, abs=1e-4)
+    assert fitted.doubt == pytest.approx(shipped_calibration().doubt, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("calibration", "sentence"),
+    [
+        ({"slope": -1.0, "offset": 0.0}, "slope must be greater than 0"),
+        ({"slope": float("inf"), "offset": 0.0}, "slope must be"),
+        ({"slope": 1.0, "offset": float("nan")}, "offset must be"),
+        ({"slope": 1.0, "offset": 0.0, "doubt": 1.0}, "doubt must be less than 1"),
+        ({"slope": 1.0, "offset": 0.0, "more": 1.0}, "more is not an argument"),
+        ({"slope": 1.0}, "offset must be"),
+        (3, "path must hold a calibration as JSON"),
+        (None, "path must hold a calibration as JSON"),
+    ],
+)
+def test_a_bad_calibration_is_refused_in_one_sentence(tmp_path, calibration, sentence):
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps({} if calibration is None else {"calibration": calibration}))
+    with pytest.raises(ArgumentError, match=sentence) as refused:
+        read_calibration(path)
+    assert str(refused.value).startswith("path must hold a calibration")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"calibration": "slope"}'])
+def test_something_else_is_no_calibration(tmp_path, text):
+    path = tmp_path / "calibration.json"
+    path.write_text(text)
+    with pytest.raises(ArgumentError, match="path must hold a calibration as JSON"):
+        read_calibration(path)
+    with pytest.raises(ArgumentError, match="path must be a calibration file"):
+        read_calibration(tmp_path / "missing.json")
+
+
+@pytest.mark.slow
+def test_interrupted_training_is_resumed_to_the_identical_result(tmp_path):
+    def stop(done, total):
+        if done == 3:
+            raise Interrupted
+
+    whole = train_calibration(tmp_path / "whole", TINY)
+    few = train_calibration(tmp_path / "parts", TINY.model_copy(update={"swarms": 2}))
+    with pytest.raises(Interrupted):
+        train_calibration(tmp_path / "parts", TINY, stop)
+    assert len(read_rows(tmp_path / "parts" / "rows.csv")) == 2
+    calls = []
+    parts = train_calibration(tmp_path / "parts", TINY, lambda *call: calls.append(call))
+    assert calls == [(3, 4), (4, 4)]
+    assert few == parts
+    for name in ("calibration.json", "rows.csv", "reliability.csv"):
+        assert (whole.parent / name).read_bytes() == (parts.parent / name).read_bytes()
+    assert isinstance(read_calibration(whole), Calibration)
+    with pytest.raises(ArgumentError, match="out must hold no rows of other draws"):
+        train_calibration(tmp_path / "parts", TINY.model_copy(update={"seed": 1}))
+    anew = train_calibration(tmp_path / "parts", TINY.model_copy(update={"seed": 1}), resume=False)
+    assert whole.read_bytes() != anew.read_bytes()
+    (tmp_path / "parts" / "rows.csv").write_text("swarm\n1\n")
+    with pytest.raises(ArgumentError, match="path must hold rows of this calibration"):
+        read_rows(tmp_path / "parts" / "rows.csv")
+    with pytest.raises(ArgumentError, match="path must be a file of rows"):
+        read_rows(tmp_path / "parts" / "none.csv")
+
+
+def test_swarms_are_of_every_kind_and_follow_no_strategy_of_the_paper():
+    drawn = [draw_swarm(CalibrationTraining(), np.random.default_rng([0, swarm])) for swarm in range(300)]
+    assert all(config.follow == "none" or isinstance(config.follow, RandomFollowStrategy) for config in drawn)
+    assert 10 < sum(config.follow == "none" for config in drawn) < 60
+    assert {config.mobility for config in drawn} >= {"iid", "gauss_markov", "straight", "waypoint"}
+    assert min(config.uavs for config in drawn) >= 20
+    assert max(config.uavs for config in drawn) <= 150
+    for name in ("decoys", "miss_rate", "position_noise", "head_jitter"):
+        assert 0 < sum(bool(getattr(config, name)) for config in drawn) < 300
+
+
+def test_the_calibration_never_draws_f1():
+    """Strategies that are alike on all axes have no rotation, which is what keeps the others apart from f1."""
+    rng = np.random.default_rng(0)
+    head_velocity = rng.standard_normal((50, 4, 3)).astype(np.float32)
+    head_velocity /= np.linalg.norm(head_velocity, axis=-1, keepdims=True)
+    positions = rng.uniform(0, 500, (2, 50, 5, 3)).astype(np.float32)
+    inputs = FollowInputs(positions[0], head_velocity, positions[1], np.empty(0, np.float32))
+    f1 = follow_strategy("f1").direction(inputs)
+    alike, nearest = 0, -1.0
+    for swarm in range(400):  # the first swarms of the calibration that ships
+        follow = draw_swarm(CalibrationTraining(), np.random.default_rng([0, swarm])).follow
+        if follow == "none":
+            continue
+        wanted = follow.direction(inputs)
+        lengths = np.linalg.norm(wanted, axis=1) * np.linalg.norm(f1, axis=1)
+        nearest = max(nearest, float(np.mean((wanted * f1).sum(axis=1) / lengths)))
+        alike += follow.rotation is not None and np.array_equal(follow.rotation, np.eye(3))
+    assert alike > 20
+    assert nearest < 0.995  # the mean cosine of two strategies that the grammar's own test takes for different
+
+
+def rows_of(slope, offset, doubt, swarms=300, uavs=60):
+    """Rows of swarms whose heads are drawn by a calibration; log-odds have bins of 0.25, the first of them at -14."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for _ in range(swarms):
+        place = rng.integers(30, 83, uavs)
+        share = expit(slope * (0.25 * place - 14.0) + offset)
+        head = rng.random(uavs) < (share if rng.random() >= doubt else share.mean())
+        counts = ((k, (place == k).sum(), head[place == k].sum()) for k in np.unique(place))
+        rows.append({"log_odds": " ".join(":".join(map(str, entry)) for entry in counts)})
+    return rows
+
+
+@pytest.mark.parametrize(("slope", "offset", "doubt"), [(0.5, 0.0, 0.0), (1.0, -1.5, 0.3), (2.0, 1.0, 0.1)])
+def test_slope_offset_and_doubt_are_recovered_from_counts(slope, offset, doubt):
+    fitted = fit_calibration(rows_of(slope, offset, doubt))
+    assert fitted.slope == pytest.approx(slope, rel=0.1)
+    assert fitted.offset == pytest.approx(offset, abs=0.15)
+    assert fitted.doubt == pytest.approx(doubt, abs=0.06)
+
+
+def test_without_evidence_the_map_is_the_identity():
+    fitted = fit_calibration([{"log_odds": ""}])
+    assert (fitted.slope, fitted.offset) == (1.0, 0.0)
+
+
+@given(st.integers(0, 10_000), st.floats(0.0, 3.0))
+@settings(max_examples=30)
+def test_the_policy_has_the_least_expected_cost(seed, price):
+    rng = np.random.default_rng(seed)
+    probability = rng.beta(0.3, 0.5, 6)
+    alive = np.ones(6, bool)
+    named = choose(probability, alive, Policy(redundancy_price=price, round_price=1.0), rng.random(6))
+
+    def cost(some):
+        rest = np.setdiff1d(np.arange(6), some)
+        return 1.0 - np.prod(1.0 - probability[rest]) + price / 6 * (1.0 - probability[list(some)]).sum()
+
+    costs = [cost(some) for count in range(1, 7) for some in itertools.combinations(range(6), count)]
+    assert cost(np.flatnonzero(named)) == pytest.approx(min(costs), abs=1e-9)
+
+
+def test_the_policy_keeps_to_its_budget_and_to_the_living():
+    probability = np.array([0.9, 0.8, 0.7, 0.2])
+    alive = np.array([True, False, True, True])
+    tie = np.zeros(4)
+    assert choose(probability, alive, Policy(shot_budget=1), tie).tolist() == [True, False, False, False]
+    assert choose(probability, alive, Policy(policy="map"), tie).tolist() == [True, False, True, False]
+    assert choose(probability, alive, Policy(objective="P1"), tie).tolist() == [True, False, False, False]
+    assert not choose(np.full(4, 0.1), alive, Policy(policy="map"), tie).any()
+    assert choose(np.full(4, 0.001), alive, Policy(), tie).sum() >= 1
+    assert not choose(probability, np.zeros(4, bool), Policy(), tie).any()
+
+
+def test_doubt_about_the_fit_misses_heads_together():
+    alive, tie, p = np.ones(200, bool), np.zeros(200), np.full(200, 0.002)
+    p[:5] = 0.97
+    dear = Policy(round_price=1.2)
+    assert choose(p, alive, dear, tie).sum() == 5
+    assert choose(p, alive, dear, tie, doubt=0.5).sum() == 5
+    apart = 0.5 * p + 0.5 * p.mean()
+    assert choose(apart, alive, dear, tie).sum() == 200  # the same probabilities, but independent
+    assert choose(p, alive, Policy(policy="map"), tie, doubt=0.3).sum() == 5
+    assert choose(p, alive, Policy(policy="map"), tie, doubt=0.6).sum() == 0
+    assert choose(p, alive, Policy(objective="P1"), tie, doubt=0.3).sum() == 1
