@@ -170,6 +170,13 @@ RESULTS: tuple[Result, ...] = (
         "3 --detectors random none granger factions",
     ),
     Result(
+        "follow-mixture with each of its rules switched off",
+        ("follow_mixture/ablation.csv",),
+        (
+            "python benchmarks/follow_mixture_ablation.py --tier random --games 100",
+        ),
+    ),
+    Result(
         "which feature class of follow-mixture contains a strategy",
         ("follow_mixture/classes.csv",),
         ("python benchmarks/strategy_classes.py",),
@@ -229,6 +236,7 @@ RESULTS: tuple[Result, ...] = (
             "multiagent_payoff.md",
             "multiagent_ppo.md",
             "multiagent_observers.md",
+            "follow_mixture/ablation.md",
         ),
         ("python benchmarks/tables.py",),
     ),
