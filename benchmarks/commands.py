@@ -172,9 +172,7 @@ RESULTS: tuple[Result, ...] = (
     Result(
         "follow-mixture with each of its rules switched off",
         ("follow_mixture/ablation.csv",),
-        (
-            "python benchmarks/follow_mixture_ablation.py --tier random --games 100",
-        ),
+        ("python benchmarks/follow_mixture_ablation.py --tier random --games 100",),
     ),
     Result(
         "which feature class of follow-mixture contains a strategy",

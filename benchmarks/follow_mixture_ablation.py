@@ -1,7 +1,7 @@
 """What every rule of follow-mixture is worth: each is switched off alone, on the same swarms. Resumable.
 
     OMP_NUM_THREADS=1 python benchmarks/follow_mixture_ablation.py --tier random --games 600
-    OMP_NUM_THREADS=1 python benchmarks/follow_mixture_ablation.py --tier paper smooth --games 10
+    OMP_NUM_THREADS=1 python benchmarks/follow_mixture_ablation.py --tier paper smooth --games 10 5
     python benchmarks/follow_mixture_ablation.py --list     # the switches
 
 Swarms of the tier ``random`` are those of the calibration's grammar (``detectors.follow_mixture.train``), with another
@@ -257,12 +257,13 @@ def measured(replay: Replay, game: Game, switches: tuple[Switch, ...]) -> list[d
             rows.append(game.row(None, switch.key))
             changed.append(switch.key)
             continue
-        if other.changed:
-            changed.append(switch.key)
-        if len(other.fired) != len(whole.fired) or any(
+        differs = len(other.fired) != len(whole.fired) or any(
             not np.array_equal(one, two) for one, two in zip(other.fired, whole.fired, strict=True)
-        ):
+        )
+        if differs:
             rows.append(game.row(other, switch.key))
+        if other.changed or differs:
+            changed.append(switch.key)
     replay.forget()
     keys = [switch.key for switch in switches]
     reached = " ".join(key for key in keys if key in whole.reached)
@@ -274,15 +275,15 @@ def cells_of(tier: str) -> list[Cell]:
     return [Cell("random", "")] if tier == "random" else [c for c in [*cells(), *large_cells()] if c.tier == tier]
 
 
-def games(tiers: list[str], numbers: range) -> Iterator[Game]:
-    """The games of some tiers: for each number, one game of every cell."""
-    for tier in tiers:
-        for number in numbers:
+def games(tiers: dict[str, int]) -> Iterator[Game]:
+    """The games of some tiers, with the number of games of each cell; for each number, one game of every cell."""
+    for tier, count in tiers.items():
+        for number in range(count):
             for cell in cells_of(tier):
                 yield Game(cell, number)
 
 
-def measure(path: Path, tiers: list[str], numbers: range, until: float, second: bool) -> None:
+def measure(path: Path, tiers: dict[str, int], until: float, second: bool) -> None:
     """Play the games that the file lacks, and append their rows."""
     own = tuple(switch for switch in SWITCHES if switch.second == second)
     known: set[tuple[str, str, int]] = set()
@@ -300,7 +301,7 @@ def measure(path: Path, tiers: list[str], numbers: range, until: float, second: 
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if new:
             writer.writeheader()
-        for game in games(tiers, numbers):
+        for game in games(tiers):
             if (game.cell.tier, game.name, game.number) in known:
                 continue
             if time.time() > until:
@@ -314,12 +315,20 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--tier", nargs="*", default=["random"])
-    made.add_argument("--games", type=int, default=10, help="of each cell")
+    made.add_argument(
+        "--games", type=int, nargs="+", default=[10], help="of each cell: one number, or one for each tier"
+    )
     made.add_argument("--minutes", type=float, default=float("inf"), help="no game begins later than this")
     made.add_argument("--second", action="store_true", help="the switches of the second list, whose replays take long")
     made.add_argument("--out", type=Path, default=FILE)
     made.add_argument("--list", action="store_true", help="list the switches and play nothing")
     return made
+
+
+def chosen(arguments: argparse.Namespace) -> dict[str, int]:
+    """The tiers that the command line asks for, with the number of games of each cell."""
+    counts = arguments.games * (len(arguments.tier) if len(arguments.games) == 1 else 1)
+    return dict(zip(arguments.tier, counts, strict=True))
 
 
 def main() -> None:
@@ -330,7 +339,7 @@ def main() -> None:
             print(f"{switch.key:18} {switch.what}")
         return
     until = time.time() + 60.0 * arguments.minutes
-    measure(arguments.out, arguments.tier, range(arguments.games), until, arguments.second)
+    measure(arguments.out, chosen(arguments), until, arguments.second)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ __all__ = ["Loss", "Verdict", "judged", "paired_change", "text", "verdicts"]
 
 FILE = "follow_mixture/ablation.csv"
 LEAST = 0.005  # half a point
+ENOUGH = 10  # games of a group that is judged; resampling fewer shows too little spread
 LISTS = ("first", "second")
 EMPTY = ("silence", "shifted")  # J there is the number of named UAVs, no cost
 _RESAMPLES = 9_999
@@ -35,7 +36,12 @@ class Loss(NamedTuple):
     @property
     def counts(self) -> bool:
         """Whether exactness or J is worse by half a point or more, beyond the interval."""
-        return any(loss[0] >= LEAST and loss[1] > 0 for loss in (self.exact, self.J))
+        return self.games >= ENOUGH and any(loss[0] >= LEAST and loss[1] > 0 for loss in (self.exact, self.J))
+
+    @property
+    def largest(self) -> float:
+        """The larger of both losses."""
+        return max(self.exact[0], self.J[0])
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,7 @@ class Verdict:
         answers: the number in which the answer was another one.
         random: the loss over all random swarms.
         worst: the largest loss in a group of games; ``None`` if no answer was worse anywhere.
-        earns: whether it costs half a point somewhere.
+        said: ``earns it``, ``open``, ``goes`` or ``not measured``.
     """
 
     switch: Switch
@@ -58,7 +64,7 @@ class Verdict:
     answers: int
     random: Loss
     worst: Loss | None
-    earns: bool
+    said: str
 
 
 def paired_change(values: Sequence[float], games: int) -> tuple[float, float, float]:
@@ -83,10 +89,8 @@ def groups_of(row: _Row) -> list[str]:
     if tier == "random":
         return ["random", *(f"random, {mark}" for mark in row["cell"].split("-"))]
     if tier == "strategies":
-        return [f"{tier}, {row['cell']}", f"{tier}, all {rest or 'iid'}"]
-    if tier in EMPTY:
-        return [f"{tier}, {rest}"]
-    return [f"{tier}, {first}", *([f"{tier}, {rest}"] if rest else [])]
+        return [f"{tier}, all", f"{tier}, {rest or 'iid'}", f"{tier}, {first}"]
+    return [f"{tier}, all", f"{tier}, {first}", *([f"{tier}, {rest}"] if rest else [])]
 
 
 def verdicts(rows: Iterable[_Row]) -> list[Verdict]:
@@ -140,7 +144,13 @@ def judged(
         for group in exact
     ]
     worse = [loss for loss in losses if loss.exact[0] > 0 or loss.J[0] > 0]
-    worst = max(worse, key=lambda loss: (loss.counts, max(loss.exact[0], loss.J[0])), default=None)
+    worst = max(worse, key=lambda loss: (loss.counts, loss.games >= ENOUGH, loss.largest), default=None)
+    if worst is not None and worst.counts:
+        said = "earns it"
+    elif any(loss.largest >= LEAST for loss in worse):
+        said = "open"
+    else:
+        said = "goes" if whole else "not measured"
     nothing = (0.0, 0.0, 0.0)
     total = next(
         (loss for loss in losses if loss.group == "random"), Loss("random", sizes.get("random", 0), nothing, nothing)
@@ -152,7 +162,7 @@ def judged(
         sum(row["tier"] == "random" for row in rows),
         total,
         worst,
-        any(loss.counts for loss in losses),
+        said,
     )
 
 
@@ -169,6 +179,8 @@ def _rounds(loss: tuple[float, float, float]) -> str:
 
 def _line(verdict: Verdict) -> list[str]:
     worst = verdict.worst
+    if verdict.said == "not measured":
+        return [f"`{verdict.switch.key}`: {verdict.switch.what}", "", "", "", "", "", verdict.said]
     return [
         f"`{verdict.switch.key}`: {verdict.switch.what}",
         f"{verdict.reached} / {verdict.changed} / {verdict.answers}",
@@ -176,7 +188,7 @@ def _line(verdict: Verdict) -> list[str]:
         "none" if worst is None else f"{worst.group} (n={worst.games})",
         "" if worst is None else _points(worst.exact),
         "" if worst is None else _rounds(worst.J),
-        "earns it" if verdict.earns else "goes",
+        verdict.said,
     ]
 
 
@@ -186,22 +198,24 @@ def _all() -> tuple[list[Verdict], str]:
     played: dict[str, dict[str, int]] = {}
     for row in rows:
         if not row["switch"]:
-            cells = played.setdefault(row["tier"], {})
+            where = row["tier"] + (" (second list)" if row["list"] == "second" else "")
+            cells = played.setdefault(where, {})
             cells[row["cell"]] = cells.get(row["cell"], 0) + 1
     parts = []
     for tier, cells in played.items():
-        if tier == "random":
-            parts.append(f"random {sum(cells.values())} swarms")
+        if tier.startswith("random"):
+            parts.append(f"{tier} {sum(cells.values())} swarms")
         else:
             least, most = min(cells.values()), max(cells.values())
             each = str(least) if least == most else f"{least} to {most}"
-            parts.append(f"{tier} {len(cells)} cells with {each} games")
+            parts.append(f"{tier} {len(cells)} cells with {each} game{'s' * (most > 1)}")
     return verdicts(rows), "; ".join(parts)
 
 
 def text() -> str:
     """The page."""
     found, played = _all()
+    counts = Counter(verdict.said for verdict in found)
     header = (
         "switched off", "reached / changed / other answer", "random swarms, points", "largest loss in", "points",
         "mean J", "verdict",
@@ -216,15 +230,17 @@ def text() -> str:
         "without a rule.",
         f"Played: {played}.",
         "**reached / changed / other answer**: the number of random swarms in which the rule's code ran, in which it "
-        "changed an intermediate result, and in which it changed the candidates. "
+        "changed a result on the way, and in which it changed the candidates. "
         "**points**: change of the share of exact first answers; in swarms in which no UAV follows another, exact "
         'means that `policy="map"` names no UAV. **mean J**: change of J_m (J_s in P1), positive where it is worse; '
         "for random swarms the least J_m that the first round allows. **largest loss**: over groups of games: the "
         "cells of a tier with one follow strategy, those with one setting, the random swarms with one property. "
-        "**verdict**: a rule earns its place if the share of exact answers or mean J is worse without it by at least "
-        "half a point (0.005) in some group, beyond the interval. There are many groups, so some rules earn it by "
-        "chance.",
-        f"{sum(verdict.earns for verdict in found)} of {len(found)} rules earn their place.",
+        "**verdict**: a rule *earns it* if the share of exact answers or mean J is worse without it by at least "
+        f"half a point (0.005) in some group of {ENOUGH} games or more, beyond the interval. It is *open* if it is worse "
+        "by as much in some group, but within the interval or in fewer games. Otherwise it *goes*. There are many groups, so "
+        "some rules earn it by chance; and few games in many tiers, so a rule that goes may still matter there.",
+        f"Of {len(found)} rules, {counts['earns it']} earn their place, {counts['open']} are open, {counts['goes']} go "
+        f"and {counts['not measured']} are not measured.",
     ]
     for group in GROUPS:
         own = [verdict for verdict in found if verdict.switch.group == group]
