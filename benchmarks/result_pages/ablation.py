@@ -236,9 +236,10 @@ def text() -> str:
         "for random swarms the least J_m that the first round allows. **largest loss**: over groups of games: the "
         "cells of a tier with one follow strategy, those with one setting, the random swarms with one property. "
         "**verdict**: a rule *earns it* if the share of exact answers or mean J is worse without it by at least "
-        f"half a point (0.005) in some group of {ENOUGH} games or more, beyond the interval. It is *open* if it is worse "
-        "by as much in some group, but within the interval or in fewer games. Otherwise it *goes*. There are many groups, so "
-        "some rules earn it by chance; and few games in many tiers, so a rule that goes may still matter there.",
+        f"half a point (0.005) in some group of {ENOUGH} games or more, beyond the interval. It is *open* if it "
+        "is worse by as much in some group, but within the interval or in fewer games. Otherwise it *goes*. There are "
+        "many groups, so some rules earn it by chance; and few games in many tiers, so a rule that goes may still "
+        "matter there.",
         f"Of {len(found)} rules, {counts['earns it']} earn their place, {counts['open']} are open, {counts['goes']} go "
         f"and {counts['not measured']} are not measured.",
     ]
