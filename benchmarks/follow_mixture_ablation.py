@@ -270,20 +270,23 @@ def measured(replay: Replay, game: Game, switches: tuple[Switch, ...]) -> list[d
     return [*rows, game.row(whole, "") | {"reached": reached, "changed": " ".join(changed)}]
 
 
-def cells_of(tier: str) -> list[Cell]:
-    """The cells of a tier."""
-    return [Cell("random", "")] if tier == "random" else [c for c in [*cells(), *large_cells()] if c.tier == tier]
+def cells_of(tier: str, parts: list[str] | None = None) -> list[Cell]:
+    """The cells of a tier; only those whose names contain one of ``parts``, if there are any."""
+    if tier == "random":
+        return [Cell("random", "")]
+    every = [cell for cell in [*cells(), *large_cells()] if cell.tier == tier]
+    return [cell for cell in every if not parts or any(part in cell.name for part in parts)]
 
 
-def games(tiers: dict[str, int]) -> Iterator[Game]:
+def games(tiers: dict[str, int], parts: list[str] | None = None) -> Iterator[Game]:
     """The games of some tiers, with the number of games of each cell; for each number, one game of every cell."""
     for tier, count in tiers.items():
         for number in range(count):
-            for cell in cells_of(tier):
+            for cell in cells_of(tier, parts):
                 yield Game(cell, number)
 
 
-def measure(path: Path, tiers: dict[str, int], until: float, second: bool) -> None:
+def measure(path: Path, wanted: Iterator[Game], until: float, second: bool) -> None:
     """Play the games that the file lacks, and append their rows."""
     own = tuple(switch for switch in SWITCHES if switch.second == second)
     known: set[tuple[str, str, int]] = set()
@@ -301,7 +304,7 @@ def measure(path: Path, tiers: dict[str, int], until: float, second: bool) -> No
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if new:
             writer.writeheader()
-        for game in games(tiers):
+        for game in wanted:
             if (game.cell.tier, game.name, game.number) in known:
                 continue
             if time.time() > until:
@@ -318,6 +321,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--games", type=int, nargs="+", default=[10], help="of each cell: one number, or one for each tier"
     )
+    made.add_argument("--cell", nargs="*", help="only cells whose names contain one of these")
     made.add_argument("--minutes", type=float, default=float("inf"), help="no game begins later than this")
     made.add_argument("--second", action="store_true", help="the switches of the second list, whose replays take long")
     made.add_argument("--out", type=Path, default=FILE)
@@ -339,7 +343,7 @@ def main() -> None:
             print(f"{switch.key:18} {switch.what}")
         return
     until = time.time() + 60.0 * arguments.minutes
-    measure(arguments.out, chosen(arguments), until, arguments.second)
+    measure(arguments.out, games(chosen(arguments), arguments.cell), until, arguments.second)
 
 
 if __name__ == "__main__":

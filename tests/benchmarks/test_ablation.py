@@ -124,7 +124,7 @@ def test_rows_are_those_of_the_commands_and_name_listed_switches():
         asked = ablation.parser().parse_args(shlex.split(command)[2:])
         which = "second" if asked.second else "first"
         for tier, count in ablation.chosen(asked).items():
-            cells = [""] if tier == "random" else [c.name for c in ablation.cells_of(tier)]
+            cells = [""] if tier == "random" else [c.name for c in ablation.cells_of(tier, asked.cell)]
             wanted |= {(tier, which, cell, str(number)) for cell in cells for number in range(count)}
     played = [row for row in rows if not row["switch"]]
     names = [(r["tier"], r["list"], "" if r["tier"] == "random" else r["cell"], r["game"]) for r in played]
