@@ -14,7 +14,7 @@ from math import inf
 
 from partial_replay import Edit, Set, Switch
 
-__all__ = ["GROUPS", "SWITCHES"]
+__all__ = ["GROUPS", "LARGE", "SWITCHES"]
 
 WAYS = "ways"
 ARBITRATION = "choice between ways"
@@ -310,7 +310,13 @@ _ALL: tuple[Switch, ...] = (
         "again-half",
         SHARED,
         "again: also where most UAVs are unassigned",
-        (Edit("search.climbed", "0 < unexplained(found) <= samples.uavs / 2", "0 < unexplained(found)"),),
+        (
+            Edit(
+                "search.climbed",
+                "0 < unexplained(found) <= samples.uavs / 2",
+                "(len(found.heads.heads) and 0 < unexplained(found))",
+            ),
+        ),
     ),
     Switch(
         "with-led",
