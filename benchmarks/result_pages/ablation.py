@@ -226,11 +226,11 @@ def text() -> str:
         NOTICE,
         "# Ablation of follow-mixture",
         "Each rule is switched off alone, and the same swarms are played again. `random` are swarms of the "
-        "calibration's grammar (new draws, one window each); the other tiers are those of "
+        "calibration's grammar (new draws with 20 to 60 UAVs, one window each); the other tiers are those of "
         "`benchmarks/follow_mixture.py`, on tuning seeds, with 10 games a cell at most. Differences are paired, with "
         "95 % bootstrap intervals over games. The calibration is that of the whole detector; it is not fitted again "
         "without a rule. A run that fails without a rule counts as not exact.",
-        f"Played: {played}.",
+        f"Played: {played}. Of the other cells, and of the tier shifted, no game was played.",
         "**reached / changed / other answer**: the number of random swarms in which the rule's code ran, in which it "
         "changed a result on the way, and in which it changed the candidates. "
         "**points**: change of the share of exact first answers; in swarms in which no UAV follows another, exact "
