@@ -170,6 +170,24 @@ RESULTS: tuple[Result, ...] = (
         "3 --detectors random none granger factions",
     ),
     Result(
+        "follow-mixture with each of its rules switched off, on tuning seeds",
+        ("follow_mixture/ablation.csv",),
+        tuple(
+            f"python benchmarks/follow_mixture_ablation.py --tier {step}"
+            for step in (
+                "random --games 121",
+                "random --second --games 33",
+                "paper smooth straight strategies missed short P1 sampled sizes --games 10 4 1 1 1 1 1 1 1",
+                "straight --cell jitter --games 2",
+                "straight --cell f1-jitter f2-jitter f3-jitter f4-jitter f5-jitter --games 3",
+                "noise --cell f1-0 f2-0 f3-0 f4-0 f5-0 f6-0 f7-0 f1-1 f2-1 f3-1 f1-gauss_markov-0.3 "
+                "f2-gauss_markov-0.3 f3-gauss_markov-0.3 --games 1",
+                "decoys --cell 2 iid-3 iid-10 gauss_markov-3 --games 1",
+                "silence --cell iid gauss_markov --games 1",
+            )
+        ),
+    ),
+    Result(
         "which feature class of follow-mixture contains a strategy",
         ("follow_mixture/classes.csv",),
         ("python benchmarks/strategy_classes.py",),
@@ -229,6 +247,7 @@ RESULTS: tuple[Result, ...] = (
             "multiagent_payoff.md",
             "multiagent_ppo.md",
             "multiagent_observers.md",
+            "follow_mixture/ablation.md",
         ),
         ("python benchmarks/tables.py",),
     ),

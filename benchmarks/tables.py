@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 
 from result_pages import (
+    ablation,
     commands_page,
     decoys,
     index,
@@ -47,6 +48,7 @@ PAGES = {
     "docs/results/multiagent.md": multiagent.text,
     "docs/results/speed.md": speed.text,
     "benchmarks/README.md": commands_page.text,
+    "benchmarks/results/follow_mixture/ablation.md": ablation.text,
     # Tables alone, which pages of docs include.
     "benchmarks/results/learned.md": lambda: table_alone(learned.games()),
     "benchmarks/results/ppo_observer.md": lambda: table_alone(learned.trained()),
