@@ -67,6 +67,7 @@ def _table2(name: str, *commands: str) -> Result:
     )
 
 
+_GROUPS = "detectors.group_mixture:GroupMixture"
 _SMOOTH = "--mobility gauss_markov --head-jitter"
 _WAYPOINT = "--mobility waypoint --head-jitter"
 
@@ -185,6 +186,56 @@ RESULTS: tuple[Result, ...] = (
                 "decoys --cell 2 iid-3 iid-10 gauss_markov-3 --games 1",
                 "silence --cell iid gauss_markov --games 1",
             )
+        ),
+    ),
+    *(
+        Result(
+            f"GroupMixture: {_TIERS[tier]}",
+            (f"group_mixture/{tier}.csv",),
+            (
+                f"python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier {tier} "
+                f"--episodes {episodes} --detectors {_GROUPS}",
+            ),
+        )
+        for tier, episodes in (
+            ("paper", 100),
+            ("smooth", 50),
+            ("short", 50),
+            ("noise", 20),
+            ("missed", 50),
+            ("decoys", 10),
+        )
+    ),
+    Result(
+        f"GroupMixture: {_TIERS['straight']}",
+        ("group_mixture/straight.csv",),
+        (
+            "python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier straight "
+            f"--cell jitter --episodes 50 --detectors {_GROUPS}",
+        ),
+    ),
+    Result(
+        f"GroupMixture: {_TIERS['silence']}",
+        ("group_mixture/silence.csv",),
+        (
+            "python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier silence "
+            f"--episodes 20 --detectors \"{_GROUPS}(policy='map')\"",
+        ),
+    ),
+    Result(
+        f"GroupMixture: {_TIERS['P1']}",
+        ("group_mixture/P1.csv",),
+        (
+            "python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier P1 "
+            f"--episodes 50 --detectors \"{_GROUPS}(objective='P1')\"",
+        ),
+    ),
+    Result(
+        "swarms of the calibration of GroupMixture",
+        ("group_mixture_calibration.csv.gz",),
+        (
+            "python -c \"from detectors.group_mixture.train import train_calibration; train_calibration('out')\"  "
+            "# its rows.csv, compressed",
         ),
     ),
     Result(

@@ -146,7 +146,9 @@ class Replay:
         self.switches = {switch.key: switch for switch in switches}
         if len(self.switches) != len(switches):
             raise ValueError("every switch must have a key of its own.")
-        self._modules = {name: import_module(f"{package}.{name}") for name in modules}
+        # A module that several detectors share lies beside the package.
+        beside = {"policy": f"{package.rpartition('.')[0]}.policy"}
+        self._modules = {name: import_module(beside.get(name, f"{package}.{name}")) for name in modules}
         self._stored = frozenset(stored)
         self._old: list[tuple[Any, str, Any]] = []
         self._frames: list[set[str]] = []

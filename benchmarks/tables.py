@@ -17,6 +17,7 @@ from pathlib import Path
 from result_pages import (
     ablation,
     commands_page,
+    cores,
     decoys,
     index,
     learned,
@@ -39,6 +40,7 @@ PAGES = {
     "docs/results/paper_tier.md": paper_tier.text,
     "docs/results/follow_mixture.md": tiers.text,
     "docs/results/follow_mixture_cells.md": tiers.cells_text,
+    "docs/results/group_mixture.md": cores.text,
     "docs/results/decoys.md": decoys.text,
     "docs/results/strategies.md": strategies.text,
     "docs/results/p1.md": p1.text,
