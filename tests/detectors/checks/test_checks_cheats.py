@@ -35,7 +35,7 @@ CHEATS = [
     (PROCESS, cheating.PatchesTheScore(), r"got a change of .*usnet_env\.objectives\.hits_and_redundant"),
     (PROCESS, cheating.PatchesCode(), r"got a change of .*usnet_env\.objectives\.hits_and_redundant"),
     (PROCESS, cheating.PatchesAnEnvironment(), r"got a change of .*gymnasium\.core\.Wrapper\.step"),
-    (PROCESS, cheating.PatchesARival(), r"got a change of detectors\.lagged\.regression\.LaggedRegression\.detect"),
+    (PROCESS, cheating.PatchesARival(), r"got a change of detectors\.lagged\.LaggedRegression\.detect"),
     (PROCESS, cheating.PatchesNumPy(), r"got a change of numpy\.count_nonzero"),
     (PROCESS, cheating.SetsAVariable(), "got a change of environment variable USNET_TEST_VARIABLE"),
     (PROCESS, cheating.IgnoresSignals(), "got a change of handler of SIGTERM"),

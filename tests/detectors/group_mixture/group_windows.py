@@ -8,9 +8,9 @@ from detectors.group_mixture import GroupMixture
 from usnet_env import Window
 from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, register_follow_strategy, start
 
-OWN_DELAYS = "tests_own_delays"
-MAJORITY = "tests_majority"
-ONWARDS = "tests_onwards"
+OWN_DELAYS = "tests_group_own_delays"
+MAJORITY = "tests_group_majority"
+ONWARDS = "tests_group_onwards"
 
 
 class OwnDelays(FollowStrategy):
