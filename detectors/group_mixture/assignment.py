@@ -40,8 +40,8 @@ def assign_groups(gain: Floats, candidates: Indices, itself: Indices, sizes: Ind
     """Choose the heads with the highest value by greedy removals, additions and swaps.
 
     A group follows the chosen head with its highest gain if that is positive. The value is the sum of these gains, less
-    log n for each of the heads (n UAVs), less log M for each group that follows one of M heads: the description length
-    of the choice. A candidate that is a group of one follows no UAV while it is chosen.
+    log n for each of the heads (n UAVs), less log(M + 1) for each group that names one of M heads or none: the
+    description length of the choice. A candidate that is a group of one follows no UAV while it is chosen.
 
     Args:
         gain: ``(C, c)`` log-likelihood that each group gains by each candidate.
@@ -53,7 +53,7 @@ def assign_groups(gain: Floats, candidates: Indices, itself: Indices, sizes: Ind
     Returns:
         The best set found, in which each head has at least two followers.
     """
-    search = _Search(np.maximum(gain, 0.0), itself, float(np.log(max(sizes.sum(), 2))))
+    search = _Search(gain, itself, sizes > 1, float(np.log(max(sizes.sum(), 2))))
     chosen = np.zeros(len(candidates), bool)
     if len(candidates):
         best = gain.argmax(axis=1)
@@ -73,8 +73,10 @@ def assign_groups(gain: Floats, candidates: Indices, itself: Indices, sizes: Ind
 class _Search:
     """Moves of the search; ``chosen`` is a mask ``(c,)`` of the candidates."""
 
-    def __init__(self, gain: Floats, itself: Indices, price: float) -> None:
-        self.gain, self.itself, self.price = gain, itself, price
+    def __init__(self, gain: Floats, itself: Indices, several: Mask, price: float) -> None:
+        self.gain, self.itself, self.price = np.maximum(gain, 0.0), itself, price
+        self.several = several
+        self.alone = ~several & np.isfinite(gain).any(axis=1)  # groups of one that name a head, or none
 
     def _follows(self, chosen: Mask) -> Mask:
         """``(C,)``: which groups may follow: all but the chosen heads that are groups of one."""
@@ -101,7 +103,7 @@ class _Search:
     def value(self, chosen: Mask) -> float:
         """Gain of all groups less the prices."""
         gained, count = self._gained(chosen), int(chosen.sum())
-        naming = np.log(max(count, 1)) * np.count_nonzero(gained)
+        naming = np.log(max(count, 1)) * np.count_nonzero(gained[self.several]) + np.log1p(count) * (self.alone & self._follows(chosen)).sum()
         return float(gained.sum() - self.price * count - naming)
 
     def drop(self, chosen: Mask, most: int | None) -> Mask:
@@ -117,11 +119,12 @@ class _Search:
             lost = np.bincount(best, weights=(first - second) * may, minlength=len(there))
             single = self.itself[there]
             returned = np.where(single >= 0, self._best_of_others(there, single), 0.0)
-            follow = may & (first > 0)
+            follow = may & (first > 0) & self.several
             quit_ = np.bincount(best, weights=follow & (second <= 0), minlength=len(there))
-            count = int(follow.sum())
-            after = count - quit_ + (returned > 0)
-            naming = np.log(len(there)) * count - np.log(max(len(there) - 1, 1)) * after
+            count = len(there)
+            alone = (self.alone & may).sum()
+            naming = alone * np.log1p(count) - (alone + (single >= 0)) * np.log(count)
+            naming += np.log(count) * follow.sum() - np.log(max(count - 1, 1)) * (follow.sum() - quit_)
             rise = self.price - lost + returned + naming
             worst = int(rise.argmax())
             if rise[worst] <= _LITTLE and (most is None or len(there) <= most):

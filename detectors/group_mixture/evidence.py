@@ -88,6 +88,10 @@ class Pairs:
     uav: Indices
     target: Indices
 
+    def take(self, some: Mask) -> Pairs:
+        """Some of the pairs, by a mask ``(P,)``."""
+        return Pairs(self.group[some], self.uav[some], self.target[some])
+
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
@@ -102,6 +106,10 @@ class Statistics:
     name: str
     moment: Floats
     gram: Floats
+
+    def take(self, some: Mask) -> Statistics:
+        """The statistics of some pairs, by a mask ``(P,)``."""
+        return Statistics(self.name, self.moment[some], self.gram[some])
 
     @property
     def width(self) -> int:
@@ -133,11 +141,11 @@ def make_targets(velocity: Floats, label: Indices, lags: int) -> Targets:
         part = slice(first, first + _CHUNK)
         past = lagged(mean[part], lags)[:, :, :own_lags].reshape(-1, rows, 3 * own_lags)
         known = np.concatenate([np.ones((len(past), rows, 1)), past], axis=2)
-        plain = _residuals(_orthonormalise(known), mean[part, lags:])
+        plain = _residuals(whiten(known), mean[part, lags:])
         square = (plain**2).sum(axis=2)
         scale = np.maximum(np.median(square, axis=1, keepdims=True) / _MEDIAN, _LEAST_SPREAD**2)
         weight[part] = 1.0 / np.sqrt(1.0 + square / (_FREEDOM * scale))
-        own[part] = _orthonormalise(known * weight[part][:, :, None])
+        own[part] = whiten(known * weight[part][:, :, None])
         innovation[part] = _residuals(own[part], mean[part, lags:] * weight[part][:, :, None])
     innovation[len(sizes) :][sizes[label] == 1] = 0.0
     square = (innovation**2).sum(axis=2)
@@ -151,7 +159,7 @@ def _residuals(columns: Floats, target: Floats) -> Floats:
     return np.asarray(target - columns @ (columns.transpose(0, 2, 1) @ target))
 
 
-def _orthonormalise(columns: Floats, ridge: float = _RIDGE) -> Floats:
+def whiten(columns: Floats, ridge: float = _RIDGE) -> Floats:
     """Orthonormal columns of the span of each ``(R, p)`` block, up to a small ridge."""
     gram = columns.transpose(0, 2, 1) @ columns
     width = gram.shape[1]
@@ -170,8 +178,8 @@ def bayes_factor(share: Floats, rows: Floats, width: int) -> Floats:
     return np.asarray(np.where(rows > width + 1.0, factor, 0.0))
 
 
-def choose_pairs(targets: Targets, past: Floats, names: Sequence[str], groups: Indices | None = None) -> Pairs:
-    """Choose the candidates of each group by a screening of all UAVs.
+def choose_pairs(targets: Targets, past: Floats, names: Sequence[str], groups: Indices) -> Pairs:
+    """Choose the candidates of some groups by a screening of all UAVs.
 
     Every class nominates single UAVs, members of the group and members of other groups. Classes of three features are
     compared exactly; for larger ones the screening ignores the weights of the rows and what a candidate's features
@@ -181,9 +189,8 @@ def choose_pairs(targets: Targets, past: Floats, names: Sequence[str], groups: I
         targets: the groups.
         past: ``(n, R, L, 3)`` pasts of the candidates.
         names: the feature classes.
-        groups: the groups to be screened; all by default.
+        groups: ``(c,)`` the groups that are screened.
     """
-    groups = np.arange(len(targets.sizes)) if groups is None else groups
     weight = targets.weight[groups]
     rows = targets.rows[groups, None]
     power = targets.energy[groups][:, None]
@@ -203,7 +210,6 @@ def choose_pairs(targets: Targets, past: Floats, names: Sequence[str], groups: I
             evidence[number, :, part] = bayes_factor(share, rows, features.shape[2])
     inside = targets.label[None] == groups[:, None]
     alone = (targets.sizes[targets.label] == 1)[None]
-    evidence[:, inside & alone] = 0.0  # no UAV follows itself
     asked = np.zeros((len(groups), len(past)), bool)
     for mask in (inside, ~inside & alone, ~inside & ~alone):
         for values in np.where(mask, evidence, 0.0):
@@ -211,14 +217,18 @@ def choose_pairs(targets: Targets, past: Floats, names: Sequence[str], groups: I
             least = np.partition(values, -some, axis=1)[:, -some, None]
             asked |= (values >= least) & (values > 0.0)
     place, uav = np.nonzero(asked)
-    group: Indices = groups[place]
+    return pair(targets, groups[place], uav)
+
+
+def pair(targets: Targets, group: Indices, uav: Indices) -> Pairs:
+    """The pairs of groups ``(P,)`` and candidates ``(P,)``."""
     member = targets.label[uav] == group
     return Pairs(group, uav, np.where(member, len(targets.sizes) + uav, group))
 
 
 def _explain_roughly(features: Floats, flat: Floats) -> Floats:
     """``(C, k)``: energy of unweighted innovations ``(R, 3 C)`` that features ``(k, R, p)`` explain alone."""
-    white = _orthonormalise(features)
+    white = whiten(features)
     product = (white.transpose(0, 2, 1).reshape(-1, len(flat)) @ flat).reshape(len(white), white.shape[2], -1)
     energy = np.einsum("kpc,kpc->kc", product, product)
     return np.asarray(energy.reshape(len(white), -1, 3).sum(axis=2).T)
@@ -233,7 +243,7 @@ def _explain_by_three(features: Floats, flat: Floats, own: Floats, weight: Float
     count, uavs, rows = len(weight), len(features), len(flat)
     turned = features.transpose(0, 2, 1).reshape(-1, rows)
     moment = (turned @ flat).reshape(uavs, 3, count, 3)
-    known = (turned @ own).reshape(uavs, 3, count, -1)
+    known = (turned @ own).reshape(uavs, 3, count, own.shape[1] // max(count, 1))
     products = features[:, :, [0, 1, 1, 2, 2, 2]] * features[:, :, [0, 0, 1, 0, 1, 2]]  # of a lower triangle
     gram = (products.transpose(0, 2, 1).reshape(-1, rows) @ weight.T).reshape(uavs, 6, count)
     return np.asarray(_solve_by_three(moment, known, gram, _RIDGE, _NOTHING).T)
@@ -316,9 +326,18 @@ def shared_evidence(targets: Targets, pairs: Pairs, statistics: Statistics, law:
 
     Each pair has an error variance of its own.
     """
+    gain, left = _gain_and_rest(targets, pairs, statistics, law)
+    return gain, left / (3.0 * np.maximum(targets.rows[pairs.target], 1.0))
+
+
+def gain_by_laws(targets: Targets, pairs: Pairs, statistics: Statistics, laws: Floats) -> Floats:
+    """``(P,)``: log-likelihood that each pair gains by a law of its own ``(P, p, 3)``, which is given."""
+    return _gain_and_rest(targets, pairs, statistics, laws)[0]
+
+
+def _gain_and_rest(targets: Targets, pairs: Pairs, statistics: Statistics, law: Floats) -> tuple[Floats, Floats]:
+    """Log-likelihood gained by laws ``(p, 3)`` or ``(P, p, 3)``, and the energy that they leave."""
     power = targets.energy[pairs.target]
-    bent = (statistics.gram @ law).reshape(len(power), -1) @ law.ravel()
-    left = power - 2.0 * (statistics.moment.reshape(len(power), -1) @ law.ravel()) + bent
+    left = power + (law * (statistics.gram @ law - 2.0 * statistics.moment)).sum(axis=(1, 2))
     left = np.maximum(left, 3 * targets.innovation.shape[1] * _GRAIN**2)
-    rows = targets.rows[pairs.target]
-    return -1.5 * rows * np.log(left / power), left / (3.0 * np.maximum(rows, 1.0))
+    return -1.5 * targets.rows[pairs.target] * np.log(left / power), left

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from detectors.group_mixture.assignment import Assignment, assign_groups
 from detectors.group_mixture.evidence import (
@@ -17,12 +18,14 @@ from detectors.group_mixture.evidence import (
     fit_law,
     gather_statistics,
     make_targets,
+    pair,
     own_evidence,
     shared_evidence,
 )
 from detectors.group_mixture.features import LEVELS
 from detectors.group_mixture.groups import find_groups
 from detectors.group_mixture.motion import Motion, lagged
+from detectors.group_mixture.pooling import nominate_pools, pooled_evidence
 from detectors.group_mixture.spectra import fit_spectra, smoothed_pasts
 
 __all__ = ["Fit", "fit_motion"]
@@ -39,6 +42,8 @@ _ROWS_A_WEIGHT = 2.0  # least number of rows, of all groups, for each weight of 
 _ITERATIONS = 8
 _SHIFTS = 2  # time shifts that show what a single UAV gains by chance
 _ASKED = 30  # single UAVs of which chance is measured
+_NOTHING = 1e-12
+BONUS = 2.94
 _NEVER = 1e9  # nats that no evidence reaches
 
 
@@ -87,27 +92,25 @@ class _Search:
     Args:
         targets: the groups.
         pairs: the pairs with evidence.
-        chance: ``(C,)`` evidence that a group must exceed to follow: 0 for groups of two and more UAVs.
         most: the largest number of heads.
     """
 
     targets: Targets
     pairs: Pairs
-    chance: Floats
     most: int | None
 
     def assign(self, evidence: Floats) -> Assignment:
         """The heads that a table of evidence ``(P,)`` implies."""
         candidates, column = np.unique(self.pairs.uav, return_inverse=True)
-        gain = np.full((len(self.chance), len(candidates)), -np.inf)
-        gain[self.pairs.group, column] = evidence - self.chance[self.pairs.group]
         sizes = self.targets.sizes
+        gain = np.full((len(sizes), len(candidates)), -np.inf)
+        gain[self.pairs.group, column] = evidence + np.where(sizes > 1, BONUS, 0.0)[self.pairs.group]
         own = self.targets.label[candidates]
         return assign_groups(gain, candidates, np.where(sizes[own] == 1, own, -1), sizes, self.most)
 
     def explains(self, assignment: Assignment) -> bool:
         """Whether every group follows, but the heads that are single UAVs."""
-        lead = np.zeros(len(self.chance), bool)
+        lead = np.zeros(len(self.targets.sizes), bool)
         lead[self.targets.label[assignment.heads]] = True
         return bool(((assignment.head >= 0) | (lead & (self.targets.sizes == 1))).all())
 
@@ -133,13 +136,23 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
     spectra = fit_spectra(velocity, motion.unit)
     targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
     past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
+    single = np.flatnonzero(targets.sizes == 1)
+    pools = None
     for names in LEVELS:
-        pairs = choose_pairs(targets, past, names)
+        pairs = choose_pairs(targets, past, names, np.flatnonzero(targets.sizes > 1))
+        if pools is not None:
+            pools = np.union1d(found.assignment.heads, nominate_pools(targets, past, names, single))
+            group, uav = np.repeat(single, len(pools)), np.tile(pools, len(single))
+            other = targets.label[uav] != group  # no UAV follows itself
+            pairs = pair(targets, np.append(pairs.group, group[other]), np.append(pairs.uav, uav[other]))
         classes = gather_statistics(targets, past, pairs, names)
         own = np.array([own_evidence(targets, pairs, some) for some in classes])
-        first = names is LEVELS[0]  # at first no single UAV follows, as heads and decoys do not
-        chance = np.where(targets.sizes == 1, _NEVER, 0.0) if first else _chance(targets, past, names)
-        search = _Search(targets, pairs, chance, most)
+        if pools is not None:
+            alone = targets.sizes[pairs.group] == 1
+            pooled = np.array([pooled_evidence(targets, pairs, some, values) for some, values in zip(classes, own, strict=True)])
+            own = np.where(alone, pooled, own)
+        pools = single
+        search = _Search(targets, pairs, most)
         found = _search_laws(search, classes, own)
         log_odds = _posterior(search, found, spectra.memory**lags)
         if search.explains(found.assignment) and np.abs(log_odds).min() > _CERTAIN:
@@ -166,27 +179,6 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
     )
 
 
-def _chance(targets: Targets, past: Floats, names: Sequence[str]) -> Floats:
-    """``(C,)``: what a group must gain to follow: for a single UAV, the most that one gains in time-shifted data.
-
-    Groups of two and more move together, so that they have a head. A single UAV may have none.
-    """
-    single = np.flatnonzero(targets.sizes == 1)
-    chance = np.zeros(len(targets.sizes))
-    if not len(single):
-        return chance
-    rows = targets.innovation.shape[1]
-    some = single[:: -(-len(single) // _ASKED)]
-    best = 0.0
-    for shift in {rows * k // (_SHIFTS + 1) for k in range(1, _SHIFTS + 1)} - {0}:
-        moved = targets.shift(shift)
-        pairs = choose_pairs(moved, past, names, some)
-        for statistics in gather_statistics(moved, past, pairs, names):
-            best = max(best, float(own_evidence(moved, pairs, statistics).max(initial=0.0)))
-    chance[single] = best if rows > _SHIFTS else _NEVER
-    return chance
-
-
 def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _Answer:
     """Find the heads: first every group has a law of its own; then groups share one, of each class of features.
 
@@ -201,7 +193,7 @@ def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _An
     each = own.max(axis=0) - np.log(len(own))
     together = search.assign(each)
     best = begin = _Answer(together, each, together.value)
-    gained = np.maximum(own - search.chance[search.pairs.group], 0.0)
+    gained = np.maximum(own, 0.0)
     order = np.argsort(-gained[:, search.chosen(together)].sum(axis=1), kind="stable")
     for start in (begin, None):
         start = best if start is None else start
@@ -251,30 +243,43 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
         found: the heads and the evidence.
         kept: ``(n,)`` autocorrelation of each UAV's velocity at lag L.
     """
-    targets, pairs = search.targets, search.pairs
+    targets, pairs, heads = search.targets, search.pairs, found.assignment.heads
     sizes, uavs = targets.sizes, len(targets.label)
-    price = np.log(uavs)
-    assigned = np.bincount(np.maximum(found.assignment.head, 0), found.assignment.head >= 0, uavs)
-    others = assigned[pairs.uav] - (found.assignment.head[pairs.group] == pairs.uav)
     alone = np.flatnonzero(sizes[targets.label] == 1)
+    several = np.flatnonzero(sizes > 1)
+    price = np.log(uavs)
+
+    # Single UAVs: all of them together tell whether a UAV leads some of them.
+    lone = sizes[pairs.group] == 1
+    evidence = np.full((len(sizes), uavs), -np.inf)
+    evidence[pairs.group[lone], pairs.uav[lone]] = found.evidence[lone]
+    named = np.c_[evidence[:, heads], np.zeros(len(sizes))]  # a UAV follows one of the heads, or none: equally likely
+    full = logsumexp(named, axis=1, keepdims=True)
+    worth = np.logaddexp(full, evidence) - full - np.log1p(1.0 / (len(heads) + 1))
+    removed = -np.log1p(-np.minimum(np.exp(evidence[:, heads] - full), 1.0 - _NOTHING))
+    worth[:, heads] = removed - np.log1p(1.0 / np.maximum(len(heads), 1))
+    worth[np.isneginf(evidence)] = 0.0
+    worth[targets.label[heads]] = 0.0
+    pool = worth.sum(axis=0) - price
+    pool[np.bincount(pairs.uav[lone], minlength=uavs) == 0] = -np.inf
+
+    # Groups of several: each has one head, or none.
+    head = found.assignment.head
+    counted = head[several]
+    assigned = np.bincount(counted[counted >= 0], minlength=uavs)
+    others = assigned[pairs.uav] - (head[pairs.group] == pairs.uav)
+    paid = (others > 0) | (pool[pairs.uav] > 0)
     together = max(float(np.median(kept[alone] if len(alone) > 1 else kept)), _LEAST_TOGETHER)
     prior = np.where(sizes[targets.label] == 1, 0.0, np.log(together / sizes[targets.label]))
     logit = np.full((len(sizes), uavs), 0.0) + prior  # pairs that were not chosen have no evidence
-    logit[pairs.group, pairs.uav] = found.evidence + prior[pairs.uav] + np.where(others > 0, price, 0.0)
-    lone = targets.label[alone]
-    unknown = np.setdiff1d(np.arange(uavs), found.assignment.heads)
-    logit[np.ix_(lone, unknown)] = -np.inf
-    logit[lone, alone] = -np.inf
-    none = np.where(sizes > 1, np.log(_NO_HEAD * np.exp(prior).sum()), search.chance)
-    top = np.maximum(logit.max(axis=1), none)
-    weight = np.exp(logit - top[:, None])
-    share = weight / (weight.sum(axis=1) + np.exp(none - top))[:, None]
-    # A head follows no UAV: a single UAV follows only if it leads no group of several.
-    leads = 1.0 - np.prod(1.0 - share[sizes > 1], axis=0)
-    share[lone] *= (1.0 - leads[alone])[:, None]
-    follows = np.zeros(uavs)
-    follows[alone] = share[lone].sum(axis=1)
-    stays = np.log1p(-np.minimum(share, 1.0 - 1e-9)).sum(axis=0)  # log probability of leading no group
-    probability = -np.expm1(stays) * (1.0 - follows)
+    logit[pairs.group, pairs.uav] = found.evidence + prior[pairs.uav] + np.where(paid, price, 0.0)
+    logit = np.c_[logit[several], np.full(len(several), np.log(_NO_HEAD * np.exp(prior).sum()))]
+    share = np.exp(logit - logsumexp(logit, axis=1, keepdims=True))[:, :uavs]
+    stays = np.log1p(-np.minimum(share, 1.0 - 1e-12)).sum(axis=0)  # log probability of leading no group of several
+    stays -= np.logaddexp(pool, 0.0)
     with np.errstate(divide="ignore"):
-        return np.asarray(np.log(probability) - np.log1p(-np.minimum(probability, 1.0 - 1e-12)))
+        leads = np.log(-np.expm1(stays)) - stays  # log-odds
+
+    # A head follows no UAV; another single UAV follows one of the heads, or none.
+    follows = np.where(np.isfinite(evidence).any(axis=1), full[:, 0] - np.log1p(len(heads)), 0.0)
+    return np.asarray(leads - follows[targets.label])

@@ -1,0 +1,117 @@
+"""Evidence of UAVs that follow alone: each by the law that the other followers of the candidate have.
+
+A follower with much jitter moves like no other UAV at the same time, and its own regression on its head says little:
+fitting 3 p weights costs more than they explain. The followers of one head have one law, however. So a law is fitted to
+all followers of a candidate but one, and this one gains as much as that law predicts of it. The gain is the likelihood
+ratio of two predictions that have not seen what they predict. So a UAV that follows no candidate loses on average,
+whatever the movement, and no threshold is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import betaln
+
+from detectors.group_mixture.evidence import Pairs, Statistics, Targets, gain_by_laws, whiten
+from detectors.group_mixture.features import make_features
+
+__all__ = ["nominate_pools", "pooled_evidence"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_TURNS = 6  # of choosing the followers of a candidate and fitting their law
+_ASKED = 100  # single UAVs by which candidates are nominated
+_NOMINATED = 30  # candidates
+_NUMBERS = 4_000_000  # of one array; bounds the memory
+_NOTHING = 1e-12
+
+
+def nominate_pools(targets: Targets, past: Floats, names: Sequence[str], single: Indices) -> Indices:
+    """The candidates whose law predicts single UAVs, the best first.
+
+    The screening ignores what a candidate's features share with the own pasts of the single UAVs. What a candidate adds
+    must exceed log n, its description length, and each UAV either follows it or not, with equal prior probabilities.
+
+    Args:
+        targets: the groups.
+        past: ``(n, R, L, 3)`` pasts of the candidates.
+        names: the feature classes.
+        single: ``(c,)`` the groups of one UAV that are asked.
+    """
+    single = single[:: max(-(-len(single) // _ASKED), 1)]
+    uavs, rows = past.shape[:2]
+    weight = targets.weight[single]
+    flat = (targets.innovation[single] * weight[:, :, None]).transpose(1, 0, 2).reshape(rows, -1)
+    strength = (weight**2).mean(axis=1)
+    energy, effective = targets.energy[single], targets.rows[single]
+    precision = 3.0 * effective / energy
+    others = targets.label[:, None] != single[None]  # (n, c): no UAV follows itself
+    worth = np.zeros(uavs)
+    chunk = max(_NUMBERS // (rows * max(len(single), 1)), 1)
+    for first in range(0, uavs if len(single) > 1 else 0, chunk):
+        part = slice(first, first + chunk)
+        for _, features in make_features(past[part], names):
+            k, _, width = features.shape
+            white = whiten(features).transpose(0, 2, 1).reshape(-1, rows)
+            moment = (white @ flat).reshape(k, width, len(single), 3).transpose(0, 2, 1, 3).reshape(k, len(single), -1)
+            share = (moment**2).sum(axis=2) / (strength * energy)
+            follows = others[part] & (share * (effective - width) > (1.0 - share) * width)  # the F ratio exceeds 1
+            for _ in range(_TURNS):
+                used = follows * precision
+                aim = (used[:, None] @ moment) - used[:, :, None] * moment
+                rest = np.maximum((used @ strength)[:, None] - used * strength, _NOTHING)
+                by_chance = 3.0 * width * rest / np.maximum((aim**2).sum(axis=2), _NOTHING)
+                law = aim * (np.maximum(1.0 - by_chance, 0.0) / rest)[:, :, None]
+                left = energy + (law * (strength[:, None] * law - 2.0 * moment)).sum(axis=2)
+                gain = -1.5 * effective * np.log(np.maximum(left / energy, _NOTHING)) * others[part]
+                before, follows = follows, gain > 0
+                if np.array_equal(before, follows):
+                    break
+            count = (gain > 0).sum(axis=1)
+            cost = -betaln(count + 1, len(single) - count + 1)  # of naming the followers: a number, and a choice
+            worth[part] = np.maximum(worth[part], np.maximum(gain, 0.0).sum(axis=1) - cost)
+    found = np.flatnonzero(worth > np.log(uavs))
+    return np.asarray(found[np.argsort(-worth[found], kind="stable")][:_NOMINATED])
+
+
+def pooled_evidence(targets: Targets, pairs: Pairs, some: Statistics, own: Floats) -> Floats:
+    """``(P,)``: log-likelihood that each pair gains by the law of the candidate's other followers.
+
+    Followers are, in turns, the groups that gain. A candidate without other followers has no law: 0.
+
+    Args:
+        targets: the groups.
+        pairs: the pairs.
+        some: the statistics of one class.
+        own: ``(P,)`` evidence of laws of each group's own; the first followers gain by them.
+    """
+    weight = (3.0 * targets.rows / targets.energy)[pairs.target]
+    gram, moment = some.gram * weight[:, None, None], some.moment * weight[:, None, None]
+    candidates, column = np.unique(pairs.uav, return_inverse=True)
+    follows = own > 0
+    evidence = np.zeros(len(own))
+    for _ in range(_TURNS):
+        grams = np.zeros((len(candidates), *gram.shape[1:]))
+        moments = np.zeros((len(candidates), *moment.shape[1:]))
+        np.add.at(grams, column[follows], gram[follows])
+        np.add.at(moments, column[follows], moment[follows])
+        law = _fit_laws(grams, moments)[column]
+        law[follows] = _fit_laws(grams[column[follows]] - gram[follows], moments[column[follows]] - moment[follows])
+        evidence = gain_by_laws(targets, pairs, some, law)
+        before, follows = follows, evidence > 0
+        if np.array_equal(before, follows):
+            break
+    return evidence
+
+
+def _fit_laws(gram: Floats, moment: Floats) -> Floats:
+    """Laws ``(k, p, 3)``, shrunk by the share of what they explain that 3 p weights explain by chance."""
+    width = gram.shape[1]
+    ridge = 1e-6 * np.trace(gram, axis1=1, axis2=2) / width + _NOTHING
+    law = np.linalg.solve(gram + ridge[:, None, None] * np.eye(width), moment)
+    explained = (moment * law).sum(axis=(1, 2))
+    return np.asarray(law * np.maximum(1.0 - 3.0 * width / np.maximum(explained, _NOTHING), 0.0)[:, None, None])
