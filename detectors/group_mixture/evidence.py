@@ -178,17 +178,16 @@ def bayes_factor(share: Floats, rows: Floats, width: int) -> Floats:
     return np.asarray(np.where(rows > width + 1.0, factor, 0.0))
 
 
-def choose_pairs(targets: Targets, past: Floats, names: Sequence[str], groups: Indices) -> Pairs:
-    """Choose the candidates of some groups by a screening of all UAVs.
+def screen(targets: Targets, past: Floats, names: Sequence[str], groups: Indices) -> Floats:
+    """``(K, c, n)``: evidence of laws of each group's own, for all candidates and K classes.
 
-    Every class nominates single UAVs, members of the group and members of other groups. Classes of three features are
-    compared exactly; for larger ones the screening ignores the weights of the rows and what a candidate's features
-    share with the group's own past.
+    Classes of three features are compared exactly; for larger ones the screening ignores the weights of the rows and
+    what a candidate's features share with the group's own past.
 
     Args:
         targets: the groups.
         past: ``(n, R, L, 3)`` pasts of the candidates.
-        names: the feature classes.
+        names: the feature classes; those that others contain are left out.
         groups: ``(c,)`` the groups that are screened.
     """
     weight = targets.weight[groups]
@@ -208,9 +207,20 @@ def choose_pairs(targets: Targets, past: Floats, names: Sequence[str], groups: I
             else:
                 share = _explain_roughly(features, plain) / rough
             evidence[number, :, part] = bayes_factor(share, rows, features.shape[2])
+    return evidence
+
+
+def choose_pairs(targets: Targets, evidence: Floats, groups: Indices) -> Pairs:
+    """The candidates of some groups: every class nominates single UAVs, members of the group and of other groups.
+
+    Args:
+        targets: the groups.
+        evidence: ``(K, c, n)`` of the screening.
+        groups: ``(c,)`` the groups that were screened.
+    """
     inside = targets.label[None] == groups[:, None]
     alone = (targets.sizes[targets.label] == 1)[None]
-    asked = np.zeros((len(groups), len(past)), bool)
+    asked = np.zeros(evidence.shape[1:], bool)
     for mask in (inside, ~inside & alone, ~inside & ~alone):
         for values in np.where(mask, evidence, 0.0):
             some = min(_ASKED, values.shape[1])

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CLASSES", "LEVELS", "SCREENED", "make_features"]
+__all__ = ["CLASSES", "LEVELS", "LONE", "SCREENED", "make_features"]
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +24,8 @@ CLASSES = {
 }
 #: The search begins with few classes, and takes all if these leave a doubt.
 LEVELS = (("v(1)", "v²(1)", "v(L)"), tuple(CLASSES))
+#: Classes by which a single UAV chooses a head: of few features, because it pays for them alone.
+LONE = ("v(1)", "v²(1)")
 #: Classes by which candidates are screened; they contain the others.
 SCREENED = ("v(1)", "v²(1)", "v(L)", "v+v²+vv(1)", "v+v²(L)", "v+v²+v×v(2)")
 

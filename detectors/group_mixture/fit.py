@@ -18,14 +18,15 @@ from detectors.group_mixture.evidence import (
     fit_law,
     gather_statistics,
     make_targets,
-    pair,
     own_evidence,
+    pair,
+    screen,
     shared_evidence,
 )
-from detectors.group_mixture.features import LEVELS
+from detectors.group_mixture.features import LEVELS, LONE
 from detectors.group_mixture.groups import find_groups
 from detectors.group_mixture.motion import Motion, lagged
-from detectors.group_mixture.pooling import nominate_pools, pooled_evidence
+from detectors.group_mixture.pooling import nominate_pools, own_choices, pooled_evidence
 from detectors.group_mixture.spectra import fit_spectra, smoothed_pasts
 
 __all__ = ["Fit", "fit_motion"]
@@ -136,22 +137,29 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
     spectra = fit_spectra(velocity, motion.unit)
     targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
     past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
-    single = np.flatnonzero(targets.sizes == 1)
-    pools = None
-    for names in LEVELS:
-        pairs = choose_pairs(targets, past, names, np.flatnonzero(targets.sizes > 1))
-        if pools is not None:
+    single, several = np.flatnonzero(targets.sizes == 1), np.flatnonzero(targets.sizes > 1)
+    for level, names in enumerate(LEVELS):
+        pairs = choose_pairs(targets, screen(targets, past, names, several), several)
+        if level > 0:
+            lone = screen(targets, past, LONE, single)
+            lone[:, single[:, None] == targets.label] = -np.inf
+            choice, gained = own_choices(lone)
+            gained -= _OWN_LAW
             pools = np.union1d(found.assignment.heads, nominate_pools(targets, past, names, single))
-            group, uav = np.repeat(single, len(pools)), np.tile(pools, len(single))
-            other = targets.label[uav] != group  # no UAV follows itself
-            pairs = pair(targets, np.append(pairs.group, group[other]), np.append(pairs.uav, uav[other]))
+            asked = np.zeros((len(single), len(label)), bool)
+            asked[:, pools] = True
+            asked[np.flatnonzero(gained > 0), choice[gained > 0]] = True
+            asked &= single[:, None] != targets.label  # no UAV follows itself
+            place, uav = np.nonzero(asked)
+            pairs = pair(targets, np.append(pairs.group, single[place]), np.append(pairs.uav, uav))
         classes = gather_statistics(targets, past, pairs, names)
         own = np.array([own_evidence(targets, pairs, some) for some in classes])
-        if pools is not None:
+        if level > 0:
             alone = targets.sizes[pairs.group] == 1
             pooled = np.array([pooled_evidence(targets, pairs, some, values) for some, values in zip(classes, own, strict=True)])
-            own = np.where(alone, pooled, own)
-        pools = single
+            table = np.full((len(targets.sizes), len(label)), -np.inf)
+            table[single, choice] = gained
+            own = np.where(alone, np.maximum(pooled, table[pairs.group, pairs.uav]), own)
         search = _Search(targets, pairs, most)
         found = _search_laws(search, classes, own)
         log_odds = _posterior(search, found, spectra.memory**lags)
@@ -255,13 +263,17 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
     evidence[pairs.group[lone], pairs.uav[lone]] = found.evidence[lone]
     named = np.c_[evidence[:, heads], np.zeros(len(sizes))]  # a UAV follows one of the heads, or none: equally likely
     full = logsumexp(named, axis=1, keepdims=True)
-    worth = np.logaddexp(full, evidence) - full - np.log1p(1.0 / (len(heads) + 1))
-    removed = -np.log1p(-np.minimum(np.exp(evidence[:, heads] - full), 1.0 - _NOTHING))
-    worth[:, heads] = removed - np.log1p(1.0 / np.maximum(len(heads), 1))
-    worth[np.isneginf(evidence)] = 0.0
-    worth[targets.label[heads]] = 0.0
-    pool = worth.sum(axis=0) - price
-    pool[np.bincount(pairs.uav[lone], minlength=uavs) == 0] = -np.inf
+    odds = evidence - full  # of a further head
+    odds[:, heads] -= np.log1p(-np.minimum(np.exp(odds[:, heads]), 1.0 - _NOTHING))
+    odds[targets.label[heads]] = -np.inf
+    count = np.isfinite(odds).sum(axis=0)
+    further = np.ones(uavs)
+    further[heads] = 0.0
+    total = np.logaddexp(odds, 0.0).sum(axis=0)
+    one = np.logaddexp(logsumexp(odds, axis=0), 0.0)  # fewer than two followers make no head
+    pool = total + np.log(np.maximum(-np.expm1(np.minimum(one - total, 0.0)), _NOTHING))
+    pool += np.log(_NO_HEAD) - price - count * np.log1p(1.0 / np.maximum(len(heads) + further, 1.0))
+    pool[count < 2] = -np.inf
 
     # Groups of several: each has one head, or none.
     head = found.assignment.head

@@ -23,7 +23,7 @@ __all__ = ["nominate_pools", "pooled_evidence"]
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_TURNS = 6  # of choosing the followers of a candidate and fitting their law
+_TURNS = 3  # of choosing the followers of a candidate and fitting their law
 _ASKED = 100  # single UAVs by which candidates are nominated
 _NOMINATED = 30  # candidates
 _NUMBERS = 4_000_000  # of one array; bounds the memory
@@ -115,3 +115,23 @@ def _fit_laws(gram: Floats, moment: Floats) -> Floats:
     law = np.linalg.solve(gram + ridge[:, None, None] * np.eye(width), moment)
     explained = (moment * law).sum(axis=(1, 2))
     return np.asarray(law * np.maximum(1.0 - 3.0 * width / np.maximum(explained, _NOTHING), 0.0)[:, None, None])
+
+
+def own_choices(evidence: Floats) -> tuple[Indices, Floats]:
+    """The candidate that each single UAV would follow with a law of its own, ``(c,)``, and what it gains, ``(c,)``.
+
+    The likelihoods of candidates that a UAV does not follow differ by chance, the more the slower the UAVs turn. The
+    largest of many exponential variables exceeds the second by their scale on average, and the second exceeds the third
+    by half of it. So the first difference, which is the gain, is measured in units of the second ones.
+
+    Args:
+        evidence: ``(K, c, n)`` of the screening, -inf for the UAV itself.
+    """
+    if min(evidence.shape[1:]) < 1 or evidence.shape[2] < 4:
+        return np.zeros(evidence.shape[1], np.int64), np.full(evidence.shape[1], -np.inf)
+    ranked = -np.partition(-evidence, 2, axis=2)[:, :, :3]
+    scale = max(2.0 * float((ranked[:, :, 1] - ranked[:, :, 2]).mean()), 1.0)
+    gain = (ranked[:, :, 0] - ranked[:, :, 1]) / scale
+    best = gain.argmax(axis=0)
+    every = np.arange(evidence.shape[1])
+    return evidence[best, every].argmax(axis=1), gain[best, every] - np.log(len(evidence))
