@@ -103,7 +103,10 @@ class _Search:
     def value(self, chosen: Mask) -> float:
         """Gain of all groups less the prices."""
         gained, count = self._gained(chosen), int(chosen.sum())
-        naming = np.log(max(count, 1)) * np.count_nonzero(gained[self.several]) + np.log1p(count) * (self.alone & self._follows(chosen)).sum()
+        naming = (
+            np.log(max(count, 1)) * np.count_nonzero(gained[self.several])
+            + np.log1p(count) * (self.alone & self._follows(chosen)).sum()
+        )
         return float(gained.sum() - self.price * count - naming)
 
     def drop(self, chosen: Mask, most: int | None) -> Mask:

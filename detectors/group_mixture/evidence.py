@@ -14,7 +14,7 @@ Both need nothing but cross products of e, Z and the features, which are compute
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,22 @@ from detectors.group_mixture.features import SCREENED, make_features
 from detectors.group_mixture.motion import lagged
 from usnet_env.compiling import compiled
 
-__all__ = ["Pairs", "Statistics", "Targets", "choose_pairs", "gather_statistics", "make_targets", "own_evidence"]
+__all__ = [
+    "Pairs",
+    "Statistics",
+    "Targets",
+    "choose_pairs",
+    "fit_law",
+    "gain_by_laws",
+    "gather_statistics",
+    "join",
+    "make_targets",
+    "own_evidence",
+    "pair",
+    "screen",
+    "shared_evidence",
+    "whiten",
+]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -68,11 +83,6 @@ class Targets:
         """``(C + n,)`` |e|², and the energy of rounding, which no candidate explains."""
         return np.asarray((self.innovation**2).sum(axis=(1, 2)) + 3 * self.innovation.shape[1] * _GRAIN**2)
 
-    def shift(self, rows: int) -> Targets:
-        """The targets at other times: shifted circularly, with their own pasts. No candidate leads them."""
-        moved = {name: np.roll(getattr(self, name), rows, axis=1) for name in ("innovation", "own", "weight")}
-        return replace(self, **moved)
-
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
@@ -88,10 +98,6 @@ class Pairs:
     uav: Indices
     target: Indices
 
-    def take(self, some: Mask) -> Pairs:
-        """Some of the pairs, by a mask ``(P,)``."""
-        return Pairs(self.group[some], self.uav[some], self.target[some])
-
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
@@ -106,10 +112,6 @@ class Statistics:
     name: str
     moment: Floats
     gram: Floats
-
-    def take(self, some: Mask) -> Statistics:
-        """The statistics of some pairs, by a mask ``(P,)``."""
-        return Statistics(self.name, self.moment[some], self.gram[some])
 
     @property
     def width(self) -> int:
@@ -294,6 +296,11 @@ def _solve_by_three(moment: Floats, known: Floats, gram: Floats, ridge: float, l
                     total += left[p] ** 2
             explained[k, c] = total
     return explained
+
+
+def join(one: Pairs, other: Pairs) -> Pairs:
+    """The pairs of both."""
+    return Pairs(*(np.append(getattr(one, name), getattr(other, name)) for name in ("group", "uav", "target")))
 
 
 def gather_statistics(targets: Targets, past: Floats, pairs: Pairs, names: Sequence[str]) -> list[Statistics]:

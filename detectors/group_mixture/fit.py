@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,16 +16,16 @@ from detectors.group_mixture.evidence import (
     choose_pairs,
     fit_law,
     gather_statistics,
+    join,
     make_targets,
     own_evidence,
-    pair,
     screen,
     shared_evidence,
 )
-from detectors.group_mixture.features import LEVELS, LONE
+from detectors.group_mixture.features import LEVELS
 from detectors.group_mixture.groups import find_groups
 from detectors.group_mixture.motion import Motion, lagged
-from detectors.group_mixture.pooling import nominate_pools, own_choices, pooled_evidence
+from detectors.group_mixture.pooling import LonePairs, ask_single_uavs
 from detectors.group_mixture.spectra import fit_spectra, smoothed_pasts
 
 __all__ = ["Fit", "fit_motion"]
@@ -37,15 +36,11 @@ Indices = NDArray[np.int64]
 _STEPS_A_LAG = 5  # a window has at most one lag per so many steps
 _OWN_LAW = 3.0  # log prior odds of the shared law against a law of a group's own
 _CERTAIN = 7.0  # log-odds of every UAV at which the search ends
-_NO_HEAD = 0.05  # prior probability that the head of a group is not in the window
+_RARE = 0.05  # prior probability that the head of a group is not in the window, and of a head of single UAVs only
 _LEAST_TOGETHER = 0.01  # least prior probability that a head moves with its followers, relative to a single UAV
 _ROWS_A_WEIGHT = 2.0  # least number of rows, of all groups, for each weight of a shared law
 _ITERATIONS = 8
-_SHIFTS = 2  # time shifts that show what a single UAV gains by chance
-_ASKED = 30  # single UAVs of which chance is measured
 _NOTHING = 1e-12
-BONUS = 2.94
-_NEVER = 1e9  # nats that no evidence reaches
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,15 +100,19 @@ class _Search:
         candidates, column = np.unique(self.pairs.uav, return_inverse=True)
         sizes = self.targets.sizes
         gain = np.full((len(sizes), len(candidates)), -np.inf)
-        gain[self.pairs.group, column] = evidence + np.where(sizes > 1, BONUS, 0.0)[self.pairs.group]
+        # A group of several follows a head, unless that is not in the window.
+        gain[self.pairs.group, column] = (
+            evidence + np.where(sizes > 1, np.log(1.0 / _RARE - 1.0), 0.0)[self.pairs.group]
+        )
         own = self.targets.label[candidates]
         return assign_groups(gain, candidates, np.where(sizes[own] == 1, own, -1), sizes, self.most)
 
-    def explains(self, assignment: Assignment) -> bool:
-        """Whether every group follows, but the heads that are single UAVs."""
+    def explains(self, assignment: Assignment, single: bool = True) -> bool:
+        """Whether every group follows, but the heads that are single UAVs; or every group of several."""
         lead = np.zeros(len(self.targets.sizes), bool)
         lead[self.targets.label[assignment.heads]] = True
-        return bool(((assignment.head >= 0) | (lead & (self.targets.sizes == 1))).all())
+        alone = self.targets.sizes == 1
+        return bool(((assignment.head >= 0) | (alone & (lead | (not single)))).all())
 
     def chosen(self, assignment: Assignment) -> Indices:
         """The pairs, each a group and its head, of an assignment."""
@@ -137,33 +136,25 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
     spectra = fit_spectra(velocity, motion.unit)
     targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
     past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
-    single, several = np.flatnonzero(targets.sizes == 1), np.flatnonzero(targets.sizes > 1)
-    for level, names in enumerate(LEVELS):
+    several = np.flatnonzero(targets.sizes > 1)
+    lone: LonePairs | None = None  # at first no single UAV follows, as heads and decoys do not
+    for names in LEVELS:
         pairs = choose_pairs(targets, screen(targets, past, names, several), several)
-        if level > 0:
-            lone = screen(targets, past, LONE, single)
-            lone[:, single[:, None] == targets.label] = -np.inf
-            choice, gained = own_choices(lone)
-            gained -= _OWN_LAW
-            pools = np.union1d(found.assignment.heads, nominate_pools(targets, past, names, single))
-            asked = np.zeros((len(single), len(label)), bool)
-            asked[:, pools] = True
-            asked[np.flatnonzero(gained > 0), choice[gained > 0]] = True
-            asked &= single[:, None] != targets.label  # no UAV follows itself
-            place, uav = np.nonzero(asked)
-            pairs = pair(targets, np.append(pairs.group, single[place]), np.append(pairs.uav, uav))
+        if lone is not None:
+            pairs = join(pairs, lone.pairs)
         classes = gather_statistics(targets, past, pairs, names)
         own = np.array([own_evidence(targets, pairs, some) for some in classes])
-        if level > 0:
-            alone = targets.sizes[pairs.group] == 1
-            pooled = np.array([pooled_evidence(targets, pairs, some, values) for some, values in zip(classes, own, strict=True)])
-            table = np.full((len(targets.sizes), len(label)), -np.inf)
-            table[single, choice] = gained
-            own = np.where(alone, np.maximum(pooled, table[pairs.group, pairs.uav]), own)
+        if lone is not None:
+            for values, some in zip(own, classes, strict=True):
+                values[len(values) - len(lone.own) :] = lone.compare(targets, pairs, some, values)
         search = _Search(targets, pairs, most)
         found = _search_laws(search, classes, own)
         log_odds = _posterior(search, found, spectra.memory**lags)
-        if search.explains(found.assignment) and np.abs(log_odds).min() > _CERTAIN:
+        certain = np.abs(log_odds).min() > _CERTAIN
+        if lone is not None or (certain and search.explains(found.assignment)):
+            break
+        lone = ask_single_uavs(targets, past, LEVELS[-1], found.assignment.heads)
+        if certain and search.explains(found.assignment, single=False) and not lone.asks_more:
             break
     if found.assignment.value <= 0 and not (targets.sizes > 1).any():
         return None
@@ -272,7 +263,7 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
     total = np.logaddexp(odds, 0.0).sum(axis=0)
     one = np.logaddexp(logsumexp(odds, axis=0), 0.0)  # fewer than two followers make no head
     pool = total + np.log(np.maximum(-np.expm1(np.minimum(one - total, 0.0)), _NOTHING))
-    pool += np.log(_NO_HEAD) - price - count * np.log1p(1.0 / np.maximum(len(heads) + further, 1.0))
+    pool += np.log(_RARE) - price - count * np.log1p(1.0 / np.maximum(len(heads) + further, 1.0))
     pool[count < 2] = -np.inf
 
     # Groups of several: each has one head, or none.
@@ -285,7 +276,7 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
     prior = np.where(sizes[targets.label] == 1, 0.0, np.log(together / sizes[targets.label]))
     logit = np.full((len(sizes), uavs), 0.0) + prior  # pairs that were not chosen have no evidence
     logit[pairs.group, pairs.uav] = found.evidence + prior[pairs.uav] + np.where(paid, price, 0.0)
-    logit = np.c_[logit[several], np.full(len(several), np.log(_NO_HEAD * np.exp(prior).sum()))]
+    logit = np.c_[logit[several], np.full(len(several), np.log(_RARE * np.exp(prior).sum()))]
     share = np.exp(logit - logsumexp(logit, axis=1, keepdims=True))[:, :uavs]
     stays = np.log1p(-np.minimum(share, 1.0 - 1e-12)).sum(axis=0)  # log probability of leading no group of several
     stays -= np.logaddexp(pool, 0.0)

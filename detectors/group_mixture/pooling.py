@@ -1,28 +1,32 @@
-"""Evidence of UAVs that follow alone: each by the law that the other followers of the candidate have.
+"""Evidence of single UAVs: followers that move like no other UAV at the same time.
 
-A follower with much jitter moves like no other UAV at the same time, and its own regression on its head says little:
-fitting 3 p weights costs more than they explain. The followers of one head have one law, however. So a law is fitted to
-all followers of a candidate but one, and this one gains as much as that law predicts of it. The gain is the likelihood
-ratio of two predictions that have not seen what they predict. So a UAV that follows no candidate loses on average,
-whatever the movement, and no threshold is needed.
+The own regression of such a UAV on its head says little if it has much jitter: fitting 3 p weights costs more than they
+explain. But the followers of one head have one law. So a law is fitted to all followers of a candidate but one, and
+this one gains as much as that law predicts of it. The gain compares two predictions that have not seen what they
+predict. A UAV that follows no candidate loses by it on average, whatever the movement, so no threshold is needed.
+
+Followers may have different laws, however. So each single UAV may also choose one candidate for itself, if that stands
+out from all others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln
 
-from detectors.group_mixture.evidence import Pairs, Statistics, Targets, gain_by_laws, whiten
-from detectors.group_mixture.features import make_features
+from detectors.group_mixture.evidence import Pairs, Statistics, Targets, gain_by_laws, pair, screen, whiten
+from detectors.group_mixture.features import LONE, make_features
 
-__all__ = ["nominate_pools", "pooled_evidence"]
+__all__ = ["LonePairs", "ask_single_uavs"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+_OWN_CHOICE = 3.0  # log prior odds of the law of all followers against a law of the UAV's own
 _TURNS = 3  # of choosing the followers of a candidate and fitting their law
 _ASKED = 100  # single UAVs by which candidates are nominated
 _NOMINATED = 30  # candidates
@@ -30,7 +34,48 @@ _NUMBERS = 4_000_000  # of one array; bounds the memory
 _NOTHING = 1e-12
 
 
-def nominate_pools(targets: Targets, past: Floats, names: Sequence[str], single: Indices) -> Indices:
+@dataclass(frozen=True, eq=False)
+class LonePairs:
+    """The pairs of single UAVs and candidates.
+
+    Args:
+        pairs: P pairs.
+        own: ``(P,)`` what the UAV gains by a law of its own; -inf for candidates that it does not choose.
+        asks_more: whether a candidate is among them that is no head yet.
+    """
+
+    pairs: Pairs
+    own: Floats
+    asks_more: bool
+
+    def compare(self, targets: Targets, pairs: Pairs, some: Statistics, evidence: Floats) -> Floats:
+        """Evidence ``(P,)`` of these pairs, the last ones of ``pairs``, in one class; ``evidence`` is of all pairs."""
+        pooled = _pool(targets, pairs, some, evidence)
+        return np.maximum(pooled[len(pooled) - len(self.own) :], self.own)
+
+
+def ask_single_uavs(targets: Targets, past: Floats, names: Sequence[str], heads: Indices) -> LonePairs:
+    """The candidates that single UAVs may follow.
+
+    Args:
+        targets: the groups.
+        past: ``(n, R, L, 3)`` pasts of the candidates.
+        names: the feature classes of laws that followers share.
+        heads: the heads of groups of several.
+    """
+    single = np.flatnonzero(targets.sizes == 1)
+    itself = single[:, None] == targets.label
+    choice, gained = _choose(np.where(itself, -np.inf, screen(targets, past, LONE, single)))
+    chooses = gained > 0
+    new = _nominate(targets, past, names, single)
+    own = np.full(itself.shape, -np.inf)
+    own[np.flatnonzero(chooses), choice[chooses]] = gained[chooses]
+    asked = (np.isin(np.arange(len(past)), np.union1d(heads, new))[None] | np.isfinite(own)) & ~itself
+    place, uav = np.nonzero(asked)
+    return LonePairs(pair(targets, single[place], uav), own[place, uav], bool(len(new) or chooses.any()))
+
+
+def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indices) -> Indices:
     """The candidates whose law predicts single UAVs, the best first.
 
     The screening ignores what a candidate's features share with the own pasts of the single UAVs. What a candidate adds
@@ -78,7 +123,7 @@ def nominate_pools(targets: Targets, past: Floats, names: Sequence[str], single:
     return np.asarray(found[np.argsort(-worth[found], kind="stable")][:_NOMINATED])
 
 
-def pooled_evidence(targets: Targets, pairs: Pairs, some: Statistics, own: Floats) -> Floats:
+def _pool(targets: Targets, pairs: Pairs, some: Statistics, own: Floats) -> Floats:
     """``(P,)``: log-likelihood that each pair gains by the law of the candidate's other followers.
 
     Followers are, in turns, the groups that gain. A candidate without other followers has no law: 0.
@@ -117,7 +162,7 @@ def _fit_laws(gram: Floats, moment: Floats) -> Floats:
     return np.asarray(law * np.maximum(1.0 - 3.0 * width / np.maximum(explained, _NOTHING), 0.0)[:, None, None])
 
 
-def own_choices(evidence: Floats) -> tuple[Indices, Floats]:
+def _choose(evidence: Floats) -> tuple[Indices, Floats]:
     """The candidate that each single UAV would follow with a law of its own, ``(c,)``, and what it gains, ``(c,)``.
 
     The likelihoods of candidates that a UAV does not follow differ by chance, the more the slower the UAVs turn. The
@@ -134,4 +179,4 @@ def own_choices(evidence: Floats) -> tuple[Indices, Floats]:
     gain = (ranked[:, :, 0] - ranked[:, :, 1]) / scale
     best = gain.argmax(axis=0)
     every = np.arange(evidence.shape[1])
-    return evidence[best, every].argmax(axis=1), gain[best, every] - np.log(len(evidence))
+    return evidence[best, every].argmax(axis=1), gain[best, every] - np.log(len(evidence)) - _OWN_CHOICE
