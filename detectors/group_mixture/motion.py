@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from detectors.series.gaps import fill_gaps
 from usnet_env.window import Window
 
-__all__ = ["Motion", "common_drift", "fill_gaps", "lagged", "read_motion"]
+__all__ = ["Motion", "common_drift", "lagged", "read_motion"]
 
 Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LEAST_STEPS = 5  # velocities; a shorter window has no past to compare with
 # Speeds count as equal if their standard deviation is below this share of the velocities' scatter about their mean: the
@@ -61,18 +61,20 @@ def read_motion(window: Window, living: NDArray[np.int64]) -> Motion | None:
     """
     if len(living) < 2 or window.observation_steps < LEAST_STEPS:
         return None
-    seen = np.ascontiguousarray(window.velocity_seen[:, living].T)
-    velocity = np.ascontiguousarray(window.velocity[:, living].swapaxes(0, 1), np.float64)
+    seen = window.velocity_seen[:, living]
     if not seen.any():
         return None
-    flown = np.sqrt(np.vecdot(velocity, velocity))[seen]
+    found = window.velocity[:, living][seen].astype(np.float64)
+    flown = np.sqrt(np.vecdot(found, found))
     if flown.mean() <= 0:
         return None
-    drift, unit = common_drift(velocity[seen], flown)
+    drift, unit = common_drift(found, flown)
+    velocity = window.velocity - drift
     if not seen.all():
-        velocity = fill_gaps(window, living, velocity, seen)
-    velocity = velocity - drift
-    speed = float(np.sqrt(np.vecdot(velocity, velocity))[seen].mean())
+        position = window.position - np.arange(window.observation_steps + 1)[:, None, None] * drift
+        velocity = fill_gaps(Window(position, velocity, window.seen, window.alive, window.round)).velocity
+    velocity = np.ascontiguousarray(velocity[:, living].swapaxes(0, 1), np.float64)
+    speed = float(np.sqrt(np.vecdot(velocity, velocity))[seen.T].mean())
     return Motion(velocity / speed, speed, unit, drift)
 
 
@@ -100,29 +102,6 @@ def common_drift(velocity: Floats, speeds: Floats) -> tuple[Floats, bool]:
     relative = np.sqrt(((about - half) ** 2).sum(axis=1))
     unit = bool(relative.std() < _UNIT_SPREAD * scatter)
     return (mean + half if unit else mean), unit
-
-
-def fill_gaps(window: Window, living: NDArray[np.int64], velocity: Floats, seen: Mask) -> Floats:
-    """Fill the velocities ``(n, T, 3)`` that are not ``seen`` ``(n, T)``.
-
-    Within a track the positions are interpolated linearly. Before its first and after its last position a UAV keeps its
-    mean velocity, which carries no information about other UAVs.
-    """
-    filled = velocity.copy()
-    instants = np.arange(window.observation_steps + 1)
-    for row in np.flatnonzero(~seen.all(axis=1)):
-        there = window.seen[:, living[row]]
-        if not there.any():
-            continue
-        track = window.position[:, living[row]].astype(np.float64)
-        whole = np.stack([np.interp(instants, instants[there], track[there, axis]) for axis in range(3)], axis=1)
-        steps = np.diff(whole, axis=0)
-        first, last = np.flatnonzero(there)[[0, -1]]
-        if last > first:
-            mean = (track[last] - track[first]) / (last - first)
-            steps[:first], steps[last:] = mean, mean
-        filled[row] = np.where(seen[row, :, None], velocity[row], steps)
-    return filled
 
 
 def lagged(velocity: Floats, lags: int) -> Floats:
