@@ -1,4 +1,4 @@
-"""Innovations, features and evidence of group-mixture against direct regressions."""
+"""Innovations, features and evidence of follow-mixture against direct regressions."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from detectors.group_mixture.evidence import (
+from detectors.follow_mixture.evidence import (
     bayes_factor,
     choose_pairs,
     fit_law,
@@ -17,7 +17,7 @@ from detectors.group_mixture.evidence import (
     own_evidence,
     shared_evidence,
 )
-from detectors.group_mixture.features import make_features
+from detectors.follow_mixture.features import make_features
 
 LAGS = 2
 LABEL = np.array([0, 1, 1, 1, 2, 2, 3, 4, 1, 2])

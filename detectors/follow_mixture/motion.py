@@ -69,11 +69,13 @@ def read_motion(window: Window, living: NDArray[np.int64]) -> Motion | None:
     if flown.mean() <= 0:
         return None
     drift, unit = common_drift(found, flown)
-    velocity = window.velocity - drift
+    velocity: Floats = window.velocity - drift
     if not seen.all():
         position = window.position - np.arange(window.observation_steps + 1)[:, None, None] * drift
-        velocity = fill_gaps(Window(position, velocity, window.seen, window.alive, window.round)).velocity
-    velocity = np.ascontiguousarray(velocity[:, living].swapaxes(0, 1), np.float64)
+        track, steps = position.astype(np.float32), velocity.astype(np.float32)
+        filled = fill_gaps(Window(track, steps, window.seen, window.alive, window.round))
+        velocity = filled.velocity.astype(np.float64)
+    velocity = np.ascontiguousarray(velocity[:, living].swapaxes(0, 1))
     speed = float(np.sqrt(np.vecdot(velocity, velocity))[seen.T].mean())
     return Motion(velocity / speed, speed, unit, drift)
 

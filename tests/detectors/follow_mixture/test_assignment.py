@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detectors.group_mixture.assignment import assign_groups
+from detectors.follow_mixture.assignment import assign_groups
 
 seeds = st.integers(0, 10_000)
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln
 
-from detectors.group_mixture.evidence import Pairs, Statistics, Targets, gain_by_laws, pair, screen, whiten
-from detectors.group_mixture.features import LONE, make_features
+from detectors.follow_mixture.evidence import Pairs, Statistics, Targets, gain_by_laws, pair, screen, whiten
+from detectors.follow_mixture.features import LONE, make_features
 
 __all__ = ["LonePairs", "ask_single_uavs"]
 
@@ -28,7 +28,7 @@ Indices = NDArray[np.int64]
 
 _OWN_CHOICE = 3.0  # log prior odds of the law of all followers against a law of the UAV's own
 _TURNS = 3  # of choosing the followers of a candidate and fitting their law
-_ASKED = 100  # single UAVs by which candidates are nominated
+_ASKED = 200  # most single UAVs that are asked; bounds time and memory
 _NOMINATED = 30  # candidates
 _NUMBERS = 4_000_000  # of one array; bounds the memory
 _NOTHING = 1e-12
@@ -64,13 +64,14 @@ def ask_single_uavs(targets: Targets, past: Floats, names: Sequence[str], heads:
         heads: the heads of groups of several.
     """
     single = np.flatnonzero(targets.sizes == 1)
+    single = single[:: max(-(-len(single) // _ASKED), 1)]
     itself = single[:, None] == targets.label
     choice, gained = _choose(np.where(itself, -np.inf, screen(targets, past, LONE, single)))
     chooses = gained > 0
     new = _nominate(targets, past, names, single)
     own = np.full(itself.shape, -np.inf)
     own[np.flatnonzero(chooses), choice[chooses]] = gained[chooses]
-    asked = (np.isin(np.arange(len(past)), np.union1d(heads, new))[None] | np.isfinite(own)) & ~itself
+    asked = (np.isin(np.arange(len(past)), np.union1d(heads, new)) | np.isfinite(own)) & ~itself
     place, uav = np.nonzero(asked)
     return LonePairs(pair(targets, single[place], uav), own[place, uav], bool(len(new) or chooses.any()))
 
@@ -78,8 +79,8 @@ def ask_single_uavs(targets: Targets, past: Floats, names: Sequence[str], heads:
 def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indices) -> Indices:
     """The candidates whose law predicts single UAVs, the best first.
 
-    The screening ignores what a candidate's features share with the own pasts of the single UAVs. What a candidate adds
-    must exceed log n, its description length, and each UAV either follows it or not, with equal prior probabilities.
+    The screening ignores what a candidate's features share with the own pasts of the single UAVs. What the followers of
+    a candidate gain must exceed the description length of the candidate, log n, and of its followers.
 
     Args:
         targets: the groups.
@@ -87,7 +88,6 @@ def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indi
         names: the feature classes.
         single: ``(c,)`` the groups of one UAV that are asked.
     """
-    single = single[:: max(-(-len(single) // _ASKED), 1)]
     uavs, rows = past.shape[:2]
     weight = targets.weight[single]
     flat = (targets.innovation[single] * weight[:, :, None]).transpose(1, 0, 2).reshape(rows, -1)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from detectors.group_mixture.assignment import Assignment, assign_groups
-from detectors.group_mixture.evidence import (
+from detectors.follow_mixture.assignment import Assignment, assign_groups
+from detectors.follow_mixture.evidence import (
     Pairs,
     Statistics,
     Targets,
@@ -22,11 +22,11 @@ from detectors.group_mixture.evidence import (
     screen,
     shared_evidence,
 )
-from detectors.group_mixture.features import LEVELS
-from detectors.group_mixture.groups import find_groups
-from detectors.group_mixture.motion import Motion, lagged
-from detectors.group_mixture.pooling import LonePairs, ask_single_uavs
-from detectors.group_mixture.spectra import fit_spectra, smoothed_pasts
+from detectors.follow_mixture.features import LEVELS
+from detectors.follow_mixture.groups import find_groups
+from detectors.follow_mixture.motion import Motion, lagged
+from detectors.follow_mixture.pooling import LonePairs, ask_single_uavs
+from detectors.follow_mixture.spectra import fit_spectra, smoothed_pasts
 
 __all__ = ["Fit", "fit_motion"]
 
@@ -233,56 +233,62 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
 
     Every group of two and more UAVs has one head, unless it is not in the window. A priori that is any single UAV, or
     with a smaller probability a member of a group: followers copy their head later, so that it moves with them only as
-    far as its velocity predicts that of L steps later. A UAV that leads another group already has paid the price of a
-    head. A single UAV follows one of the heads found, or none: two or more followers make a head. The groups are
-    independent.
+    far as its velocity predicts that of L steps later. A UAV that leads other followers already has paid the price of a
+    head. The groups are independent. A head follows no UAV.
 
     Args:
         search: the groups and pairs.
         found: the heads and the evidence.
         kept: ``(n,)`` autocorrelation of each UAV's velocity at lag L.
     """
-    targets, pairs, heads = search.targets, search.pairs, found.assignment.heads
+    targets, pairs = search.targets, search.pairs
     sizes, uavs = targets.sizes, len(targets.label)
-    alone = np.flatnonzero(sizes[targets.label] == 1)
-    several = np.flatnonzero(sizes > 1)
-    price = np.log(uavs)
+    alone = sizes[targets.label] == 1
+    pool, follows = _weigh_single_uavs(search, found)
 
-    # Single UAVs: all of them together tell whether a UAV leads some of them.
-    lone = sizes[pairs.group] == 1
-    evidence = np.full((len(sizes), uavs), -np.inf)
-    evidence[pairs.group[lone], pairs.uav[lone]] = found.evidence[lone]
-    named = np.c_[evidence[:, heads], np.zeros(len(sizes))]  # a UAV follows one of the heads, or none: equally likely
-    full = logsumexp(named, axis=1, keepdims=True)
-    odds = evidence - full  # of a further head
-    odds[:, heads] -= np.log1p(-np.minimum(np.exp(odds[:, heads]), 1.0 - _NOTHING))
-    odds[targets.label[heads]] = -np.inf
-    count = np.isfinite(odds).sum(axis=0)
-    further = np.ones(uavs)
-    further[heads] = 0.0
-    total = np.logaddexp(odds, 0.0).sum(axis=0)
-    one = np.logaddexp(logsumexp(odds, axis=0), 0.0)  # fewer than two followers make no head
-    pool = total + np.log(np.maximum(-np.expm1(np.minimum(one - total, 0.0)), _NOTHING))
-    pool += np.log(_RARE) - price - count * np.log1p(1.0 / np.maximum(len(heads) + further, 1.0))
-    pool[count < 2] = -np.inf
-
-    # Groups of several: each has one head, or none.
-    head = found.assignment.head
-    counted = head[several]
-    assigned = np.bincount(counted[counted >= 0], minlength=uavs)
-    others = assigned[pairs.uav] - (head[pairs.group] == pairs.uav)
-    paid = (others > 0) | (pool[pairs.uav] > 0)
-    together = max(float(np.median(kept[alone] if len(alone) > 1 else kept)), _LEAST_TOGETHER)
-    prior = np.where(sizes[targets.label] == 1, 0.0, np.log(together / sizes[targets.label]))
-    logit = np.full((len(sizes), uavs), 0.0) + prior  # pairs that were not chosen have no evidence
-    logit[pairs.group, pairs.uav] = found.evidence + prior[pairs.uav] + np.where(paid, price, 0.0)
-    logit = np.c_[logit[several], np.full(len(several), np.log(_RARE * np.exp(prior).sum()))]
+    several = sizes > 1
+    head = np.where(several, found.assignment.head, -1)
+    groups = np.bincount(head[head >= 0], minlength=uavs)
+    others = groups[pairs.uav] - (head[pairs.group] == pairs.uav)
+    paid = np.where((others > 0) | (pool[pairs.uav] > 0), np.log(uavs), 0.0)
+    together = max(float(np.median(kept[alone] if alone.sum() > 1 else kept)), _LEAST_TOGETHER)
+    prior = np.where(alone, 0.0, np.log(together / sizes[targets.label]))
+    row = np.cumsum(several) - 1
+    logit = np.tile(np.append(prior, np.log(_RARE * np.exp(prior).sum())), (several.sum(), 1))
+    some = several[pairs.group]  # pairs that were not chosen have no evidence
+    logit[row[pairs.group[some]], pairs.uav[some]] += found.evidence[some] + paid[some]
     share = np.exp(logit - logsumexp(logit, axis=1, keepdims=True))[:, :uavs]
-    stays = np.log1p(-np.minimum(share, 1.0 - 1e-12)).sum(axis=0)  # log probability of leading no group of several
+    stays = np.log1p(-np.minimum(share, 1.0 - _NOTHING)).sum(axis=0)  # log probability of leading no group of several
     stays -= np.logaddexp(pool, 0.0)
     with np.errstate(divide="ignore"):
-        leads = np.log(-np.expm1(stays)) - stays  # log-odds
+        return np.asarray(np.log(-np.expm1(stays)) - stays - follows)
 
-    # A head follows no UAV; another single UAV follows one of the heads, or none.
-    follows = np.where(np.isfinite(evidence).any(axis=1), full[:, 0] - np.log1p(len(heads)), 0.0)
-    return np.asarray(leads - follows[targets.label])
+
+def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats]:
+    """``(n,)``: log-odds that a UAV leads two or more single UAVs; and ``(n,)``: log-odds of following a head itself.
+
+    Each single UAV follows one of the heads found, or none, with equal prior probabilities. A further head is rare, and
+    one of n UAVs.
+    """
+    targets, pairs, heads = search.targets, search.pairs, found.assignment.heads
+    uavs, known = len(targets.label), len(heads)
+    lone = targets.sizes[pairs.group] == 1
+    candidates, column = np.unique(pairs.uav[lone], return_inverse=True)
+    single, row = np.unique(pairs.group[lone], return_inverse=True)
+    evidence = np.full((len(single), len(candidates)), -np.inf)
+    evidence[row, column] = found.evidence[lone]
+    head = np.isin(candidates, heads)
+    together = logsumexp(np.c_[evidence[:, head], np.zeros(len(single))], axis=1)  # 0: of following none
+    odds = evidence - together[:, None]  # of a further head
+    odds[:, head] -= np.log1p(-np.minimum(np.exp(odds[:, head]), 1.0 - _NOTHING))  # instead of the other heads
+    odds[np.isin(single, targets.label[heads])] = -np.inf
+    count = np.isfinite(odds).sum(axis=0)
+    every = np.logaddexp(odds, 0.0).sum(axis=0)
+    fewer = np.logaddexp(np.logaddexp.reduce(odds, axis=0, initial=-np.inf), 0.0)  # none or one: no head
+    led = every + np.log(np.maximum(-np.expm1(np.minimum(fewer - every, 0.0)), _NOTHING))
+    led += np.log(_RARE / uavs) - count * np.log1p(1.0 / np.maximum(known + ~head, 1))
+    pool = np.full(uavs, -np.inf)
+    pool[candidates] = np.where(count > 1, led, -np.inf)
+    itself = np.full(len(targets.sizes), 0.0)
+    itself[single] = together - np.log1p(known)
+    return pool, itself[targets.label]

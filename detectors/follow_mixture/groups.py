@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.group_mixture.spectra import FlightSpectra
+from detectors.follow_mixture.spectra import FlightSpectra
 from usnet_env.compiling import compiled
 
 __all__ = ["find_groups"]

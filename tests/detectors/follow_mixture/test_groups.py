@@ -1,15 +1,15 @@
-"""Spectra and groups of group-mixture against slow definitions."""
+"""Spectra and groups of follow-mixture against slow definitions."""
 
 import numpy as np
 import pytest
-from group_windows import swarm_window
+from mixture_windows import swarm_window
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from detectors.group_mixture.groups import _Bands, _merge_best, _spectral_bands
-from detectors.group_mixture.motion import read_motion
-from detectors.group_mixture.spectra import fit_spectra, smoothed_pasts
+from detectors.follow_mixture.groups import _Bands, _merge_best, _spectral_bands
+from detectors.follow_mixture.motion import read_motion
+from detectors.follow_mixture.spectra import fit_spectra, smoothed_pasts
 
 
 def flown(seed, **config):
