@@ -67,7 +67,34 @@ def _table2(name: str, *commands: str) -> Result:
     )
 
 
-_GROUPS = "detectors.group_mixture:GroupMixture"
+#: What both cores of follow-mixture played of the seed 4242.
+_BOTH_PLAYED = (
+    "paper --episodes 100 --detectors follow-mixture",
+    "smooth missed sizes decoys noise --episodes 50 --detectors follow-mixture",
+    "straight --cell jitter --episodes 50 --detectors follow-mixture",
+    "short --episodes 50 --detectors follow-mixture",
+    "strategies sampled --episodes 20 --detectors follow-mixture",
+    "silence --episodes 50 --detectors \"follow-mixture(policy='map')\"",
+    "shifted --episodes 10 --detectors \"follow-mixture(policy='map')\"",
+    "P1 --episodes 50 --detectors \"follow-mixture(objective='P1')\"",
+)
+
+
+def _cores(core: str, name: str, *before: str) -> Result:
+    """The rows of one core in all tiers, in one file."""
+    script = f"python benchmarks/follow_mixture.py --results out/{core}"
+    return Result(
+        f"the {core} core of follow-mixture on a seed of its own",
+        (f"former_core/{name}.csv.gz",),
+        (
+            *before,
+            *(f"{script} --seed 4242 --tier {step}" for step in _BOTH_PLAYED),
+            *(["git checkout -"] if before else []),
+            f"{script} --pack benchmarks/results/former_core/{name}.csv.gz",
+        ),
+    )
+
+
 _SMOOTH = "--mobility gauss_markov --head-jitter"
 _WAYPOINT = "--mobility waypoint --head-jitter"
 
@@ -170,72 +197,28 @@ RESULTS: tuple[Result, ...] = (
         "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
+    _cores("former", "rows", "git checkout dcdecd2  # has the code of the former core"),
+    _cores("present", "present"),
     Result(
-        "follow-mixture with each of its rules switched off, on tuning seeds",
-        ("follow_mixture/ablation.csv",),
-        tuple(
-            f"python benchmarks/follow_mixture_ablation.py --tier {step}"
-            for step in (
-                "random --games 121",
-                "random --second --games 33",
-                "paper smooth straight strategies missed short P1 sampled sizes --games 10 4 1 1 1 1 1 1 1",
-                "straight --cell jitter --games 2",
-                "straight --cell f1-jitter f2-jitter f3-jitter f4-jitter f5-jitter --games 3",
-                "noise --cell f1-0 f2-0 f3-0 f4-0 f5-0 f6-0 f7-0 f1-1 f2-1 f3-1 f1-gauss_markov-0.3 "
-                "f2-gauss_markov-0.3 f3-gauss_markov-0.3 --games 1",
-                "decoys --cell 2 iid-3 iid-10 gauss_markov-3 --games 1",
-                "silence --cell iid gauss_markov --games 1",
-            )
-        ),
-    ),
-    *(
-        Result(
-            f"GroupMixture: {_TIERS[tier]}",
-            (f"group_mixture/{tier}.csv",),
-            (
-                f"python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier {tier} "
-                f"--episodes {episodes} --detectors {_GROUPS}",
+        "the former core of follow-mixture with each of its rules switched off, on tuning seeds",
+        ("former_core/ablation.csv", "former_core/ablation.md"),
+        (
+            "git checkout dcdecd2  # has the former core and the script; it writes results/follow_mixture/ablation.csv",
+            *(
+                f"python benchmarks/follow_mixture_ablation.py --tier {step}"
+                for step in (
+                    "random --games 121",
+                    "random --second --games 33",
+                    "paper smooth straight strategies missed short P1 sampled sizes --games 10 4 1 1 1 1 1 1 1",
+                    "straight --cell jitter --games 2",
+                    "straight --cell f1-jitter f2-jitter f3-jitter f4-jitter f5-jitter --games 3",
+                    "noise --cell f1-0 f2-0 f3-0 f4-0 f5-0 f6-0 f7-0 f1-1 f2-1 f3-1 f1-gauss_markov-0.3 "
+                    "f2-gauss_markov-0.3 f3-gauss_markov-0.3 --games 1",
+                    "decoys --cell 2 iid-3 iid-10 gauss_markov-3 --games 1",
+                    "silence --cell iid gauss_markov --games 1",
+                )
             ),
-        )
-        for tier, episodes in (
-            ("paper", 100),
-            ("smooth", 50),
-            ("short", 50),
-            ("noise", 20),
-            ("missed", 50),
-            ("decoys", 10),
-        )
-    ),
-    Result(
-        f"GroupMixture: {_TIERS['straight']}",
-        ("group_mixture/straight.csv",),
-        (
-            "python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier straight "
-            f"--cell jitter --episodes 50 --detectors {_GROUPS}",
-        ),
-    ),
-    Result(
-        f"GroupMixture: {_TIERS['silence']}",
-        ("group_mixture/silence.csv",),
-        (
-            "python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier silence "
-            f"--episodes 20 --detectors \"{_GROUPS}(policy='map')\"",
-        ),
-    ),
-    Result(
-        f"GroupMixture: {_TIERS['P1']}",
-        ("group_mixture/P1.csv",),
-        (
-            "python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier P1 "
-            f"--episodes 50 --detectors \"{_GROUPS}(objective='P1')\"",
-        ),
-    ),
-    Result(
-        "swarms of the calibration of GroupMixture",
-        ("group_mixture_calibration.csv.gz",),
-        (
-            "python -c \"from detectors.group_mixture.train import train_calibration; train_calibration('out')\"  "
-            "# its rows.csv, compressed",
+            "python benchmarks/tables.py  # writes results/follow_mixture/ablation.md",
         ),
     ),
     Result(
@@ -298,7 +281,6 @@ RESULTS: tuple[Result, ...] = (
             "multiagent_payoff.md",
             "multiagent_ppo.md",
             "multiagent_observers.md",
-            "follow_mixture/ablation.md",
         ),
         ("python benchmarks/tables.py",),
     ),

@@ -2,6 +2,7 @@
 
     OMP_NUM_THREADS=1 python benchmarks/follow_mixture.py --tier paper --episodes 300 --detectors follow-mixture
     python benchmarks/follow_mixture.py --list            # the cells of every tier
+    python benchmarks/follow_mixture.py --results out --pack rows.csv.gz    # the rows of all tiers in one file
 
 Each episode is one row of ``benchmarks/results/follow_mixture/<tier>.csv``, written when it ends. Episodes that the
 file holds are not played again. The column ``detector`` is the detector's full name with every argument that differs
@@ -14,6 +15,8 @@ from __future__ import annotations
 
 import argparse
 import csv
+import gzip
+import io
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +29,7 @@ from numpy.typing import NDArray
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.files import atomic_write
 from usnet_env.objectives import average_precision, multi_cluster_objective, single_cluster_objective
 from usnet_env.plugins import detector_label, make_detector
 
@@ -191,11 +195,25 @@ def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """The complete rows of a file; none if there is no file."""
+    """The complete rows of a file, which may be compressed; none if there is no file."""
     if not path.exists():
         return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return [row for row in csv.DictReader(file) if row["seconds"]]  # an interrupted write leaves a row incomplete
+    data = path.read_bytes()
+    text = (gzip.decompress(data) if path.suffix == ".gz" else data).decode()
+    # An interrupted write leaves a row incomplete.
+    return [row for row in csv.DictReader(io.StringIO(text)) if row["seconds"]]
+
+
+def pack_rows(results: Path, path: Path) -> None:
+    """Write the complete rows of all tiers in a folder to one compressed file, whose bytes depend on nothing else."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for tier in dict.fromkeys(cell.tier for cell in cells()):
+        writer.writerows(read_rows(results / f"{tier}.csv"))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as aside:
+        aside.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
 
 
 def label_of(name: str) -> str:
@@ -235,6 +253,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--seed", type=int, default=SEED)
     made.add_argument("--detectors", nargs="*", default=list(DETECTORS))
     made.add_argument("--results", type=Path, default=RESULTS)
+    made.add_argument("--pack", type=Path, help="write the rows of all tiers to this file and play nothing")
     made.add_argument("--list", action="store_true", help="list the cells and play nothing")
     return made
 
@@ -256,6 +275,9 @@ def main() -> None:
     if arguments.list:
         for cell in wanted:
             print(cell.tier, cell.name, cell.kind, cell.episodes, cell.env)
+        return
+    if arguments.pack is not None:
+        pack_rows(arguments.results, arguments.pack)
         return
     measure(wanted, arguments.detectors, arguments.episodes, arguments.seed, arguments.results)
 
