@@ -89,8 +89,7 @@ def text() -> str:
         "## By variant",
         "A variant is what the name of a cell says after the follow strategy.",
         compare(pairs, lambda row: (row["tier"], row["cell"].partition("-")[2])),
-        "The [ablation of the former core](../../benchmarks/results/former_core/ablation.md) shows what each of its "
-        "rules was worth.",
+        "`benchmarks/results/former_core/ablation.md` shows what each rule of the former core was worth.",
         "## Raw rows and commands",
         source(FILES),
     )
