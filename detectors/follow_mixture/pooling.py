@@ -2,8 +2,8 @@
 
 The own regression of such a UAV on its head says little if it has much jitter: fitting 3 p weights costs more than they
 explain. But the followers of one head have one law. So a law is fitted to all followers of a candidate but one, and
-this one gains as much as that law predicts of it. The gain compares two predictions that have not seen what they
-predict. A UAV that follows no candidate loses by it on average, whatever the movement, so no threshold is needed.
+this one gains as much as that law predicts of it. A UAV that follows no candidate loses by that on average, however
+slowly the UAVs turn, so no threshold is needed.
 
 Followers may have different laws, however. So each single UAV may also choose one candidate for itself, if that stands
 out from all others.

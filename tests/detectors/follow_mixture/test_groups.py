@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from mixture_windows import swarm_window
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mixture_windows import swarm_window
 from scipy.stats import multivariate_normal
 
 from detectors.follow_mixture.groups import _Bands, _merge_best, _spectral_bands
