@@ -153,7 +153,7 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
         certain = np.abs(log_odds).min() > _CERTAIN
         if lone is not None or (certain and search.explains(found.assignment)):
             break
-        lone = ask_single_uavs(targets, past, LEVELS[-1], found.assignment.heads)
+        lone = ask_single_uavs(targets, past, LEVELS[-1], found.assignment.head)
         if certain and search.explains(found.assignment, single=False) and not lone.asks_more:
             break
     if found.assignment.value <= 0 and not (targets.sizes > 1).any():
@@ -287,7 +287,7 @@ def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats]
     fewer = np.logaddexp(np.logaddexp.reduce(odds, axis=0, initial=-np.inf), 0.0)  # none or one: no head
     led = every + np.log(np.maximum(-np.expm1(np.minimum(fewer - every, 0.0)), _NOTHING))
     led += np.log(_RARE / uavs) - count * np.log1p(1.0 / np.maximum(known + ~head, 1))
-    pool = np.full(uavs, -np.inf)
+    pool = np.where(targets.sizes[targets.label] == 1, np.log(_RARE / uavs), -np.inf)  # without any evidence
     pool[candidates] = np.where(count > 1, led, -np.inf)
     itself = np.full(len(targets.sizes), 0.0)
     itself[single] = together - np.log1p(known)
