@@ -29,6 +29,7 @@ Indices = NDArray[np.int64]
 _OWN_CHOICE = 3.0  # log prior odds of the law of all followers against a law of the UAV's own
 _TURNS = 3  # of choosing the followers of a candidate and fitting their law
 _ASKED = 200  # most single UAVs that are asked; bounds time and memory
+_CLASSES = 2  # in which the greedy search goes on
 _SHORTLISTED = 100  # candidates that the greedy search compares
 _NUMBERS = 4_000_000  # of one array; bounds the memory
 _NOTHING = 1e-12
@@ -102,14 +103,17 @@ def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indi
     found: list[int] = []
     if worth.max(initial=-np.inf) > 0:
         some = np.argsort(-worth.max(axis=0), kind="stable")[:_SHORTLISTED]
-        (screening,) = _screenings(targets, past, some, [names[int(worth.max(axis=1).argmax())]], single)
-        value, gain = screening.weigh(gained)
-        while value.max() > 0:
-            place = int(value.argmax())
+        best = worth.max(axis=1)
+        likely = [names[place] for place in np.argsort(-best)[:_CLASSES] if best[place] > 0]
+        screenings = list(_screenings(targets, past, some, likely, single))
+        while True:
+            values, gains = zip(*(screening.weigh(gained) for screening in screenings), strict=True)
+            value = np.where(np.isin(some, found), -np.inf, values)
+            which, place = np.unravel_index(value.argmax(), value.shape)
+            if value[which, place] <= 0:
+                break
             found.append(int(some[place]))
-            gained = np.maximum(gained, gain[place])
-            value, gain = screening.weigh(gained)
-            value[np.isin(some, found)] = -np.inf
+            gained = np.maximum(gained, gains[which][place])
     return np.asarray(found, np.int64)
 
 
