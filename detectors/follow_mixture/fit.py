@@ -21,7 +21,7 @@ from detectors.follow_mixture.evidence import (
     own_evidence,
     screen,
     shared_evidence,
-)
+)  # fmt: skip
 from detectors.follow_mixture.features import LEVELS
 from detectors.follow_mixture.groups import find_groups
 from detectors.follow_mixture.motion import Motion, lagged
@@ -100,10 +100,8 @@ class _Search:
         candidates, column = np.unique(self.pairs.uav, return_inverse=True)
         sizes = self.targets.sizes
         gain = np.full((len(sizes), len(candidates)), -np.inf)
-        # A group of several follows a head, unless that is not in the window.
-        gain[self.pairs.group, column] = (
-            evidence + np.where(sizes > 1, np.log(1.0 / _RARE - 1.0), 0.0)[self.pairs.group]
-        )
+        follows = np.where(sizes > 1, np.log(1.0 / _RARE - 1.0), 0.0)  # several do, unless their head is not there
+        gain[self.pairs.group, column] = evidence + follows[self.pairs.group]
         own = self.targets.label[candidates]
         return assign_groups(gain, candidates, np.where(sizes[own] == 1, own, -1), sizes, self.most)
 
