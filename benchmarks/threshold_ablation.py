@@ -51,9 +51,9 @@ class Change:
     patches: tuple[tuple[Any, str, Any], ...]
 
 
-def _no_pool(targets: Any, pairs: Any, some: Any, own: NDArray[np.float64]) -> NDArray[np.float64]:
+def _no_pool(targets: Any, pairs: Any, some: Any, follows: Any, fixed: Any) -> NDArray[np.float64]:
     """In place of the evidence by the law of the other followers: none."""
-    return np.full(len(own), -np.inf)
+    return np.full(len(follows), -np.inf)
 
 
 #: Key of each change. The first ones move thresholds, the others switch off parts.
@@ -62,7 +62,9 @@ CHANGES = {
     "steps-a-lag": Change("a window has as many lags as `memory`, however short it is", ((fit, "_STEPS_A_LAG", 1),)),
     "own-law-free": Change("a group may deviate from the shared law at no price", ((fit, "_OWN_LAW", 0.0),)),
     "own-law-never": Change("no group may deviate from the shared law", ((fit, "_OWN_LAW", INFINITE),)),
-    "certain-always": Change("the first level is final if all groups follow, whatever its doubt", ((fit, "_CERTAIN", -1.0),)),
+    "certain-always": Change(
+        "the first level is final if all groups follow, whatever its doubt", ((fit, "_CERTAIN", -1.0),)
+    ),
     "certain-never": Change("all classes of features are always tried", ((fit, "_CERTAIN", INFINITE),)),
     "rare-0.5": Change("a head is missing in the window with probability 0.5 instead of 0.05", ((fit, "_RARE", 0.5),)),
     "rare-0.001": Change("a head is missing in the window with probability 0.001", ((fit, "_RARE", 0.001),)),
@@ -99,9 +101,11 @@ class Game:
     seed: int
 
 
-def draw_games(each: int, random: int, seed: int) -> Iterator[Game]:
-    """The first windows of all cells, and of random swarms."""
+def draw_games(tiers: list[str], each: int, random: int, seed: int) -> Iterator[Game]:
+    """The first windows of all cells of some tiers, and of random swarms."""
     for cell in cells():
+        if cell.tier not in tiers:
+            continue
         for number in range(min(each, 2) if cell.kind != "P2" else each):
             yield draw_game(cell, number, seed)
     training = CalibrationTraining(swarms=random, seed=seed)
@@ -144,6 +148,7 @@ def main() -> None:
     """List the changes, or play."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--games", type=int, default=4, help="of each cell; 2 at most in P1, silence and shifted")
+    parser.add_argument("--tier", nargs="*", default=sorted({cell.tier for cell in cells()}))
     parser.add_argument("--random", type=int, default=120, help="random swarms")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--results", type=Path, default=RESULTS)
@@ -159,7 +164,7 @@ def main() -> None:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if new:
             writer.writeheader()
-        for game in draw_games(arguments.games, arguments.random, arguments.seed):
+        for game in draw_games(arguments.tier, arguments.games, arguments.random, arguments.seed):
             for key in CHANGES:
                 if (key, game.tier, game.cell, game.number) not in there:
                     writer.writerow(play(game, key))
