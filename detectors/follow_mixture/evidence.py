@@ -24,21 +24,9 @@ from detectors.follow_mixture.motion import lagged
 from usnet_env.compiling import compiled
 
 __all__ = [
-    "Pairs",
-    "Statistics",
-    "Targets",
-    "choose_pairs",
-    "fit_law",
-    "gain_by_laws",
-    "gather_statistics",
-    "join",
-    "make_targets",
-    "own_evidence",
-    "pair",
-    "screen",
-    "shared_evidence",
-    "whiten",
-]
+    "Pairs", "Statistics", "Targets", "choose_pairs", "fit_law", "gain_by_laws", "gather_statistics", "join",
+    "make_targets", "own_evidence", "pair", "screen", "shared_evidence", "whiten",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

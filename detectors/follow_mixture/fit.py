@@ -21,7 +21,7 @@ from detectors.follow_mixture.evidence import (
     own_evidence,
     screen,
     shared_evidence,
-)
+)  # fmt: skip
 from detectors.follow_mixture.features import LEVELS
 from detectors.follow_mixture.groups import find_groups
 from detectors.follow_mixture.motion import Motion, lagged
@@ -100,10 +100,8 @@ class _Search:
         candidates, column = np.unique(self.pairs.uav, return_inverse=True)
         sizes = self.targets.sizes
         gain = np.full((len(sizes), len(candidates)), -np.inf)
-        # A group of several follows a head, unless that is not in the window.
-        gain[self.pairs.group, column] = (
-            evidence + np.where(sizes > 1, np.log(1.0 / _RARE - 1.0), 0.0)[self.pairs.group]
-        )
+        follows = np.where(sizes > 1, np.log(1.0 / _RARE - 1.0), 0.0)  # several do, unless their head is not there
+        gain[self.pairs.group, column] = evidence + follows[self.pairs.group]
         own = self.targets.label[candidates]
         return assign_groups(gain, candidates, np.where(sizes[own] == 1, own, -1), sizes, self.most)
 
@@ -153,7 +151,7 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
         certain = np.abs(log_odds).min() > _CERTAIN
         if lone is not None or (certain and search.explains(found.assignment)):
             break
-        lone = ask_single_uavs(targets, past, LEVELS[-1], found.assignment.heads)
+        lone = ask_single_uavs(targets, past, LEVELS[-1], found.assignment.head)
         if certain and search.explains(found.assignment, single=False) and not lone.asks_more:
             break
     if found.assignment.value <= 0 and not (targets.sizes > 1).any():
@@ -287,7 +285,7 @@ def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats]
     fewer = np.logaddexp(np.logaddexp.reduce(odds, axis=0, initial=-np.inf), 0.0)  # none or one: no head
     led = every + np.log(np.maximum(-np.expm1(np.minimum(fewer - every, 0.0)), _NOTHING))
     led += np.log(_RARE / uavs) - count * np.log1p(1.0 / np.maximum(known + ~head, 1))
-    pool = np.full(uavs, -np.inf)
+    pool = np.where(targets.sizes[targets.label] == 1, np.log(_RARE / uavs), -np.inf)  # without any evidence
     pool[candidates] = np.where(count > 1, led, -np.inf)
     itself = np.full(len(targets.sizes), 0.0)
     itself[single] = together - np.log1p(known)

@@ -39,11 +39,6 @@ class Motion:
     drift: Floats
 
     @property
-    def uavs(self) -> int:
-        """Number of UAVs."""
-        return int(self.velocity.shape[0])
-
-    @property
     def steps(self) -> int:
         """T."""
         return int(self.velocity.shape[1])

@@ -2,8 +2,8 @@
 
 The own regression of such a UAV on its head says little if it has much jitter: fitting 3 p weights costs more than they
 explain. But the followers of one head have one law. So a law is fitted to all followers of a candidate but one, and
-this one gains as much as that law predicts of it. The gain compares two predictions that have not seen what they
-predict. A UAV that follows no candidate loses by it on average, whatever the movement, so no threshold is needed.
+this one gains as much as that law predicts of it. A UAV that follows no candidate loses by that on average, however
+slowly the UAVs turn, so no threshold is needed.
 
 Followers may have different laws, however. So each single UAV may also choose one candidate for itself, if that stands
 out from all others.
@@ -11,7 +11,7 @@ out from all others.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +29,8 @@ Indices = NDArray[np.int64]
 _OWN_CHOICE = 3.0  # log prior odds of the law of all followers against a law of the UAV's own
 _TURNS = 3  # of choosing the followers of a candidate and fitting their law
 _ASKED = 200  # most single UAVs that are asked; bounds time and memory
-_NOMINATED = 30  # candidates
+_CLASSES = 2  # in which the greedy search goes on
+_SHORTLISTED = 100  # candidates that the greedy search compares
 _NUMBERS = 4_000_000  # of one array; bounds the memory
 _NOTHING = 1e-12
 
@@ -42,26 +43,30 @@ class LonePairs:
         pairs: P pairs.
         own: ``(P,)`` what the UAV gains by a law of its own; -inf for candidates that it does not choose.
         asks_more: whether a candidate is among them that is no head yet.
+        head: ``(C,)`` the heads of the groups, whose laws their single followers share; -1 for none.
     """
 
     pairs: Pairs
     own: Floats
     asks_more: bool
+    head: Indices
 
     def compare(self, targets: Targets, pairs: Pairs, some: Statistics, evidence: Floats) -> Floats:
         """Evidence ``(P,)`` of these pairs, the last ones of ``pairs``, in one class; ``evidence`` is of all pairs."""
-        pooled = _pool(targets, pairs, some, evidence)
-        return np.maximum(pooled[len(pooled) - len(self.own) :], self.own)
+        lone = np.arange(len(evidence)) >= len(evidence) - len(self.own)
+        led = self.head[pairs.group] == pairs.uav
+        pooled = _pool(targets, pairs, some, np.where(lone, evidence > 0, led), ~lone)
+        return np.maximum(pooled[lone], self.own)
 
 
-def ask_single_uavs(targets: Targets, past: Floats, names: Sequence[str], heads: Indices) -> LonePairs:
+def ask_single_uavs(targets: Targets, past: Floats, names: Sequence[str], head: Indices) -> LonePairs:
     """The candidates that single UAVs may follow.
 
     Args:
         targets: the groups.
         past: ``(n, R, L, 3)`` pasts of the candidates.
         names: the feature classes of laws that followers share.
-        heads: the heads of groups of several.
+        head: ``(C,)`` the heads of the groups of several; -1 for none.
     """
     single = np.flatnonzero(targets.sizes == 1)
     single = single[:: max(-(-len(single) // _ASKED), 1)]
@@ -71,16 +76,16 @@ def ask_single_uavs(targets: Targets, past: Floats, names: Sequence[str], heads:
     new = _nominate(targets, past, names, single)
     own = np.full(itself.shape, -np.inf)
     own[np.flatnonzero(chooses), choice[chooses]] = gained[chooses]
-    asked = (np.isin(np.arange(len(past)), np.union1d(heads, new)) | np.isfinite(own)) & ~itself
+    asked = (np.isin(np.arange(len(past)), np.union1d(head[head >= 0], new)) | np.isfinite(own)) & ~itself
     place, uav = np.nonzero(asked)
-    return LonePairs(pair(targets, single[place], uav), own[place, uav], bool(len(new) or chooses.any()))
+    return LonePairs(pair(targets, single[place], uav), own[place, uav], bool(len(new) or chooses.any()), head)
 
 
 def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indices) -> Indices:
-    """The candidates whose law predicts single UAVs, the best first.
+    """The candidates whose law predicts single UAVs, by a greedy search: the best one, the best one for all others, ...
 
     The screening ignores what a candidate's features share with the own pasts of the single UAVs. What the followers of
-    a candidate gain must exceed the description length of the candidate, log n, and of its followers.
+    a candidate gain must exceed their description length.
 
     Args:
         targets: the groups.
@@ -88,57 +93,114 @@ def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indi
         names: the feature classes.
         single: ``(c,)`` the groups of one UAV that are asked.
     """
-    uavs, rows = past.shape[:2]
+    worth = np.full((len(names), len(past)), -np.inf)
+    chunk = max(_NUMBERS // (past.shape[1] * max(len(single), 1)), 1)
+    every = np.arange(len(past))
+    gained = np.zeros(len(single))
+    for first in range(0, len(past) if len(single) > 1 else 0, chunk):
+        for screening in _screenings(targets, past, every[first : first + chunk], names, single):
+            worth[names.index(screening.name), screening.uav], _ = screening.weigh(gained)
+    found: list[int] = []
+    if worth.max(initial=-np.inf) > 0:
+        some = np.argsort(-worth.max(axis=0), kind="stable")[:_SHORTLISTED]
+        best = worth.max(axis=1)
+        likely = [names[place] for place in np.argsort(-best)[:_CLASSES] if best[place] > 0]
+        screenings = list(_screenings(targets, past, some, likely, single))
+        while True:
+            values, gains = zip(*(screening.weigh(gained) for screening in screenings), strict=True)
+            value = np.where(np.isin(some, found), -np.inf, values)
+            which, place = np.unravel_index(value.argmax(), value.shape)
+            if value[which, place] <= 0:
+                break
+            found.append(int(some[place]))
+            gained = np.maximum(gained, gains[which][place])
+    return np.asarray(found, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Screening:
+    """Products of k candidates' features, which are made orthonormal, and the innovations of c single UAVs.
+
+    Args:
+        name: of the feature class.
+        uav: ``(k,)`` the candidates.
+        moment: ``(k, c, 3 p)`` features times innovations.
+        others: ``(k, c)`` whether the single UAV is not the candidate.
+        strength: ``(c,)`` mean square of the weights of the rows.
+        energy: ``(c,)`` of the innovations.
+        rows: ``(c,)`` effective number of rows.
+    """
+
+    name: str
+    uav: Indices
+    moment: Floats
+    others: NDArray[np.bool_]
+    strength: Floats
+    energy: Floats
+    rows: Floats
+
+    def weigh(self, gained: Floats) -> tuple[Floats, Floats]:
+        """What the followers of each candidate gain, less their description length ``(k,)``; the gains ``(k, c)``.
+
+        Args:
+            gained: ``(c,)`` what the single UAVs gain already, by other candidates.
+        """
+        moment, strength, energy = self.moment, self.strength, self.energy
+        width = moment.shape[2] // 3
+        share = np.minimum((moment**2).sum(axis=2) / (strength * energy), 1.0 - _NOTHING)
+        follows = self.others & (share * (self.rows - width) > (1.0 - share) * width)  # the F ratio exceeds 1
+        follows &= -1.5 * self.rows * np.log1p(-share) > gained
+        gain = np.zeros(share.shape)
+        for _ in range(_TURNS):
+            used = follows * (3.0 * self.rows / energy)
+            aim = (used[:, None] @ moment) - used[:, :, None] * moment
+            rest = np.maximum((used @ strength)[:, None] - used * strength, _NOTHING)
+            by_chance = 3.0 * width * rest / np.maximum((aim**2).sum(axis=2), _NOTHING)
+            law = aim * (np.maximum(1.0 - by_chance, 0.0) / rest)[:, :, None]
+            left = energy + (law * (strength[:, None] * law - 2.0 * moment)).sum(axis=2)
+            gain = -1.5 * self.rows * np.log(np.maximum(left / energy, _NOTHING)) * self.others
+            before, follows = follows, gain > gained
+            if np.array_equal(before, follows):
+                break
+        count = follows.sum(axis=1)
+        naming = -betaln(count + 1, len(gained) - count + 1)  # a number, and a choice
+        return np.where(count > 1, np.maximum(gain - gained, 0.0).sum(axis=1) - naming, -np.inf), gain
+
+
+def _screenings(
+    targets: Targets, past: Floats, uav: Indices, names: Sequence[str], single: Indices
+) -> Iterator[_Screening]:
+    """The products of some candidates with the single UAVs, by class."""
     weight = targets.weight[single]
-    flat = (targets.innovation[single] * weight[:, :, None]).transpose(1, 0, 2).reshape(rows, -1)
-    strength = (weight**2).mean(axis=1)
-    energy, effective = targets.energy[single], targets.rows[single]
-    precision = 3.0 * effective / energy
-    others = targets.label[:, None] != single[None]  # (n, c): no UAV follows itself
-    worth = np.zeros(uavs)
-    chunk = max(_NUMBERS // (rows * max(len(single), 1)), 1)
-    for first in range(0, uavs if len(single) > 1 else 0, chunk):
-        part = slice(first, first + chunk)
-        for _, features in make_features(past[part], names):
-            k, _, width = features.shape
-            white = whiten(features).transpose(0, 2, 1).reshape(-1, rows)
-            moment = (white @ flat).reshape(k, width, len(single), 3).transpose(0, 2, 1, 3).reshape(k, len(single), -1)
-            share = (moment**2).sum(axis=2) / (strength * energy)
-            follows = others[part] & (share * (effective - width) > (1.0 - share) * width)  # the F ratio exceeds 1
-            for _ in range(_TURNS):
-                used = follows * precision
-                aim = (used[:, None] @ moment) - used[:, :, None] * moment
-                rest = np.maximum((used @ strength)[:, None] - used * strength, _NOTHING)
-                by_chance = 3.0 * width * rest / np.maximum((aim**2).sum(axis=2), _NOTHING)
-                law = aim * (np.maximum(1.0 - by_chance, 0.0) / rest)[:, :, None]
-                left = energy + (law * (strength[:, None] * law - 2.0 * moment)).sum(axis=2)
-                gain = -1.5 * effective * np.log(np.maximum(left / energy, _NOTHING)) * others[part]
-                before, follows = follows, gain > 0
-                if np.array_equal(before, follows):
-                    break
-            count = (gain > 0).sum(axis=1)
-            cost = -betaln(count + 1, len(single) - count + 1)  # of naming the followers: a number, and a choice
-            worth[part] = np.maximum(worth[part], np.maximum(gain, 0.0).sum(axis=1) - cost)
-    found = np.flatnonzero(worth > np.log(uavs))
-    return np.asarray(found[np.argsort(-worth[found], kind="stable")][:_NOMINATED])
+    flat = (targets.innovation[single] * weight[:, :, None]).transpose(1, 0, 2).reshape(weight.shape[1], -1)
+    others = targets.label[uav, None] != single[None]
+    for name, features in make_features(past[uav], names):
+        k, rows, width = features.shape
+        white = whiten(features).transpose(0, 2, 1).reshape(-1, rows)
+        moment = (white @ flat).reshape(k, width, len(single), 3).transpose(0, 2, 1, 3).reshape(k, len(single), -1)
+        yield _Screening(
+            name, uav, moment, others, (weight**2).mean(axis=1), targets.energy[single], targets.rows[single]
+        )
 
 
-def _pool(targets: Targets, pairs: Pairs, some: Statistics, own: Floats) -> Floats:
+def _pool(
+    targets: Targets, pairs: Pairs, some: Statistics, follows: NDArray[np.bool_], fixed: NDArray[np.bool_]
+) -> Floats:
     """``(P,)``: log-likelihood that each pair gains by the law of the candidate's other followers.
 
-    Followers are, in turns, the groups that gain. A candidate without other followers has no law: 0.
+    A candidate without other followers has no law: 0.
 
     Args:
         targets: the groups.
         pairs: the pairs.
         some: the statistics of one class.
-        own: ``(P,)`` evidence of laws of each group's own; the first followers gain by them.
+        follows: ``(P,)`` the followers at first; then, in turns, those that gain.
+        fixed: ``(P,)`` pairs of which that does not change.
     """
     weight = (3.0 * targets.rows / targets.energy)[pairs.target]
     gram, moment = some.gram * weight[:, None, None], some.moment * weight[:, None, None]
     candidates, column = np.unique(pairs.uav, return_inverse=True)
-    follows = own > 0
-    evidence = np.zeros(len(own))
+    evidence = np.zeros(len(weight))
     for _ in range(_TURNS):
         grams = np.zeros((len(candidates), *gram.shape[1:]))
         moments = np.zeros((len(candidates), *moment.shape[1:]))
@@ -147,7 +209,7 @@ def _pool(targets: Targets, pairs: Pairs, some: Statistics, own: Floats) -> Floa
         law = _fit_laws(grams, moments)[column]
         law[follows] = _fit_laws(grams[column[follows]] - gram[follows], moments[column[follows]] - moment[follows])
         evidence = gain_by_laws(targets, pairs, some, law)
-        before, follows = follows, evidence > 0
+        before, follows = follows, np.where(fixed, follows, evidence > 0)
         if np.array_equal(before, follows):
             break
     return evidence

@@ -36,15 +36,9 @@ from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_st
 from usnet_env.window import Window
 
 __all__ = [
-    "COLUMNS",
-    "CalibrationTraining",
-    "draw_swarm",
-    "draw_window",
-    "fit_calibration",
-    "read_rows",
-    "row_of",
+    "COLUMNS", "CalibrationTraining", "draw_swarm", "draw_window", "fit_calibration", "read_rows", "row_of",
     "train_calibration",
-]
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 Rows = Sequence[Mapping[str, str]]

@@ -17,10 +17,16 @@ def worth(gain, chosen, itself, sizes):
     value, followers = -np.log(sizes.sum()) * len(chosen), dict.fromkeys(chosen, 0)
     for group in range(len(gain)):
         best = max(chosen, key=lambda head: gain[group, head], default=None)
-        if best is None or gain[group, best] <= 0 or group in [itself[head] for head in chosen]:
+        if best is None or group in [itself[head] for head in chosen]:
             continue
-        value += gain[group, best] - np.log(len(chosen))
-        followers[best] += int(sizes[group])
+        follows = gain[group, best] > 0
+        if sizes[group] == 1:  # names one of the heads, or none
+            value -= np.log(len(chosen) + 1)
+        elif follows:
+            value -= np.log(len(chosen))
+        if follows:
+            value += gain[group, best]
+            followers[best] += int(sizes[group])
     return float(value), followers
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mixture_windows import answer, swarm_window
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mixture_windows import answer, swarm_window
 from scipy.special import expit
 
 from detectors.follow_mixture.calibration import Calibration, read_calibration, shipped_calibration

@@ -15,6 +15,7 @@ from detectors.follow_mixture.evidence import (
     gather_statistics,
     make_targets,
     own_evidence,
+    screen,
     shared_evidence,
 )
 from detectors.follow_mixture.features import make_features
@@ -62,7 +63,13 @@ def all_pairs(targets, past):
     """Every group with every UAV, but a single UAV with itself."""
     group, uav = np.nonzero((np.bincount(LABEL)[:, None] > 1) | (LABEL[None] != np.arange(5)[:, None]))
     target = np.where(LABEL[uav] == group, 5 + uav, group)
-    return replace(choose_pairs(targets, past, NAMES[:1]), group=group, uav=uav, target=target)
+    return replace(choose(targets, past, NAMES[:1]), group=group, uav=uav, target=target)
+
+
+def choose(targets, past, names):
+    """The candidates of the two groups of several."""
+    groups = np.array(list(HEAD_OF))
+    return choose_pairs(targets, screen(targets, past, names, groups), groups)
 
 
 @pytest.mark.parametrize("steps", [20, 60])
@@ -149,10 +156,10 @@ def test_the_best_candidates_of_each_sort_are_nominated():
     every = all_pairs(targets, past)
     (statistics,) = gather_statistics(targets, past, every, ["v(1)"])
     evidence = own_evidence(targets, every, statistics)
-    chosen = choose_pairs(targets, past, ["v(1)"])
+    chosen = choose(targets, past, ["v(1)"])
     named = set(zip(chosen.group, chosen.uav, strict=True))
     alone = np.bincount(LABEL)[LABEL] == 1
-    for group in range(5):
+    for group in HEAD_OF:
         for sort in (alone, ~alone):
             some = (every.group == group) & sort[every.uav] & (LABEL[every.uav] != group)
             kept = np.array([(group, uav) in named for uav in every.uav[some]])
@@ -161,7 +168,6 @@ def test_the_best_candidates_of_each_sort_are_nominated():
             assert (evidence[some][kept] > 0).all()
             np.testing.assert_allclose(np.sort(evidence[some][kept])[-len(best) :], best, rtol=1e-3, atol=1e-3)
     assert all((group, head) in named for group, head in HEAD_OF.items())
-    assert not any((LABEL[uav], uav) in named for uav in np.flatnonzero(alone))
     member = LABEL[chosen.uav] == chosen.group
     assert np.array_equal(chosen.target, np.where(member, 5 + chosen.uav, chosen.group))  # without the member itself
     assert member.any()
