@@ -67,16 +67,19 @@ def _table2(name: str, *commands: str) -> Result:
     )
 
 
-#: What both cores of follow-mixture played of the seed 4242.
+#: What both cores of follow-mixture played, by seed.
 _BOTH_PLAYED = (
-    "paper --episodes 100 --detectors follow-mixture",
-    "smooth missed sizes decoys noise --episodes 50 --detectors follow-mixture",
-    "straight --cell jitter --episodes 50 --detectors follow-mixture",
-    "short --episodes 50 --detectors follow-mixture",
-    "strategies sampled --episodes 20 --detectors follow-mixture",
-    "silence --episodes 50 --detectors \"follow-mixture(policy='map')\"",
-    "shifted --episodes 10 --detectors \"follow-mixture(policy='map')\"",
-    "P1 --episodes 50 --detectors \"follow-mixture(objective='P1')\"",
+    "--seed 4242 --tier paper --episodes 100 --detectors follow-mixture",
+    "--seed 4242 --tier missed --episodes 50 --detectors follow-mixture",
+    "--seed 4242 --tier short --cell T20 T50 --episodes 50 --detectors follow-mixture",
+    "--seed 4242 --tier P1 --episodes 50 --detectors \"follow-mixture(objective='P1')\"",
+    "--seed 4242 --tier silence --cell iid gauss_markov smooth_turn-jitter --episodes 50 "
+    "--detectors \"follow-mixture(policy='map')\"",
+    "--seed 5353 --tier straight --cell jitter --episodes 50 --detectors follow-mixture",
+    "--seed 5353 --tier smooth --episodes 50 --detectors follow-mixture",
+    "--seed 7077 --tier noise --episodes 10 --detectors follow-mixture",
+    "--seed 7077 --tier decoys sizes --episodes 20 --detectors follow-mixture",
+    "--seed 7077 --tier strategies --episodes 10 --detectors follow-mixture",
 )
 
 
@@ -84,11 +87,11 @@ def _cores(core: str, name: str, *before: str) -> Result:
     """The rows of one core in all tiers, in one file."""
     script = f"python benchmarks/follow_mixture.py --results out/{core}"
     return Result(
-        f"the {core} core of follow-mixture on a seed of its own",
+        f"the {core} core of follow-mixture on the same swarms",
         (f"former_core/{name}.csv.gz",),
         (
             *before,
-            *(f"{script} --seed 4242 --tier {step}" for step in _BOTH_PLAYED),
+            *(f"{script} {step}" for step in _BOTH_PLAYED),
             *(["git checkout -"] if before else []),
             f"{script} --pack benchmarks/results/former_core/{name}.csv.gz",
         ),

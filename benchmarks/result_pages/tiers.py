@@ -220,8 +220,8 @@ def text() -> str:
         "follow "
         "strategy. *Exact* is the share of episodes in which round 1 names all heads and no other UAV. J_m is better "
         "when lower; the best value is 1. n counts the episodes over all seven strategies.",
-        "The published seed is 7077. Rules of the detector were changed after looks at rows of this seed. The seed "
-        "4242 was first played after the last change: [both cores](follow_mixture_cores.md) played it.",
+        "The published seed is 7077. Rules of the detector were changed after looks at rows of this seed. "
+        "[Another page](follow_mixture_cores.md) has seeds that were first played after the last change.",
         by_variant(),
         straight_again(),
         "Straight heads without jitter fly a line that each of their followers repeats: the data do not show which of "

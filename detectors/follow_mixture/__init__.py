@@ -1,4 +1,4 @@
-"""Group-mixture: groups of UAVs that move together, and the heads whose pasts predict them."""
+"""Groups of UAVs that move together, and the heads whose pasts predict them."""
 
 from detectors.follow_mixture.detector import FollowMixture
 
