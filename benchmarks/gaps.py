@@ -100,7 +100,7 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
             value = float(table.max(axis=1).sum() / window.uavs)
         else:
             env = SingleClusterEnv(**P1[name], **swarm) if name in P1 else MultiClusterEnv(**P2, **swarm)
-            row = play_episode(env, as_agent(make_detector(name)), name, SEED, game)
+            row = play_episode(env, as_agent(make_detector(name)), name, game, episode_seeds(SEED, game))
             value = float(row["exact"] if name in P1 else row["J"])
     return {"follow": follow, "mobility": swarm.get("mobility", "iid"), "value": round(value, 5)}
 

@@ -21,7 +21,7 @@ from multiagent_table import RESULTS, SEED, play_cells
 
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.agents import as_agent
-from usnet_env.evaluation.episode import play_episode, warm_up
+from usnet_env.evaluation.episode import episode_seeds, play_episode, warm_up
 from usnet_env.plugins import make_detector
 
 DETECTORS = ("learned", "follow-mixture", "lagged-regression", "one-per-round", "destroy-all", "random")
@@ -46,8 +46,8 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     label = cell["detector"]
     agent = as_agent(make_detector(label))
     if seed == SEED:
-        warm_up(env, agent, label, SEED)
-    row = play_episode(env, agent, label, SEED, seed - SEED)
+        warm_up(env, agent, label, episode_seeds(SEED, 0)[0])
+    row = play_episode(env, agent, label, seed - SEED, episode_seeds(SEED, seed - SEED))
     return {name: round(row[name], 5) for name in KEPT}
 
 

@@ -62,14 +62,14 @@ def _step(label: str, where: str) -> Iterator[None]:
         raise detector_error(label, where, error) from error
 
 
-def warm_up(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int) -> None:
-    """Let the agent answer the first window of episode 0 once, before anything is timed.
+def warm_up(env: gym.Env[Any, Any], agent: Agent, label: str, swarm_seed: int) -> None:
+    """Let the agent answer the first window of an episode once, before anything is timed.
 
     Raises:
         RefusedArgumentError: the detector refused one of its arguments.
         EvaluationError: the detector failed.
     """
-    observation, _ = env.reset(seed=episode_seeds(seed, 0)[0])
+    observation, _ = env.reset(seed=swarm_seed)
     try:
         with _step(label, "its warm-up"):
             agent.warm_up(observation)
@@ -79,15 +79,15 @@ def warm_up(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int) -> None
         raise
 
 
-def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int, episode: int) -> Row:
+def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, episode: int, seeds: tuple[int, int]) -> Row:
     """Play one episode to its end.
 
     Args:
         env: a USNET environment.
         agent: the agent that answers.
         label: its name in the row and in errors.
-        seed: the seed of the evaluation.
         episode: number of the episode, from 0.
+        seeds: of the swarm and of the agent, as :func:`episode_seeds` returns them.
 
     Returns:
         The row: ``detector, episode, swarm_seed, detector_seed, uavs, heads`` and the metrics.
@@ -95,7 +95,7 @@ def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int, ep
     Raises:
         EvaluationError: the agent raised an exception, or its answer has a wrong type or shape.
     """
-    swarm_seed, detector_seed = episode_seeds(seed, episode)
+    swarm_seed, detector_seed = seeds
     observation, _ = env.reset(seed=swarm_seed)
     truth = env.unwrapped.swarm  # type: ignore[attr-defined]  # make_environment checked that it is there
     answers: list[Answer] = []

@@ -9,6 +9,8 @@ from os import PathLike
 from typing import Annotated, Any
 
 import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from usnet_env.config import ArgumentError, Config, quote
@@ -18,7 +20,8 @@ from usnet_env.evaluation.episode import Row, episode_seeds
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.identity import describe, describe_detector
 from usnet_env.evaluation.result import EvaluationResult, summarise
-from usnet_env.evaluation.store import RunStore
+from usnet_env.evaluation.store import COLUMNS, RunStore
+from usnet_env.evaluation.table import RowTable
 from usnet_env.evaluation.workers import PREPARE, Contestant, Plan, Task, run_here, run_in_processes
 from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
@@ -28,8 +31,6 @@ __all__ = ["MOST_EPISODES", "MOST_WORKERS", "TRIVIAL", "evaluate"]
 
 #: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
 TRIVIAL = ("destroy-all", "none", "random", "one-per-round")
-
-Rows = dict[tuple[str, int], Row]  # by detector and episode
 
 MOST_EPISODES = 1_000_000
 MOST_WORKERS = 256
@@ -108,39 +109,88 @@ def evaluate(
             environment = _check_environment(env, arguments, run.workers, limits)
         config = _make_config(environment, arguments, contestants, run)
         store = None if folder is None else stack.enter_context(RunStore(folder, config))
-        rows = _load_rows(store, contestants, run)
-        tasks = _Tasks(rows, contestants, run.episodes)
+        rows = _Rows(store, contestants, run)
+        tasks = _Tasks(rows, contestants, run)
         threads: list[tuple[str, Task]] = []
         if isinstance(env, str) and tasks.count and (limits.any or (run.workers > 1 and tasks.count > 1)):
             processes = min(run.workers, tasks.count)
-            plan = Plan(env, arguments, contestants, run.seed)
+            plan = Plan(env, arguments, contestants)
             outcomes = run_in_processes(plan, tasks, tasks.is_wanted, processes, limits, threads)
         else:
-            outcomes = run_here(environment, contestants, run.seed, tasks, threads)
+            outcomes = run_here(environment, contestants, tasks, threads)
         try:
-            with closing(outcomes), _progress_bar(run.progress, run.episodes * len(contestants), len(rows)) as advance:
+            with closing(outcomes), _progress_bar(run.progress, rows.done.size, int(rows.done.sum())) as advance:
                 for outcome in outcomes:
                     tasks.note(outcome)
-                    if outcome.result is None:
-                        continue
-                    rows[outcome.result["detector"], outcome.result["episode"]] = outcome.result
-                    advance()
-                    if store is not None and tasks.prepared and store.should_save():
-                        store.save_rows(_sort_rows(rows, contestants))
+                    if outcome.result is not None:
+                        rows.add(outcome.task, outcome.result)
+                        advance()
+                    if tasks.prepared:
+                        rows.save()
         finally:
-            if store is not None and rows and tasks.prepared:
-                store.save_rows(_sort_rows(rows, contestants))
+            if tasks.prepared:
+                rows.save()
         _warn_of_threads(threads, contestants)
         failed = {contestants[number].label for number in tasks.failures}
-        ordered = [row for row in _sort_rows(rows, contestants) if row["detector"] not in failed]
-        result = EvaluationResult(ordered, summarise(ordered), config)
+        table = rows.table.take(rows.order(rows.table))
+        table = table.take(np.flatnonzero([label not in failed for label in table.column("detector")]))
+        result = EvaluationResult(table, summarise(table), config)
         if tasks.failures:
             error = EvaluationError(" ".join(map(str, tasks.failures.values())))
-            error.result = result if ordered else None
+            error.result = result if table else None
             raise error
         if store is not None:
-            store.save_summary(result.summary)
+            store.finish(rows.order, result.summary)
     return result
+
+
+class _Rows:
+    """The rows of a run, which are kept in a folder if there is one.
+
+    Raises:
+        ArgumentError: the folder holds rows of another run.
+    """
+
+    def __init__(self, store: RunStore | None, contestants: Sequence[Contestant], run: _Run) -> None:
+        self._store = store
+        self._played = RowTable(COLUMNS)
+        self._unsaved: list[Row] = []
+        self._numbers = {contestant.label: number for number, contestant in enumerate(contestants)}
+        #: ``(contestants, episodes)`` bool: which episodes have been played.
+        self.done = np.zeros((len(contestants), run.episodes), bool)
+        kept = self.table
+        labels, episodes = kept.column("detector"), kept.column("episode")
+        if not set(labels) <= self._numbers.keys() or ((episodes < 0) | (episodes >= run.episodes)).any():
+            raise ArgumentError("out must hold only rows of this run, got rows of other detectors or episodes.")
+        self.done[[self._numbers[label] for label in labels], episodes] = True
+        columns = (episodes, kept.column("swarm_seed"), kept.column("detector_seed"))
+        played = set(zip(*(column.tolist() for column in columns), strict=True))
+        if any((swarm, detector) != episode_seeds(run.seed, episode) for episode, swarm, detector in played):
+            raise ArgumentError("out must hold only rows of this run, got rows of another seed.")
+
+    @property
+    def table(self) -> RowTable:
+        """All rows, in the order in which they were played."""
+        return self._played if self._store is None else self._store.table
+
+    def add(self, task: Task, row: Row) -> None:
+        """Add the row of a finished task; :meth:`save` keeps it."""
+        self.done[task.contestant, task.episode] = True
+        self._unsaved.append(row)
+
+    def save(self) -> None:
+        """Append the new rows to the table and the file."""
+        rows, self._unsaved = self._unsaved, []
+        if self._store is not None and rows:
+            self._store.append(rows)
+        elif self._store is None:
+            for row in rows:
+                self._played.append(row)
+
+    def order(self, table: RowTable) -> NDArray[np.int64]:
+        """The places of the rows by detector, in the order of the contestants, then by episode."""
+        numbers = np.array([self._numbers[label] for label in table.column("detector")], np.int64)
+        return np.lexsort((table.column("episode"), numbers))
 
 
 class _Tasks:
@@ -149,21 +199,21 @@ class _Tasks:
     At first every detector is prepared, so that one that refuses its arguments is found before anything is written.
     """
 
-    def __init__(self, rows: Rows, contestants: Sequence[Contestant], episodes: int) -> None:
+    def __init__(self, rows: _Rows, contestants: Sequence[Contestant], run: _Run) -> None:
         self.failures: dict[int, BaseException] = {}
-        self._episodes = [
-            (episode, number)
-            for episode in range(episodes)
-            for number, contestant in enumerate(contestants)
-            if (contestant.label, episode) not in rows
-        ]
-        self._unprepared = {number for _, number in self._episodes}
-        self._left = iter([*((PREPARE, number) for number in sorted(self._unprepared)), *self._episodes])
+        missing = ~rows.done
+        self.count = int(missing.sum())  # episodes to play
+        self._unprepared = set(np.flatnonzero(missing.any(axis=1)).tolist())
+        self._left = self._list(sorted(self._unprepared), missing, run.seed)
 
-    @property
-    def count(self) -> int:
-        """Number of episodes to play."""
-        return len(self._episodes)
+    @staticmethod
+    def _list(unprepared: Sequence[int], missing: NDArray[np.bool_], seed: int) -> Iterator[Task]:
+        for number in unprepared:
+            yield Task(PREPARE, number, episode_seeds(seed, 0))
+        for episode in np.flatnonzero(missing.any(axis=0)).tolist():
+            seeds = episode_seeds(seed, episode)
+            for number in np.flatnonzero(missing[:, episode]).tolist():
+                yield Task(episode, number, seeds)
 
     @property
     def prepared(self) -> bool:
@@ -178,19 +228,19 @@ class _Tasks:
 
     def is_wanted(self, task: Task) -> bool:
         """Whether the detector of the task has not failed."""
-        return task[1] not in self.failures
+        return task.contestant not in self.failures
 
     def note(self, outcome: Outcome[Task, Row | None]) -> None:
         """Take notice of an outcome."""
-        self._unprepared.discard(outcome.task[1])
+        self._unprepared.discard(outcome.task.contestant)
         if outcome.error is not None:
-            self.failures.setdefault(outcome.task[1], outcome.error)
+            self.failures.setdefault(outcome.task.contestant, outcome.error)
 
 
 def _warn_of_threads(threads: Sequence[tuple[str, Task]], contestants: Sequence[Contestant]) -> None:
     """Warn of threads that detectors have started and that keep a program from ending."""
-    for label in dict.fromkeys(contestants[number].label for _, (_, number) in threads):
-        names = [name for name, (_, number) in threads if contestants[number].label == label]
+    for label in dict.fromkeys(contestants[task.contestant].label for _, task in threads):
+        names = [name for name, task in threads if contestants[task.contestant].label == label]
         count = "1 thread running that is no daemon" if len(names) == 1 else f"{len(names)} threads running, no daemons"
         warnings.warn(
             f"detector {label!r} left {count}: {', '.join(dict.fromkeys(names))}.", RuntimeWarning, stacklevel=3
@@ -207,24 +257,6 @@ def _make_limits(time_limit: float | None, memory_limit: float | None) -> Limits
             if text.startswith("seconds")
             else text.replace("megabytes", "memory_limit", 1)
         ) from None
-
-
-def _sort_rows(rows: Rows, contestants: Sequence[Contestant]) -> list[Row]:
-    """Sort rows by detector, in the order of the contestants, then by episode."""
-    order = {contestant.label: number for number, contestant in enumerate(contestants)}
-    return sorted(rows.values(), key=lambda row: (order[row["detector"]], row["episode"]))
-
-
-def _load_rows(store: RunStore | None, contestants: Sequence[Contestant], run: _Run) -> Rows:
-    rows = {} if store is None else {(row["detector"], row["episode"]): row for row in store.load_rows()}
-    labels = {contestant.label for contestant in contestants}
-    if any(label not in labels or not 0 <= episode < run.episodes for label, episode in rows):
-        raise ArgumentError("out must hold only rows of this run, got rows of other detectors or episodes.")
-    if any(
-        (row["swarm_seed"], row["detector_seed"]) != episode_seeds(run.seed, row["episode"]) for row in rows.values()
-    ):
-        raise ArgumentError("out must hold only rows of this run, got rows of another seed.")
-    return rows
 
 
 def _check_env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 from gymnasium.vector.utils import CloudpickleWrapper
@@ -26,10 +26,22 @@ from usnet_env.swarm.mobility import MobilityFunction, mobilities
 
 __all__ = ["PREPARE", "Contestant", "Plan", "Task", "Worker", "run_here", "run_in_processes"]
 
-Task = tuple[int, int]  # episode, index of the contestant
-
 #: In place of an episode: only create the agent and warm it up.
 PREPARE = -1
+
+
+class Task(NamedTuple):
+    """An episode that a contestant is to play.
+
+    Args:
+        episode: number of the episode, or :data:`PREPARE`.
+        contestant: index of the contestant.
+        seeds: of the swarm and of the detector; those of episode 0 for :data:`PREPARE`.
+    """
+
+    episode: int
+    contestant: int
+    seeds: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -56,12 +68,10 @@ class Worker:
     Args:
         env: the environment of this process.
         contestants: all contestants of the evaluation.
-        seed: the seed of the evaluation.
     """
 
     env: gym.Env[Any, Any]
     contestants: list[Contestant]
-    seed: int
     _agents: dict[int, Agent] = field(default_factory=dict)
 
     def run_task(self, task: Task) -> Row | None:
@@ -71,15 +81,15 @@ class Worker:
             EvaluationError: the contestant failed.
             ArgumentError: the contestant refused one of its arguments.
         """
-        episode, number = task
+        episode, number, seeds = task
         contestant = self.contestants[number]
         if number not in self._agents:
             agent = contestant.make_agent()
-            warm_up(self.env, agent, contestant.label, self.seed)
+            warm_up(self.env, agent, contestant.label, seeds[0])
             self._agents[number] = agent
         if episode == PREPARE:
             return None
-        return play_episode(self.env, self._agents[number], contestant.label, self.seed, episode)
+        return play_episode(self.env, self._agents[number], contestant.label, episode, seeds)
 
 
 @dataclass(frozen=True)
@@ -90,13 +100,11 @@ class Plan:
         env_id: id of the environment, created once in each process; a module before the id is imported there.
         env_kwargs: arguments of the environment.
         contestants: all contestants of the evaluation.
-        seed: the seed of the evaluation.
     """
 
     env_id: str
     env_kwargs: dict[str, Any]
     contestants: list[Contestant]
-    seed: int
 
 
 @dataclass
@@ -116,7 +124,7 @@ class _RemoteWorker:
         if self._worker is None:
             _register_parts(self.registered)
             environment = make_environment(find_environment(self.plan.env_id), self.plan.env_kwargs)
-            self._worker = Worker(environment, self.plan.contestants, self.plan.seed)
+            self._worker = Worker(environment, self.plan.contestants)
         return self._worker.run_task(task)
 
 
@@ -182,18 +190,17 @@ def _register_parts(parts: Iterable[_Part]) -> None:
 
 
 def run_here(
-    env: gym.Env[Any, Any], contestants: list[Contestant], seed: int, tasks: Iterable[Task], threads: list[_Thread]
+    env: gym.Env[Any, Any], contestants: list[Contestant], tasks: Iterable[Task], threads: list[_Thread]
 ) -> Generator[Outcome[Task, Row | None], None, None]:
     """Run all tasks in this process.
 
     Args:
         env: the environment.
         contestants: all contestants of the evaluation.
-        seed: the seed of the evaluation.
-        tasks: pairs of an episode and the index of a contestant.
+        tasks: what to play.
         threads: receives the names of threads that are not daemons and stay after a task, each with the task.
     """
-    worker = Worker(env, contestants, seed)
+    worker = Worker(env, contestants)
     known = set(threading.enumerate())
     for task in tasks:
         try:
@@ -220,7 +227,7 @@ def run_in_processes(
 
     Args:
         plan: the evaluation.
-        tasks: pairs of an episode and the index of a contestant.
+        tasks: what to play.
         is_wanted: whether a task is still wanted whose process has died before the task was begun.
         workers: number of processes.
         limits: limits of each answer.
@@ -261,7 +268,7 @@ def _cannot_be_sent(workers: int, limits: Limits, error: SendError) -> ArgumentE
 
 def _as_failure(outcome: Outcome[Task, Row | None], contestants: list[Contestant]) -> Outcome[Task, Row | None]:
     """Turn what ended a task into the failure of its detector; errors of arguments are raised."""
-    error, (episode, number) = outcome.error, outcome.task
+    error, (episode, number, _) = outcome.error, outcome.task
     if error is None or isinstance(error, EvaluationError):
         return outcome
     if isinstance(error, ProcessDied) or not isinstance(error, Exception):

@@ -149,7 +149,7 @@ class _Recorder:
 def _recorder(detector: str) -> _Recorder:
     """This process's player of that name, warmed up so that the seconds of an episode exclude compiling and loading."""
     player = _Recorder(as_agent(make_detector(detector)))
-    warm_up(MultiClusterEnv(), player, detector, 0)
+    warm_up(MultiClusterEnv(), player, detector, episode_seeds(0, 0)[0])
     return player
 
 
@@ -158,7 +158,7 @@ def play(task: Task, seed: int) -> list[Row]:
     env, player = MultiClusterEnv(**asdict(task.cell)), _recorder(task.detector)
     made = []
     for episode in range(task.first, task.first + task.count):
-        found = play_episode(env, player, task.detector, seed, episode)
+        found = play_episode(env, player, task.detector, episode, episode_seeds(seed, episode))
         env.reset(seed=episode_seeds(seed, episode)[0])
         hits, redundant = rounds_hits_and_redundant(env.swarm.head, np.array(player.candidates))
         values = {name: found[name] for name in Row.__annotations__ if name in found}
