@@ -13,7 +13,6 @@ the exact command of every file.
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +25,8 @@ from numpy.typing import NDArray
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.evaluation.store import RowFile
+from usnet_env.evaluation.table import RowTable, read_table
 from usnet_env.objectives import average_precision, multi_cluster_objective, single_cluster_objective
 from usnet_env.plugins import detector_label, make_detector
 
@@ -110,10 +111,16 @@ def cells() -> list[Cell]:
     return found
 
 
-COLUMNS = (
-    "tier", "cell", "detector", "seed", "episode", "uavs", "heads", "J", "rounds", "exact", "named", "false_first",
-    "missed_first", "decoys_named", "ap", "brier", "reliability", "seconds",
-)  # fmt: skip
+COLUMNS = {
+    **dict.fromkeys(("tier", "cell", "detector"), "str"),
+    **dict.fromkeys(("seed", "episode", "uavs", "heads"), "int"),
+    "J": "float",
+    **dict.fromkeys(("rounds", "exact", "named", "false_first", "missed_first", "decoys_named"), "int"),
+    "ap": "float",
+    "brier": "float | None",
+    "reliability": "str",
+    "seconds": "float",
+}
 
 
 def shifted_tracks(window: Window, seed: int) -> Window:
@@ -184,18 +191,15 @@ def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict
         "missed_first": int((head & ~rounds[0]).sum()),
         "decoys_named": int((rounds[0] & truth.decoy).sum()),
         "ap": round(average_precision(head, first.scores), 4),
-        "brier": "" if probability is None else round(float(((probability - head) ** 2).mean()), 6),
+        "brier": None if probability is None else round(float(((probability - head) ** 2).mean()), 6),
         "reliability": "" if probability is None else binned(probability[alive], head[alive]),
         "seconds": round(seconds, 5),
     }
 
 
-def read_rows(path: Path) -> list[dict[str, str]]:
+def read_rows(path: Path) -> RowTable:
     """The complete rows of a file; none if there is no file."""
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return [row for row in csv.DictReader(file) if row["seconds"]]  # an interrupted write leaves a row incomplete
+    return read_table(path, COLUMNS)
 
 
 def label_of(name: str) -> str:
@@ -205,25 +209,14 @@ def label_of(name: str) -> str:
 
 def measure(wanted: list[Cell], detectors: list[str], episodes: int | None, seed: int, results: Path) -> None:
     """Play the episodes that the files lack, and append their rows."""
-    results.mkdir(parents=True, exist_ok=True)
     for cell in wanted:
-        path = results / f"{cell.tier}.csv"
-        there = {(r["cell"], r["detector"], int(r["seed"]), int(r["episode"])) for r in read_rows(path)}
-        new = not path.exists()
-        if not new:
-            with path.open(newline="", encoding="utf-8") as file:
-                if next(csv.reader(file), None) != list(COLUMNS):
-                    raise SystemExit(f"{path.name} has other columns than this script writes: choose another folder.")
-        with path.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            if new:
-                writer.writeheader()
+        with RowFile(results / f"{cell.tier}.csv", COLUMNS) as file:
+            there = {(row["cell"], row["detector"], row["seed"], row["episode"]) for row in file.table}
             for name in detectors:
                 detector, label = make_detector(name), label_of(name)
                 for episode in range(cell.episodes if episodes is None else episodes):
                     if (cell.name, label, seed, episode) not in there:
-                        writer.writerow(play(cell, detector, label, seed, episode))
-                        file.flush()
+                        file.append([play(cell, detector, label, seed, episode)])
 
 
 def parser() -> argparse.ArgumentParser:

@@ -122,7 +122,7 @@ def games(cell: Mapping[str, Any]) -> int:
 
 def main() -> None:
     """Play the games that the file lacks, and print the means."""
-    rows = play_cells(RESULTS / "gaps.csv", cells(), games, play, SEED)
+    rows = play_cells(RESULTS / "gaps.csv", cells(), games, play, ("follow", "mobility", "value"), SEED)
     for cell in cells():
         plain = {name: str(value) for name, value in cell.items()}
         values = [float(row["value"]) for row in rows if plain.items() <= row.items()]

@@ -38,6 +38,7 @@ LIMITS = {  # which detectors play, where the right answer is empty and elsewher
 TIERS = ("short", "noise", "missed", "straight", "decoys", "bare", "silence", "shifted")
 EMPTY = ("silence", "shifted")  # the right answer names no UAV
 KEPT = ("J", "rounds", "success", "exact", "ap_first", "seconds_per_round")
+KEPT_OF_LIMITS = ("J", "exact", "named", "decoys_named")
 
 
 def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
@@ -81,7 +82,7 @@ def play_limit(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """One episode of a cell of follow_mixture.py."""
     label = cell["detector"]
     row = play_cell(CELLS[f"{cell['tier']} {cell['cell']}"], make_detector(label), label, SEED, seed - SEED)
-    return {column: row[column] for column in ("J", "exact", "named", "decoys_named")}
+    return {column: row[column] for column in KEPT_OF_LIMITS}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -103,8 +104,10 @@ def chosen(arguments: argparse.Namespace) -> list[dict[str, str]]:
 def main() -> None:
     """Play the games that the file lacks."""
     arguments = parser().parse_args()
-    path, one = ("learned_limits.csv", play_limit) if arguments.limits else ("learned.csv", play)
-    play_cells(RESULTS / path, chosen(arguments), lambda _: arguments.games, one)
+    path, one, kept = (
+        ("learned_limits.csv", play_limit, KEPT_OF_LIMITS) if arguments.limits else ("learned.csv", play, KEPT)
+    )
+    play_cells(RESULTS / path, chosen(arguments), lambda _: arguments.games, one, kept)
 
 
 if __name__ == "__main__":
