@@ -14,28 +14,31 @@ from usnet_env.config import ArgumentError
 from usnet_env.evaluation.agents import Agent, Answer, RefusedArgumentError
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.metrics import episode_metrics
-from usnet_env.processes import ProcessDied, limited
+from usnet_env.processes import PlainError, ProcessDied, limited
 
 __all__ = ["Row", "detector_error", "episode_seeds", "play_episode", "warm_up"]
 
 Row = dict[str, Any]
 
 
-def episode_seeds(seed: int, episode: int) -> tuple[int, int]:
+def episode_seeds(seed: int, episode: int, secret: str | None = None) -> tuple[int, int]:
     """Derive the seeds of one episode: one for the swarm, one for the detector.
 
     They come from two separate branches of (``seed``, ``episode``), so that the random numbers of a detector are
-    independent of those of its swarm. The detector's seed does not hide the swarm: ``seed`` and ``episode`` are small
-    numbers, so a program that searches all pairs of them for its own seed can compute the swarm's seed as well.
+    independent of those of its swarm. Without a secret, the detector's seed does not hide the swarm: ``seed`` and
+    ``episode`` are small numbers, so a program that searches all pairs of them for its own seed can compute the swarm's
+    seed as well. With a secret of 128 bits, neither seed can be searched.
 
     Args:
         seed: the seed of the evaluation.
         episode: number of the episode, from 0.
+        secret: the secret of an isolated run, as hexadecimal digits.
 
     Returns:
         The swarm's seed, below 2^63, and the detector's seed, below 2^31.
     """
-    swarm, detector = (np.random.SeedSequence(seed, spawn_key=(episode, branch)) for branch in (0, 1))
+    entropy = seed if secret is None else (seed, int(secret, 16))
+    swarm, detector = (np.random.SeedSequence(entropy, spawn_key=(episode, branch)) for branch in (0, 1))
     swarm_seed = int(swarm.generate_state(1, np.uint64)[0] >> np.uint64(1))
     return swarm_seed, int(detector.generate_state(1)[0] >> np.uint32(1))
 
@@ -44,6 +47,8 @@ def detector_error(label: str, where: str, error: BaseException) -> EvaluationEr
     """The error for a detector that failed; one sentence."""
     if isinstance(error, ProcessDied):
         return EvaluationError(f"detector {label!r} failed in {error.during or where}: {error.reason}.")
+    if isinstance(error, PlainError):
+        return EvaluationError(f"detector {label!r} failed in {where}: {' '.join(str(error).split()).rstrip('.')}.")
     text = " ".join(str(error).split())
     cause = text if isinstance(error, ArgumentError) else f"{type(error).__name__}: {text}".rstrip(": ")
     return EvaluationError(f"detector {label!r} failed in {where}: {cause.rstrip('.')}.")

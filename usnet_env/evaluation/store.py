@@ -280,6 +280,15 @@ class RunStore:
             self._begun = True
         self._rows.append(rows)
 
+    def add_secret(self, secret: str) -> None:
+        """Write the secret of an isolated run that has ended to ``run.json``, after those of its earlier parts."""
+        if not self._begun:
+            return
+        self._lock.check()
+        description = json.loads((self.folder / RUN).read_text(encoding="utf-8"))
+        secrets = dict.fromkeys([*description.get("secrets", []), secret])
+        write_text(self.folder / RUN, json.dumps(description | {"secrets": list(secrets)}, indent=2) + "\n")
+
     def finish(self, order: Order, summary: Sequence[Mapping[str, Any]]) -> None:
         """Sort the rows of a finished run, and write its summary.
 

@@ -7,6 +7,8 @@ that task is a :class:`ProcessDied` with the reason, and a new process takes the
 A child process never outlives its parent: it ends with the parent, whatever ended the parent. The pool kills its
 processes when it is closed, so nothing waits for a task that hangs.
 
+A :class:`PlainProcess` calls a function that is not trusted: the two processes exchange data, and never objects.
+
 Inside a task, :func:`limited` marks the part to which the limits apply, such as one answer of a detector::
 
     def play(seed):                      # in a module
@@ -20,6 +22,18 @@ Inside a task, :func:`limited` marks the part to which the limits apply, such as
 
 from usnet_env.processes.limits import Limits, ProcessDied, limited
 from usnet_env.processes.parent import SendError
+from usnet_env.processes.plain import Arrays, PlainError, PlainFunction, PlainProcess
 from usnet_env.processes.pool import Outcome, ProcessPool
 
-__all__ = ["Limits", "Outcome", "ProcessDied", "ProcessPool", "SendError", "limited"]
+__all__ = [
+    "Arrays",
+    "Limits",
+    "Outcome",
+    "PlainError",
+    "PlainFunction",
+    "PlainProcess",
+    "ProcessDied",
+    "ProcessPool",
+    "SendError",
+    "limited",
+]

@@ -30,8 +30,6 @@ def prepare_child() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all; the parent acts on it
     with suppress(OSError):
         os.dup2(2, 1)  # what a task prints must not mix with the output of the program
-    # The processes already share the cores. Numeric libraries that are imported later read this variable.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 def _end_with_parent() -> None:
@@ -54,6 +52,8 @@ def _end_with_parent() -> None:
 def run_child(connection: Connection, limits: Limits) -> None:
     """Run tasks until the connection closes; the main function of a child process."""
     prepare_child()
+    # The processes already share the cores. Numeric libraries that are imported later read this variable.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
     def send(*message: Any) -> None:
         connection.send(message)
