@@ -7,13 +7,15 @@ data only: a header in JSON, and the bytes of the arrays.
 from __future__ import annotations
 
 import json
+import math
 import os
-import socket
-import threading
+import select
+import struct
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from multiprocessing.util import Finalize
 from typing import Any
@@ -36,6 +38,8 @@ _KINDS = "biuf"  # of arrays: booleans and numbers
 _LARGEST_ANSWER = 2**26  # bytes
 _LONGEST_TEXT = 10_000  # characters of an error
 _SMALL = 2**15  # bytes; a longer message waits until the process reads it
+_AT_ONCE = 2**20  # bytes
+_LENGTH = struct.Struct("!i")  # of a message, as multiprocessing's connections send it
 _POLL = 1.0  # seconds; a process whose death no pipe reports, because a child of its own holds the pipe, is found then
 _GRACE = 5.0  # seconds
 
@@ -157,14 +161,17 @@ class PlainProcess:
             self._make = ForkingPickler.dumps(make)
         except Exception as error:
             raise SendError(f"{type(error).__name__}: {error}") from error
+        if os.name == "nt":
+            raise SendError("this needs Linux or macOS", started=False)
         self._seconds = limits.seconds
-        self._late = self._started = False
+        self._started = False
         self._reason = "its process was closed"
         self._process, self._connection = start_process(_serve, limits.megabytes)
         # Before the program waits for its children at its end; a garbage collection is no reason to wait for that.
         self._end = Finalize(self, end_process, (self._process, self._connection), exitpriority=10)
+        os.set_blocking(self._connection.fileno(), False)
         if len(self._make) < _SMALL:
-            self._connection.send_bytes(self._make)
+            self._send(self._make, math.inf)
 
     def start(self) -> None:
         """Wait until the function is made; there is no limit of time and memory.
@@ -207,23 +214,21 @@ class PlainProcess:
         """Send a message, if there is one, and return the answer."""
         if self._connection.closed:
             raise ProcessDied(self._reason)
-        watch = None if seconds is None else threading.Timer(seconds, self._stop)
+        deadline = math.inf if seconds is None else time.monotonic() + seconds
         try:
-            if watch is not None:
-                watch.daemon = True
-                watch.start()
             if message is not None:
-                self._connection.send_bytes(message)
-            values, arrays = _unpack(self._receive())
-        except (EOFError, OSError, ValueError) as error:
-            foreign = isinstance(error, ValueError) or str(error) == "bad message length"
-            raise self._bury("it sent something else than an answer" if foreign else None) from None
+                self._send(message, deadline)
+            values, arrays = _unpack(self._receive(deadline))
+        except TimeoutError:
+            raise self._bury(f"it took longer than {seconds:g} seconds, the time limit") from None
+        except ValueError:
+            raise self._bury("it sent something else than an answer") from None
+        except (EOFError, OSError):
+            self._process.join(_GRACE)  # the connection closes a moment before the process has its exit status
+            raise self._bury(describe_end(self._process)) from None
         except BaseException:  # such as an interrupt: an answer may still come
             self.close()
             raise
-        finally:
-            if watch is not None:
-                watch.cancel()
         if "error" not in values:
             return values, arrays
         kind, text, trace = (str(values.get(name)) for name in ("error", "text", "trace"))
@@ -233,26 +238,52 @@ class PlainProcess:
                 raise SendError(text)
         raise PlainError(kind, text) from RemoteTraceback(trace)
 
-    def _receive(self) -> bytes:
-        while self._connection not in wait([self._connection, self._process.sentinel], _POLL):
-            if self._process.exitcode is not None and not self._connection.poll():
+    def _send(self, message: bytes | memoryview, deadline: float) -> None:
+        """Send a message as the connection of the child process reads it, its length first."""
+        left = memoryview(_LENGTH.pack(len(message)) + bytes(message))
+        while left:
+            self._wait(select.POLLOUT, deadline)
+            with suppress(BlockingIOError):
+                left = left[os.write(self._connection.fileno(), left) :]
+
+    def _receive(self, deadline: float) -> bytes:
+        """Receive an answer as the connection of the child process sends it.
+
+        Raises:
+            ValueError: its length is none of an answer.
+        """
+        (length,) = _LENGTH.unpack(self._read(_LENGTH.size, deadline))
+        if not 0 <= length <= _LARGEST_ANSWER:
+            raise ValueError("no length of an answer")
+        return self._read(length, deadline)
+
+    def _read(self, count: int, deadline: float) -> bytes:
+        parts = bytearray()
+        while len(parts) < count:
+            self._wait(select.POLLIN, deadline)
+            with suppress(BlockingIOError):
+                part = os.read(self._connection.fileno(), min(count - len(parts), _AT_ONCE))
+                if not part:
+                    raise EOFError
+                parts += part
+        return bytes(parts)
+
+    def _wait(self, event: int, deadline: float) -> None:
+        """Wait until the connection is ready for an event; a process that has ended may still have sent something."""
+        poll = select.poll()
+        poll.register(self._connection.fileno(), event)
+        while True:
+            left = min(_POLL, deadline - time.monotonic())
+            if left < 0:
+                raise TimeoutError
+            ended = self._process.exitcode is not None  # asked first: all that it sent can then be read
+            if poll.poll(1000 * left):
+                return
+            if ended:
                 raise EOFError
-        return self._connection.recv_bytes(_LARGEST_ANSWER)
 
-    def _stop(self) -> None:
-        """End the process because it is late; the call that waits for it then finds a closed connection."""
-        self._late = True
-        self._process.kill()
-        with suppress(OSError), socket.socket(fileno=os.dup(self._connection.fileno())) as ours:
-            ours.shutdown(socket.SHUT_RDWR)  # children of the process may hold its end
-
-    def _bury(self, reason: str | None) -> ProcessDied:
+    def _bury(self, reason: str) -> ProcessDied:
         """End the process; returns the error with the reason."""
-        if self._late:
-            reason = f"it took longer than {self._seconds:g} seconds, the time limit"
-        elif reason is None:
-            self._process.join(_GRACE)  # the connection closes a moment before the process has its exit status
-            reason = describe_end(self._process)
         self._reason = reason
         self.close()
         return ProcessDied(reason)
