@@ -1,4 +1,4 @@
-"""The file of rows: constant cost of a row, torn lines, full disks, two writers, vanished files, old and foreign files."""
+"""The file of rows: constant cost, torn lines, full disks, two writers, vanished files, files of other programs."""
 
 from __future__ import annotations
 
