@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,9 @@ import numpy as np
 from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
 
-from usnet_env import Window
+from usnet_env import Detection, Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
+from usnet_env.envs.play import play_rounds
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.evaluation.store import RowFile
 from usnet_env.evaluation.table import RowTable, read_table
@@ -148,26 +150,19 @@ def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict
     """Play one episode and return its row. ``J`` is J_m (P2), J_s (P1), or the number of candidates (other kinds)."""
     env = (SingleClusterEnv if cell.kind == "P1" else MultiClusterEnv)(**cell.env)
     swarm_seed, detector_seed = episode_seeds(seed, episode)
-    observation, _ = env.reset(seed=swarm_seed)
-    truth = env.swarm
-    head = truth.head & (cell.kind not in ("silence", "shifted"))
     detector.reset(detector_seed)
-    alive = truth.alive
-    fired, over, first = [], False, None
-    begun = time.perf_counter()
-    while not over:
+
+    def answer(observation: Any, truth: Any) -> Detection:
         window = Window.from_observation(observation)
-        if cell.kind == "shifted":
-            window = shifted_tracks(window, detector_seed)
-        answer = detector.detect(window)
-        first = first or answer
-        fired.append(answer.candidates)
-        over = cell.kind in ("silence", "shifted")
-        if not over:
-            observation, _, terminated, truncated, _ = env.step(answer.candidates.astype(np.int8))
-            over = terminated or truncated
-    seconds = (time.perf_counter() - begun) / len(fired)
-    rounds = np.array(fired)
+        return detector.detect(shifted_tracks(window, detector_seed) if cell.kind == "shifted" else window)
+
+    empty = cell.kind in ("silence", "shifted")
+    begun = time.perf_counter()
+    played = list(islice(play_rounds(env, answer, swarm_seed), 1 if empty else None))
+    seconds = (time.perf_counter() - begun) / len(played)
+    truth, first = played[0].truth, played[0].answer
+    alive, head = truth.alive, truth.head & (not empty)
+    rounds = np.array([each.answer.candidates for each in played])
     if cell.kind == "P2":
         value = multi_cluster_objective(truth.head, rounds)
     elif cell.kind == "P1":
@@ -184,7 +179,7 @@ def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict
         "uavs": len(head),
         "heads": int(head.sum()),
         "J": round(value, 5),
-        "rounds": len(fired),
+        "rounds": len(played),
         "exact": int(np.array_equal(rounds[0], head)),
         "named": int(rounds[0].sum()),
         "false_first": int((rounds[0] & ~head).sum()),

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError
+from usnet_env.envs.play import PlayedRound, play_rounds
 from usnet_env.evaluation.agents import Agent, Answer, RefusedArgumentError
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.metrics import episode_metrics
 from usnet_env.processes import PlainError, ProcessDied, limited
+from usnet_env.swarm import SwarmState
 
-__all__ = ["Row", "detector_error", "episode_seeds", "play_episode", "warm_up"]
+__all__ = ["Row", "detector_error", "episode_seeds", "play_agent", "play_episode", "warm_up"]
 
 Row = dict[str, Any]
 
@@ -84,48 +86,53 @@ def warm_up(env: gym.Env[Any, Any], agent: Agent, label: str, swarm_seed: int) -
         raise
 
 
-def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, episode: int, seeds: tuple[int, int]) -> Row:
+def play_agent(
+    env: gym.Env[Any, Any], agent: Agent, label: str, episode: int, seeds: tuple[int, int]
+) -> list[PlayedRound[Answer]]:
     """Play one episode to its end.
 
     Args:
         env: a USNET environment.
         agent: the agent that answers.
-        label: its name in the row and in errors.
+        label: its name in errors.
         episode: number of the episode, from 0.
         seeds: of the swarm and of the agent, as :func:`episode_seeds` returns them.
-
-    Returns:
-        The row: ``detector, episode, swarm_seed, detector_seed, uavs, heads`` and the metrics.
 
     Raises:
         EvaluationError: the agent raised an exception, or its answer has a wrong type or shape.
     """
     swarm_seed, detector_seed = seeds
-    observation, _ = env.reset(seed=swarm_seed)
-    truth = env.unwrapped.swarm  # type: ignore[attr-defined]  # make_environment checked that it is there
-    answers: list[Answer] = []
-    fired: list[NDArray[np.bool_]] = []
-    over = False
-    with _step(label, f"the reset of episode {episode}"):
-        agent.reset(detector_seed)
-    while not over:
-        with _step(label, f"episode {episode}, round {len(answers) + 1}"):
+    number = count(1)
+
+    def answer(observation: Any, truth: SwarmState) -> Answer:
+        with _step(label, f"episode {episode}, round {next(number)}"):
             answer = agent.answer(observation)
             if answer.candidates.shape != truth.head.shape:
                 raise ArgumentError(
                     f"candidates must hold one value for each of {len(truth.head)} UAVs, got {len(answer.candidates)}."
                 )
-        observation, _, terminated, truncated, info = env.step(answer.candidates.astype(np.int8))
-        answers.append(answer)
-        fired.append(answer.candidates & (not info["over_budget"]))
-        over = terminated or truncated
-    problem = env.unwrapped.problem  # type: ignore[attr-defined]
+        return answer
+
+    with _step(label, f"the reset of episode {episode}"):
+        agent.reset(detector_seed)
+    return list(play_rounds(env, answer, swarm_seed))
+
+
+def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, episode: int, seeds: tuple[int, int]) -> Row:
+    """Play one episode to its end, as :func:`play_agent` does, and score it.
+
+    Returns:
+        The row: ``detector, episode, swarm_seed, detector_seed, uavs, heads`` and the metrics.
+    """
+    rounds = play_agent(env, agent, label, episode, seeds)
+    truth = rounds[0].truth
+    problem = env.unwrapped.problem  # type: ignore[attr-defined]  # make_environment checked that it is there
     return {
         "detector": label,
         "episode": episode,
-        "swarm_seed": swarm_seed,
-        "detector_seed": detector_seed,
+        "swarm_seed": seeds[0],
+        "detector_seed": seeds[1],
         "uavs": len(truth.head),
         "heads": int(truth.head.sum()),
-        **episode_metrics(problem, truth, answers, np.array(fired)),
+        **episode_metrics(problem, rounds),
     }
