@@ -305,6 +305,11 @@ RESULTS: tuple[Result, ...] = (
     Result(
         "speed and memory of the simulator (needs the extra bench)", ("speed.json",), ("python benchmarks/speed.py",)
     ),
+    Result(
+        "speed and memory of the evaluator's store, summary and isolation",
+        ("engine_speed.json",),
+        ("OMP_NUM_THREADS=1 python benchmarks/engine_speed.py",),
+    ),
     _table2(
         "episodes-seed2022",
         '--seed 2022 --detector neural-granger --detector "lagged-regression(clusters=1)"',
