@@ -44,3 +44,19 @@ def copied_worker_processes():
     multiprocessing.get_context = get_copying_context
     yield
     multiprocessing.get_context = get_context
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give all tests of a file to one process, so that it makes their fixtures once; those of the frameworks too."""
+    if config.getoption("dist") != "load":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByFile(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            file = super()._split_scope(nodeid)
+            folder = "tests/frameworks"
+            return folder if file.startswith(f"{folder}/") else file
+
+    return ByFile(config, log)

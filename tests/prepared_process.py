@@ -2,7 +2,8 @@
 
 import matplotlib.figure  # noqa: F401
 import sklearn.cluster  # noqa: F401
-import torch  # noqa: F401
+import torch
+import torch._dynamo  # noqa: F401  # the first optimiser of a process would import it
 
 import detectors.checks
 import usnet_env
