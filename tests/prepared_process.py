@@ -1,13 +1,14 @@
-"""A process of which the tests' worker processes are copies imports this: the libraries, and all that one game loads."""
+"""Import the libraries, and load all that one game loads, in the process that the tests' worker processes copy."""
 
-import matplotlib.figure  # noqa: F401
-import sklearn.cluster  # noqa: F401
-import torch
-import torch._dynamo  # noqa: F401  # the first optimiser of a process would import it
+from contextlib import suppress
+from importlib import import_module
 
-import detectors.checks
 import usnet_env
-import usnet_env.cli  # noqa: F401
+
+# torch._dynamo: the first optimiser of a process would import it.
+for library in ("matplotlib.figure", "sklearn.cluster", "torch", "torch._dynamo", "detectors.checks", "usnet_env.cli"):
+    with suppress(ImportError):  # of an extra that is not installed
+        import_module(library)
 
 usnet_env.evaluate(
     "USNET/MultiCluster-v0", "none", episodes=1, env_kwargs={"clusters": 1, "uavs": 4, "observation_steps": 4}
