@@ -155,13 +155,14 @@ def test_an_empty_window_can_be_drawn():
     assert drawing.round_frame(**blank).shape == (720, 960, 3)
 
 
-def test_a_large_swarm_can_be_drawn():
+@pytest.mark.parametrize("uavs", [200, pytest.param(1000, marks=pytest.mark.slow)])
+def test_a_large_swarm_can_be_drawn(uavs):
     rng = np.random.default_rng(0)
-    position = rng.uniform(0, 1000, (101, 1000, 3)).astype(np.float32)
-    head = np.arange(1000) < 40
-    leader = np.where(head, np.arange(1000), rng.integers(0, 40, 1000))
-    everyone = np.ones(1000, bool)
-    frame = drawing.round_frame(position, np.ones((101, 1000), bool), everyone, head, leader, ~everyone, head)
+    position = rng.uniform(0, 1000, (101, uavs, 3)).astype(np.float32)
+    head = np.arange(uavs) < 40
+    leader = np.where(head, np.arange(uavs), rng.integers(0, 40, uavs))
+    everyone = np.ones(uavs, bool)
+    frame = drawing.round_frame(position, np.ones((101, uavs), bool), everyone, head, leader, ~everyone, head)
     assert painted(frame, drawing.HIT) > 1000
 
 
