@@ -46,6 +46,16 @@ def copied_worker_processes():
     multiprocessing.get_context = get_context
 
 
+@pytest.fixture(scope="session")
+def fresh_process():
+    """Runs programs in processes that have imported ``usnet_env`` and nothing else."""
+    from fresh_process import FreshProcess
+
+    process = FreshProcess()
+    yield process
+    process.close()
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Give all tests of a file to one process, so that it makes their fixtures once; those of the frameworks too."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -215,7 +215,7 @@ def test_the_title_of_a_frame_has_the_result_of_the_round(monkeypatch):
     ]
 
 
-def test_nothing_global_is_touched():
+def test_nothing_global_is_touched(fresh_process):
     """In a fresh process: no pyplot, no change of rcParams or of the backend, no global random numbers drawn."""
     code = """
 import random, sys
@@ -227,9 +227,7 @@ drawing.round_frame(**scene(), candidates=named(0))
 assert before == (dict(matplotlib.rcParams.copy()), random.getstate(), str(np.random.get_state()))
 assert "matplotlib.pyplot" not in sys.modules
 """
-    folder = __file__.rpartition("/")[0]
-    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    fresh_process.run(code, Path(__file__).parent)
 
 
 def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):
