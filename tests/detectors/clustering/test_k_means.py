@@ -1,6 +1,7 @@
 """K-Means through the public clusterer: ten starts, because a single one gets stuck."""
 
 import numpy as np
+import pytest
 from sklearn.cluster import KMeans as SklearnKMeans
 
 from detectors.clustering import make_clusterer
@@ -21,15 +22,16 @@ def dispersion(rows, labels):
     return sum(((rows[labels == k] - rows[labels == k].mean(axis=0)) ** 2).sum() for k in np.unique(labels))
 
 
-def test_k_means_keeps_the_best_of_several_starts():
+@pytest.mark.parametrize("seeds", [8, pytest.param(20, marks=pytest.mark.slow)])
+def test_k_means_keeps_the_best_of_several_starts(seeds):
     uavs = CLUSTERS * EACH
     window = Window(np.zeros((3, uavs, 3)), np.zeros((2, uavs, 3)), np.ones((3, uavs), bool), np.ones(uavs, bool))
     ours, single = [], []
-    for seed in range(8):
+    for seed in range(seeds):
         rows = random_blobs(seed)
         clusterer = make_clusterer("kmeans", count=CLUSTERS, features=lambda _, rows=rows: rows)
         labels = clusterer.cluster(window, np.random.default_rng(seed)).labels
-        best = SklearnKMeans(CLUSTERS, n_init=20, random_state=1).fit(rows).inertia_
+        best = SklearnKMeans(CLUSTERS, n_init=40, random_state=1).fit(rows).inertia_
         ours.append(dispersion(rows, labels) / best)
         single.append(SklearnKMeans(CLUSTERS, n_init=1, random_state=seed).fit(rows).inertia_ / best)
     assert np.mean(ours) < 1.02  # 1.005; with one start 1.08, with two 1.03
