@@ -235,6 +235,14 @@ RESULTS: tuple[Result, ...] = (
         ("python benchmarks/tables.py --figures",),
     ),
     Result(
+        "thresholds of follow-mixture",
+        ("follow_mixture_thresholds.csv",),
+        (
+            "python benchmarks/threshold_ablation.py --games 1 --random 60 "
+            "--tier paper smooth straight short noise missed decoys silence",
+        ),
+    ),
+    Result(
         "swarms of the calibration of follow-mixture",
         ("follow_mixture_calibration.csv.gz",),
         ("usnet train follow-mixture --out runs/follow-mixture  # its rows.csv, compressed",),
@@ -289,6 +297,11 @@ RESULTS: tuple[Result, ...] = (
     ),
     Result(
         "speed and memory of the simulator (needs the extra bench)", ("speed.json",), ("python benchmarks/speed.py",)
+    ),
+    Result(
+        "speed and memory of the evaluator's store, summary and isolation",
+        ("engine_speed.json",),
+        ("OMP_NUM_THREADS=1 python benchmarks/engine_speed.py",),
     ),
     _table2(
         "episodes-seed2022",

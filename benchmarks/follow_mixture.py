@@ -19,6 +19,7 @@ import gzip
 import io
 import time
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,12 @@ import numpy as np
 from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
 
-from usnet_env import Window
+from usnet_env import Detection, Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
+from usnet_env.envs.play import play_rounds
 from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.evaluation.store import RowFile
+from usnet_env.evaluation.table import RowTable, read_table
 from usnet_env.files import atomic_write
 from usnet_env.objectives import average_precision, multi_cluster_objective, single_cluster_objective
 from usnet_env.plugins import detector_label, make_detector
@@ -114,10 +118,16 @@ def cells() -> list[Cell]:
     return found
 
 
-COLUMNS = (
-    "tier", "cell", "detector", "seed", "episode", "uavs", "heads", "J", "rounds", "exact", "named", "false_first",
-    "missed_first", "decoys_named", "ap", "brier", "reliability", "seconds",
-)  # fmt: skip
+COLUMNS = {
+    **dict.fromkeys(("tier", "cell", "detector"), "str"),
+    **dict.fromkeys(("seed", "episode", "uavs", "heads"), "int"),
+    "J": "float",
+    **dict.fromkeys(("rounds", "exact", "named", "false_first", "missed_first", "decoys_named"), "int"),
+    "ap": "float",
+    "brier": "float | None",
+    "reliability": "str",
+    "seconds": "float",
+}
 
 
 def shifted_tracks(window: Window, seed: int) -> Window:
@@ -145,26 +155,19 @@ def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict
     """Play one episode and return its row. ``J`` is J_m (P2), J_s (P1), or the number of candidates (other kinds)."""
     env = (SingleClusterEnv if cell.kind == "P1" else MultiClusterEnv)(**cell.env)
     swarm_seed, detector_seed = episode_seeds(seed, episode)
-    observation, _ = env.reset(seed=swarm_seed)
-    truth = env.swarm
-    head = truth.head & (cell.kind not in ("silence", "shifted"))
     detector.reset(detector_seed)
-    alive = truth.alive
-    fired, over, first = [], False, None
-    begun = time.perf_counter()
-    while not over:
+
+    def answer(observation: Any, truth: Any) -> Detection:
         window = Window.from_observation(observation)
-        if cell.kind == "shifted":
-            window = shifted_tracks(window, detector_seed)
-        answer = detector.detect(window)
-        first = first or answer
-        fired.append(answer.candidates)
-        over = cell.kind in ("silence", "shifted")
-        if not over:
-            observation, _, terminated, truncated, _ = env.step(answer.candidates.astype(np.int8))
-            over = terminated or truncated
-    seconds = (time.perf_counter() - begun) / len(fired)
-    rounds = np.array(fired)
+        return detector.detect(shifted_tracks(window, detector_seed) if cell.kind == "shifted" else window)
+
+    empty = cell.kind in ("silence", "shifted")
+    begun = time.perf_counter()
+    played = list(islice(play_rounds(env, answer, swarm_seed), 1 if empty else None))
+    seconds = (time.perf_counter() - begun) / len(played)
+    truth, first = played[0].truth, played[0].answer
+    alive, head = truth.alive, truth.head & (not empty)
+    rounds = np.array([each.answer.candidates for each in played])
     if cell.kind == "P2":
         value = multi_cluster_objective(truth.head, rounds)
     elif cell.kind == "P1":
@@ -181,39 +184,40 @@ def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict
         "uavs": len(head),
         "heads": int(head.sum()),
         "J": round(value, 5),
-        "rounds": len(fired),
+        "rounds": len(played),
         "exact": int(np.array_equal(rounds[0], head)),
         "named": int(rounds[0].sum()),
         "false_first": int((rounds[0] & ~head).sum()),
         "missed_first": int((head & ~rounds[0]).sum()),
         "decoys_named": int((rounds[0] & truth.decoy).sum()),
         "ap": round(average_precision(head, first.scores), 4),
-        "brier": "" if probability is None else round(float(((probability - head) ** 2).mean()), 6),
+        "brier": None if probability is None else round(float(((probability - head) ** 2).mean()), 6),
         "reliability": "" if probability is None else binned(probability[alive], head[alive]),
         "seconds": round(seconds, 5),
     }
 
 
-def read_rows(path: Path) -> list[dict[str, str]]:
-    """The complete rows of a file, which may be compressed; none if there is no file."""
-    if not path.exists():
-        return []
-    data = path.read_bytes()
-    text = (gzip.decompress(data) if path.suffix == ".gz" else data).decode()
-    # An interrupted write leaves a row incomplete.
-    return [row for row in csv.DictReader(io.StringIO(text)) if row["seconds"]]
+def read_rows(path: Path) -> RowTable:
+    """The complete rows of a file; none if there is no file."""
+    return read_table(path, COLUMNS)
 
 
 def pack_rows(results: Path, path: Path) -> None:
     """Write the complete rows of all tiers in a folder to one compressed file, whose bytes depend on nothing else."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    writer.writeheader()
+    lines = [",".join(COLUMNS)]
     for tier in dict.fromkeys(cell.tier for cell in cells()):
-        writer.writerows(read_rows(results / f"{tier}.csv"))
+        if (file := results / f"{tier}.csv").exists():  # an interrupted write leaves the last line incomplete
+            lines += file.read_text(encoding="utf-8").split("\n")[1:-1]
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as aside:
-        aside.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
+        aside.write_bytes(gzip.compress("\n".join([*lines, ""]).encode(), mtime=0))
+
+
+def unpack_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a compressed file; none if there is no file."""
+    if not path.exists():
+        return []
+    return list(csv.DictReader(io.StringIO(gzip.decompress(path.read_bytes()).decode())))
 
 
 def label_of(name: str) -> str:
@@ -223,25 +227,14 @@ def label_of(name: str) -> str:
 
 def measure(wanted: list[Cell], detectors: list[str], episodes: int | None, seed: int, results: Path) -> None:
     """Play the episodes that the files lack, and append their rows."""
-    results.mkdir(parents=True, exist_ok=True)
     for cell in wanted:
-        path = results / f"{cell.tier}.csv"
-        there = {(r["cell"], r["detector"], int(r["seed"]), int(r["episode"])) for r in read_rows(path)}
-        new = not path.exists()
-        if not new:
-            with path.open(newline="", encoding="utf-8") as file:
-                if next(csv.reader(file), None) != list(COLUMNS):
-                    raise SystemExit(f"{path.name} has other columns than this script writes: choose another folder.")
-        with path.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            if new:
-                writer.writeheader()
+        with RowFile(results / f"{cell.tier}.csv", COLUMNS) as file:
+            there = {(row["cell"], row["detector"], row["seed"], row["episode"]) for row in file.table}
             for name in detectors:
                 detector, label = make_detector(name), label_of(name)
                 for episode in range(cell.episodes if episodes is None else episodes):
                     if (cell.name, label, seed, episode) not in there:
-                        writer.writerow(play(cell, detector, label, seed, episode))
-                        file.flush()
+                        file.append([play(cell, detector, label, seed, episode)])
 
 
 def parser() -> argparse.ArgumentParser:

@@ -100,7 +100,7 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
             value = float(table.max(axis=1).sum() / window.uavs)
         else:
             env = SingleClusterEnv(**P1[name], **swarm) if name in P1 else MultiClusterEnv(**P2, **swarm)
-            row = play_episode(env, as_agent(make_detector(name)), name, SEED, game)
+            row = play_episode(env, as_agent(make_detector(name)), name, game, episode_seeds(SEED, game))
             value = float(row["exact"] if name in P1 else row["J"])
     return {"follow": follow, "mobility": swarm.get("mobility", "iid"), "value": round(value, 5)}
 
@@ -122,7 +122,7 @@ def games(cell: Mapping[str, Any]) -> int:
 
 def main() -> None:
     """Play the games that the file lacks, and print the means."""
-    rows = play_cells(RESULTS / "gaps.csv", cells(), games, play, SEED)
+    rows = play_cells(RESULTS / "gaps.csv", cells(), games, play, ("follow", "mobility", "value"), SEED)
     for cell in cells():
         plain = {name: str(value) for name, value in cell.items()}
         values = [float(row["value"]) for row in rows if plain.items() <= row.items()]

@@ -21,7 +21,7 @@ from multiagent_table import RESULTS, SEED, play_cells
 
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.agents import as_agent
-from usnet_env.evaluation.episode import play_episode, warm_up
+from usnet_env.evaluation.episode import episode_seeds, play_episode, warm_up
 from usnet_env.plugins import make_detector
 
 DETECTORS = ("learned", "follow-mixture", "lagged-regression", "one-per-round", "destroy-all", "random")
@@ -38,6 +38,7 @@ LIMITS = {  # which detectors play, where the right answer is empty and elsewher
 TIERS = ("short", "noise", "missed", "straight", "decoys", "bare", "silence", "shifted")
 EMPTY = ("silence", "shifted")  # the right answer names no UAV
 KEPT = ("J", "rounds", "success", "exact", "ap_first", "seconds_per_round")
+KEPT_OF_LIMITS = ("J", "exact", "named", "decoys_named")
 
 
 def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
@@ -46,8 +47,8 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     label = cell["detector"]
     agent = as_agent(make_detector(label))
     if seed == SEED:
-        warm_up(env, agent, label, SEED)
-    row = play_episode(env, agent, label, SEED, seed - SEED)
+        warm_up(env, agent, label, episode_seeds(SEED, 0)[0])
+    row = play_episode(env, agent, label, seed - SEED, episode_seeds(SEED, seed - SEED))
     return {name: round(row[name], 5) for name in KEPT}
 
 
@@ -81,7 +82,7 @@ def play_limit(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """One episode of a cell of follow_mixture.py."""
     label = cell["detector"]
     row = play_cell(CELLS[f"{cell['tier']} {cell['cell']}"], make_detector(label), label, SEED, seed - SEED)
-    return {column: row[column] for column in ("J", "exact", "named", "decoys_named")}
+    return {column: row[column] for column in KEPT_OF_LIMITS}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -103,8 +104,10 @@ def chosen(arguments: argparse.Namespace) -> list[dict[str, str]]:
 def main() -> None:
     """Play the games that the file lacks."""
     arguments = parser().parse_args()
-    path, one = ("learned_limits.csv", play_limit) if arguments.limits else ("learned.csv", play)
-    play_cells(RESULTS / path, chosen(arguments), lambda _: arguments.games, one)
+    path, one, kept = (
+        ("learned_limits.csv", play_limit, KEPT_OF_LIMITS) if arguments.limits else ("learned.csv", play, KEPT)
+    )
+    play_cells(RESULTS / path, chosen(arguments), lambda _: arguments.games, one, kept)
 
 
 if __name__ == "__main__":

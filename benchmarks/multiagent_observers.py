@@ -22,6 +22,8 @@ RANGES = (250.0, 350.0, 500.0)
 OBSERVERS = (1, 2, 4, 8)
 FUSIONS = ("union", "majority", "scores")
 
+VALUES = ("J", "rounds", "success", "first_hits", "first_redundant", "redundant", "seen_in_round_1")
+
 
 def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     env = parallel_env(observers=cell["observers"], sensing_range=cell["range"], fusion=cell["fusion"])
@@ -55,4 +57,4 @@ def games(cell: Mapping[str, Any]) -> int:
 
 
 if __name__ == "__main__":
-    play_cells(RESULTS / "multiagent_observers.csv", cells(), games, play)
+    play_cells(RESULTS / "multiagent_observers.csv", cells(), games, play, VALUES)

@@ -25,6 +25,8 @@ SWARMS: dict[str, Policy] = {
     "random": RandomHead(),
 }
 
+VALUES = ("J", "price", "swarm_payoff", "rounds", "success", "first_hits", "first_redundant", "redundant")
+
 
 def games(cell: Mapping[str, Any]) -> int:
     """How many games a cell has; fewer with follow-mixture, which is slow against such swarms."""
@@ -59,4 +61,4 @@ def cells() -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    play_cells(RESULTS / "multiagent_payoff.csv", cells(), games, play)
+    play_cells(RESULTS / "multiagent_payoff.csv", cells(), games, play, VALUES)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from usnet_env.files import atomic_write
+from usnet_env.evaluation.store import RowFile
 
 RESULTS = Path(__file__).parent / "results"
 SEED = 2022  # of the first game; seeds below 1000 are for tuning
@@ -19,27 +18,22 @@ def play_cells(
     cells: Sequence[Mapping[str, Any]],
     games: Callable[[Mapping[str, Any]], int],
     play: Callable[[Mapping[str, Any], int], Mapping[str, Any]],
+    values: Sequence[str],
     first_seed: int = SEED,
-) -> list[dict[str, str]]:
-    """Play the games of every cell, all with the same seeds, and write their rows after each cell.
+) -> Sequence[dict[str, str]]:
+    """Play the games of every cell, all with the same seeds, and append their rows: the cell, the seed, the values.
 
     Games that the file holds are not played again: delete it to measure anew.
     """
-    rows: list[dict[str, str]] = []
-    if path.exists():
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    for cell in cells:
-        plain = {name: str(value) for name, value in cell.items()}
-        known = {int(row["seed"]) for row in rows if plain.items() <= row.items()}
-        missing = [seed for seed in range(first_seed, first_seed + games(cell)) if seed not in known]
-        began = time.perf_counter()
-        for seed in missing:
-            rows.append({**plain, "seed": str(seed), **{name: str(value) for name, value in play(cell, seed).items()}})
-        if missing:
-            with atomic_write(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
-                writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-                writer.writeheader()
-                writer.writerows(rows)
-            print(*plain.values(), f"{time.perf_counter() - began:.1f} s", flush=True)
-    return rows
+    with RowFile(path, dict.fromkeys((*cells[0], "seed", *values), "str")) as file:
+        for cell in cells:
+            plain = {name: str(value) for name, value in cell.items()}
+            known = {int(row["seed"]) for row in file.table if plain.items() <= row.items()}
+            missing = [seed for seed in range(first_seed, first_seed + games(cell)) if seed not in known]
+            began = time.perf_counter()
+            for seed in missing:
+                row = {name: str(value) for name, value in play(cell, seed).items()}
+                file.append([{**plain, "seed": str(seed), **row}])
+            if missing:
+                print(*plain.values(), f"{time.perf_counter() - began:.1f} s", flush=True)
+        return file.table

@@ -33,7 +33,7 @@ from detectors.weights import read_arrays, write_weights
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.agents import as_agent
-from usnet_env.evaluation.episode import play_episode
+from usnet_env.evaluation.episode import episode_seeds, play_episode
 from usnet_env.files import atomic_write
 from usnet_env.plugins import make_detector
 from usnet_env.swarm.random_follow import random_follow_strategy
@@ -208,7 +208,7 @@ def measured(detectors: Mapping[str, Any], games: int) -> list[dict[str, Any]]:
             env = MultiClusterEnv(follow=follow, **SMALL, **more)
             for label, detector in detectors.items():
                 for episode in range(games):
-                    row = play_episode(env, as_agent(detector), label, SEED, episode)
+                    row = play_episode(env, as_agent(detector), label, episode, episode_seeds(SEED, episode))
                     kept = {name: round(row[name], 5) for name in KEPT}
                     rows.append({"swarm": swarm, "follow": follow, "detector": label, "episode": episode, **kept})
     return rows

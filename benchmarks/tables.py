@@ -27,6 +27,7 @@ from result_pages import (
     rounds,
     speed,
     strategies,
+    thresholds,
     tiers,
 )
 from result_pages.text import table_alone
@@ -40,6 +41,7 @@ PAGES = {
     "docs/results/follow_mixture.md": tiers.text,
     "docs/results/follow_mixture_cells.md": tiers.cells_text,
     "docs/results/follow_mixture_cores.md": cores.text,
+    "docs/results/follow_mixture_thresholds.md": thresholds.text,
     "docs/results/decoys.md": decoys.text,
     "docs/results/strategies.md": strategies.text,
     "docs/results/p1.md": p1.text,

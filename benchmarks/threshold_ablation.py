@@ -12,7 +12,6 @@ a change are the whole detector.
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from follow_mixture import Cell, cells, read_rows, shifted_tracks
+from follow_mixture import Cell, cells, shifted_tracks
 from numpy.typing import NDArray
 
 from detectors.follow_mixture import FollowMixture, evidence, fit, motion, pooling
@@ -31,10 +30,14 @@ from detectors.follow_mixture.train import CalibrationTraining, draw_swarm, draw
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.evaluation.store import RowFile
 
 RESULTS = Path(__file__).parent / "results" / "follow_mixture_thresholds.csv"
 SEED = 61  # seeds below 1000 are for tuning
-COLUMNS = ("change", "tier", "cell", "game", "uavs", "heads", "exact", "J")
+COLUMNS = {
+    "change": "str", "tier": "str", "cell": "str", "game": "int", "uavs": "int", "heads": "int", "exact": "int",
+    "J": "float",
+}  # fmt: skip
 INFINITE = 1e9
 
 
@@ -158,17 +161,10 @@ def main() -> None:
         for key, change in CHANGES.items():
             print(f"{key or 'whole':18} {change.what}")
         return
-    there = {(row["change"], row["tier"], row["cell"], int(row["game"])) for row in read_rows(arguments.results)}
-    new = not arguments.results.exists()
-    with arguments.results.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        if new:
-            writer.writeheader()
+    with RowFile(arguments.results, COLUMNS) as file:
+        there = {(row["change"], row["tier"], row["cell"], row["game"]) for row in file.table}
         for game in draw_games(arguments.tier, arguments.games, arguments.random, arguments.seed):
-            for key in CHANGES:
-                if (key, game.tier, game.cell, game.number) not in there:
-                    writer.writerow(play(game, key))
-            file.flush()
+            file.append([play(game, key) for key in CHANGES if (key, game.tier, game.cell, game.number) not in there])
 
 
 if __name__ == "__main__":

@@ -1,6 +1,9 @@
 """What all tests share."""
 
+import multiprocessing
 import os
+from multiprocessing import forkserver
+from pathlib import Path
 
 # As many processes as cores leave a core each: more threads than that make small tensor operations wait for each other,
 # a hundred times longer than they take. This must be said before the libraries are imported.
@@ -9,7 +12,61 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 # A property doesn't depend on time, but Hypothesis's deadline (200 ms per example) and its check for slow generation
 # do: on a busy machine the first `text()` of a process, which builds a table of Unicode, takes seconds and fails it.
+import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("usnet", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("usnet")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def copied_worker_processes():
+    """Make worker processes copies of one that has imported the libraries: for each, importing them takes two seconds.
+
+    As processes that are started anew, they inherit no memory of the test's process and receive all by pickling. The
+    programs that tests start (``python -m usnet_env``) start their workers as they always do.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        yield
+        return
+    get_context = multiprocessing.get_context
+
+    def get_copying_context(method=None):
+        if method != "spawn":
+            return get_context(method)
+        with pytest.MonkeyPatch.context() as patch:  # the process finds this folder
+            path = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+            patch.setenv("PYTHONPATH", os.pathsep.join(path))
+            forkserver.set_forkserver_preload(["prepared_process"])
+            forkserver.ensure_running()
+        return get_context("forkserver")
+
+    multiprocessing.get_context = get_copying_context
+    yield
+    multiprocessing.get_context = get_context
+
+
+@pytest.fixture(scope="session")
+def fresh_process():
+    """Runs programs in processes that have imported ``usnet_env`` and nothing else."""
+    from fresh_process import FreshProcess
+
+    process = FreshProcess()
+    yield process
+    process.close()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give all tests of a file to one process, so that it makes their fixtures once; those of the frameworks too."""
+    if config.getoption("dist") != "load":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByFile(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            file = super()._split_scope(nodeid)
+            folder = "tests/frameworks"
+            return folder if file.startswith(f"{folder}/") else file
+
+    return ByFile(config, log)

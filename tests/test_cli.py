@@ -243,11 +243,10 @@ def test_short_helps_fit_on_one_line_of_a_narrow_terminal(run, monkeypatch, grou
     assert all(line.endswith(".") and not line.endswith("...") for line in lines), out
 
 
-def test_help_imports_nothing_heavy():
+def test_help_imports_nothing_heavy(fresh_process):
     code = "import sys; from usnet_env.cli import main; main(['--help']); print([m for m in {!r} if m in sys.modules])"
     heavy = ["torch", "sklearn", "scipy.stats", "rich.table", "matplotlib", "rerun", "usnet_env.evaluation"]
-    done = subprocess.run([sys.executable, "-c", code.format(heavy)], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
+    assert fresh_process.run(code.format(heavy)).splitlines()[-1] == "[]"
 
 
 @pytest.mark.parametrize(

@@ -87,12 +87,10 @@ def play(program: Path | list[list[str]], folder: Path) -> None:
 def run(program: Path | list[list[str]], folder: Path) -> str:
     """Run a script or commands in a process and a folder of their own; return what they print.
 
-    The process is a copy of one that has imported the libraries: importing them again for every page takes longer than
-    the pages do.
+    The process is a copy of one that has imported the libraries, as all that the tests start: importing them again for
+    every page takes longer than the pages do.
     """
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["torch", "sklearn.cluster", "matplotlib.figure", "usnet_env.cli", "detectors"])
-    process = context.Process(target=play, args=(program, folder))
+    process = multiprocessing.get_context("spawn").Process(target=play, args=(program, folder))
     process.start()
     process.join(timeout=300)
     if process.is_alive():

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -155,13 +155,14 @@ def test_an_empty_window_can_be_drawn():
     assert drawing.round_frame(**blank).shape == (720, 960, 3)
 
 
-def test_a_large_swarm_can_be_drawn():
+@pytest.mark.parametrize("uavs", [200, pytest.param(1000, marks=pytest.mark.slow)])
+def test_a_large_swarm_can_be_drawn(uavs):
     rng = np.random.default_rng(0)
-    position = rng.uniform(0, 1000, (101, 1000, 3)).astype(np.float32)
-    head = np.arange(1000) < 40
-    leader = np.where(head, np.arange(1000), rng.integers(0, 40, 1000))
-    everyone = np.ones(1000, bool)
-    frame = drawing.round_frame(position, np.ones((101, 1000), bool), everyone, head, leader, ~everyone, head)
+    position = rng.uniform(0, 1000, (101, uavs, 3)).astype(np.float32)
+    head = np.arange(uavs) < 40
+    leader = np.where(head, np.arange(uavs), rng.integers(0, 40, uavs))
+    everyone = np.ones(uavs, bool)
+    frame = drawing.round_frame(position, np.ones((101, uavs), bool), everyone, head, leader, ~everyone, head)
     assert painted(frame, drawing.HIT) > 1000
 
 
@@ -214,7 +215,7 @@ def test_the_title_of_a_frame_has_the_result_of_the_round(monkeypatch):
     ]
 
 
-def test_nothing_global_is_touched():
+def test_nothing_global_is_touched(fresh_process):
     """In a fresh process: no pyplot, no change of rcParams or of the backend, no global random numbers drawn."""
     code = """
 import random, sys
@@ -226,9 +227,7 @@ drawing.round_frame(**scene(), candidates=named(0))
 assert before == (dict(matplotlib.rcParams.copy()), random.getstate(), str(np.random.get_state()))
 assert "matplotlib.pyplot" not in sys.modules
 """
-    folder = __file__.rpartition("/")[0]
-    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    fresh_process.run(code, Path(__file__).parent)
 
 
 def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):

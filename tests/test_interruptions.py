@@ -1,4 +1,4 @@
-"""Forty interruptions at random moments: the resumed rows are those of an undisturbed run, and no process stays."""
+"""Sixty interruptions at random moments: the resumed rows are those of an undisturbed run, and no process stays."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ COMMANDS = {
         *("evaluate", "--detector", "sample_detectors:Slow", "--detector", "random", "--episodes", "12", "--seed", "3"),
         *("--set", "clusters=3", "uavs=20", "observation_steps=20", "max_rounds=5", "--workers", "2", "--json"),
     ],
+    "isolated": [],
     "reproduce": [
         *("reproduce", "table2", "--detector", "sample_detectors:Slow", "--detector", "random", "--workers", "2"),
         *("--cells", "f1:2,f2:2,f3:2,f4:2,f5:2,f6:2,f1:3,f2:3", "--episodes", "4"),
     ],
 }
-ROWS = {"evaluate": "episodes.csv", "reproduce": "episodes-seed2022.csv"}
-TIMES_EACH = 5  # 5 interruptions of each of 2 commands in each of 4 ways
+COMMANDS["isolated"] = [*COMMANDS["evaluate"], "--isolate", "--secret", "00112233445566778899aabbccddeeff"]
+ROWS = {"evaluate": "episodes.csv", "isolated": "episodes.csv", "reproduce": "episodes-seed2022.csv"}
+TIMES_EACH = 5  # 5 interruptions of each of 3 commands in each of 4 ways
 TIMED = ("seconds_per_round", "seconds")
 
 
@@ -57,6 +59,16 @@ def members(session):
 
 def workers_of(parent):
     return [pid for pid, (above, line) in members(parent).items() if above == parent and "spawn_main" in line]
+
+
+def wait_for_the_end_of(session):
+    """What is left of a session after a while: a worker that is just starting, and Python's own helper process, notice
+    the end of their parent a moment later.
+    """
+    end = time.monotonic() + 20
+    while (left := members(session)) and time.monotonic() < end:
+        time.sleep(0.05)
+    return left
 
 
 def interrupt(running, how, twice):
@@ -109,14 +121,11 @@ def test_interrupted_runs_resume_to_the_same_rows_and_leave_no_process(tmp_path,
         interrupt(running, how, twice=number % 2 == 1)
         err = running.communicate(timeout=60)[1]
         statuses.append(running.returncode)
-        end = time.monotonic() + 20  # a worker that is just starting notices the end of its parent a moment later
-        while members(running.pid) and time.monotonic() < end:
-            time.sleep(0.05)
-        assert members(running.pid) == {}, err
+        assert wait_for_the_end_of(running.pid) == {}, err
     running = start(command, tmp_path)
     err = running.communicate(timeout=300)[1]
     assert running.returncode == 0, err
-    assert members(running.pid) == {}
+    assert wait_for_the_end_of(running.pid) == {}
     assert rows_of(tmp_path, command) == rows
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == [], statuses
     print(f"{command}, {how}: statuses {statuses}")

@@ -1,5 +1,4 @@
 import importlib.metadata
-import subprocess
 import sys
 import warnings
 
@@ -97,12 +96,12 @@ def test_the_built_in_detectors_are_found_and_made():
         detector.reset(0)
 
 
-def test_names_are_listed_without_importing_any_detector():
+def test_names_are_listed_without_importing_any_detector(fresh_process):
     code = (
         "import sys, usnet_env.plugins as p; names = p.detector_names(); "
         "assert 'lagged-regression' in names; assert 'detectors' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    fresh_process.run(code)
 
 
 def test_every_built_in_detector_has_a_line():
@@ -113,14 +112,14 @@ def test_every_built_in_detector_has_a_line():
     assert all(lines[name].endswith(".") and "\n" not in lines[name] for name in BUILT_IN)
 
 
-def test_detectors_are_described_without_importing_any():
+def test_detectors_are_described_without_importing_any(fresh_process):
     code = (
         "import sys, usnet_env.plugins as p; entries = {entry.name: entry for entry in p.list_detectors()}; "
         "assert not {'detectors', 'torch'} & set(sys.modules), sorted(sys.modules); "
         "assert entries['gassl'].needs == ('torch',), entries['gassl']; "
         "assert entries['random'].needs == () and entries['random'].description.startswith('Names ')"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    fresh_process.run(code)
 
 
 def test_the_description_from_the_source_is_that_of_the_class():

@@ -9,7 +9,7 @@ import pytest
 from sample_tasks import play
 
 from usnet_env import ArgumentError
-from usnet_env.processes import Limits, ProcessDied, ProcessPool, SendError, run_limited
+from usnet_env.processes import Limits, ProcessDied, ProcessPool, SendError
 
 LINUX = sys.platform.startswith("linux")
 
@@ -37,13 +37,6 @@ def test_threads_that_stay_are_named_and_do_not_stop_the_program():
     assert [type(outcome.error) for outcome in outcomes] == [type(None), ProcessDied, type(None), SystemExit]
     assert "SIGKILL" in str(outcomes[1].error)
     assert pool.left_threads == [("sleeper", "thread")]
-
-
-@pytest.mark.slow
-def test_one_call_in_a_limited_process():
-    assert run_limited(play, "it") == "it"
-    with pytest.raises(ProcessDied, match="status 0"):
-        run_limited(play, "exit")
 
 
 def test_a_function_that_cannot_be_sent_is_refused_at_once():

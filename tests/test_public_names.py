@@ -1,8 +1,5 @@
 """The names of the package: what completion lists is there, and the lazy names stay lazy."""
 
-import subprocess
-import sys
-
 import pytest
 
 import usnet_env
@@ -20,7 +17,6 @@ def test_an_unknown_name_is_an_attribute_error():
         _ = usnet_env.evaluated
 
 
-def test_dir_imports_nothing():
+def test_dir_imports_nothing(fresh_process):
     code = "import sys, usnet_env; dir(usnet_env); print('usnet_env.evaluation' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
+    assert fresh_process.run(code).strip() == "False"

@@ -161,7 +161,8 @@ def _draw_links(
 
 
 def _draw_points(axes: Axes, place: NDArray[np.float32], chosen: NDArray[np.bool_], **style: Any) -> None:
-    axes.scatter(place[chosen, 0], place[chosen, 1], **style)
+    if chosen.any():
+        axes.scatter(place[chosen, 0], place[chosen, 1], **style)
 
 
 def round_marks(
@@ -306,6 +307,11 @@ def draw_round(
         axes = new_figure(9.6, 7.2).add_axes((0.07, 0.08, 0.66, 0.86) if legend else (0.09, 0.08, 0.88, 0.86))
     place = last_seen_position(position, seen & alive)
     marks = round_marks(place, alive, head, leader, decoy, candidates, destroyed_at)
+    everywhere = place
+    if destroyed_at is not None:
+        everywhere = np.asarray(np.where(marks[DESTROYED_MARK][:, None], destroyed_at, place))
+    # The limits come first: otherwise they are computed anew for everything that is drawn.
+    _set_up_axes(axes, limits_around(everywhere) if limits is None else limits, title)
     shown = np.isfinite(place[:, 0])
     colors, marker = cluster_colors(head, leader)
     _draw_links(axes, place, marks[LINK_MARK], leader, colors)
@@ -322,9 +328,7 @@ def draw_round(
         _draw_points(axes, place, stars & (marker == number), s=22, c="white", marker=shape, linewidths=0, zorder=5.5)
     _draw_points(axes, place, decoys, s=46, c="white", marker="D", edgecolors="black", linewidths=1, zorder=4)
 
-    everywhere = place
     if destroyed_at is not None:
-        everywhere = np.asarray(np.where(marks[DESTROYED_MARK][:, None], destroyed_at, place))
         _draw_points(
             axes, everywhere, marks[DESTROYED_MARK], s=34, c=NO_CLUSTER_COLOR, marker="x", linewidths=1.5, zorder=2.5
         )
@@ -334,7 +338,6 @@ def draw_round(
     _draw_points(
         axes, everywhere, marks[MISSED_MARK], s=400, edgecolors=MISSED, linewidths=1.6, linestyles=[_DASHES], **ring
     )
-    _set_up_axes(axes, limits_around(everywhere) if limits is None else limits, title)
     if legend:
         counts = {mark: int(chosen.sum()) for mark, chosen in marks.items()}
         draw_legend(axes, {mark: f"{mark} ({count})" for mark, count in counts.items() if count})

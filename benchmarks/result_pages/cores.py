@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from statistics import fmean, median
 
 import numpy as np
-from follow_mixture import cells, read_rows
+from follow_mixture import cells, unpack_rows
 
 from result_pages.text import RESULTS, Row, cost_of, exact_of, page, source, table
 from usnet_env.evaluation.statistics import mean_interval
@@ -74,7 +74,7 @@ def compare(pairs: Iterable[Pair], key: Callable[[Row], Key]) -> str:
 
 def text() -> str:
     """The page."""
-    pairs = paired(*(read_rows(RESULTS / name) for name in FILES))
+    pairs = paired(*(unpack_rows(RESULTS / name) for name in FILES))
     return page(
         "Former and present core of follow-mixture",
         "[follow-mixture](../follow_mixture.md) has a core of 2,200 lines; the former one had 4,700. Both played the "

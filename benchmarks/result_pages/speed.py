@@ -80,6 +80,39 @@ def mixture() -> list[str]:
     return [*parts, f"Peak memory of a process that answers one window of 10,000 UAVs: {memory}."]
 
 
+def engine() -> list[str]:
+    """The evaluator: a row, many rows, isolation."""
+    result = read("engine_speed.json")
+    rows = table(
+        ("rows in the file", "ms for one more", "bytes written"),
+        [
+            (f"{int(size):,}", f"{row['milliseconds']:.3f}", f"{row['bytes']:.0f}")
+            for size, row in result["append"].items()
+        ],
+    )
+    many = table(
+        ("what", "rows", "seconds", "peak memory, MB"),
+        [
+            ("evaluate episodes that cost nothing", *_size(result["episodes"], "episodes")),
+            ("read and summarise the rows of 5 detectors", *_size(result["summary"], "rows")),
+        ],
+    )
+    answers = table(
+        ("the detector `none`, N = 82", "ms for an answer", "ms more than in process"),
+        [
+            (name, f"{row['milliseconds']:.2f}", f"{row['milliseconds_added']:.2f}")
+            for name, row in result["isolation"].items()
+            if isinstance(row, dict)
+        ],
+    )
+    started = f"A process starts in {result['isolation']['seconds_to_start_a_process']:.1f} s."
+    return [rows, many, answers, started]
+
+
+def _size(measured: dict[str, float], name: str) -> tuple[str, str, str]:
+    return f"{measured[name]:,}", f"{measured['seconds']:.0f}", f"{measured['bytes'] / 1e6:.0f}"
+
+
 def text() -> str:
     """The page."""
     return page(
@@ -91,6 +124,8 @@ def text() -> str:
         "## follow-mixture",
         FORMER,
         *mixture(),
+        "## The evaluator",
+        *engine(),
         "## Raw results and commands",
-        source(["speed.json", "follow_mixture_speed.json"]),
+        source(["speed.json", "follow_mixture_speed.json", "engine_speed.json"]),
     )

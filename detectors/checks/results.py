@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from unittest import SkipTest
 
 from detectors.checks.harness import CheckError, CheckWarning
-from usnet_env import processes
+from usnet_env.processes import limits
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -37,7 +37,7 @@ Check = Callable[[Any], None]
 Status = Literal["passed", "warning", "failed", "expected failure", "skipped"]
 
 _HERE = Path(__file__).parent
-_NOT_SHOWN = (contextlib.__file__, processes.__file__)  # the checks call detectors through these
+_NOT_SHOWN = (contextlib.__file__, limits.__file__)  # the checks call detectors through these
 _COLOURS: dict[Status, str] = {
     "passed": "green",
     "warning": "yellow",

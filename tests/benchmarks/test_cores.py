@@ -61,11 +61,11 @@ def test_rows_of_all_tiers_are_packed_into_one_file(tmp_path: Path) -> None:
     for tier in ("short", "paper"):
         lines = [",".join(follow_mixture.COLUMNS)]
         lines += [",".join(one.values()) for one in FORMER if one["tier"] == tier]
-        (tmp_path / f"{tier}.csv").write_text("\n".join([*lines, "paper,f1,follow-mixture,4242"]) + "\n")
+        (tmp_path / f"{tier}.csv").write_text("\n".join([*lines, "paper,f1,follow-mixture,4242"]))
     for name in ("one.csv.gz", "two.csv.gz"):
         follow_mixture.pack_rows(tmp_path, tmp_path / name)
     assert (tmp_path / "one.csv.gz").read_bytes() == (tmp_path / "two.csv.gz").read_bytes()
-    assert follow_mixture.read_rows(tmp_path / "one.csv.gz") == [*FORMER[3:5], *FORMER[:3]]
+    assert follow_mixture.unpack_rows(tmp_path / "one.csv.gz") == [*FORMER[3:5], *FORMER[:3]]
     assert gzip.decompress((tmp_path / "one.csv.gz").read_bytes()).startswith(b"tier,cell,")
 
 
@@ -77,6 +77,6 @@ def test_the_page_is_made_of_both_files(tmp_path: Path, monkeypatch: pytest.Monk
         lines = [",".join(follow_mixture.COLUMNS), *(",".join(one.values()) for one in rows)]
         (tmp_path / name).write_bytes(gzip.compress("\n".join(lines).encode()))
     text = cores.text()
-    assert "| short | 3 |" in text
+    assert "| short (seed 4242) | 3 |" in text
     assert "| short T8 | 2 |" in text
     assert "sizes" not in text.partition("## Raw rows")[0]

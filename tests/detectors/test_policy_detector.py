@@ -1,7 +1,5 @@
 """Policies as detectors: Stable-Baselines3's, TorchRL's, a plain module, and a detector there and back."""
 
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -139,12 +137,12 @@ def test_it_keeps_the_contract_and_answers_swarms_of_any_size():
     assert "policy" in clone(PolicyDetector(Bits())).get_params()
 
 
-def test_nothing_is_imported_that_the_policy_has_not_brought():
+def test_nothing_is_imported_that_the_policy_has_not_brought(fresh_process):
     code = (
         "import sys, detectors.policy_detector; "
         "assert not {'torch', 'tensordict', 'torchrl', 'stable_baselines3'} & set(sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    fresh_process.run(code)
 
 
 # Plain PyTorch

@@ -87,18 +87,19 @@ def test_bad_input_is_named():
             batch.step(wrong)
 
 
-def test_a_batch_of_a_thousand_swarms_fits_in_two_gib():
+@pytest.mark.parametrize("swarms", [100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_a_batch_of_a_thousand_swarms_fits_in_two_gib(swarms):
     """NumPy reports its arrays to tracemalloc; the observation that the user still holds is counted too."""
-    batch = gym.make_vec(MULTI, num_envs=1000)
+    batch = gym.make_vec(MULTI, num_envs=swarms)
     tracemalloc.start()
     try:
         observation, _ = batch.reset(seed=0)
-        observation, *_ = batch.step(np.eye(1, 82, dtype=np.int8).repeat(1000, axis=0))
+        observation, *_ = batch.step(np.eye(1, 82, dtype=np.int8).repeat(swarms, axis=0))
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert observation["position"].shape == (1000, 101, 82, 3)
-    assert 2e8 < peak < 2 * 2**30
+    assert observation["position"].shape == (swarms, 101, 82, 3)
+    assert 2e8 < 1000 * peak / swarms < 2 * 2**30
 
 
 @pytest.mark.parametrize(

@@ -53,6 +53,18 @@ def test_the_bootstrap_agrees_with_scipy_s_percentile_one():
     assert abs(ours.high - theirs.high) < 0.05 * width
 
 
+def test_the_interval_of_a_large_sample_is_the_limit_of_the_bootstrap(monkeypatch):
+    sample = np.random.default_rng(4).lognormal(sigma=1.5, size=6_000)  # its skewness moves both ends
+    computed = mean_interval(sample)
+    monkeypatch.setattr(statistics, "_MOST_RESAMPLED", len(sample))
+    drawn = mean_interval(sample)
+    assert computed.mean == drawn.mean
+    width = drawn.high - drawn.low
+    assert computed.low == pytest.approx(drawn.low, abs=0.02 * width)
+    assert computed.high == pytest.approx(drawn.high, abs=0.02 * width)
+    assert drawn.high - drawn.mean > 1.03 * (drawn.mean - drawn.low)
+
+
 def test_the_interval_covers_the_mean_about_as_often_as_it_says():
     rng = np.random.default_rng(0)
     intervals = [mean_interval(rng.normal(size=40), seed=trial) for trial in range(200)]

@@ -102,6 +102,20 @@ def test_a_run_may_resume_with_another_number_of_workers(tmp_path):
     assert resumed.rows[:2] == whole.rows[:2]
 
 
+def test_a_row_that_a_killed_run_has_torn_is_played_again_and_the_rows_are_sorted(tmp_path):
+    detectors = [Counted(), AllAlive()]
+    whole = evaluate(MULTI, detectors, episodes=3, env_kwargs=SMALL, out=tmp_path)
+    header, *lines = (tmp_path / "episodes.csv").read_text().splitlines(keepends=True)
+    played = [lines[3], lines[0], lines[4], lines[1][:-3]]  # in the order in which a run appends them
+    (tmp_path / "episodes.csv").write_text("".join([header, *played]))
+    detectors[0].begun = 0
+    resumed = evaluate(MULTI, detectors, episodes=3, env_kwargs=SMALL, out=tmp_path)
+    assert untimed(resumed.rows) == untimed(whole.rows)
+    assert detectors[0].begun == 2
+    kept = (tmp_path / "episodes.csv").read_text().splitlines(keepends=True)
+    assert [kept[1], kept[4], kept[5]] == [lines[0], lines[3], lines[4]]
+
+
 def test_a_failing_detector_loses_no_finished_episode(tmp_path):
     with pytest.raises(EvaluationError):
         evaluate(MULTI, Failing(), episodes=5, env_kwargs=SMALL, out=tmp_path)

@@ -1,8 +1,5 @@
 """The core plays and scores without touching any extra, whatever is installed beside it."""
 
-import subprocess
-import sys
-
 PROGRAM = """
 import sys
 
@@ -27,6 +24,5 @@ assert not extras & set(sys.modules), extras & set(sys.modules)
 """
 
 
-def test_the_core_imports_no_extra(tmp_path):
-    done = subprocess.run([sys.executable, "-c", PROGRAM], cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
+def test_the_core_imports_no_extra(fresh_process, tmp_path):
+    fresh_process.run(PROGRAM, tmp_path)

@@ -9,6 +9,7 @@ pytest.importorskip("sb3_contrib")
 import sb3_maskable_ppo as example
 from comparison import compare_detectors
 from how_copied import HowCopied, how_copied
+from run_script import run_script
 from sb3_contrib import RecurrentPPO
 from sb3_contrib.common.maskable.utils import get_action_masks
 
@@ -17,8 +18,13 @@ from usnet_env.envs import MultiDiscreteCandidates
 
 
 @pytest.fixture(scope="module")
-def begun():
-    return example.train(512)
+def script():
+    return run_script(example, "--steps", "512", "--episodes", "2")
+
+
+@pytest.fixture(scope="module")
+def begun(script):
+    return script[0]
 
 
 def test_it_trains(begun):
@@ -68,7 +74,5 @@ def test_recurrent_ppo_trains_behind_its_wrapper():
     assert np.isfinite(scores["recurrent"]["J"]["mean"])
 
 
-def test_the_script_prints_a_comparison(capsys):
-    example.main(["--steps", "512", "--episodes", "2"])
-    printed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert printed == ["MaskablePPO", "lagged-regression", "random"]
+def test_the_script_prints_a_comparison(script):
+    assert [line.split()[0] for line in script[1]] == ["MaskablePPO", "lagged-regression", "random"]

@@ -11,6 +11,7 @@ pytest.importorskip("stable_baselines3")
 import sb3_ppo
 from comparison import compare_detectors
 from how_copied import HowCopied, how_copied
+from run_script import run_script
 from stable_baselines3 import PPO
 
 from detectors.policy_detector import PolicyDetector
@@ -23,8 +24,13 @@ def untrained():
 
 
 @pytest.fixture(scope="module")
-def trained():
-    return sb3_ppo.train(2048)
+def script():
+    return run_script(sb3_ppo, "--steps", "2048", "--episodes", "2")
+
+
+@pytest.fixture(scope="module")
+def trained(script):
+    return script[0]
 
 
 def test_it_trains(untrained, trained):
@@ -73,6 +79,5 @@ def test_raw_windows_need_no_wrapper():
     assert np.isfinite(scores["raw"]["J"]["mean"])
 
 
-def test_the_script_prints_a_comparison(capsys):
-    sb3_ppo.main(["--steps", "512", "--episodes", "2"])
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["PPO", "lagged-regression", "random"]
+def test_the_script_prints_a_comparison(script):
+    assert [line.split()[0] for line in script[1]] == ["PPO", "lagged-regression", "random"]

@@ -10,6 +10,7 @@ import supersuit
 import supersuit_ppo as example
 from how_copied import how_copied
 from observers_game import ARGUMENTS, compare_detectors
+from run_script import run_script
 
 from detectors.policy_detector import PolicyDetector
 from usnet_env.multiagent import usnet_observers_v0
@@ -21,8 +22,13 @@ def untrained():
     return example.train(0)
 
 
-def test_it_trains(untrained):
-    trained = example.train(768, games=4)
+@pytest.fixture(scope="module")
+def script():
+    return run_script(example, "--steps", "768", "--games", "2")
+
+
+def test_it_trains(untrained, script):
+    trained = script[0]
     assert trained.n_envs == 4 * ARGUMENTS["observers"]
     assert np.isfinite(trained.logger.name_to_value["train/loss"])
     before, after = untrained.get_parameters()["policy"], trained.get_parameters()["policy"]
@@ -56,7 +62,5 @@ def test_raw_windows_need_only_the_wrapper_of_the_votes():
     assert {info["redundant"] for info in infos} == {0}
 
 
-def test_the_script_prints_a_comparison(capsys):
-    example.main(["--steps", "768", "--games", "2"])
-    printed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert printed == ["PPO", "lagged-regression", "random"]
+def test_the_script_prints_a_comparison(script):
+    assert [line.split()[0] for line in script[1]] == ["PPO", "lagged-regression", "random"]

@@ -11,6 +11,7 @@ import torch
 from comparison import compare_detectors
 from copied_network import Bits, CopiedNetwork
 from how_copied import how_copied
+from run_script import run_script
 from tianshou.algorithm.modelfree.reinforce import ProbabilisticActorPolicy
 from tianshou.data import Collector, VectorReplayBuffer
 from tianshou.env import DummyVectorEnv, PettingZooEnv
@@ -20,8 +21,13 @@ from usnet_env.multiagent import usnet_observers_v0
 
 
 @pytest.fixture(scope="module")
-def begun():
-    return example.train(1, seed=3)
+def script():
+    return run_script(example, "--epochs", "1", "--episodes", "2", "--seed", "3")
+
+
+@pytest.fixture(scope="module")
+def begun(script):
+    return script[0]
 
 
 def test_it_trains(begun):
@@ -91,7 +97,5 @@ def test_the_observers_game_in_turns_needs_no_wrapper():
     assert rewards == [-1.0, -1.0]
 
 
-def test_the_script_prints_a_comparison(capsys):
-    example.main(["--epochs", "1", "--episodes", "2"])
-    printed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert printed == ["PPO", "lagged-regression", "random"]
+def test_the_script_prints_a_comparison(script):
+    assert [line.split()[0] for line in script[1]] == ["PPO", "lagged-regression", "random"]

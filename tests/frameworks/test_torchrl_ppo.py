@@ -15,6 +15,7 @@ with warnings.catch_warnings():  # TorchRL's own, of its own import
 import torch
 import torchrl_ppo as example
 from comparison import compare_detectors
+from run_script import run_script
 from torchrl.envs import ExplorationType, GymWrapper, check_env_specs, set_exploration_type
 
 from detectors.policy_detector import PolicyDetector
@@ -25,8 +26,13 @@ SMALL = {"observation_steps": 12}
 
 
 @pytest.fixture(scope="module")
-def begun():
-    return example.train(example.BATCH)
+def script():
+    return run_script(example, "--steps", str(example.BATCH), "--episodes", "2")
+
+
+@pytest.fixture(scope="module")
+def begun(script):
+    return script[0]
 
 
 @pytest.fixture(scope="module")
@@ -95,9 +101,8 @@ def test_permuting_the_uavs_permutes_the_logits(begun):
     torch.testing.assert_close(begun[0](other)["logits"], begun[0](window)["logits"][..., order])
 
 
-def test_the_script_prints_a_comparison(capsys):
-    example.main(["--steps", "512", "--episodes", "2"])
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[1:]] == [
+def test_the_script_prints_a_comparison(script):
+    assert [line.split()[0] for line in script[1][1:]] == [
         "12",
         "PPO",
         "lagged-regression",

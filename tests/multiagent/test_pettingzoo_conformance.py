@@ -2,8 +2,6 @@
 
 import copy
 import pickle
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -190,7 +188,7 @@ def test_registered_in_both_forms(game):
     assert pettingzoo.make("parallel", name, max_cycles=3).rules.max_rounds == {"observers": 3, "evasion": 2}[game]
 
 
-def test_the_core_needs_no_pettingzoo():
+def test_the_core_needs_no_pettingzoo(fresh_process):
     """Without PettingZoo everything else imports, and a game says what to install."""
     code = """
 import sys
@@ -204,5 +202,6 @@ try:
 except ImportError as error:
     print(error)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
-    assert done.stdout.strip() == "Games with several agents need PettingZoo: pip install 'usnet[multiagent]'."
+    assert (
+        fresh_process.run(code).strip() == "Games with several agents need PettingZoo: pip install 'usnet[multiagent]'."
+    )

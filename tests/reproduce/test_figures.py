@@ -72,30 +72,25 @@ def test_the_example_shows_the_attention_of_mc_gassl():
     np.testing.assert_allclose(record.attention[0][living].sum(axis=1), 1.0, atol=1e-3)
 
 
-def test_a_figure_is_written_as_png_and_pdf_and_twice_the_same(tmp_path):
+def test_the_command_and_the_function_write_the_same_figure_as_png_and_pdf(tmp_path, capsys):
     write_losses(tmp_path)
-    made = [
-        make_figures(tmp_path / name, only=["meta-loss"], settings=Settings(results=tmp_path, seed=5))
-        for name in ("a", "b")
-    ]
-    assert [file.name for file in made[0]] == ["meta-loss.png", "meta-loss.pdf"]
-    png, pdf = (file.read_bytes() for file in made[0])
+    made = make_figures(tmp_path / "a", only=["meta-loss"], settings=Settings(results=tmp_path, seed=5))
+    words = ["reproduce", "figures", "--results", str(tmp_path), "--seed", "5", "--out", str(tmp_path / "b")]
+    assert main([*words, "--only", "meta-loss"]) == 0
+    again = [tmp_path / "b" / f"meta-loss.{kind}" for kind in ("png", "pdf")]
+    assert capsys.readouterr().out.splitlines() == [str(path) for path in again]
+    assert [file.name for file in made] == ["meta-loss.png", "meta-loss.pdf"]
+    png, pdf = (file.read_bytes() for file in made)
     assert png.startswith(b"\x89PNG")
     assert pdf.startswith(b"%PDF")
     assert b"CreationDate" not in pdf
     assert b"/Type3" not in pdf
-    assert [file.read_bytes() for file in made[1]] == [png, pdf]
+    assert [file.read_bytes() for file in again] == [png, pdf]
     assert {path.name for path in (tmp_path / "a").iterdir()} == {"meta-loss.png", "meta-loss.pdf"}
 
 
-def test_the_command_makes_the_figures_of_only(tmp_path, capsys):
-    write_losses(tmp_path)
-    words = ["reproduce", "figures", "--results", str(tmp_path), "--seed", "5", "--out", str(tmp_path / "out")]
-    assert main([*words, "--only", "meta-loss"]) == 0
-    assert capsys.readouterr().out.splitlines() == [
-        str(tmp_path / "out" / f"meta-loss.{kind}") for kind in ("png", "pdf")
-    ]
-    assert main([*words, "--only", "metaloss"]) == 2
+def test_the_command_refuses_a_figure_that_it_does_not_know(tmp_path, capsys):
+    assert main(["reproduce", "figures", "--out", str(tmp_path / "out"), "--only", "metaloss"]) == 2
     said = capsys.readouterr().err
     assert said.startswith("usnet: only must be one of")
     assert "did you mean 'meta-loss'?" in said

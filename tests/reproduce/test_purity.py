@@ -83,20 +83,20 @@ def test_known_cases_differ():
 def test_a_measurement_goes_on_and_makes_tables_and_a_picture(tmp_path, monkeypatch):
     methods = list_methods(["kmeans", "lead-votes"], ["scaled"])
     small = {"methods": methods, "clusters": 2, "uavs": 14, "seed": 5}
-    reproduce(tmp_path, follow=["f1"], episodes=10, **small)
+    reproduce(tmp_path, follow=["f1"], episodes=5, **small)
     path, played, seen = tmp_path / "purity-M2N14-seed5.csv", [], []
     monkeypatch.setattr(
         purity, "cluster_windows", lambda task, seed: played.append(task) or cluster_windows(task, seed)
     )
-    rows = reproduce(tmp_path, follow=["f1", "f4"], episodes=10, progress=lambda *count: seen.append(count), **small)
+    rows = reproduce(tmp_path, follow=["f1", "f4"], episodes=5, progress=lambda *count: seen.append(count), **small)
     assert {task.cell.follow for task in played} == {"f4"}
-    assert seen[0] == (50, 100)
-    assert seen[-1] == (100, 100)
-    assert len(rows) == len(read_rows(path, Row)) == 100
+    assert seen[0] == (25, 50)
+    assert seen[-1] == (50, 50)
+    assert len(rows) == len(read_rows(path, Row)) == 50
     table = path.with_suffix(".md").read_text(encoding="utf-8")
     for name, own in {"kmeans": ("given", "gap-one-se", "gap"), "lead-votes": ("given", "own")}.items():
         features = "scaled" if name == "kmeans" else "velocities"
-        assert all(table.count(f"| {name} | {count} | {features} | 20 |") == 2 for count in own)
+        assert all(table.count(f"| {name} | {count} | {features} | 10 |") == 2 for count in own)
     assert path.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -77,6 +77,12 @@ Arguments for --set:
 )
 @click.option("--memory-limit", type=PositiveNumber(), help="Megabytes that one answer of a detector may allocate.")
 @click.option(
+    "--isolate",
+    is_flag=True,
+    help="Play each detector in a process without an environment, with seeds from a secret of the run.",
+)
+@click.option("--secret", metavar="HEX", help="Secret of an earlier isolated run, to play its episodes again.")
+@click.option(
     "--out", metavar="DIR", help="Folder for rows, summary and config; the same command resumes an interrupted run."
 )
 @click.option(
@@ -95,6 +101,8 @@ def evaluate(
     workers: int,
     time_limit: float,
     memory_limit: float | None,
+    isolate: bool,
+    secret: str | None,
     out: str | None,
     trivial: bool,
     show_all: bool,
@@ -102,8 +110,8 @@ def evaluate(
 ) -> None:
     """Play every detector against the same swarms, and print a table of them, best first.
 
-    Episodes are played in worker processes. A detector that hangs or ends its process has failed; the other detectors
-    play to the end.
+    Episodes are played in worker processes; with --isolate, each detector has its own process. A detector that hangs or
+    ends its process has failed; the other detectors play to the end.
     """
     env_kwargs = parse_pairs(settings)
     if out is not None:
@@ -126,6 +134,8 @@ def evaluate(
                 progress=sys.stderr is not None and sys.stderr.isatty(),
                 time_limit=time_limit,
                 memory_limit=memory_limit,
+                isolate=isolate,
+                secret=secret,
             )
         except evaluation.EvaluationError as error:
             if error.result is None:
@@ -137,6 +147,8 @@ def evaluate(
         click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
     else:
         _print_result(result, show_all)
+    if isolate:
+        print_message(f"The secret of this run is {result.config['secret']}.")
     if failure is not None:
         raise failure
     if out is not None and not as_json:

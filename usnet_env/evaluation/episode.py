@@ -4,38 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError
+from usnet_env.envs.play import PlayedRound, play_rounds
 from usnet_env.evaluation.agents import Agent, Answer, RefusedArgumentError
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.metrics import episode_metrics
-from usnet_env.processes import ProcessDied, limited
+from usnet_env.processes import PlainError, ProcessDied, limited
+from usnet_env.swarm import SwarmState
 
-__all__ = ["Row", "detector_error", "episode_seeds", "play_episode", "warm_up"]
+__all__ = ["Row", "detector_error", "episode_seeds", "play_agent", "play_episode", "warm_up"]
 
 Row = dict[str, Any]
 
 
-def episode_seeds(seed: int, episode: int) -> tuple[int, int]:
+def episode_seeds(seed: int, episode: int, secret: str | None = None) -> tuple[int, int]:
     """Derive the seeds of one episode: one for the swarm, one for the detector.
 
     They come from two separate branches of (``seed``, ``episode``), so that the random numbers of a detector are
-    independent of those of its swarm. The detector's seed does not hide the swarm: ``seed`` and ``episode`` are small
-    numbers, so a program that searches all pairs of them for its own seed can compute the swarm's seed as well.
+    independent of those of its swarm. Without a secret, the detector's seed does not hide the swarm: ``seed`` and
+    ``episode`` are small numbers, so a program that searches all pairs of them for its own seed can compute the swarm's
+    seed as well. With a secret of 128 bits, neither seed can be searched.
 
     Args:
         seed: the seed of the evaluation.
         episode: number of the episode, from 0.
+        secret: the secret of an isolated run, as hexadecimal digits.
 
     Returns:
         The swarm's seed, below 2^63, and the detector's seed, below 2^31.
     """
-    swarm, detector = (np.random.SeedSequence(seed, spawn_key=(episode, branch)) for branch in (0, 1))
+    entropy = seed if secret is None else (seed, int(secret, 16))
+    swarm, detector = (np.random.SeedSequence(entropy, spawn_key=(episode, branch)) for branch in (0, 1))
     swarm_seed = int(swarm.generate_state(1, np.uint64)[0] >> np.uint64(1))
     return swarm_seed, int(detector.generate_state(1)[0] >> np.uint32(1))
 
@@ -44,6 +49,8 @@ def detector_error(label: str, where: str, error: BaseException) -> EvaluationEr
     """The error for a detector that failed; one sentence."""
     if isinstance(error, ProcessDied):
         return EvaluationError(f"detector {label!r} failed in {error.during or where}: {error.reason}.")
+    if isinstance(error, PlainError):
+        return EvaluationError(f"detector {label!r} failed in {where}: {' '.join(str(error).split()).rstrip('.')}.")
     text = " ".join(str(error).split())
     cause = text if isinstance(error, ArgumentError) else f"{type(error).__name__}: {text}".rstrip(": ")
     return EvaluationError(f"detector {label!r} failed in {where}: {cause.rstrip('.')}.")
@@ -62,14 +69,14 @@ def _step(label: str, where: str) -> Iterator[None]:
         raise detector_error(label, where, error) from error
 
 
-def warm_up(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int) -> None:
-    """Let the agent answer the first window of episode 0 once, before anything is timed.
+def warm_up(env: gym.Env[Any, Any], agent: Agent, label: str, swarm_seed: int) -> None:
+    """Let the agent answer the first window of an episode once, before anything is timed.
 
     Raises:
         RefusedArgumentError: the detector refused one of its arguments.
         EvaluationError: the detector failed.
     """
-    observation, _ = env.reset(seed=episode_seeds(seed, 0)[0])
+    observation, _ = env.reset(seed=swarm_seed)
     try:
         with _step(label, "its warm-up"):
             agent.warm_up(observation)
@@ -79,48 +86,53 @@ def warm_up(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int) -> None
         raise
 
 
-def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, seed: int, episode: int) -> Row:
+def play_agent(
+    env: gym.Env[Any, Any], agent: Agent, label: str, episode: int, seeds: tuple[int, int]
+) -> list[PlayedRound[Answer]]:
     """Play one episode to its end.
 
     Args:
         env: a USNET environment.
         agent: the agent that answers.
-        label: its name in the row and in errors.
-        seed: the seed of the evaluation.
+        label: its name in errors.
         episode: number of the episode, from 0.
-
-    Returns:
-        The row: ``detector, episode, swarm_seed, detector_seed, uavs, heads`` and the metrics.
+        seeds: of the swarm and of the agent, as :func:`episode_seeds` returns them.
 
     Raises:
         EvaluationError: the agent raised an exception, or its answer has a wrong type or shape.
     """
-    swarm_seed, detector_seed = episode_seeds(seed, episode)
-    observation, _ = env.reset(seed=swarm_seed)
-    truth = env.unwrapped.swarm  # type: ignore[attr-defined]  # make_environment checked that it is there
-    answers: list[Answer] = []
-    fired: list[NDArray[np.bool_]] = []
-    over = False
-    with _step(label, f"the reset of episode {episode}"):
-        agent.reset(detector_seed)
-    while not over:
-        with _step(label, f"episode {episode}, round {len(answers) + 1}"):
+    swarm_seed, detector_seed = seeds
+    number = count(1)
+
+    def answer(observation: Any, truth: SwarmState) -> Answer:
+        with _step(label, f"episode {episode}, round {next(number)}"):
             answer = agent.answer(observation)
             if answer.candidates.shape != truth.head.shape:
                 raise ArgumentError(
                     f"candidates must hold one value for each of {len(truth.head)} UAVs, got {len(answer.candidates)}."
                 )
-        observation, _, terminated, truncated, info = env.step(answer.candidates.astype(np.int8))
-        answers.append(answer)
-        fired.append(answer.candidates & (not info["over_budget"]))
-        over = terminated or truncated
-    problem = env.unwrapped.problem  # type: ignore[attr-defined]
+        return answer
+
+    with _step(label, f"the reset of episode {episode}"):
+        agent.reset(detector_seed)
+    return list(play_rounds(env, answer, swarm_seed))
+
+
+def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, episode: int, seeds: tuple[int, int]) -> Row:
+    """Play one episode to its end, as :func:`play_agent` does, and score it.
+
+    Returns:
+        The row: ``detector, episode, swarm_seed, detector_seed, uavs, heads`` and the metrics.
+    """
+    rounds = play_agent(env, agent, label, episode, seeds)
+    truth = rounds[0].truth
+    problem = env.unwrapped.problem  # type: ignore[attr-defined]  # make_environment checked that it is there
     return {
         "detector": label,
         "episode": episode,
-        "swarm_seed": swarm_seed,
-        "detector_seed": detector_seed,
+        "swarm_seed": seeds[0],
+        "detector_seed": seeds[1],
         "uavs": len(truth.head),
         "heads": int(truth.head.sum()),
-        **episode_metrics(problem, truth, answers, np.array(fired)),
+        **episode_metrics(problem, rounds),
     }

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from usnet_env import objectives
+from usnet_env.envs.play import PlayedRound
 from usnet_env.evaluation.agents import Answer
-from usnet_env.swarm import SwarmState
 
 __all__ = ["CLUSTER_METRICS", "METRICS", "RATES", "episode_metrics"]
 
@@ -32,22 +32,19 @@ RATES = frozenset({"success", "exact"})
 CLUSTER_METRICS = frozenset({"purity_first", "head_in_cluster_first"})
 
 
-def episode_metrics(
-    problem: str, truth: SwarmState, answers: list[Answer], fired: NDArray[np.bool_]
-) -> dict[str, float | int | None]:
+def episode_metrics(problem: str, rounds: Sequence[PlayedRound[Answer]]) -> dict[str, float | int | None]:
     """Compute all metrics of one episode.
 
     Args:
         problem: ``"P1"`` or ``"P2"``.
-        truth: the swarm before round 1.
-        answers: the answers of the R rounds.
-        fired: ``(R, N)`` bool, the candidates that were fired at: none in a round with more candidates than the shot
-            budget.
+        rounds: the R rounds; no candidate of a round with more candidates than the shot budget counts.
 
     Returns:
         A value for each name of :data:`METRICS`; the cluster metrics are ``None`` if the detector returns no clusters.
     """
-    head, first, answer = truth.head, fired[0], answers[0]
+    truth, answer = rounds[0].truth, rounds[0].answer
+    fired = np.array([each.answer.candidates & (not each.info["over_budget"]) for each in rounds])
+    head, first = truth.head, fired[0]
     if problem == "P1":
         objective = float(objectives.single_cluster_objective(head, first))
     else:
@@ -66,7 +63,7 @@ def episode_metrics(
         "recall_first": float(objectives.recall(head, first)),
         "f1_first": float(objectives.f1(head, first)),
         "ap_first": objectives.average_precision(head, answer.scores),
-        "seconds_per_round": float(np.mean([each.seconds for each in answers])),
+        "seconds_per_round": float(np.mean([each.answer.seconds for each in rounds])),
         "purity_first": purity,
         "head_in_cluster_first": together,
     }

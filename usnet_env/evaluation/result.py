@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from usnet_env.config import unknown_name
-from usnet_env.evaluation.episode import Row
 from usnet_env.evaluation.metrics import CLUSTER_METRICS, METRICS, RATES
 from usnet_env.evaluation.statistics import mean_interval, rate_interval
+from usnet_env.evaluation.table import RowTable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -45,7 +47,7 @@ RANKING = {
 }
 
 
-def summarise(rows: Sequence[Row]) -> Summary:
+def summarise(rows: RowTable) -> Summary:
     """Summarise rows: one entry for each detector, in the order of their first rows.
 
     An entry is ``{"detector", "episodes", "metrics"}``. Each metric has its mean over all episodes, including those
@@ -53,16 +55,19 @@ def summarise(rows: Sequence[Row]) -> Summary:
     clusters, and are absent if there is no such episode.
     """
     entries = []
-    for label in dict.fromkeys(row["detector"] for row in rows):
-        own = [row for row in rows if row["detector"] == label]
+    labels = rows.column("detector")
+    for label in dict.fromkeys(labels):
+        own = labels == label
         metrics = {}
         for name in METRICS:
-            values = [row[name] for row in own if row[name] is not None]
-            if name in CLUSTER_METRICS and not values:
-                continue
+            values = rows.column(name)[own].astype(np.float64)
+            if name in CLUSTER_METRICS:
+                values = values[~np.isnan(values)]
+                if not len(values):
+                    continue
             interval = rate_interval(values) if name in RATES else mean_interval(values)
             metrics[name] = interval._asdict()
-        entries.append({"detector": label, "episodes": len(own), "metrics": metrics})
+        entries.append({"detector": label, "episodes": int(own.sum()), "metrics": metrics})
     return entries
 
 
@@ -92,12 +97,13 @@ class EvaluationResult:
     """The result of :func:`usnet_env.evaluate`.
 
     Args:
-        rows: one mapping for each detector and episode, sorted by detector, then by episode.
+        rows: one mapping for each detector and episode, sorted by detector, then by episode: a sequence that stores
+            one array for each column.
         summary: one entry for each detector, ``{"detector", "episodes", "metrics": {name: {"mean", "low", "high"}}}``.
         config: the arguments of the evaluation, as plain values.
     """
 
-    rows: list[Row]
+    rows: Sequence[Mapping[str, Any]]
     summary: Summary
     config: Mapping[str, Any]
 

@@ -9,27 +9,27 @@ from os import PathLike
 from typing import Annotated, Any
 
 import gymnasium as gym
+import numpy as np
 from pydantic import Field
 
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.evaluation.agents import PolicyAgent, as_agent
 from usnet_env.evaluation.environments import find_environment, is_usnet, make_environment
-from usnet_env.evaluation.episode import Row, episode_seeds
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.identity import describe, describe_detector
+from usnet_env.evaluation.isolation import make_secret
 from usnet_env.evaluation.result import EvaluationResult, summarise
+from usnet_env.evaluation.schedule import Rows, Seeds, Tasks
 from usnet_env.evaluation.store import RunStore
-from usnet_env.evaluation.workers import PREPARE, Contestant, Plan, Task, run_here, run_in_processes
+from usnet_env.evaluation.workers import Contestant, Plan, Task, Worker, run_here, run_in_processes
 from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
-from usnet_env.processes import Limits, Outcome
+from usnet_env.processes import Limits
 
 __all__ = ["MOST_EPISODES", "MOST_WORKERS", "TRIVIAL", "evaluate"]
 
 #: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
 TRIVIAL = ("destroy-all", "none", "random", "one-per-round")
-
-Rows = dict[tuple[str, int], Row]  # by detector and episode
 
 MOST_EPISODES = 1_000_000
 MOST_WORKERS = 256
@@ -43,6 +43,7 @@ class _Run(Config):
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)]
     trivial: bool
     progress: bool
+    isolate: bool
 
 
 def evaluate(
@@ -58,13 +59,15 @@ def evaluate(
     progress: bool = False,
     time_limit: float | None = None,
     memory_limit: float | None = None,
+    isolate: bool = False,
+    secret: str | None = None,
 ) -> EvaluationResult:
     """Play the same episodes with every detector, and score them.
 
-    The seeds of the swarm and of the detector in episode i come from two separate branches of (``seed``, i). So every
-    detector plays against the same swarms, for any number of workers. Each episode starts with the detector's
-    ``reset``; the detector receives windows and nothing else. Before its first episode each detector answers one window
-    that is neither timed nor scored (warm-up).
+    The seeds of the swarm and of the detector in episode i come from two separate branches of (``seed``, i), and of the
+    secret of an isolated run. So every detector plays against the same swarms, for any number of workers. Each episode
+    starts with the detector's ``reset``; the detector receives windows and nothing else. Before its first episode each
+    detector answers one window that is neither timed nor scored (warm-up).
 
     Args:
         env: a registered id, or an environment object (which allows one worker only, and is not closed).
@@ -84,7 +87,11 @@ def evaluate(
             that exceeds it has failed.
         memory_limit: largest memory in megabytes (10^6 bytes) that one answer, or one ``reset``, may allocate;
             ``None``: no limit. Linux only. With one of the two limits, episodes are played in worker processes, also
-            if ``workers`` is 1.
+            if ``workers`` is 1, unless ``isolate`` is true.
+        isolate: play each detector in a process of its own that never holds an environment and receives windows only.
+            All seeds then depend on a secret that is drawn for the run, and written to ``run.json`` and to the
+            result's ``config`` when the run ends.
+        secret: the secret of an earlier isolated run, to play its episodes again; ``None``: a new one.
 
     Returns:
         Rows, summary and table.
@@ -96,101 +103,66 @@ def evaluate(
             end: the error's ``result`` holds theirs. Finished rows are kept in ``out``.
     """
     folder = None if out is None else as_path("out", out)
-    run = _Run(episodes=episodes, seed=seed, workers=workers, trivial=trivial, progress=progress)
+    run = _Run(episodes=episodes, seed=seed, workers=workers, trivial=trivial, progress=progress, isolate=isolate)
+    seeds = Seeds(run.seed, make_secret(secret), secret is not None) if run.isolate else Seeds(run.seed)
+    if secret is not None and not run.isolate:
+        raise ArgumentError("secret must be None unless isolate is true, got a secret.")
     limits = _make_limits(time_limit, memory_limit)
     arguments = _check_env_kwargs(env_kwargs)
-    contestants = _make_contestants(detector, run.trivial)
+    contestants = _make_contestants(detector, run)
     with ExitStack() as stack:
         if isinstance(env, str):
             environment = make_environment(find_environment(env), arguments)
             stack.callback(environment.close)
         else:
-            environment = _check_environment(env, arguments, run.workers, limits)
+            environment = _check_environment(env, arguments, run, limits)
         config = _make_config(environment, arguments, contestants, run)
         store = None if folder is None else stack.enter_context(RunStore(folder, config))
-        rows = _load_rows(store, contestants, run)
-        tasks = _Tasks(rows, contestants, run.episodes)
+        rows = Rows(store, seeds, [contestant.label for contestant in contestants], run.episodes)
+        tasks = Tasks(rows, seeds)
         threads: list[tuple[str, Task]] = []
-        if isinstance(env, str) and tasks.count and (limits.any or (run.workers > 1 and tasks.count > 1)):
-            processes = min(run.workers, tasks.count)
-            plan = Plan(env, arguments, contestants, run.seed)
-            outcomes = run_in_processes(plan, tasks, tasks.is_wanted, processes, limits, threads)
+        isolation = limits if run.isolate else None
+        if (
+            isinstance(env, str)
+            and tasks.count
+            and ((limits.any and not run.isolate) or min(run.workers, tasks.count) > 1)
+        ):
+            plan = Plan(env, arguments, contestants, isolation)
+            outcomes = run_in_processes(plan, tasks, tasks.is_wanted, min(run.workers, tasks.count), limits, threads)
         else:
-            outcomes = run_here(environment, contestants, run.seed, tasks, threads)
+            outcomes = run_here(Worker(environment, contestants, isolation), tasks, threads)
         try:
-            with closing(outcomes), _progress_bar(run.progress, run.episodes * len(contestants), len(rows)) as advance:
+            with closing(outcomes), _progress_bar(run.progress, rows.done.size, int(rows.done.sum())) as advance:
                 for outcome in outcomes:
                     tasks.note(outcome)
-                    if outcome.result is None:
-                        continue
-                    rows[outcome.result["detector"], outcome.result["episode"]] = outcome.result
-                    advance()
-                    if store is not None and tasks.prepared and store.should_save():
-                        store.save_rows(_sort_rows(rows, contestants))
+                    if outcome.result is not None:
+                        rows.add(outcome.task, outcome.result)
+                        advance()
+                    if tasks.prepared:
+                        rows.save(tasks.failures)
         finally:
-            if store is not None and rows and tasks.prepared:
-                store.save_rows(_sort_rows(rows, contestants))
+            if tasks.prepared:
+                rows.save()
+            if store is not None and seeds.secret is not None:
+                store.add_secret(seeds.secret)
         _warn_of_threads(threads, contestants)
         failed = {contestants[number].label for number in tasks.failures}
-        ordered = [row for row in _sort_rows(rows, contestants) if row["detector"] not in failed]
-        result = EvaluationResult(ordered, summarise(ordered), config)
+        table = rows.table.take(rows.order(rows.table))
+        table = table.take(np.flatnonzero([label not in failed for label in table.column("detector")]))
+        result = EvaluationResult(table, summarise(table), config | seeds.describe())
         if tasks.failures:
             error = EvaluationError(" ".join(map(str, tasks.failures.values())))
-            error.result = result if ordered else None
+            error.result = result if table else None
             raise error
         if store is not None:
-            store.save_summary(result.summary)
+            store.finish(rows.order, result.summary)
     return result
-
-
-class _Tasks:
-    """Iterates over the tasks that are to be played; a detector that has failed gets no more of them.
-
-    At first every detector is prepared, so that one that refuses its arguments is found before anything is written.
-    """
-
-    def __init__(self, rows: Rows, contestants: Sequence[Contestant], episodes: int) -> None:
-        self.failures: dict[int, BaseException] = {}
-        self._episodes = [
-            (episode, number)
-            for episode in range(episodes)
-            for number, contestant in enumerate(contestants)
-            if (contestant.label, episode) not in rows
-        ]
-        self._unprepared = {number for _, number in self._episodes}
-        self._left = iter([*((PREPARE, number) for number in sorted(self._unprepared)), *self._episodes])
-
-    @property
-    def count(self) -> int:
-        """Number of episodes to play."""
-        return len(self._episodes)
-
-    @property
-    def prepared(self) -> bool:
-        """Whether every detector has been prepared, or has failed."""
-        return not self._unprepared
-
-    def __iter__(self) -> Iterator[Task]:
-        return self
-
-    def __next__(self) -> Task:
-        return next(filter(self.is_wanted, self._left))
-
-    def is_wanted(self, task: Task) -> bool:
-        """Whether the detector of the task has not failed."""
-        return task[1] not in self.failures
-
-    def note(self, outcome: Outcome[Task, Row | None]) -> None:
-        """Take notice of an outcome."""
-        self._unprepared.discard(outcome.task[1])
-        if outcome.error is not None:
-            self.failures.setdefault(outcome.task[1], outcome.error)
 
 
 def _warn_of_threads(threads: Sequence[tuple[str, Task]], contestants: Sequence[Contestant]) -> None:
     """Warn of threads that detectors have started and that keep a program from ending."""
-    for label in dict.fromkeys(contestants[number].label for _, (_, number) in threads):
-        names = [name for name, (_, number) in threads if contestants[number].label == label]
+    for label in dict.fromkeys(contestants[task.contestant].label for _, task in threads):
+        names = [name for name, task in threads if contestants[task.contestant].label == label]
         count = "1 thread running that is no daemon" if len(names) == 1 else f"{len(names)} threads running, no daemons"
         warnings.warn(
             f"detector {label!r} left {count}: {', '.join(dict.fromkeys(names))}.", RuntimeWarning, stacklevel=3
@@ -209,24 +181,6 @@ def _make_limits(time_limit: float | None, memory_limit: float | None) -> Limits
         ) from None
 
 
-def _sort_rows(rows: Rows, contestants: Sequence[Contestant]) -> list[Row]:
-    """Sort rows by detector, in the order of the contestants, then by episode."""
-    order = {contestant.label: number for number, contestant in enumerate(contestants)}
-    return sorted(rows.values(), key=lambda row: (order[row["detector"]], row["episode"]))
-
-
-def _load_rows(store: RunStore | None, contestants: Sequence[Contestant], run: _Run) -> Rows:
-    rows = {} if store is None else {(row["detector"], row["episode"]): row for row in store.load_rows()}
-    labels = {contestant.label for contestant in contestants}
-    if any(label not in labels or not 0 <= episode < run.episodes for label, episode in rows):
-        raise ArgumentError("out must hold only rows of this run, got rows of other detectors or episodes.")
-    if any(
-        (row["swarm_seed"], row["detector_seed"]) != episode_seeds(run.seed, row["episode"]) for row in rows.values()
-    ):
-        raise ArgumentError("out must hold only rows of this run, got rows of another seed.")
-    return rows
-
-
 def _check_env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
     if env_kwargs is None:
         return {}
@@ -235,41 +189,46 @@ def _check_env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
     return dict(env_kwargs)
 
 
-def _check_environment(env: Any, arguments: Mapping[str, Any], workers: int, limits: Limits) -> gym.Env[Any, Any]:
+def _check_environment(env: Any, arguments: Mapping[str, Any], run: _Run, limits: Limits) -> gym.Env[Any, Any]:
     """Check an environment object given by the caller, and return it."""
     if not isinstance(env, gym.Env) or not is_usnet(env):
         raise ArgumentError(f"env must be a registered id or a USNET environment, got {quote(env)}.")
     if arguments:
         raise ArgumentError("env_kwargs must be empty if env is an environment object, got arguments for it.")
-    if workers != 1:
-        raise ArgumentError(f"workers must be 1 if env is an environment object, got {workers}.")
-    if limits.any:
+    if run.workers != 1:
+        raise ArgumentError(f"workers must be 1 if env is an environment object, got {run.workers}.")
+    if limits.any and not run.isolate:
         raise ArgumentError("time_limit and memory_limit must be None if env is an environment object, got a limit.")
     return env
 
 
-def _make_contestants(detector: Any, trivial: bool) -> list[Contestant]:
+def _make_contestants(detector: Any, run: _Run) -> list[Contestant]:
     """Give each detector its own label."""
     detectors = list(detector) if isinstance(detector, list | tuple) else [detector]
     if not detectors:
         raise ArgumentError("detector must name at least one detector, got an empty list.")
     contestants: dict[str, Contestant] = {}
     for each in detectors:
-        label = _make_label(each)
+        label = first = _make_label(each, run.isolate)
         if label in contestants and isinstance(each, str):
             raise ArgumentError(f"detector must name each detector once, got {label!r} twice.")
         number = 2
         while label in contestants:
-            label = f"{_make_label(each)} #{number}"
+            label = f"{first} #{number}"
             number += 1
         contestants[label] = Contestant(label, each)
-    for name in TRIVIAL if trivial else ():
+    for name in TRIVIAL if run.trivial else ():
         contestants.setdefault(name, Contestant(name, name))
     return list(contestants.values())
 
 
-def _make_label(detector: Any) -> str:
-    """Return the label of a detector; whatever is not a detector is refused."""
+def _make_label(detector: Any, isolate: bool) -> str:
+    """Return the label of a detector; whatever is not a detector is refused.
+
+    With ``isolate``, the code of a detector that is given by name is not loaded here.
+    """
+    if isolate and isinstance(detector, str):
+        return detector_label(detector)
     agent = as_agent(make_detector(detector) if isinstance(detector, str) else detector)
     return type(detector).__name__ if isinstance(agent, PolicyAgent) else detector_label(detector)
 
@@ -289,6 +248,7 @@ def _make_config(
         ],
         "episodes": run.episodes,
         "seed": run.seed,
+        **({"isolate": True} if run.isolate else {}),
     }
 
 

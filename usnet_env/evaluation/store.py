@@ -1,31 +1,43 @@
-"""Keep an evaluation in a folder: rows, summary and config. Files are replaced atomically, and a run can be resumed."""
+"""Keep rows in a file that grows at its end, and an evaluation in a folder that can be resumed."""
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import os
+import re
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from usnet_env.config import ArgumentError
-from usnet_env.evaluation.episode import Row
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.config import ArgumentError, quote
 from usnet_env.evaluation.metrics import CLUSTER_METRICS, METRICS
+from usnet_env.evaluation.table import Columns, RowTable, read_table
 from usnet_env.files import FileLock, atomic_write
 from usnet_env.provenance import machine, versions
 
-__all__ = ["COLUMNS", "RunStore", "write_text"]
+__all__ = ["COLUMNS", "RowFile", "RunStore", "write_text"]
 
 RUN, EPISODES, SUMMARY = "run.json", "episodes.csv", "summary.json"
 
 _INTEGERS = ("episode", "swarm_seed", "detector_seed", "uavs", "heads", "rounds", "success", "exact")
-COLUMNS = ("detector", "episode", "swarm_seed", "detector_seed", "uavs", "heads", *METRICS)
+#: The columns of ``episodes.csv`` with their types.
+COLUMNS: Columns = {
+    name: "int" if name in _INTEGERS else "float | None" if name in CLUSTER_METRICS else "float"
+    for name in ("detector", "episode", "swarm_seed", "detector_seed", "uavs", "heads", *METRICS)
+} | {"detector": "str"}
 
-_SHARE_OF_TIME = 0.05  # largest share of a run that may be spent on writing rows
+#: Returns the places of the rows of a table in their new order.
+Order = Callable[[RowTable], Sequence[int] | NDArray[np.int64]]
+
+_SYNC_EVERY = 10.0  # seconds; what is older survives a failure of power, and everything that of this program
+_ROWS_AT_ONCE = 10_000
 
 
 def write_text(path: Path, text: str) -> None:
@@ -36,12 +48,157 @@ def write_text(path: Path, text: str) -> None:
         os.fsync(file.fileno())
 
 
-def _parse_value(column: str, text: str) -> Any:
-    if column == "detector":
-        return text
-    if column in CLUSTER_METRICS and not text:
-        return None
-    return int(text) if column in _INTEGERS else float(text)
+class RowFile:
+    """A CSV file of rows that grows at its end: a row costs the same, however many there are.
+
+    A program that is killed leaves at most a part of its last line, which is removed when the file is opened again. If
+    the disk is full, the file ends with the last complete row. :meth:`sort` replaces the file as a whole.
+
+    Args:
+        path: the file; it is created with the first row.
+        columns: names and types of the columns.
+        lock: keeps other programs away; by default the file's own lock, which :meth:`close` releases.
+        digits: decimals of ``float``; ``None``: as many as are needed to read the same value again.
+
+    Attributes:
+        table: all rows of the file.
+
+    Raises:
+        ArgumentError: another process has the lock.
+        ValueError: the file holds something else.
+    """
+
+    def __init__(self, path: Path, columns: Columns, lock: FileLock | None = None, digits: int | None = None) -> None:
+        self.path = path
+        self._lock = FileLock(path) if lock is None else lock
+        self._owns_lock = lock is None
+        self._digits = digits
+        self._file: io.FileIO | None = None
+        self._end = 0
+        self._synced = time.monotonic()
+        try:
+            self.table = read_table(path, columns)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> RowFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def append(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Append rows to the file and the table.
+
+        Raises:
+            ArgumentError: the file or its folder was removed or changed, or cannot be written; the file then holds no
+                part of these rows.
+        """
+        self._lock.check()
+        self._file = self._file or self._open()
+        first = len(self.table)
+        try:
+            for row in rows:
+                self.table.append(row)
+            self._write(self._file, self.table.format_csv(first, digits=self._digits).encode())
+        except BaseException:
+            self.table = self.table[:first]
+            raise
+
+    def sort(self, order: Order) -> None:
+        """Sort the rows; the file is written again if that changes it.
+
+        Args:
+            order: returns the places of the rows in their new order.
+        """
+        places = np.asarray(order(self.table), np.int64)
+        if (places == np.arange(len(places))).all():
+            return
+        self._lock.check()
+        self.table = self.table.take(places)
+        self._replace()
+
+    def close(self) -> None:
+        """Close the file and release its lock."""
+        if self._file is not None:
+            with suppress(OSError):
+                os.fsync(self._file.fileno())
+            self._file.close()
+            self._file = None
+        if self._owns_lock:
+            self._lock.release()
+            self._owns_lock = False
+
+    def _open(self) -> io.FileIO:
+        """Open the file at the end of its last complete line; a new file appears with its header."""
+        for left in self.path.parent.glob(f".{self.path.name}.*"):  # of a program that was killed while it wrote
+            if re.fullmatch(r"[0-9a-f]{32}", left.name.rpartition(".")[2]):
+                left.unlink()
+        try:
+            with self.path.open(encoding="utf-8", newline="") as lines:
+                known = lines.readline() == ",".join(self.table.columns) + "\n"
+        except FileNotFoundError:
+            known = False
+        if not known:
+            self._replace()
+        file = io.FileIO(self.path, "r+")
+        self._end = _whole_lines(file)
+        file.truncate(self._end)
+        file.seek(self._end)
+        return file
+
+    def _replace(self) -> None:
+        """Write the whole table in place of the file."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+        with atomic_write(self.path) as aside, aside.open("w", encoding="utf-8", newline="") as file:
+            file.write(",".join(self.table.columns) + "\n")
+            for first in range(0, len(self.table), _ROWS_AT_ONCE):
+                file.write(self.table.format_csv(first, first + _ROWS_AT_ONCE, self._digits))
+            file.flush()
+            os.fsync(file.fileno())
+
+    def _write(self, file: io.FileIO, data: bytes) -> None:
+        """Write at the end of the file, all of it or nothing."""
+        found = os.fstat(file.fileno())
+        try:
+            same = os.path.samestat(os.stat(self.path), found) and found.st_size == self._end
+        except OSError:
+            same = False
+        if not same:
+            raise ArgumentError(
+                f"out must stay as it is during a run, got {quote(str(self.path))}, which was removed or changed."
+            )
+        written = 0
+        try:
+            while written < len(data):
+                written += file.write(data[written:]) or 0
+        except OSError as error:
+            raise ArgumentError(
+                f"out must be a folder that can be written, got {quote(str(self.path.parent))}: {error.strerror}."
+            ) from None
+        finally:
+            if written < len(data):
+                file.truncate(self._end)
+                file.seek(self._end)
+            self._end = file.tell()
+        if time.monotonic() - self._synced > _SYNC_EVERY:
+            os.fsync(file.fileno())
+            self._synced = time.monotonic()
+
+
+def _whole_lines(file: io.FileIO) -> int:
+    """The size of a file without a last line that lacks its end."""
+    end = file.seek(0, os.SEEK_END)
+    while end:
+        first = file.seek(max(0, end - 4096))
+        place = (file.read(end - first) or b"").rfind(b"\n")
+        if place >= 0:
+            return first + place + 1
+        end = first
+    return 0
 
 
 class RunStore:
@@ -60,8 +217,6 @@ class RunStore:
     def __init__(self, folder: Path, config: Mapping[str, Any]) -> None:
         self.folder = folder
         self._config = json.loads(json.dumps(config))
-        self._saved_at = time.monotonic()
-        self._write_seconds = 0.0
         if folder.exists() and not folder.is_dir():
             raise ArgumentError(f"out must be a folder, got the file {str(folder)!r}.")
         self._lock = FileLock(folder / RUN)
@@ -73,14 +228,19 @@ class RunStore:
                 raise ArgumentError(
                     f"out must be a new folder or the folder of a run, got {str(folder)!r} with rows but no {RUN}."
                 )
-        except BaseException:
+            self._rows = RowFile(folder / EPISODES, COLUMNS, self._lock)
+        except BaseException as error:
             self._lock.release()
+            if isinstance(error, ValueError) and not isinstance(error, ArgumentError):
+                text = f"out must hold complete rows, got a broken {EPISODES} in {str(folder)!r}."
+                raise ArgumentError(text) from None
             raise
 
     def __enter__(self) -> RunStore:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._rows.close()
         self._lock.release()
 
     def _check_same_run(self) -> None:
@@ -102,51 +262,40 @@ class RunStore:
         if made_by != version("usnet"):
             raise ArgumentError(f"out must be a new folder, got {str(self.folder)!r} with a run of usnet {made_by}.")
 
-    def load_rows(self) -> list[Row]:
-        """Read the rows of all finished episodes.
+    @property
+    def table(self) -> RowTable:
+        """The rows of all finished episodes."""
+        return self._rows.table
 
-        Raises:
-            ArgumentError: the file is damaged or was edited.
-        """
-        path = self.folder / EPISODES
-        if not path.exists():
-            return []
-        try:
-            with open(path, encoding="utf-8", newline="") as file:
-                reader = csv.DictReader(file, strict=True)
-                if tuple(reader.fieldnames or ()) != COLUMNS:
-                    raise ValueError
-                return [{name: _parse_value(name, row[name]) for name in COLUMNS} for row in reader]
-        except (ValueError, TypeError, csv.Error):
-            raise ArgumentError(
-                f"out must hold complete rows, got a broken {EPISODES} in {str(self.folder)!r}."
-            ) from None
-
-    def should_save(self) -> bool:
-        """Return whether rows should be written now, so that writing takes at most a small share of the time."""
-        return time.monotonic() - self._saved_at >= self._write_seconds / _SHARE_OF_TIME
-
-    def save_rows(self, rows: Iterable[Row]) -> None:
-        """Write all rows, replacing those in the file; the first call writes ``run.json`` as well.
+    def append(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Append rows of finished episodes; the first call writes ``run.json`` as well.
 
         Raises:
             ArgumentError: the folder was removed during the run, or it cannot be written.
         """
-        begin = time.monotonic()
-        self._lock.check()
         if not self._begun:  # only now: a run that is refused before its first row leaves nothing
+            self._lock.check()
             description = {"config": self._config, "versions": versions(), "machine": machine()}
             write_text(self.folder / RUN, json.dumps(description, indent=2) + "\n")
             self._begun = True
-        text = io.StringIO()
-        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        write_text(self.folder / EPISODES, text.getvalue())
-        self._saved_at = time.monotonic()
-        self._write_seconds = self._saved_at - begin
+        self._rows.append(rows)
 
-    def save_summary(self, summary: Sequence[Mapping[str, Any]]) -> None:
-        """Write the summary of a finished run."""
+    def add_secret(self, secret: str) -> None:
+        """Write the secret of an isolated run that has ended to ``run.json``, after those of its earlier parts."""
+        if not self._begun:
+            return
         self._lock.check()
+        description = json.loads((self.folder / RUN).read_text(encoding="utf-8"))
+        secrets = dict.fromkeys([*description.get("secrets", []), secret])
+        write_text(self.folder / RUN, json.dumps(description | {"secrets": list(secrets)}, indent=2) + "\n")
+
+    def finish(self, order: Order, summary: Sequence[Mapping[str, Any]]) -> None:
+        """Sort the rows of a finished run, and write its summary.
+
+        Args:
+            order: returns the places of the rows in their new order.
+            summary: the summary.
+        """
+        self._lock.check()
+        self._rows.sort(order)
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=2) + "\n")

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import pickle
 import threading
 from collections.abc import Callable, Generator, Iterable
-from contextlib import suppress
+from contextlib import closing
 from dataclasses import dataclass, field
-from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 from gymnasium.vector.utils import CloudpickleWrapper
@@ -18,18 +16,29 @@ from usnet_env.evaluation.agents import Agent, as_agent
 from usnet_env.evaluation.environments import find_environment, make_environment
 from usnet_env.evaluation.episode import Row, detector_error, play_episode, warm_up
 from usnet_env.evaluation.errors import EvaluationError
-from usnet_env.plugins import make_detector, register_detector, registered_detectors
-from usnet_env.processes import Limits, Outcome, ProcessDied, ProcessPool, SendError
-from usnet_env.swarm import register_follow_strategy, register_mobility
-from usnet_env.swarm.follow import FollowFunction, follow_strategies
-from usnet_env.swarm.mobility import MobilityFunction, mobilities
+from usnet_env.evaluation.isolation import IsolatedAgent
+from usnet_env.evaluation.parts import Part, register_parts, registered_parts
+from usnet_env.plugins import make_detector
+from usnet_env.processes import Limits, Outcome, PlainError, ProcessDied, ProcessPool, SendError
 
 __all__ = ["PREPARE", "Contestant", "Plan", "Task", "Worker", "run_here", "run_in_processes"]
 
-Task = tuple[int, int]  # episode, index of the contestant
-
 #: In place of an episode: only create the agent and warm it up.
 PREPARE = -1
+
+
+class Task(NamedTuple):
+    """An episode that a contestant is to play.
+
+    Args:
+        episode: number of the episode, or :data:`PREPARE`.
+        contestant: index of the contestant.
+        seeds: of the swarm and of the detector; those of episode 0 for :data:`PREPARE`.
+    """
+
+    episode: int
+    contestant: int
+    seeds: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -45,7 +54,7 @@ class Contestant:
     detector: Any
 
     def make_agent(self) -> Agent:
-        """Create the agent: a new detector if a name is given, else the given object."""
+        """Create the agent in this process: a new detector if a name is given, else the given object."""
         return as_agent(make_detector(self.detector) if isinstance(self.detector, str) else self.detector)
 
 
@@ -56,13 +65,14 @@ class Worker:
     Args:
         env: the environment of this process.
         contestants: all contestants of the evaluation.
-        seed: the seed of the evaluation.
+        isolation: limits of each answer of a detector in a process of its own; ``None``: it runs in this process.
     """
 
     env: gym.Env[Any, Any]
     contestants: list[Contestant]
-    seed: int
+    isolation: Limits | None = None
     _agents: dict[int, Agent] = field(default_factory=dict)
+    _starting: dict[int, IsolatedAgent] = field(default_factory=dict)
 
     def run_task(self, task: Task) -> Row | None:
         """Play one episode with one contestant; ``None`` if the contestant was only prepared.
@@ -71,15 +81,32 @@ class Worker:
             EvaluationError: the contestant failed.
             ArgumentError: the contestant refused one of its arguments.
         """
-        episode, number = task
+        episode, number, seeds = task
         contestant = self.contestants[number]
         if number not in self._agents:
-            agent = contestant.make_agent()
-            warm_up(self.env, agent, contestant.label, self.seed)
+            agent = contestant.make_agent() if self.isolation is None else self._isolate(number)
+            warm_up(self.env, agent, contestant.label, seeds[0])
             self._agents[number] = agent
         if episode == PREPARE:
             return None
-        return play_episode(self.env, self._agents[number], contestant.label, self.seed, episode)
+        return play_episode(self.env, self._agents[number], contestant.label, episode, seeds)
+
+    def _isolate(self, number: int) -> Agent:
+        """Create an agent in its own process; at first all those processes are started, so that they load together."""
+        assert self.isolation is not None
+        if not self._starting:
+            for each, contestant in enumerate(self.contestants):
+                self._starting[each] = IsolatedAgent(contestant.detector, self.isolation)
+        try:
+            self._starting[number].start()
+        except (PlainError, ProcessDied) as error:
+            raise detector_error(self.contestants[number].label, "its constructor", error) from error
+        return self._starting[number]
+
+    def close(self) -> None:
+        """End the processes of the agents."""
+        for agent in self._starting.values():
+            agent.close()
 
 
 @dataclass(frozen=True)
@@ -90,13 +117,13 @@ class Plan:
         env_id: id of the environment, created once in each process; a module before the id is imported there.
         env_kwargs: arguments of the environment.
         contestants: all contestants of the evaluation.
-        seed: the seed of the evaluation.
+        isolation: limits of each answer of a detector in a process of its own; ``None``: it runs in a worker process.
     """
 
     env_id: str
     env_kwargs: dict[str, Any]
     contestants: list[Contestant]
-    seed: int
+    isolation: Limits | None = None
 
 
 @dataclass
@@ -109,14 +136,14 @@ class _RemoteWorker:
     """
 
     plan: Plan
-    registered: list[_Part]
+    registered: list[Part]
     _worker: Worker | None = None
 
     def run_task(self, task: Task) -> Row | None:
         if self._worker is None:
-            _register_parts(self.registered)
+            register_parts(self.registered)
             environment = make_environment(find_environment(self.plan.env_id), self.plan.env_kwargs)
-            self._worker = Worker(environment, self.plan.contestants, self.plan.seed)
+            self._worker = Worker(environment, self.plan.contestants, self.plan.isolation)
         return self._worker.run_task(task)
 
 
@@ -130,79 +157,26 @@ class _Sent:
         return self.wrapper.fn.run_task(task)
 
 
-_REGISTER = {"follow": register_follow_strategy, "mobility": register_mobility, "detector": register_detector}
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A follow strategy, mobility or detector that the program has registered itself.
-
-    Args:
-        kind, name: what it is, and its name.
-        module: where it is defined.
-        part: the object, to be pickled by value.
-    """
-
-    kind: str
-    name: str
-    module: str
-    part: CloudpickleWrapper[Any]
-
-
-def _registered_parts() -> list[_Part]:
-    """What this program has registered itself.
-
-    What cannot be pickled is left out; a worker process that needs it then refuses its name.
-    """
-    found: list[tuple[str, str, Any, Any]] = [
-        (kind, name, part, part.function if isinstance(part, FollowFunction | MobilityFunction) else type(part))
-        for kind, parts in (("follow", follow_strategies()), ("mobility", mobilities()))
-        for name, part in parts.items()
-    ]
-    found += [("detector", name, factory, factory) for name, factory in registered_detectors().items()]
-    parts = []
-    for kind, name, part, origin in found:
-        module = str(getattr(origin, "__module__", ""))
-        if not module.startswith("usnet_env."):
-            with suppress(Exception):
-                pickle.dumps(wrapper := CloudpickleWrapper(part))
-                parts.append(_Part(kind, name, module, wrapper))
-    return parts
-
-
-def _register_parts(parts: Iterable[_Part]) -> None:
-    """Register parts in this process, unless the main script or their module has registered them here too."""
-    known = {"follow": follow_strategies(), "mobility": mobilities(), "detector": registered_detectors()}
-    for part in parts:
-        with suppress(Exception):  # its module cannot be imported here: its name is refused if it is used
-            if part.module != "__main__":
-                import_module(part.module)
-            if part.name not in known[part.kind]:
-                _REGISTER[part.kind](part.name, part.part.fn)  # type: ignore[operator]
-
-
 def run_here(
-    env: gym.Env[Any, Any], contestants: list[Contestant], seed: int, tasks: Iterable[Task], threads: list[_Thread]
+    worker: Worker, tasks: Iterable[Task], threads: list[_Thread]
 ) -> Generator[Outcome[Task, Row | None], None, None]:
     """Run all tasks in this process.
 
     Args:
-        env: the environment.
-        contestants: all contestants of the evaluation.
-        seed: the seed of the evaluation.
-        tasks: pairs of an episode and the index of a contestant.
+        worker: plays them; it is closed at the end.
+        tasks: what to play.
         threads: receives the names of threads that are not daemons and stay after a task, each with the task.
     """
-    worker = Worker(env, contestants, seed)
     known = set(threading.enumerate())
-    for task in tasks:
-        try:
-            yield Outcome(task, worker.run_task(task))
-        except EvaluationError as error:
-            yield Outcome(task, error=error)
-        fresh = [each for each in threading.enumerate() if each not in known]
-        threads += [(each.name, task) for each in fresh if not each.daemon]
-        known.update(fresh)
+    with closing(worker):
+        for task in tasks:
+            try:
+                yield Outcome(task, worker.run_task(task))
+            except EvaluationError as error:
+                yield Outcome(task, error=error)
+            fresh = [each for each in threading.enumerate() if each not in known]
+            threads += [(each.name, task) for each in fresh if not each.daemon]
+            known.update(fresh)
 
 
 _Thread = tuple[str, Task]
@@ -220,7 +194,7 @@ def run_in_processes(
 
     Args:
         plan: the evaluation.
-        tasks: pairs of an episode and the index of a contestant.
+        tasks: what to play.
         is_wanted: whether a task is still wanted whose process has died before the task was begun.
         workers: number of processes.
         limits: limits of each answer.
@@ -231,7 +205,7 @@ def run_in_processes(
         EvaluationError: no process could start.
     """
     try:
-        remote: Any = _RemoteWorker(plan, _registered_parts())
+        remote: Any = _RemoteWorker(plan, registered_parts())
         pool = ProcessPool[Task, "Row | None"](_Sent(CloudpickleWrapper(remote)), workers, limits)
     except SendError as error:
         raise _cannot_be_sent(workers, limits, error) from None
@@ -261,7 +235,7 @@ def _cannot_be_sent(workers: int, limits: Limits, error: SendError) -> ArgumentE
 
 def _as_failure(outcome: Outcome[Task, Row | None], contestants: list[Contestant]) -> Outcome[Task, Row | None]:
     """Turn what ended a task into the failure of its detector; errors of arguments are raised."""
-    error, (episode, number) = outcome.error, outcome.task
+    error, (episode, number, _) = outcome.error, outcome.task
     if error is None or isinstance(error, EvaluationError):
         return outcome
     if isinstance(error, ProcessDied) or not isinstance(error, Exception):

@@ -14,9 +14,11 @@ from pydantic import BaseModel
 
 from usnet_env.config import ArgumentError, optional_seed, plain_text, quote
 from usnet_env.detection import Detection
+from usnet_env.envs.play import PlayedRound, play_rounds
 from usnet_env.plugins import DetectorLike, detector_label
 from usnet_env.provenance import versions
 from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.swarm import SwarmState
 from usnet_env.window import Window
 
 __all__ = ["Round", "record_episode"]
@@ -53,6 +55,21 @@ def _list_arguments(config: BaseModel) -> dict[str, Any]:
         name: value if isinstance(value, str | int | float | tuple | None) else quote(value)
         for name, value in ((name, getattr(config, name)) for name in type(config).model_fields)
     }
+
+
+def _report(played: PlayedRound[Detection], number: int, seconds: float) -> Round:
+    """The report of a round that has been played."""
+    info = played.info
+    return Round(
+        number=number,
+        candidates=int(played.answer.candidates.sum()),
+        hits=int(info["hits"]),
+        redundant=int(info["redundant"]),
+        heads_left=int(played.left.heads_left),
+        objective=float(info["J"]),
+        over_budget=bool(info["over_budget"]),
+        seconds=seconds,
+    )
 
 
 def record_episode(
@@ -96,41 +113,26 @@ def record_episode(
         raise ArgumentError(f"keep_attention must be true or false, got {quote(keep_attention)}.")
     label = None if label is None else plain_text("label", label)
     seed, detector_seed = optional_seed("seed", seed), optional_seed("detector_seed", detector_seed)
-    observation, _ = env.reset(seed=seed)
     detector.reset(detector_seed)
     windows: list[Window] = []
-    truths: list[Any] = []
-    answers: list[Detection] = []
-    reports: list[Round] = []
-    over = False
-    while not over:
-        window = Window.from_observation(observation)
-        truth = game.swarm
-        began = time.perf_counter()
-        detection = detector.detect(window)
-        seconds = time.perf_counter() - began
-        if not isinstance(detection, Detection) or detection.candidates.shape != (window.uavs,):
-            raise ArgumentError(f"detector must answer a Detection for {window.uavs} UAVs, got {quote(detection)}.")
-        observation, _, terminated, truncated, info = env.step(detection.candidates.astype(np.int8))
-        over = bool(terminated or truncated)
-        windows.append(window)
-        truths.append(truth)
-        answers.append(detection)
-        reports.append(
-            Round(
-                number=len(windows),
-                candidates=int(detection.candidates.sum()),
-                hits=int(info["hits"]),
-                redundant=int(info["redundant"]),
-                heads_left=int(game.swarm.heads_left),
-                objective=float(info["J"]),
-                over_budget=bool(info["over_budget"]),
-                seconds=seconds,
-            )
-        )
-        if on_round is not None:
-            on_round(reports[-1])
+    seconds: list[float] = []
 
+    def answer(observation: Any, truth: SwarmState) -> Detection:
+        windows.append(Window.from_observation(observation))
+        uavs = windows[-1].uavs
+        began = time.perf_counter()
+        detection = detector.detect(windows[-1])
+        seconds.append(time.perf_counter() - began)
+        if not isinstance(detection, Detection) or detection.candidates.shape != (uavs,):
+            raise ArgumentError(f"detector must answer a Detection for {uavs} UAVs, got {quote(detection)}.")
+        return detection
+
+    rounds: list[PlayedRound[Detection]] = []
+    for played in play_rounds(env, answer, seed):
+        rounds.append(played)
+        if on_round is not None:
+            on_round(_report(played, len(rounds), seconds[-1]))
+    truths, answers = [played.truth for played in rounds], [played.answer for played in rounds]
     uavs = windows[0].uavs
 
     def collect(name: str, absent: NDArray[Any]) -> Any:
@@ -148,11 +150,11 @@ def record_episode(
         leader=np.stack([truth.leader for truth in truths]),
         candidates=np.stack([answer.candidates for answer in answers]),
         scores=np.stack([answer.scores for answer in answers]),
-        objective=np.array([report.objective for report in reports]),
+        objective=np.array([float(played.info["J"]) for played in rounds]),
         head=truths[0].head,
         decoy=truths[0].decoy,
-        over_budget=np.array([report.over_budget for report in reports]),
-        seconds=np.array([report.seconds for report in reports]),
+        over_budget=np.array([bool(played.info["over_budget"]) for played in rounds]),
+        seconds=np.array(seconds),
         clusters=collect("clusters", np.full(uavs, -1)),
         leader_estimate=collect("leader", np.full(uavs, -1)),
         attention=collect("attention", np.zeros((uavs, uavs))) if keep_attention else None,

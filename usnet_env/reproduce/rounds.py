@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, unknown_name
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import TRIVIAL
-from usnet_env.evaluation.agents import Agent, Answer, as_agent
-from usnet_env.evaluation.episode import episode_seeds, play_episode, warm_up
+from usnet_env.evaluation.agents import Agent, as_agent
+from usnet_env.evaluation.episode import episode_seeds, play_agent, warm_up
+from usnet_env.evaluation.metrics import episode_metrics
 from usnet_env.objectives import rounds_hits_and_redundant
 from usnet_env.plugins import make_detector
 from usnet_env.reproduce.rows import Measurement, counter, flight_suffix, keep_report, measure, read_rows
@@ -125,45 +125,29 @@ def tasks_for(detectors: Sequence[str], cells: Sequence[Cell], episodes: int) ->
     ]
 
 
-class _Recorder:
-    """An agent that records its candidates."""
-
-    def __init__(self, player: Agent) -> None:
-        self.player = player
-        self.candidates: list[NDArray[np.bool_]] = []
-        self.warm_up = player.warm_up
-
-    def reset(self, seed: int) -> None:
-        """Start an episode."""
-        self.candidates = []
-        self.player.reset(seed)
-
-    def answer(self, observation: Any) -> Answer:
-        """The player's answer."""
-        answer = self.player.answer(observation)
-        self.candidates.append(answer.candidates)
-        return answer
-
-
 @cache
-def _recorder(detector: str) -> _Recorder:
-    """This process's player of that name, warmed up so that the seconds of an episode exclude compiling and loading."""
-    player = _Recorder(as_agent(make_detector(detector)))
-    warm_up(MultiClusterEnv(), player, detector, 0)
-    return player
+def _make_agent(detector: str) -> Agent:
+    """This process's agent of that name, warmed up so that the seconds of an episode exclude compiling and loading."""
+    agent = as_agent(make_detector(detector))
+    warm_up(MultiClusterEnv(), agent, detector, episode_seeds(0, 0)[0])
+    return agent
 
 
 def play(task: Task, seed: int) -> list[Row]:
     """Play the episodes of one task, the ones that ``usnet evaluate`` plays with the same seed."""
-    env, player = MultiClusterEnv(**asdict(task.cell)), _recorder(task.detector)
+    env, agent = MultiClusterEnv(**asdict(task.cell)), _make_agent(task.detector)
     made = []
     for episode in range(task.first, task.first + task.count):
-        found = play_episode(env, player, task.detector, seed, episode)
-        env.reset(seed=episode_seeds(seed, episode)[0])
-        hits, redundant = rounds_hits_and_redundant(env.swarm.head, np.array(player.candidates))
-        values = {name: found[name] for name in Row.__annotations__ if name in found}
-        values |= {name: np.nan if value is None else value for name, value in values.items()}
+        rounds = play_agent(env, agent, task.detector, episode, episode_seeds(seed, episode))
+        metrics = episode_metrics(env.problem, rounds)
+        candidates = np.array([each.answer.candidates for each in rounds])
+        hits, redundant = rounds_hits_and_redundant(rounds[0].truth.head, candidates)
+        values: dict[str, Any] = {
+            name: np.nan if metrics[name] is None else metrics[name] for name in Row.__annotations__ if name in metrics
+        }
         values |= asdict(task.cell) | {
+            "detector": task.detector,
+            "episode": episode,
             "redundant": int(redundant.sum()),
             "named": " ".join(map(str, hits + redundant)),
             "hits": " ".join(map(str, hits)),

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import time
 from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation.errors import EvaluationError
-from usnet_env.files import FileLock, atomic_write
+from usnet_env.evaluation.store import RowFile
+from usnet_env.evaluation.table import RowTable, columns_of, read_table
+from usnet_env.files import atomic_write
 from usnet_env.processes import ProcessDied, ProcessPool, SendError
 
 if TYPE_CHECKING:
@@ -30,8 +29,6 @@ __all__ = [
     "read_rows",
     "write_rows",
 ]
-
-_SAVE_EVERY = 10.0  # seconds between two writings of the rows
 
 RowT = TypeVar("RowT")
 TaskT = TypeVar("TaskT")
@@ -69,8 +66,8 @@ def measure(
     Args:
         what: the measurement.
         tasks: what there is to play.
-        path: the CSV of rows, appearing whole each time it is written. Its name should hold whatever its rows do not
-            say, such as the seed.
+        path: the CSV of rows. It grows as they come and is sorted at the end. Its name should hold whatever its rows do
+            not say, such as the seed.
         workers: processes; the rows are the same for any number of them, seconds apart.
         advance: called with the number of rows that are newly done.
 
@@ -82,30 +79,22 @@ def measure(
         EvaluationError: a task ended its process; the message names it. Rows that were finished are kept.
     """
     wanted = [key for task in tasks for key in what.keys(task)]
-    with FileLock(path) as lock:
-        rows = {what.key(row): row for row in read_rows(path, what.row)}
+    with _open_rows(path, what.row) as file:
+        rows = {what.key(row): row for row in _records(file.table, what.row)}
         todo = [task for task in tasks if any(key not in rows for key in what.keys(task))]
         advance(len(set(wanted) & rows.keys()))
+        with closing(_played(what.play, todo, workers)) as played:
+            for done in played:
+                fresh = {what.key(row): row for row in done if what.key(row) not in rows}
+                rows.update(fresh)
+                file.append(map(vars, fresh.values()))
+                advance(len(fresh))
 
-        def save() -> None:
-            lock.check()
-            write_rows(path, rows.values(), what.row, what.order)
+        def order(table: RowTable) -> list[int]:
+            keys = [what.order(row) for row in _records(table, what.row)]
+            return sorted(range(len(keys)), key=keys.__getitem__)
 
-        saved = time.monotonic()
-        unsaved = False
-        try:
-            with closing(_played(what.play, todo, workers)) as played:
-                for done in played:
-                    fresh = {what.key(row): row for row in done if what.key(row) not in rows}
-                    rows.update(fresh)
-                    unsaved = True
-                    advance(len(fresh))
-                    if time.monotonic() - saved > _SAVE_EVERY:
-                        save()
-                        saved, unsaved = time.monotonic(), False
-        finally:
-            if unsaved:
-                save()
+        file.sort(order)
     return [rows[key] for key in wanted]
 
 
@@ -153,12 +142,22 @@ def counter(total: int, progress: Callable[[int, int], None]) -> Callable[[int],
     return advance
 
 
-_KINDS: dict[str, Callable[[str], Any]] = {
-    "int": int,
-    "float": float,
-    "str": str,
-    "bool": lambda text: {"True": True, "False": False}[text],
-}
+def _records(table: RowTable, kind: type[RowT]) -> list[RowT]:
+    return [kind(**row) for row in table]
+
+
+def _open_rows(path: Path, kind: type[RowT]) -> RowFile:
+    """Open a file of rows to append to; floats have four decimals."""
+    try:
+        return RowFile(path, columns_of(kind), digits=4)
+    except ArgumentError:
+        raise
+    except ValueError:
+        raise _other_rows(path) from None
+
+
+def _other_rows(path: Path) -> ArgumentError:
+    return ArgumentError(f"out must hold rows of this measurement, got something else in {path.name!r}.")
 
 
 def read_rows(path: Path, kind: type[RowT]) -> list[RowT]:
@@ -167,27 +166,17 @@ def read_rows(path: Path, kind: type[RowT]) -> list[RowT]:
     Raises:
         ArgumentError: the file holds something else.
     """
-    if not path.exists():
-        return []
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            kinds = {field.name: _KINDS[str(field.type)] for field in fields(kind)}  # type: ignore[arg-type]
-            return [kind(**{name: read(row[name]) for name, read in kinds.items()}) for row in csv.DictReader(file)]
-    except (KeyError, ValueError, TypeError, csv.Error):
-        raise ArgumentError(f"out must hold rows of this measurement, got something else in {path.name!r}.") from None
+        return _records(read_table(path, columns_of(kind)), kind)
+    except ValueError:
+        raise _other_rows(path) from None
 
 
 def write_rows(path: Path, rows: Iterable[RowT], kind: type[RowT], order: Callable[[RowT], Any]) -> None:
     """Write the rows, sorted, so that the file is there in full or as it was; floats have four decimals."""
-    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    for row in sorted(rows, key=order):
-        values = [getattr(row, name) for name in names]
-        writer.writerow([f"{value:.4f}" if isinstance(value, float) else value for value in values])
+    table = RowTable(columns_of(kind), map(vars, sorted(rows, key=order)))
     with atomic_write(path) as aside:
-        aside.write_text(text.getvalue(), encoding="utf-8")
+        aside.write_text(",".join(table.columns) + "\n" + table.format_csv(digits=4), encoding="utf-8", newline="")
 
 
 def flight_suffix(mobility: str, head_jitter: bool) -> str:

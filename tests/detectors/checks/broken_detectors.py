@@ -295,6 +295,7 @@ class SearchesMemory(Good):
     """Searches all that lives for a swarm of the right size."""
 
     def detect(self, window):
+        gc.collect()  # swarms of other tests no longer live
         for value in gc.get_objects():
             if type(value) is SwarmState and value.head.shape == (window.uavs,):
                 return Detection(value.head & window.alive, value.head)

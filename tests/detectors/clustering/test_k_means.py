@@ -1,6 +1,7 @@
 """K-Means through the public clusterer: ten starts, because a single one gets stuck."""
 
 import numpy as np
+import pytest
 from sklearn.cluster import KMeans as SklearnKMeans
 
 from detectors.clustering import make_clusterer
@@ -21,11 +22,12 @@ def dispersion(rows, labels):
     return sum(((rows[labels == k] - rows[labels == k].mean(axis=0)) ** 2).sum() for k in np.unique(labels))
 
 
-def test_k_means_keeps_the_best_of_several_starts():
+@pytest.mark.parametrize("seeds", [8, pytest.param(20, marks=pytest.mark.slow)])
+def test_k_means_keeps_the_best_of_several_starts(seeds):
     uavs = CLUSTERS * EACH
     window = Window(np.zeros((3, uavs, 3)), np.zeros((2, uavs, 3)), np.ones((3, uavs), bool), np.ones(uavs, bool))
     ours, single = [], []
-    for seed in range(20):
+    for seed in range(seeds):
         rows = random_blobs(seed)
         clusterer = make_clusterer("kmeans", count=CLUSTERS, features=lambda _, rows=rows: rows)
         labels = clusterer.cluster(window, np.random.default_rng(seed)).labels

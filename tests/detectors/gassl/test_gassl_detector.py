@@ -41,20 +41,24 @@ def same(one, two):
 # candidates
 
 
-@pytest.mark.parametrize("followers", [5, pytest.param(10, marks=pytest.mark.slow)])
-def test_finds_the_head(followers):
-    windows, heads = clusters(10, follow="f1", followers=followers)
+@pytest.mark.parametrize(
+    ("count", "followers"), [(4, 5), *(pytest.param(10, n, marks=pytest.mark.slow) for n in (5, 10))]
+)
+def test_finds_the_head(count, followers):
+    windows, heads = clusters(count, follow="f1", followers=followers)
     assert rate(detect_each(windows), heads) >= 0.8
 
 
-def test_finds_the_head_if_samples_are_missing():
-    windows, heads = clusters(10, follow="f1", followers=5, miss_rate=0.1)
+@pytest.mark.parametrize("count", [4, pytest.param(10, marks=pytest.mark.slow)])
+def test_finds_the_head_if_samples_are_missing(count):
+    windows, heads = clusters(count, follow="f1", followers=5, miss_rate=0.1)
     assert rate(detect_each(windows), heads) >= 0.6  # 0.17 by chance
 
 
-def test_no_index_is_favoured():
+@pytest.mark.parametrize("count", [4, pytest.param(10, marks=pytest.mark.slow)])
+def test_no_index_is_favoured(count):
     """The head is found at whatever index it is, and without evidence all indices are named alike."""
-    windows, heads = clusters(10, follow="f1", followers=5)
+    windows, heads = clusters(count, follow="f1", followers=5)
     order = np.array([2, 0, 5, 3, 1, 4])
     turned = [
         changed(w, position=w.position[:, order], velocity=w.velocity[:, order], seen=w.seen[:, order]) for w in windows
@@ -67,7 +71,7 @@ def test_no_index_is_favoured():
 
 
 def test_a_rule_without_votes_for_oneself_finds_the_head():
-    windows, heads = clusters(6, follow="f1", followers=6)
+    windows, heads = clusters(4, follow="f1", followers=6)
     assert rate(detect_each(windows, rule="exclude-self"), heads) >= 0.8
 
 
@@ -243,7 +247,7 @@ def test_by_name():
 
 
 def test_it_is_evaluated():
-    result = evaluate("USNET/SingleCluster-v0", "gassl", episodes=4, env_kwargs={"follow": "f1", "followers": 6})
+    result = evaluate("USNET/SingleCluster-v0", "gassl", episodes=2, env_kwargs={"follow": "f1", "followers": 6})
     assert result["gassl"]["success"]["mean"] >= 0.5  # 0.14 by chance
 
 

@@ -72,7 +72,7 @@ class Halves:
 @pytest.mark.parametrize(
     ("follow", "arguments"),
     [
-        ("f1", SHORT),
+        pytest.param("f1", SHORT, marks=pytest.mark.slow),
         ("f4", SHORT),
         pytest.param("f1", {}, marks=pytest.mark.slow),
         pytest.param("f4", {}, marks=pytest.mark.slow),

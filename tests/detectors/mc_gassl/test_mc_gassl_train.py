@@ -91,8 +91,15 @@ def test_a_task_is_two_swarms_of_one_strategy():
     assert torch.equal(task.query.inputs.velocity, again.query.inputs.velocity)
 
 
-def test_training_beats_a_random_start_on_strategies_it_has_not_seen(tmp_path):
-    path = train_meta(tmp_path, MetaTraining(**{**SMALL, "strategies": 10, "episodes": 200, "uavs": 30, "anchors": 90}))
+@pytest.mark.parametrize(
+    "size",
+    [
+        {"strategies": 6, "episodes": 80, "uavs": 18, "anchors": 60},
+        pytest.param({"strategies": 10, "episodes": 200, "uavs": 30, "anchors": 90}, marks=pytest.mark.slow),
+    ],
+)
+def test_training_beats_a_random_start_on_strategies_it_has_not_seen(tmp_path, size):
+    path = train_meta(tmp_path, MetaTraining(**{**SMALL, **size}))
     metrics = json.loads(path.with_suffix(".json").read_text())["metrics"]
     assert metrics["held_out_loss"] < 0.7 * metrics["held_out_loss_of_random_start"]
     assert metrics["last_loss"] < metrics["first_loss"]

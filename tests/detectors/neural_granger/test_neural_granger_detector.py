@@ -339,14 +339,16 @@ def test_by_name():
 
 def test_plays_with_the_referee():
     arguments = {"follow": "f4", "followers": 3}
-    result = evaluate("USNET/SingleCluster-v0", "neural-granger", episodes=2, env_kwargs=arguments)
-    assert result["neural-granger"]["success"]["mean"] == 1.0
-    assert result["neural-granger"]["J"]["mean"] == 0.0
+    result = evaluate("USNET/SingleCluster-v0", "neural-granger(steps=60)", episodes=2, env_kwargs=arguments)
+    assert result["neural-granger(steps=60)"]["success"]["mean"] == 1.0
+    assert result["neural-granger(steps=60)"]["J"]["mean"] == 0.0
 
 
 def test_one_cluster_of_the_multi_cluster_world():
-    result = evaluate("USNET/MultiCluster-v0", "neural-granger", episodes=2, env_kwargs={"clusters": 1, "uavs": 5})
-    assert result["neural-granger"]["J"]["mean"] == 1.0
+    result = evaluate(
+        "USNET/MultiCluster-v0", "neural-granger(steps=60)", episodes=2, env_kwargs={"clusters": 1, "uavs": 5}
+    )
+    assert result["neural-granger(steps=60)"]["J"]["mean"] == 1.0
 
 
 def test_as_a_policy():

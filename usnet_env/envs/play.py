@@ -1,0 +1,64 @@
+"""Play one episode, round by round: the loop of every evaluation, reproduction, replay and benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.swarm import SwarmState
+
+__all__ = ["PlayedRound", "play_rounds"]
+
+
+class _Answer(Protocol):
+    @property
+    def candidates(self) -> NDArray[np.bool_]: ...
+
+
+AnswerT = TypeVar("AnswerT", bound=_Answer)
+
+
+@dataclass(frozen=True)
+class PlayedRound(Generic[AnswerT]):
+    """One round that has been played.
+
+    Args:
+        observation: what was answered.
+        truth: the swarm in this window, before the destruction.
+        answer: the answer, with its candidates ``(N,)`` bool.
+        info: what the environment returned.
+        left: the swarm after the destruction and the re-merge.
+    """
+
+    observation: Any
+    truth: SwarmState
+    answer: AnswerT
+    info: dict[str, Any]
+    left: SwarmState
+
+
+def play_rounds(
+    env: gym.Env[Any, Any], answer: Callable[[Any, SwarmState], AnswerT], seed: int | None
+) -> Iterator[PlayedRound[AnswerT]]:
+    """Play an episode to its end, and yield each round after it has been played.
+
+    Args:
+        env: a USNET environment.
+        answer: answers an observation; it gets the truth as well, to check the form of the answer.
+        seed: seed of the environment; ``None`` continues with its generator.
+    """
+    game: Any = env.unwrapped
+    observation, _ = env.reset(seed=seed)
+    over = False
+    while not over:
+        truth = game.swarm
+        answered = answer(observation, truth)
+        following, _, terminated, truncated, info = env.step(answered.candidates.astype(np.int8))
+        over = bool(terminated or truncated)
+        yield PlayedRound(observation, truth, answered, info, game.swarm)
+        observation = following

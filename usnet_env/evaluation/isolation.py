@@ -1,0 +1,159 @@
+"""Play a detector in its own process, which never holds an environment: it receives windows and a seed."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from secrets import token_hex
+from typing import Any
+
+import numpy as np
+from gymnasium.vector.utils import CloudpickleWrapper
+from numpy.typing import NDArray
+
+from usnet_env.config import ArgumentError, quote
+from usnet_env.detection import Detection
+from usnet_env.evaluation.agents import Agent, Answer, RefusedArgumentError, as_agent
+from usnet_env.evaluation.parts import Part, register_parts, registered_parts
+from usnet_env.plugins import make_detector
+from usnet_env.processes import Arrays, Limits, PlainError, PlainFunction, PlainProcess, SendError
+
+__all__ = ["IsolatedAgent", "make_secret"]
+
+_ALONE = ""  # the name of an observation that is no mapping
+_OWN_ERRORS = {"ArgumentError": ArgumentError, "RefusedArgumentError": RefusedArgumentError}
+
+
+def make_secret(secret: Any) -> str:
+    """Return the secret of a run: 32 hexadecimal digits, drawn from the random numbers of the system if ``None``.
+
+    Raises:
+        ArgumentError: ``secret`` is something else.
+    """
+    if secret is None:
+        return token_hex(16)
+    if not isinstance(secret, str) or not re.fullmatch("[0-9a-f]{32}", secret):
+        raise ArgumentError(f"secret must be None or 32 hexadecimal digits, got {quote(secret)}.")
+    return secret
+
+
+@dataclass(frozen=True)
+class _Seat:
+    """Makes an agent in the detector's process.
+
+    Args:
+        detector: its name, or the object.
+        registered: detectors that the program has registered.
+    """
+
+    detector: Any
+    registered: list[Part]
+
+    def make(self) -> PlainFunction:
+        """Return the function that answers calls."""
+        register_parts(self.registered)
+        agent = as_agent(make_detector(self.detector) if isinstance(self.detector, str) else self.detector)
+        return partial(_answer, agent)
+
+
+@dataclass(frozen=True)
+class _Sent:
+    """Carries a :class:`_Seat` to its process by value: classes of a notebook cannot be imported there."""
+
+    wrapper: Any
+
+    def __call__(self) -> PlainFunction:
+        return self.wrapper.fn.make()
+
+
+def _answer(agent: Agent, values: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> tuple[dict[str, Any], Arrays]:
+    """Call the agent, in the detector's process."""
+    observation = arrays[_ALONE] if _ALONE in arrays else {name: array[()] for name, array in arrays.items()}
+    if values["call"] == "reset":
+        agent.reset(values["seed"])
+    elif values["call"] == "warm_up":
+        agent.warm_up(observation)
+    else:
+        answer = agent.answer(observation)
+        parts = {"candidates": answer.candidates, "scores": answer.scores, "clusters": answer.clusters}
+        return {}, {name: part for name, part in parts.items() if part is not None}
+    return {}, {}
+
+
+class IsolatedAgent:
+    """An agent whose detector or policy runs in a process of its own.
+
+    The process holds neither an environment nor the seeds of swarms, and inherits no memory; its answers are read as
+    numbers, never as objects. The seconds of an answer are measured in this process, with the way there and back.
+
+    Args:
+        detector: a name as :func:`usnet_env.make_detector` takes it, so that only the detector's process loads its
+            code, or an object, of which that process gets a copy.
+        limits: of each answer and each reset.
+
+    Raises:
+        ArgumentError: the object cannot be sent to another process.
+    """
+
+    def __init__(self, detector: Any, limits: Limits) -> None:
+        seat: Any = _Seat(detector, registered_parts(("detector",)))
+        with _own_errors():
+            self._process = PlainProcess(_Sent(CloudpickleWrapper(seat)), limits)
+
+    def start(self) -> None:
+        """Wait until the detector is made.
+
+        Raises:
+            ArgumentError: there is no such detector, it refuses an argument, or it could not be sent.
+            PlainError, ProcessDied: making it failed.
+        """
+        with _own_errors():
+            self._process.start()
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+        self._call("reset", seed=seed)
+
+    def warm_up(self, observation: Any) -> None:
+        """Answer once without being timed."""
+        self._call("warm_up", observation)
+
+    def answer(self, observation: Any) -> Answer:
+        """Return the answer to one observation."""
+        begin = time.perf_counter()
+        parts = self._call("answer", observation)
+        seconds = time.perf_counter() - begin
+        if not {"candidates", "scores"} <= parts.keys() <= {"candidates", "scores", "clusters"}:
+            raise ArgumentError(f"an answer must hold candidates and scores, got {quote(sorted(parts))}.")
+        checked = Detection(**parts)
+        return Answer(checked.candidates, checked.scores, checked.clusters, seconds)
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.close()
+
+    def _call(self, what: str, observation: Any = None, **values: Any) -> dict[str, Any]:
+        seen = {} if observation is None else observation if isinstance(observation, Mapping) else {_ALONE: observation}
+        with _own_errors():
+            return self._process.call(
+                {"call": what, **values}, {name: np.asarray(part) for name, part in seen.items()}
+            )[1]
+
+
+@contextmanager
+def _own_errors() -> Iterator[None]:
+    """Turn the errors of an argument, which another process raised, into those of this one."""
+    try:
+        yield
+    except SendError as error:
+        raise ArgumentError(
+            f"isolate must be false for a detector that cannot be sent to another process: {error}."
+        ) from None
+    except PlainError as error:
+        if error.kind in _OWN_ERRORS:
+            raise _OWN_ERRORS[error.kind](error.text) from error
+        raise

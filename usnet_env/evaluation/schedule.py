@@ -1,0 +1,167 @@
+"""What of a run has been played, with which seeds, and what is left to play."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.config import ArgumentError
+from usnet_env.evaluation.episode import Row, episode_seeds
+from usnet_env.evaluation.store import COLUMNS, RunStore
+from usnet_env.evaluation.table import RowTable
+from usnet_env.evaluation.workers import PREPARE, Task
+from usnet_env.processes import Outcome
+
+__all__ = ["Rows", "Seeds", "Tasks"]
+
+
+@dataclass
+class Seeds:
+    """The seeds of the episodes.
+
+    An isolated run draws a new secret each time it is resumed, as the earlier ones are known by then. An episode that
+    some detectors have played before keeps its swarm for the others.
+
+    Args:
+        seed: the seed of the evaluation.
+        secret: the secret of an isolated run.
+        given: whether the secret is that of an earlier run, so that all rows must have its seeds.
+    """
+
+    seed: int
+    secret: str | None = None
+    given: bool = False
+    _swarms: dict[int, int] = field(default_factory=dict)
+
+    def of(self, episode: int) -> tuple[int, int]:
+        """The seeds of the swarm and of the detector."""
+        swarm, detector = episode_seeds(self.seed, episode, self.secret)
+        return self._swarms.get(episode, swarm), detector
+
+    def take_over(self, rows: RowTable) -> None:
+        """Take over the swarms of episodes that have been played.
+
+        Raises:
+            ArgumentError: the rows have other seeds than those of this run.
+        """
+        columns = (rows.column(name).tolist() for name in ("episode", "swarm_seed", "detector_seed"))
+        for episode, swarm, detector in set(zip(*columns, strict=True)):
+            if self.secret is None or self.given:
+                same = (swarm, detector) == episode_seeds(self.seed, episode, self.secret)
+            else:
+                same = self._swarms.setdefault(episode, swarm) == swarm
+            if not same:
+                raise ArgumentError("out must hold only rows of this run, got rows of another seed.")
+
+    def describe(self) -> dict[str, Any]:
+        """The secret, for the description of a run that has ended."""
+        return {} if self.secret is None else {"secret": self.secret}
+
+
+class Rows:
+    """The rows of a run, which are kept in a folder if there is one.
+
+    Args:
+        store: the folder.
+        seeds: take over the swarms of the rows in the folder.
+        labels: of the contestants, in their order.
+        episodes: number of episodes.
+
+    Raises:
+        ArgumentError: the folder holds rows of another run.
+    """
+
+    def __init__(self, store: RunStore | None, seeds: Seeds, labels: Sequence[str], episodes: int) -> None:
+        self._store = store
+        self._played = RowTable(COLUMNS)
+        self._unsaved: list[Row] = []
+        self._withhold = seeds.secret is not None
+        self._numbers = {label: number for number, label in enumerate(labels)}
+        #: ``(contestants, episodes)`` bool: which episodes have been played.
+        self.done = np.zeros((len(labels), episodes), bool)
+        there, numbers = self.table.column("detector"), self.table.column("episode")
+        if not set(there) <= self._numbers.keys() or ((numbers < 0) | (numbers >= episodes)).any():
+            raise ArgumentError("out must hold only rows of this run, got rows of other detectors or episodes.")
+        self.done[[self._numbers[label] for label in there], numbers] = True
+        seeds.take_over(self.table)
+
+    @property
+    def table(self) -> RowTable:
+        """All rows that are saved, in the order in which they were played."""
+        return self._played if self._store is None else self._store.table
+
+    def add(self, task: Task, row: Row) -> None:
+        """Add the row of a finished task; :meth:`save` keeps it."""
+        self.done[task.contestant, task.episode] = True
+        self._unsaved.append(row)
+
+    def save(self, failed: Collection[int] | None = None) -> None:
+        """Append the new rows to the table and the file.
+
+        Args:
+            failed: contestants that play no more. In an isolated run, rows of an episode that others have still to play
+                are then withheld, as they hold the seed of its swarm. ``None``: all rows are saved.
+        """
+        rows, self._unsaved = self._unsaved, []
+        if failed is not None and self._withhold:
+            playing = [number for number in range(len(self.done)) if number not in failed]
+            self._unsaved = [row for row in rows if not self.done[playing, row["episode"]].all()]
+            rows = [row for row in rows if self.done[playing, row["episode"]].all()]
+        if self._store is not None and rows:
+            self._store.append(rows)
+        elif self._store is None:
+            for row in rows:
+                self._played.append(row)
+
+    def order(self, table: RowTable) -> NDArray[np.int64]:
+        """The places of the rows by detector, in the order of the contestants, then by episode."""
+        numbers = np.array([self._numbers[label] for label in table.column("detector")], np.int64)
+        return np.lexsort((table.column("episode"), numbers))
+
+
+class Tasks:
+    """Iterates over the tasks that are to be played; a detector that has failed gets no more of them.
+
+    At first every detector is prepared, so that one that refuses its arguments is found before anything is written.
+    """
+
+    def __init__(self, rows: Rows, seeds: Seeds) -> None:
+        self.failures: dict[int, BaseException] = {}
+        missing = ~rows.done
+        self.count = int(missing.sum())  # episodes to play
+        self._unprepared = set(np.flatnonzero(missing.any(axis=1)).tolist())
+        self._left = self._list(sorted(self._unprepared), missing, seeds)
+
+    @staticmethod
+    def _list(unprepared: Sequence[int], missing: NDArray[np.bool_], seeds: Seeds) -> Iterator[Task]:
+        for number in unprepared:
+            yield Task(PREPARE, number, seeds.of(0))
+        for episode in np.flatnonzero(missing.any(axis=0)).tolist():
+            pair = seeds.of(episode)
+            for number in np.flatnonzero(missing[:, episode]).tolist():
+                yield Task(episode, number, pair)
+
+    @property
+    def prepared(self) -> bool:
+        """Whether every detector has been prepared, or has failed."""
+        return not self._unprepared
+
+    def __iter__(self) -> Iterator[Task]:
+        return self
+
+    def __next__(self) -> Task:
+        return next(filter(self.is_wanted, self._left))
+
+    def is_wanted(self, task: Task) -> bool:
+        """Whether the detector of the task has not failed."""
+        return task.contestant not in self.failures
+
+    def note(self, outcome: Outcome[Task, Row | None]) -> None:
+        """Take notice of an outcome."""
+        self._unprepared.discard(outcome.task.contestant)
+        if outcome.error is not None:
+            self.failures.setdefault(outcome.task.contestant, outcome.error)

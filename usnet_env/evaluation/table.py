@@ -1,0 +1,202 @@
+"""Rows as typed columns: a table that grows row by row and needs eight bytes for a number."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from itertools import islice
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Columns", "RowTable", "columns_of", "read_table"]
+
+#: Names of columns with their types: ``str``, ``int``, ``float``, ``bool`` or ``float | None``, in their order.
+Columns = Mapping[str, str]
+
+_CODES = {"str": "q", "int": "q", "float": "d", "bool": "b", "float | None": "d"}
+_ROWS_AT_ONCE = 10_000  # of a file that is read
+
+
+def columns_of(record: type) -> dict[str, str]:
+    """The columns for a dataclass of ``str``, ``int``, ``float`` and ``bool``."""
+    return {field.name: str(field.type) for field in fields(record)}
+
+
+class RowTable(Sequence[dict[str, Any]]):
+    """A sequence of rows, stored as one array for each column; each row is a dictionary.
+
+    A text is stored once, and each row holds its number: a column of texts should have few different ones.
+
+    Args:
+        columns: names and types of the columns.
+        rows: the first rows.
+    """
+
+    def __init__(self, columns: Columns, rows: Iterable[Mapping[str, Any]] = ()) -> None:
+        self.columns = dict(columns)
+        self._values: dict[str, array[Any]] = {name: array(_CODES[kind]) for name, kind in self.columns.items()}
+        self._texts: dict[str, list[str]] = {name: [] for name, kind in self.columns.items() if kind == "str"}
+        self._numbers: dict[str, dict[str, int]] = {name: {} for name in self._texts}
+        for row in rows:
+            self.append(row)
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Append a row.
+
+        Raises:
+            KeyError: the row lacks a column.
+            TypeError, OverflowError: a value has another type, or is too large an integer.
+        """
+        stored = [self._store(name, row[name]) for name in self.columns]  # all of them before any is appended
+        for values, value in zip(self._values.values(), stored, strict=True):
+            values.append(value)
+
+    def _store(self, name: str, value: Any) -> Any:
+        kind = self.columns[name]
+        if kind == "str":
+            if value not in self._numbers[name]:
+                self._numbers[name][value] = len(self._texts[name])
+                self._texts[name].append(value)
+            return self._numbers[name][value]
+        if kind == "int" and not -(2**63) <= value < 2**63:
+            raise OverflowError(f"{name} must fit into 64 bits, got {value}.")
+        return math.nan if value is None else value
+
+    def append_texts(self, columns: Sequence[Sequence[str]]) -> None:
+        """Append rows that were read from a file.
+
+        Args:
+            columns: the texts of each column.
+
+        Raises:
+            KeyError, ValueError, OverflowError: a text is no value of its column.
+        """
+        for (name, kind), texts in zip(self.columns.items(), columns, strict=True):
+            values = self._values[name]
+            if kind == "str":
+                values.extend([self._store(name, text) for text in texts])
+            elif kind == "int":
+                values.extend(map(int, texts))
+            elif kind == "bool":
+                values.extend([{"True": True, "False": False}[text] for text in texts])
+            elif kind == "float":
+                values.extend(map(float, texts))
+            else:
+                values.extend([float(text) if text else math.nan for text in texts])
+
+    def column(self, name: str) -> NDArray[Any]:
+        """A copy of a column ``(n,)``: int64, float64, bool, or objects of ``str``; an absent number is NaN."""
+        values = np.array(self._values[name])
+        if self.columns[name] == "str":
+            return np.array(self._texts[name], object)[values] if len(values) else values.astype(object)
+        return values.astype(bool) if self.columns[name] == "bool" else values
+
+    def take(self, places: Sequence[int] | NDArray[np.int64]) -> RowTable:
+        """The rows at these places, in their order."""
+        chosen = RowTable(self.columns)
+        for name, values in self._values.items():
+            part = np.frombuffer(values, values.typecode)[places] if len(values) else np.array([], values.typecode)
+            chosen._values[name].frombytes(part.tobytes())
+        chosen._texts = {name: list(texts) for name, texts in self._texts.items()}
+        chosen._numbers = {name: dict(numbers) for name, numbers in self._numbers.items()}
+        return chosen
+
+    def format_csv(self, first: int = 0, last: int | None = None, digits: int | None = None) -> str:
+        """Lines of CSV without a header.
+
+        Args:
+            first: the first row.
+            last: the row after the last one; ``None``: up to the end.
+            digits: decimals of ``float``; ``None``: as many as are needed to read the same value again.
+        """
+        columns: list[Sequence[Any]] = []
+        for name, kind in self.columns.items():
+            values: Sequence[Any] = self._values[name][first:last]
+            if kind == "str":
+                values = [self._texts[name][value] for value in values]
+            elif kind == "bool":
+                values = [bool(value) for value in values]
+            elif kind == "float | None":
+                values = ["" if math.isnan(value) else value for value in values]
+            elif kind == "float" and digits is not None:
+                values = [f"{value:.{digits}f}" for value in values]
+            columns.append(values)
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(zip(*columns, strict=True))
+        return text.getvalue()
+
+    def __len__(self) -> int:
+        return len(next(iter(self._values.values())))
+
+    @overload
+    def __getitem__(self, place: int) -> dict[str, Any]: ...
+    @overload
+    def __getitem__(self, place: slice) -> RowTable: ...
+    def __getitem__(self, place: int | slice) -> dict[str, Any] | RowTable:
+        if isinstance(place, slice):
+            return self.take(np.arange(len(self))[place])
+        row: dict[str, Any] = {}
+        for name, kind in self.columns.items():
+            value: Any = self._values[name][place]
+            if kind == "str":
+                value = self._texts[name][value]
+            elif kind == "bool":
+                value = bool(value)
+            elif kind == "float | None" and math.isnan(value):
+                value = None
+            row[name] = value
+        return row
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Sequence) or len(other) != len(self):
+            return False
+        return all(ours == theirs for ours, theirs in zip(self, other, strict=True))
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"<{len(self):,} rows of {', '.join(self.columns)}>"
+
+
+def read_table(path: Path, columns: Columns) -> RowTable:
+    """Read a CSV file; a last line without a line break, which an interrupted program has left, is not read.
+
+    Args:
+        path: the file; if it is missing, the table is empty.
+        columns: names and types of the columns; the file may have others as well.
+
+    Raises:
+        ValueError: the file holds something else.
+    """
+    table = RowTable(columns)
+    if not path.exists():
+        return table
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            torn = not _ends_with_line(path)
+            reader = csv.reader((line for line in file if line.endswith("\n")) if torn else file, strict=True)
+            header = next(reader, [])
+            places = [header.index(name) for name in columns]
+            while rows := list(islice(reader, _ROWS_AT_ONCE)):
+                every = list(zip(*rows, strict=True))  # refuses lines of different lengths
+                if len(every) != len(header):
+                    raise ValueError("a line has too few or too many values")
+                table.append_texts([every[place] for place in places])
+    except (KeyError, ValueError, OverflowError, csv.Error) as error:
+        raise ValueError(f"{path.name} holds other rows: {error}") from None
+    return table
+
+
+def _ends_with_line(path: Path) -> bool:
+    """Whether a file ends with a line break."""
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(0, size - 1))
+        return file.read() == b"\n"
