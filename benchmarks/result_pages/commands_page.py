@@ -22,8 +22,8 @@ def text() -> str:
         "**Seeds.** Detectors were tuned on seeds below 1000. Published episodes have the seeds 2022 and above. Not "
         "all of them were new to the detector that plays them: rules of `follow-mixture` were changed after looks at "
         "rows of seed 2022, which `learned.csv`, `ppo_observer.csv` and `multiagent_*.csv` have, and of seed 7077, "
-        "which `follow_mixture/` has. The rows of seed 5353 in `former_core/`, and most of seed 4242, were first played "
-        "after its last change. "
+        "which `follow_mixture/` has. The rows of seed 5353 in `former_core/`, and most of seed 4242, were first "
+        "played after its last change. "
         "The strategies that had been looked at before have a table of their own.",
         "**Former core.** `former_core/` holds rows of the former core of `follow-mixture`, whose code commit dcdecd2 "
         "has, and rows of the present core on the same swarms. The rows of `follow-mixture` in `learned.csv`, "

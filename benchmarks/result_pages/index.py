@@ -114,6 +114,7 @@ PAGES = (
     ("decoys", "decoys, swarms without followers, and P1, with both policies of `follow-mixture` and `learned`"),
     ("follow_mixture", "`follow-mixture` by tier, both policies, calibration"),
     ("follow_mixture_cells", "every cell of the tiers"),
+    ("follow_mixture_thresholds", "what each threshold of `follow-mixture` is worth"),
     ("follow_mixture_cores", "the former core of `follow-mixture` beside the present one"),
     ("strategies", "follow strategies beside f1 to f7"),
     ("learned", "`learned`, and an observer trained by PPO"),
