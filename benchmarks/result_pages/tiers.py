@@ -201,16 +201,6 @@ def reliability_figure() -> Figure:
     return figure
 
 
-def straight_again() -> str:
-    """The second seed of the straight heads with jitter."""
-    seed = 8088
-    rows = tier_rows("straight", seed)
-    return (
-        f"A second seed ({seed}) of the straight heads with jitter: J_m {cost_of(rows)}, {exact_of(rows)} exact, "
-        f"n = {len(rows)}; worst strategy {worst(rows)}."
-    )
-
-
 def text() -> str:
     """The page."""
     files = [f"follow_mixture/{tier}.csv" for tier in TIERS]
@@ -223,7 +213,6 @@ def text() -> str:
         "The published seed is 7077. Rules of the detector were changed after looks at rows of this seed. "
         "[Another page](follow_mixture_cores.md) has seeds that were first played after the last change.",
         by_variant(),
-        straight_again(),
         "Straight heads without jitter fly a line that each of their followers repeats: the data do not show which of "
         "them is the head. The default policy then names all UAVs.",
         "Every cell, with more detectors, is on [its own page](follow_mixture_cells.md); decoys, swarms in which no "
