@@ -70,16 +70,17 @@ def _table2(name: str, *commands: str) -> Result:
 #: What both cores of follow-mixture played, by seed.
 _BOTH_PLAYED = (
     "--seed 4242 --tier paper --episodes 100 --detectors follow-mixture",
-    "--seed 4242 --tier missed --episodes 50 --detectors follow-mixture",
+    "--seed 4242 --tier missed smooth --episodes 50 --detectors follow-mixture",
     "--seed 4242 --tier short --cell T20 T50 --episodes 50 --detectors follow-mixture",
     "--seed 4242 --tier P1 --episodes 50 --detectors \"follow-mixture(objective='P1')\"",
     "--seed 4242 --tier silence --cell iid gauss_markov smooth_turn-jitter --episodes 50 "
     "--detectors \"follow-mixture(policy='map')\"",
     "--seed 5353 --tier straight --cell jitter --episodes 50 --detectors follow-mixture",
-    "--seed 5353 --tier smooth --episodes 50 --detectors follow-mixture",
-    "--seed 7077 --tier noise --episodes 10 --detectors follow-mixture",
-    "--seed 7077 --tier decoys sizes --episodes 20 --detectors follow-mixture",
+    "--seed 7077 --tier noise sizes --episodes 20 --detectors follow-mixture",
+    "--seed 7077 --tier decoys --episodes 5 --detectors follow-mixture",
     "--seed 7077 --tier strategies --episodes 10 --detectors follow-mixture",
+    "--seed 7077 --tier silence --episodes 50 --detectors \"follow-mixture(policy='map')\"",
+    "--seed 7077 --tier short --cell T8 T12 --episodes 50 --detectors follow-mixture",
 )
 
 
@@ -105,99 +106,90 @@ RESULTS: tuple[Result, ...] = (
     Result("P2 on the paper's tier", ("multi_cluster/",), ("benchmarks/multi_cluster.sh",)),
     _tier(
         "paper",
-        "300 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\"",
+        "100 --detectors follow-mixture",
+        "2 --detectors \"follow-mixture(policy='map')\"",
         "30 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "sizes",
-        "50 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "20 --detectors follow-mixture",
+        "2 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "smooth",
         "50 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "2 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "straight",
         "50 --cell jitter --detectors follow-mixture",
-        "5 --detectors follow-mixture lagged-regression destroy-all",
-        "5 --cell jitter --detectors \"follow-mixture(policy='map')\"",
+        "5 --detectors follow-mixture",
+        "2 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
-        "100 --cell jitter --seed 8088 --detectors follow-mixture",
     ),
     _tier(
         "short",
         "50 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "2 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "noise",
-        "100 --cell f1-gauss_markov-0.5 f2-gauss_markov-0.5 f3-gauss_markov-0.5 --detectors follow-mixture",
-        "30 --detectors follow-mixture",
-        "5 --cell f1-0.1 f2-0.1 f3-0.1 f4-0.1 f5-0.1 f6-0.1 f7-0.1 f1-0.3 f2-0.3 f3-0.3 f4-0.3 f5-0.3 f6-0.3 f7-0.3 "
-        "f1-0.5 f2-0.5 f3-0.5 f4-0.5 f5-0.5 f6-0.5 f7-0.5 f1-1.0 f2-1.0 f3-1.0 f4-1.0 f5-1.0 f6-1.0 f7-1.0 "
-        "f1-gauss_markov-0.1 f2-gauss_markov-0.1 f3-gauss_markov-0.1 f4-gauss_markov-0.1 f5-gauss_markov-0.1 "
-        "f6-gauss_markov-0.1 f7-gauss_markov-0.1 f1-gauss_markov-0.3 f2-gauss_markov-0.3 f3-gauss_markov-0.3 "
-        "--detectors \"follow-mixture(policy='map')\"",
-        "3 --cell f1-0.1 f2-0.1 f3-0.1 f4-0.1 f5-0.1 f6-0.1 f7-0.1 f1-0.3 f2-0.3 f3-0.3 f4-0.3 f5-0.3 f6-0.3 f7-0.3 "
-        "f1-0.5 f2-0.5 f3-0.5 f4-0.5 f5-0.5 f6-0.5 f7-0.5 f1-1.0 f2-1.0 f3-1.0 f4-1.0 f5-1.0 f6-1.0 f7-1.0 "
-        "f1-gauss_markov-0.1 f2-gauss_markov-0.1 f3-gauss_markov-0.1 f4-gauss_markov-0.1 f5-gauss_markov-0.1 "
-        "f6-gauss_markov-0.1 f7-gauss_markov-0.1 f1-gauss_markov-0.3 f2-gauss_markov-0.3 f3-gauss_markov-0.3 "
-        "f4-gauss_markov-0.3 f5-gauss_markov-0.3 f6-gauss_markov-0.3 f7-gauss_markov-0.3 --detectors "
-        "\"follow-mixture(policy='map')\"",
-        "2 --detectors \"follow-mixture(policy='map')\"",
-        "5 --detectors lagged-regression destroy-all",
+        "20 --detectors follow-mixture",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "missed",
         "50 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "2 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "sampled",
-        "20 --detectors follow-mixture",
+        "10 --detectors follow-mixture",
         "5 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "decoys",
-        "5 --detectors follow-mixture learned \"learned(policy='map')\" random none",
-        "30 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "20 --detectors follow-mixture \"follow-mixture(policy='map')\"",
+        "5 --detectors learned \"learned(policy='map')\" random none",
+        "30 --detectors lagged-regression destroy-all",
         "3 --detectors granger factions",
     ),
     _tier(
         "silence",
-        "10 --cell none-iid-jitter none-iid-bare none-gauss_markov-jitter none-gauss_markov-bare "
-        "none-smooth_turn-jitter --detectors follow-mixture",
-        "5 --detectors follow-mixture learned \"learned(policy='map')\" random none",
-        "100 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors \"follow-mixture(policy='map')\"",
+        "10 --detectors follow-mixture",
+        "5 --detectors learned \"learned(policy='map')\" random none",
         "30 --detectors lagged-regression destroy-all",
         "3 --detectors granger factions",
     ),
     _tier(
         "shifted",
-        "10 --detectors \"follow-mixture(policy='map')\"",
-        "5 --detectors lagged-regression destroy-all",
+        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "P1",
+        "50 --detectors \"follow-mixture(objective='P1')\"",
         "10 --detectors follow-mixture \"follow-mixture(policy='map')\" learned \"learned(policy='map')\" random none",
-        "100 --detectors \"follow-mixture(objective='P1')\" lagged-regression destroy-all",
+        "100 --detectors lagged-regression destroy-all",
         "3 --detectors granger factions",
     ),
     _tier(
         "strategies",
-        "50 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "10 --detectors follow-mixture",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _cores("former", "rows", "git checkout dcdecd2  # has the code of the former core"),

@@ -24,7 +24,9 @@ def compare(velocity, heads=()):
     """Targets, pairs and evidence ``(K, P)`` of all UAVs as single ones."""
     targets = make_targets(velocity, np.arange(len(velocity)), LAGS)
     past = lagged(velocity, LAGS)
-    lone = ask_single_uavs(targets, past, NAMES, np.array(heads, np.int64))
+    head = np.full(len(velocity), -1)
+    head[: len(heads)] = heads  # so that they are asked
+    lone = ask_single_uavs(targets, past, NAMES, head)
     classes = gather_statistics(targets, past, lone.pairs, NAMES)
     found = [lone.compare(targets, lone.pairs, some, own_evidence(targets, lone.pairs, some)) for some in classes]
     return targets, past, lone, classes, np.array(found)
