@@ -1,4 +1,4 @@
-"""Group-mixture on tracks that begin and end, and on a swarm that drifts as a whole."""
+"""follow-mixture on tracks that begin and end, and on a swarm that drifts as a whole."""
 
 import numpy as np
 import pytest

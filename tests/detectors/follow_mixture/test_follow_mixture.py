@@ -1,4 +1,4 @@
-"""Group-mixture as a detector: the heads that it finds, swarms without following, and the answer."""
+"""follow-mixture as a detector: the heads that it finds, swarms without following, and the answer."""
 
 import numpy as np
 import pytest
