@@ -67,7 +67,38 @@ def _table2(name: str, *commands: str) -> Result:
     )
 
 
-_GROUPS = "detectors.group_mixture:GroupMixture"
+#: What both cores of follow-mixture played, by seed.
+_BOTH_PLAYED = (
+    "--seed 4242 --tier paper --episodes 100 --detectors follow-mixture",
+    "--seed 4242 --tier missed smooth --episodes 50 --detectors follow-mixture",
+    "--seed 4242 --tier short --cell T20 T50 --episodes 50 --detectors follow-mixture",
+    "--seed 4242 --tier P1 --episodes 50 --detectors \"follow-mixture(objective='P1')\"",
+    "--seed 4242 --tier silence --cell iid gauss_markov smooth_turn-jitter --episodes 50 "
+    "--detectors \"follow-mixture(policy='map')\"",
+    "--seed 5353 --tier straight --cell jitter --episodes 50 --detectors follow-mixture",
+    "--seed 7077 --tier noise sizes --episodes 20 --detectors follow-mixture",
+    "--seed 7077 --tier decoys --episodes 5 --detectors follow-mixture",
+    "--seed 7077 --tier strategies --episodes 10 --detectors follow-mixture",
+    "--seed 7077 --tier silence --episodes 50 --detectors \"follow-mixture(policy='map')\"",
+    "--seed 7077 --tier short --cell T8 T12 --episodes 50 --detectors follow-mixture",
+)
+
+
+def _cores(core: str, name: str, *before: str) -> Result:
+    """The rows of one core in all tiers, in one file."""
+    script = f"python benchmarks/follow_mixture.py --results out/{core}"
+    return Result(
+        f"the {core} core of follow-mixture on the same swarms",
+        (f"former_core/{name}.csv.gz",),
+        (
+            *before,
+            *(f"{script} {step}" for step in _BOTH_PLAYED),
+            *(["git checkout -"] if before else []),
+            f"{script} --pack benchmarks/results/former_core/{name}.csv.gz",
+        ),
+    )
+
+
 _SMOOTH = "--mobility gauss_markov --head-jitter"
 _WAYPOINT = "--mobility waypoint --head-jitter"
 
@@ -75,167 +106,114 @@ RESULTS: tuple[Result, ...] = (
     Result("P2 on the paper's tier", ("multi_cluster/",), ("benchmarks/multi_cluster.sh",)),
     _tier(
         "paper",
-        "300 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\"",
+        "100 --detectors follow-mixture",
+        "2 --detectors \"follow-mixture(policy='map')\"",
         "30 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "sizes",
-        "50 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "20 --detectors follow-mixture",
+        "2 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "smooth",
         "50 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "2 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "straight",
         "50 --cell jitter --detectors follow-mixture",
-        "5 --detectors follow-mixture lagged-regression destroy-all",
-        "5 --cell jitter --detectors \"follow-mixture(policy='map')\"",
+        "5 --detectors follow-mixture",
+        "2 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
-        "100 --cell jitter --seed 8088 --detectors follow-mixture",
     ),
     _tier(
         "short",
         "50 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "2 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "noise",
-        "100 --cell f1-gauss_markov-0.5 f2-gauss_markov-0.5 f3-gauss_markov-0.5 --detectors follow-mixture",
-        "30 --detectors follow-mixture",
-        "5 --cell f1-0.1 f2-0.1 f3-0.1 f4-0.1 f5-0.1 f6-0.1 f7-0.1 f1-0.3 f2-0.3 f3-0.3 f4-0.3 f5-0.3 f6-0.3 f7-0.3 "
-        "f1-0.5 f2-0.5 f3-0.5 f4-0.5 f5-0.5 f6-0.5 f7-0.5 f1-1.0 f2-1.0 f3-1.0 f4-1.0 f5-1.0 f6-1.0 f7-1.0 "
-        "f1-gauss_markov-0.1 f2-gauss_markov-0.1 f3-gauss_markov-0.1 f4-gauss_markov-0.1 f5-gauss_markov-0.1 "
-        "f6-gauss_markov-0.1 f7-gauss_markov-0.1 f1-gauss_markov-0.3 f2-gauss_markov-0.3 f3-gauss_markov-0.3 "
-        "--detectors \"follow-mixture(policy='map')\"",
-        "3 --cell f1-0.1 f2-0.1 f3-0.1 f4-0.1 f5-0.1 f6-0.1 f7-0.1 f1-0.3 f2-0.3 f3-0.3 f4-0.3 f5-0.3 f6-0.3 f7-0.3 "
-        "f1-0.5 f2-0.5 f3-0.5 f4-0.5 f5-0.5 f6-0.5 f7-0.5 f1-1.0 f2-1.0 f3-1.0 f4-1.0 f5-1.0 f6-1.0 f7-1.0 "
-        "f1-gauss_markov-0.1 f2-gauss_markov-0.1 f3-gauss_markov-0.1 f4-gauss_markov-0.1 f5-gauss_markov-0.1 "
-        "f6-gauss_markov-0.1 f7-gauss_markov-0.1 f1-gauss_markov-0.3 f2-gauss_markov-0.3 f3-gauss_markov-0.3 "
-        "f4-gauss_markov-0.3 f5-gauss_markov-0.3 f6-gauss_markov-0.3 f7-gauss_markov-0.3 --detectors "
-        "\"follow-mixture(policy='map')\"",
-        "2 --detectors \"follow-mixture(policy='map')\"",
-        "5 --detectors lagged-regression destroy-all",
+        "20 --detectors follow-mixture",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "missed",
         "50 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "2 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "sampled",
-        "20 --detectors follow-mixture",
+        "10 --detectors follow-mixture",
         "5 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "decoys",
-        "5 --detectors follow-mixture learned \"learned(policy='map')\" random none",
-        "30 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "20 --detectors follow-mixture \"follow-mixture(policy='map')\"",
+        "5 --detectors learned \"learned(policy='map')\" random none",
+        "30 --detectors lagged-regression destroy-all",
         "3 --detectors granger factions",
     ),
     _tier(
         "silence",
-        "10 --cell none-iid-jitter none-iid-bare none-gauss_markov-jitter none-gauss_markov-bare "
-        "none-smooth_turn-jitter --detectors follow-mixture",
-        "5 --detectors follow-mixture learned \"learned(policy='map')\" random none",
-        "100 --detectors \"follow-mixture(policy='map')\"",
+        "50 --detectors \"follow-mixture(policy='map')\"",
+        "10 --detectors follow-mixture",
+        "5 --detectors learned \"learned(policy='map')\" random none",
         "30 --detectors lagged-regression destroy-all",
         "3 --detectors granger factions",
     ),
     _tier(
         "shifted",
-        "10 --detectors \"follow-mixture(policy='map')\"",
-        "5 --detectors lagged-regression destroy-all",
+        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
     _tier(
         "P1",
+        "50 --detectors \"follow-mixture(objective='P1')\"",
         "10 --detectors follow-mixture \"follow-mixture(policy='map')\" learned \"learned(policy='map')\" random none",
-        "100 --detectors \"follow-mixture(objective='P1')\" lagged-regression destroy-all",
+        "100 --detectors lagged-regression destroy-all",
         "3 --detectors granger factions",
     ),
     _tier(
         "strategies",
-        "50 --detectors follow-mixture",
-        "5 --detectors \"follow-mixture(policy='map')\" lagged-regression destroy-all",
+        "10 --detectors follow-mixture",
+        "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
+    _cores("former", "rows", "git checkout dcdecd2  # has the code of the former core"),
+    _cores("present", "present"),
     Result(
-        "follow-mixture with each of its rules switched off, on tuning seeds",
-        ("follow_mixture/ablation.csv",),
-        tuple(
-            f"python benchmarks/follow_mixture_ablation.py --tier {step}"
-            for step in (
-                "random --games 121",
-                "random --second --games 33",
-                "paper smooth straight strategies missed short P1 sampled sizes --games 10 4 1 1 1 1 1 1 1",
-                "straight --cell jitter --games 2",
-                "straight --cell f1-jitter f2-jitter f3-jitter f4-jitter f5-jitter --games 3",
-                "noise --cell f1-0 f2-0 f3-0 f4-0 f5-0 f6-0 f7-0 f1-1 f2-1 f3-1 f1-gauss_markov-0.3 "
-                "f2-gauss_markov-0.3 f3-gauss_markov-0.3 --games 1",
-                "decoys --cell 2 iid-3 iid-10 gauss_markov-3 --games 1",
-                "silence --cell iid gauss_markov --games 1",
-            )
-        ),
-    ),
-    *(
-        Result(
-            f"GroupMixture: {_TIERS[tier]}",
-            (f"group_mixture/{tier}.csv",),
-            (
-                f"python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier {tier} "
-                f"--episodes {episodes} --detectors {_GROUPS}",
+        "the former core of follow-mixture with each of its rules switched off, on tuning seeds",
+        ("former_core/ablation.csv", "former_core/ablation.md"),
+        (
+            "git checkout dcdecd2  # has the former core and the script; it writes results/follow_mixture/ablation.csv",
+            *(
+                f"python benchmarks/follow_mixture_ablation.py --tier {step}"
+                for step in (
+                    "random --games 121",
+                    "random --second --games 33",
+                    "paper smooth straight strategies missed short P1 sampled sizes --games 10 4 1 1 1 1 1 1 1",
+                    "straight --cell jitter --games 2",
+                    "straight --cell f1-jitter f2-jitter f3-jitter f4-jitter f5-jitter --games 3",
+                    "noise --cell f1-0 f2-0 f3-0 f4-0 f5-0 f6-0 f7-0 f1-1 f2-1 f3-1 f1-gauss_markov-0.3 "
+                    "f2-gauss_markov-0.3 f3-gauss_markov-0.3 --games 1",
+                    "decoys --cell 2 iid-3 iid-10 gauss_markov-3 --games 1",
+                    "silence --cell iid gauss_markov --games 1",
+                )
             ),
-        )
-        for tier, episodes in (
-            ("paper", 100),
-            ("smooth", 50),
-            ("short", 50),
-            ("noise", 20),
-            ("missed", 50),
-            ("decoys", 10),
-        )
-    ),
-    Result(
-        f"GroupMixture: {_TIERS['straight']}",
-        ("group_mixture/straight.csv",),
-        (
-            "python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier straight "
-            f"--cell jitter --episodes 50 --detectors {_GROUPS}",
-        ),
-    ),
-    Result(
-        f"GroupMixture: {_TIERS['silence']}",
-        ("group_mixture/silence.csv",),
-        (
-            "python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier silence "
-            f"--episodes 20 --detectors \"{_GROUPS}(policy='map')\"",
-        ),
-    ),
-    Result(
-        f"GroupMixture: {_TIERS['P1']}",
-        ("group_mixture/P1.csv",),
-        (
-            "python benchmarks/follow_mixture.py --results benchmarks/results/group_mixture --tier P1 "
-            f"--episodes 50 --detectors \"{_GROUPS}(objective='P1')\"",
-        ),
-    ),
-    Result(
-        "swarms of the calibration of GroupMixture",
-        ("group_mixture_calibration.csv.gz",),
-        (
-            "python -c \"from detectors.group_mixture.train import train_calibration; train_calibration('out')\"  "
-            "# its rows.csv, compressed",
+            "python benchmarks/tables.py  # writes results/follow_mixture/ablation.md",
         ),
     ),
     Result(
@@ -247,6 +225,14 @@ RESULTS: tuple[Result, ...] = (
         "probabilities of follow-mixture against the share of heads",
         ("follow_mixture/reliability.png",),
         ("python benchmarks/tables.py --figures",),
+    ),
+    Result(
+        "thresholds of follow-mixture",
+        ("follow_mixture_thresholds.csv",),
+        (
+            "python benchmarks/threshold_ablation.py --games 1 --random 60 "
+            "--tier paper smooth straight short noise missed decoys silence",
+        ),
     ),
     Result(
         "swarms of the calibration of follow-mixture",
@@ -298,7 +284,6 @@ RESULTS: tuple[Result, ...] = (
             "multiagent_payoff.md",
             "multiagent_ppo.md",
             "multiagent_observers.md",
-            "follow_mixture/ablation.md",
         ),
         ("python benchmarks/tables.py",),
     ),

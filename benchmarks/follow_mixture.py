@@ -2,6 +2,7 @@
 
     OMP_NUM_THREADS=1 python benchmarks/follow_mixture.py --tier paper --episodes 300 --detectors follow-mixture
     python benchmarks/follow_mixture.py --list            # the cells of every tier
+    python benchmarks/follow_mixture.py --results out --pack rows.csv.gz    # the rows of all tiers in one file
 
 Each episode is one row of ``benchmarks/results/follow_mixture/<tier>.csv``, written when it ends. Episodes that the
 file holds are not played again. The column ``detector`` is the detector's full name with every argument that differs
@@ -13,6 +14,9 @@ the exact command of every file.
 from __future__ import annotations
 
 import argparse
+import csv
+import gzip
+import io
 import time
 from dataclasses import dataclass, field
 from itertools import islice
@@ -29,6 +33,7 @@ from usnet_env.envs.play import play_rounds
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.evaluation.store import RowFile
 from usnet_env.evaluation.table import RowTable, read_table
+from usnet_env.files import atomic_write
 from usnet_env.objectives import average_precision, multi_cluster_objective, single_cluster_objective
 from usnet_env.plugins import detector_label, make_detector
 
@@ -197,6 +202,24 @@ def read_rows(path: Path) -> RowTable:
     return read_table(path, COLUMNS)
 
 
+def pack_rows(results: Path, path: Path) -> None:
+    """Write the complete rows of all tiers in a folder to one compressed file, whose bytes depend on nothing else."""
+    lines = [",".join(COLUMNS)]
+    for tier in dict.fromkeys(cell.tier for cell in cells()):
+        if (file := results / f"{tier}.csv").exists():  # an interrupted write leaves the last line incomplete
+            lines += file.read_text(encoding="utf-8").split("\n")[1:-1]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as aside:
+        aside.write_bytes(gzip.compress("\n".join([*lines, ""]).encode(), mtime=0))
+
+
+def unpack_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a compressed file; none if there is no file."""
+    if not path.exists():
+        return []
+    return list(csv.DictReader(io.StringIO(gzip.decompress(path.read_bytes()).decode())))
+
+
 def label_of(name: str) -> str:
     """The label of a detector's rows: its name with the arguments that differ from their defaults."""
     return detector_label(make_detector(name))
@@ -223,6 +246,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--seed", type=int, default=SEED)
     made.add_argument("--detectors", nargs="*", default=list(DETECTORS))
     made.add_argument("--results", type=Path, default=RESULTS)
+    made.add_argument("--pack", type=Path, help="write the rows of all tiers to this file and play nothing")
     made.add_argument("--list", action="store_true", help="list the cells and play nothing")
     return made
 
@@ -244,6 +268,9 @@ def main() -> None:
     if arguments.list:
         for cell in wanted:
             print(cell.tier, cell.name, cell.kind, cell.episodes, cell.env)
+        return
+    if arguments.pack is not None:
+        pack_rows(arguments.results, arguments.pack)
         return
     measure(wanted, arguments.detectors, arguments.episodes, arguments.seed, arguments.results)
 

@@ -3,23 +3,23 @@
     OMP_NUM_THREADS=1 python benchmarks/strategy_classes.py    # writes results/follow_mixture/classes.csv
 
 The noise-free direction of every follower at every step is regressed on the features that the detector computes
-(``detectors.follow_mixture.strategy``) from the true head's past, once with one law for all followers and once with one
-law for each follower. R² = 1 means that the class contains the strategy exactly; 1 - R² is what it leaves unexplained.
+(``detectors.follow_mixture.features``) from the true head's past, once with one law for all followers and once with one
+law for each follower; each follower has its own constant. R² = 1 means that the class contains the strategy exactly;
+1 - R² is what it leaves unexplained.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
 
-from detectors.follow_mixture.samples import samples_of
-from detectors.follow_mixture.strategy import Library, head_features, pair_features
+from detectors.follow_mixture.features import CLASSES, make_features
+from detectors.follow_mixture.motion import lagged, read_motion
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.files import atomic_write
@@ -30,39 +30,19 @@ Floats = NDArray[np.float64]
 
 RESULTS = Path(__file__).parent / "results" / "follow_mixture" / "classes.csv"
 SEED = 7077
-MEMORY = 4  # the detector's default
+MEMORY = 4  # L, the detector's default
 STEPS = 200  # two windows: many more rows than a law has numbers, also for one follower alone
 #: R² from which a class counts as containing a strategy. The rest is then less than the followers' own noise, whose
 #: variance is 0.05² on each axis, beside some 0.3 of the direction: about 0.0075 of it.
 CONTAINED = 0.9925
 
-#: The classes that the detector fits (``search.py``, ``pair_evidence.py`` and ``flock_heads.py``), with memory 4.
-CLASSES = (
-    Library(1),
-    Library(MEMORY),
-    Library(1, isotropic=True),
-    Library(MEMORY, isotropic=True),
-    Library(MEMORY, squares=True),
-    Library(1, squares=True, products=True),
-    Library(2, squares=True, products=True, across=True),
-    Library(2, linear=False, turns=True, isotropic=True),
-    Library(MEMORY, own=True),
-    Library(MEMORY, towards=True, own=True),
-    Library(MEMORY, squares=True, towards=True),
-    Library(MEMORY, squares=True, towards=True, own=True),
-)
 
+def fly(name: str, seed: int = SEED) -> tuple[Floats, Floats]:
+    """Fly a swarm of iid heads by a strategy.
 
-@dataclass(frozen=True)
-class Flights:
-    """The noise-free directions ``(f, R, 3)`` of f followers, and for every class their features ``(f, R, p)``."""
-
-    direction: Floats
-    features: dict[str, Floats]
-
-
-def flights(name: str, seed: int = SEED) -> Flights:
-    """Fly a swarm of iid heads by a strategy, and compute the direction and the features of every follower."""
+    Returns:
+        The directions ``(f, R, 3)`` of its f followers, and the pasts ``(f, R, L, 3)`` of their heads.
+    """
     env = MultiClusterEnv(follow=name, observation_steps=STEPS, clusters=5, uavs=35)
     observation, _ = env.reset(seed=seed)
     window = Window.from_observation(observation)
@@ -70,8 +50,8 @@ def flights(name: str, seed: int = SEED) -> Flights:
     followers = np.flatnonzero(~env.swarm.head)
     heads = env.swarm.leader[followers]
     parameters = strategy.draw(np.random.default_rng(seed))
-    samples = samples_of(window, np.arange(window.uavs), MEMORY)
-    if samples is None:
+    motion = read_motion(window, np.arange(window.uavs))
+    if motion is None:
         raise RuntimeError("the window must hold enough velocities for the detector's features")
     directions = []
     for step in range(MEMORY, STEPS):
@@ -84,45 +64,24 @@ def flights(name: str, seed: int = SEED) -> Flights:
             parameters=parameters,
         )
         directions.append(strategy.direction(inputs))
-    found = {}
-    for library in CLASSES:
-        shared, _ = head_features(samples, library, heads)
-        paired, _ = pair_features(samples, library, followers, heads)
-        found[library.name] = np.concatenate([paired, shared], axis=2).astype(np.float64)
-    return Flights(np.stack(directions, axis=1).astype(np.float64), found)
+    return np.stack(directions, axis=1).astype(np.float64), lagged(motion.velocity, MEMORY)[heads]
 
 
-def explained(features: Floats, direction: Floats, isotropic: bool) -> float:
-    """R² of a least-squares fit of ``direction (n, 3)`` on ``features (n, p)``, the last of which is the intercept.
-
-    With ``isotropic`` the features are triples (x, y, z), and one weight serves all three axes.
-    """
-    centred = direction - direction.mean(axis=0)
-    if isotropic:
-        triples = features[:, :-1].reshape(len(features), -1, 3)
-        triples = triples - triples.mean(axis=0)
-        design, target = triples.swapaxes(1, 2).reshape(-1, triples.shape[1]), centred.reshape(-1, 1)
-    else:
-        design, target = features, centred
-    weights = np.linalg.lstsq(design, target, rcond=None)[0]
-    residual = target - design @ weights
-    return float(1.0 - (residual**2).sum() / (target**2).sum())
+def explained(features: Floats, direction: Floats) -> float:
+    """R² of a least-squares fit of ``direction (n, 3)`` on ``features (n, p)``, which both have mean 0."""
+    residual = direction - features @ np.linalg.lstsq(features, direction, rcond=None)[0]
+    return float(1.0 - (residual**2).sum() / (direction**2).sum())
 
 
 def measure(name: str) -> list[dict[str, str]]:
     """One row for each class: R² with one law for all followers, and the smallest R² of one law for each follower."""
-    flown = flights(name)
+    direction, past = fly(name)
+    direction = direction - direction.mean(axis=1, keepdims=True)  # each follower has a constant of its own
     rows = []
-    for library in CLASSES:
-        features = flown.features[library.name]
-        together = explained(features.reshape(-1, features.shape[2]), flown.direction.reshape(-1, 3), library.isotropic)
-        alone = min(
-            explained(own, direction, library.isotropic)
-            for own, direction in zip(features, flown.direction, strict=True)
-        )
-        rows.append(
-            {"strategy": name, "class": library.name, "r2_shared": f"{together:.6f}", "r2_each": f"{alone:.6f}"}
-        )
+    for library, features in make_features(past, CLASSES):
+        together = explained(features.reshape(-1, features.shape[2]), direction.reshape(-1, 3))
+        alone = min(explained(own, wanted) for own, wanted in zip(features, direction, strict=True))
+        rows.append({"strategy": name, "class": library, "r2_shared": f"{together:.6f}", "r2_each": f"{alone:.6f}"})
     return rows
 
 

@@ -15,7 +15,6 @@ import sys
 from pathlib import Path
 
 from result_pages import (
-    ablation,
     commands_page,
     cores,
     decoys,
@@ -28,6 +27,7 @@ from result_pages import (
     rounds,
     speed,
     strategies,
+    thresholds,
     tiers,
 )
 from result_pages.text import table_alone
@@ -40,7 +40,8 @@ PAGES = {
     "docs/results/paper_tier.md": paper_tier.text,
     "docs/results/follow_mixture.md": tiers.text,
     "docs/results/follow_mixture_cells.md": tiers.cells_text,
-    "docs/results/group_mixture.md": cores.text,
+    "docs/results/follow_mixture_cores.md": cores.text,
+    "docs/results/follow_mixture_thresholds.md": thresholds.text,
     "docs/results/decoys.md": decoys.text,
     "docs/results/strategies.md": strategies.text,
     "docs/results/p1.md": p1.text,
@@ -50,7 +51,6 @@ PAGES = {
     "docs/results/multiagent.md": multiagent.text,
     "docs/results/speed.md": speed.text,
     "benchmarks/README.md": commands_page.text,
-    "benchmarks/results/follow_mixture/ablation.md": ablation.text,
     # Tables alone, which pages of docs include.
     "benchmarks/results/learned.md": lambda: table_alone(learned.games()),
     "benchmarks/results/ppo_observer.md": lambda: table_alone(learned.trained()),

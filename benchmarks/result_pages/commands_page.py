@@ -20,12 +20,15 @@ def text() -> str:
         "machine. The tables are in `docs/results/`; `python benchmarks/tables.py` writes them from these files, and "
         "`python benchmarks/tables.py --check` finds tables that differ.",
         "**Seeds.** Detectors were tuned on seeds below 1000. Published episodes have the seeds 2022 and above. Not "
-        "all "
-        "of them were new to the detector that plays them: `follow-mixture` was developed further after rows of "
-        "earlier "
-        "builds had been published for seed 2022, which `learned.csv`, `ppo_observer.csv` and `multiagent_*.csv` have. "
-        "The rows of seed 7077 in `follow_mixture/` were first played after its last change; the strategies that had "
-        "been looked at before, with other seeds, have a table of their own.",
+        "all of them were new to the detector that plays them: rules of `follow-mixture` were changed after looks at "
+        "rows of seed 2022, which `learned.csv`, `ppo_observer.csv` and `multiagent_*.csv` have, and of seed 7077, "
+        "which `follow_mixture/` has. The rows of seed 5353 in `former_core/`, and most of seed 4242, were first "
+        "played after its last change. "
+        "The strategies that had been looked at before have a table of their own.",
+        "**Former core.** `former_core/` holds rows of the former core of `follow-mixture`, whose code commit dcdecd2 "
+        "has, and rows of the present core on the same swarms. The rows of `follow-mixture` in `learned.csv`, "
+        "`ppo_observer.csv`, `multiagent_*.csv` and `follow_mixture_speed.json` are of the "
+        "former core, too.",
         "Speeds are ratios of contestants that take turns within one run, because the speed of a shared machine "
         "drifts.",
     ]

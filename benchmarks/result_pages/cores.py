@@ -1,88 +1,96 @@
-"""follow-mixture and its successor GroupMixture, tier by tier, on swarms of the same seed."""
+"""The former and the present core of follow-mixture on the same swarms."""
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Callable, Iterable
+from statistics import fmean, median
 
-from follow_mixture import SEED, read_rows
+import numpy as np
+from follow_mixture import cells, unpack_rows
 
-from result_pages.text import RESULTS, Row, cost_of, exact_of, grouped, page, source, table
-from result_pages.tiers import MAP, OURS, of, tier_rows
+from result_pages.text import RESULTS, Row, cost_of, exact_of, page, source, table
+from usnet_env.evaluation.statistics import mean_interval
 
-#: Tier and the detector whose rows are compared in it.
-COMPARED = {
-    "paper": OURS,
-    "smooth": OURS,
-    "straight": OURS,
-    "short": OURS,
-    "noise": OURS,
-    "missed": OURS,
-    "decoys": OURS,
-    "silence": MAP,
-    "P1": f"{OURS}(objective='P1')",
-}
+FILES = ("former_core/rows.csv.gz", "former_core/present.csv.gz")
+_SAME = ("tier", "cell", "detector", "seed", "episode")
+_COSTS = {"P1": -1.0}  # J_s is better when higher
+Pair = tuple[Row, Row]
+Key = tuple[str, ...]
 
 
-@cache
-def successor_rows(tier: str) -> tuple[Row, ...]:
-    """The rows of GroupMixture in a tier, from the published seed."""
-    return tuple(
-        {**row, "variant": row["cell"].partition("-")[2]}
-        for row in read_rows(RESULTS / "group_mixture" / f"{tier}.csv")
-        if int(row["seed"]) == SEED
-    )
+def paired(former: Iterable[Row], present: Iterable[Row]) -> list[Pair]:
+    """The rows of the episodes that both cores played, in the order of the tiers."""
+    found = {tuple(row[column] for column in _SAME): row for row in present}
+    order = {(cell.tier, cell.name): place for place, cell in enumerate(cells())}
+    both = [(row, found[key]) for row in former if (key := tuple(row[column] for column in _SAME)) in found]
+    return sorted(both, key=lambda pair: (order[pair[0]["tier"], pair[0]["cell"]], int(pair[0]["episode"])))
 
 
-def compare() -> str:
-    """A line for each variant of each tier."""
+def worst_cell(pairs: Iterable[Pair]) -> str:
+    """The cell in which mean J is worse by most with the present core, and its change."""
+    change = {}
+    for (tier, cell), own in grouped_pairs(pairs, lambda row: (row["tier"], row["cell"])).items():
+        change[cell] = _COSTS.get(tier, 1.0) * fmean(_rise(pair) for pair in own)
+    worst = max(change, key=lambda cell: change[cell])
+    return f"{worst}: {change[worst]:.3f}" if change[worst] > 0 else "none"
+
+
+def grouped_pairs(pairs: Iterable[Pair], key: Callable[[Row], Key]) -> dict[Key, list[Pair]]:
+    """The pairs by a key of their rows."""
+    found: dict[Key, list[Pair]] = {}
+    for pair in pairs:
+        found.setdefault(key(pair[0]), []).append(pair)
+    return found
+
+
+def _rise(pair: Pair) -> float:
+    """J of the present core less that of the former one."""
+    return float(pair[1]["J"]) - float(pair[0]["J"])
+
+
+def compare(pairs: Iterable[Pair], key: Callable[[Row], Key]) -> str:
+    """A line for each value of the key."""
     lines = []
-    for tier, detector in COMPARED.items():
-        before = grouped(of(tier_rows(tier), detector), lambda row: row["variant"])
-        for variant, now in grouped(successor_rows(tier), lambda row: row["variant"]).items():
-            then = before.get(variant, [])
-            if not then:
-                continue
-            old, new = (grouped(rows, lambda row: row["cell"]) for rows in (then, now))
-            change = {
-                cell: sum(float(row["J"]) for row in rows) / len(rows)
-                - sum(float(row["J"]) for row in old[cell]) / len(old[cell])
-                for cell, rows in new.items()
-                if cell in old
-            }
-            worst = max(change, key=lambda cell: change[cell])
-            lines.append(
-                (
-                    f"{tier} {variant}".strip(),
-                    f"{len(then):,}",
-                    exact_of(then),
-                    cost_of(then),
-                    f"{len(now):,}",
-                    exact_of(now),
-                    cost_of(now),
-                    f"{worst}: {change[worst]:+.3f}",
-                )
+    for name, own in grouped_pairs(pairs, key).items():
+        cores = list(zip(*own, strict=True))
+        episodes = grouped_pairs(own, lambda row: (row["episode"],)).values()
+        change = mean_interval(np.array([fmean(_rise(pair) for pair in some) for some in episodes]))
+        lines.append(
+            (
+                " ".join(name).strip(),
+                f"{len(own):,}",
+                *(made(rows) for made in (exact_of, cost_of) for rows in cores),
+                f"{change.mean:+.3f} ({change.low:+.3f} to {change.high:+.3f})",
+                *(f"{median(float(row['seconds']) for row in rows):.3f}" for rows in cores),
+                worst_cell(own),
             )
+        )
     header = (
-        "tier and variant", "`follow-mixture`: n", "exact", "J", "`GroupMixture`: n", "exact", "J",
-        "largest rise of a cell's J",
+        "swarms", "n", "exact: former", "present", "J: former", "present", "J: present less former",
+        "seconds: former", "present", "cell that is worse by most",
     )  # fmt: skip
     return table(header, lines)
 
 
 def text() -> str:
     """The page."""
+    pairs = paired(*(unpack_rows(RESULTS / name) for name in FILES))
     return page(
-        "follow-mixture and its successor",
-        "[GroupMixture](../group_mixture.md) is the successor of `follow-mixture`: 1,900 lines instead of 4,700. Both "
-        "played swarms of the same seed, the published one. GroupMixture was written on the tuning seed 311; rules of "
-        "it were changed after a look at the tiers smooth and straight of the published seed, so these two tiers are "
-        "no test of it. *Exact* is the share of episodes in which round 1 names all heads and no other UAV. J is J_m "
-        "(lower is better), J_s in the tier P1 (0 is best), and the number of UAVs named in the tier silence (0 is "
-        "right). The tier silence is played with `policy='map'`, the tier P1 with `objective='P1'`. The last column "
-        "compares means of all episodes of a cell, which differ in number.",
-        "GroupMixture is better in short windows, among decoys and with missed samples. It is worse behind straight "
-        "heads with jitter, and it names UAVs in some silent swarms of smooth motion.",
-        compare(),
+        "Former and present core of follow-mixture",
+        "[follow-mixture](../follow_mixture.md) has a core of 2,200 lines; the former one had 4,700. Both played the "
+        "same swarms, and the rows are of the episodes that both played. The seed 5353, and the seed 4242 but for its "
+        "tiers straight and smooth, were first played after the last change of the present core. Rows of the seed 7077 "
+        "were looked at before. *Exact* is the share of episodes in which round 1 names all heads and no other UAV. J "
+        "is J_m (lower is better), J_s in the tier P1 (0 is best), and the number of UAVs named in the tier silence (0 "
+        "is right), which was played with `policy='map'`; the tier P1 with `objective='P1'`. Seconds are the median of "
+        "one window; both cores were measured on a shared machine. The last column is the cell whose mean J is worse "
+        "by most with the present core, and by how much.",
+        "## By tier",
+        compare(pairs, lambda row: (row["tier"], f"(seed {row['seed']})")),
+        "## By variant",
+        "A variant is what the name of a cell says after the follow strategy.",
+        compare(pairs, lambda row: (row["tier"], row["cell"].partition("-")[2])),
+        "`benchmarks/results/former_core/ablation.md` shows what each rule of the former core was worth.",
         "## Raw rows and commands",
-        source([*(f"{folder}/{tier}.csv" for folder in ("group_mixture", "follow_mixture") for tier in COMPARED)]),
+        source(FILES),
     )

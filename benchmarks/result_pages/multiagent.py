@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from result_pages.text import RESULTS, Row, grouped, mean_of, page, read_csv, share_of, source, table
+from result_pages.text import FORMER, RESULTS, Row, grouped, mean_of, page, read_csv, share_of, source, table
 
 
 def means(rows: Sequence[Row], keys: Sequence[str], columns: dict[str, str]) -> str:
@@ -48,16 +48,14 @@ def text() -> str:
     """The page."""
     return page(
         "Games of several agents",
-        "Seeds from 2022; M = 5, N = 82. `follow-mixture` was developed further after rows of an earlier build had "
-        "been "
-        "published for these seeds.",
+        f"Seeds from 2022; M = 5, N = 82. {FORMER}",
         "## Scripted swarms",
         "`usnet_evasion_v0`, at most 10 rounds: every observer against every swarm policy. `late`: a delay of 4 steps; "
         "`camouflaged`: smooth turns, 2 decoys and a delay of 4 steps. The swarm pays a price for what its heads do.",
         payoff(),
         "## A swarm trained by PPO",
         "All heads make the same choice; one training for each line. The matches against `follow-mixture` were played "
-        "with an earlier build of it.",
+        "with a still earlier build of it.",
         trained(),
         "![Learning curves](../../benchmarks/results/multiagent_ppo.png)",
         "## Several observers",

@@ -13,6 +13,7 @@ from usnet_env.evaluation.statistics import Interval, mean_interval, rate_interv
 
 __all__ = [
     "FOLLOW",
+    "FORMER",
     "NOTICE",
     "RESULTS",
     "Row",
@@ -38,6 +39,8 @@ KeyT = TypeVar("KeyT", bound=Hashable)
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
 FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
+#: Of pages whose rows of follow-mixture were not measured again since.
+FORMER = "The rows of `follow-mixture` are of its [former core](follow_mixture_cores.md)."
 NOTICE = "<!-- Written by `python benchmarks/tables.py` from the rows in benchmarks/results. Do not edit. -->"
 
 

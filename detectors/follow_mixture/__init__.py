@@ -1,4 +1,4 @@
-"""Follow-mixture: fits one shared follow strategy, the heads and the assignment of followers together."""
+"""Groups of UAVs that move together, and the heads whose pasts predict them."""
 
 from detectors.follow_mixture.detector import FollowMixture
 

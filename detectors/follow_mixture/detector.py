@@ -1,4 +1,4 @@
-"""The follow-mixture detector: all followers use one strategy, each with one of M heads; it estimates all of this."""
+"""The follow-mixture detector: groups of UAVs that move together, and the UAVs whose pasts predict these groups."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.follow_mixture.calibration import calibrated
-from detectors.follow_mixture.explain import explain
-from detectors.follow_mixture.samples import samples_of
+from detectors.follow_mixture.calibration import shipped_calibration
+from detectors.follow_mixture.fit import Fit, fit_motion
+from detectors.follow_mixture.motion import read_motion
 from detectors.policy import Policy, choose
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
@@ -28,12 +28,12 @@ class _Arguments(Policy):
 
 
 class FollowMixture(Detector):
-    """Finds all heads by a mixture model over heads with one follow strategy that all followers share.
+    """Finds all heads: which UAV's past predicts each group of UAVs that move together, beyond the group's own past.
 
-    Pairwise evidence gives a first assignment. Then the shared strategy, the heads, their number and the assignment are
-    fitted alternately, in increasingly rich classes of strategies. A test against time-shift surrogates is applied to
-    each head. The result is a probability of each UAV of being a head, from which the policy chooses the candidates.
-    docs/follow_mixture.md describes the method.
+    UAVs that move simultaneously form groups: the followers of one head do. A group follows a candidate if the
+    candidate's past adds to the group's own past as a predictor. Heads are chosen together, with one law that all
+    groups share or a law of each group's own. The result is a probability of each UAV of being a head, from which the
+    policy chooses the candidates. docs/follow_mixture.md describes the method.
 
     Args:
         clusters: an upper bound on the number of heads, or ``None``; the number is estimated.
@@ -48,8 +48,8 @@ class FollowMixture(Detector):
         objective: ``"P2"`` (destroy all heads in few rounds) or ``"P1"`` (name the single head in one round).
         shot_budget: the largest number of candidates per round, or ``None``.
         redundancy_price: the cost of a redundant candidate, in units of the objective (1/N of a round in P2).
-        round_price: the cost of one more round of P2. ``None``: 1 if the fit explains the swarm, and N / 4 if no UAV
-            seems to follow another one, so that heads could only be guessed.
+        round_price: the cost of one more round of P2. ``None``: 1 if a UAV is a probable head, and N / 4 if none is,
+            so that heads could only be guessed.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
@@ -90,10 +90,11 @@ class FollowMixture(Detector):
 
         Returns:
             Candidates by the policy, scores (log-odds of being a head), clusters and leader; in ``extras``:
-            ``probability`` ``(N,)``; ``strategy`` (class, lag profile, noise); ``explained`` ``(N,)``, the share of
-            each UAV's innovation that its head explains; ``gain`` ``(N,)``, the log-likelihood gained by its head, in
-            nats; ``heads`` (indices) and ``gate`` (one sentence per head); ``nats``, the penalised log-likelihood gain
-            of the whole fit.
+            ``probability`` ``(N,)``, if the fit is right, and ``doubt``, the probability that it is not; ``gain``
+            ``(N,)``, the log-likelihood that the UAV's group gains by its head, in nats; ``group`` ``(N,)``, the group
+            of each living UAV, -1 for others; ``heads`` (indices) and ``reasons`` (one sentence per head);
+            ``strategy`` (feature class, weights of the shared law, noise) or ``None``; ``nats``, the gain of the whole
+            fit less the prices.
 
         Raises:
             ArgumentError: an argument of the constructor is refused, or ``clusters`` exceeds the window's N.
@@ -106,39 +107,44 @@ class FollowMixture(Detector):
         rng = getattr(self, "rng", None) or np.random.default_rng()
         living = np.flatnonzero(window.alive)
         most = 1 if arguments.objective == "P1" else arguments.clusters
-        samples = samples_of(window, living, arguments.memory)
-        probability = np.zeros(window.uavs)
-        scores = np.zeros(window.uavs)
-        leader = np.full(window.uavs, -1, np.int64)
-        clusters = np.full(window.uavs, -1, np.int64)
-        gain, share = np.zeros(window.uavs), np.zeros(window.uavs)
-        extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "gate": [], "nats": 0.0}
+        motion = read_motion(window, living)
+        found = None if motion is None else fit_motion(motion, arguments.memory, most, rng)
+        probability, gain = np.zeros(window.uavs), np.zeros(window.uavs)
+        leader, clusters, group = np.full((3, window.uavs), -1, np.int64)
+        extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "reasons": [], "nats": 0.0}
         probability[living] = 1.0 / (len(living) + 1.0)  # if no UAV seems to follow another one
-        given, doubt = probability.copy(), 0.0
-        if samples is not None:
-            found = explain(window, samples, living, most, rng)
-            if found is not None:
-                probability[living], given[living], doubt = calibrated(found)
-                leader[living] = np.where(found.leader >= 0, living[found.leader], -1)
-                heads = living[found.heads]
-                leader[heads] = heads
-                for label, head in enumerate(heads):
-                    clusters[leader == head] = label
-                gain[living], share[living] = found.gain, found.explained
-                extras |= {
-                    "strategy": found.strategy,
-                    "heads": heads,
-                    "gate": found.reasons,
-                    "nats": found.value,
-                }
+        doubt = 0.0
+        if found is not None:
+            calibration = shipped_calibration()
+            doubt, probability[living] = calibration.doubt, calibration(found.log_odds)
+            heads = living[found.heads]
+            leader[living] = np.where(found.leader >= 0, living[found.leader], -1)
+            leader[heads] = heads
+            for label, head in enumerate(heads):
+                clusters[leader == head] = label
+            gain[living], group[living] = found.gain, found.group
+            extras |= {
+                "strategy": {"features": found.features, "law": found.law, "noise": found.noise},
+                "heads": heads,
+                "reasons": _give_reasons(found),
+                "nats": found.value,
+            }
+        scores = np.zeros(window.uavs)
         odds = np.clip(probability[living], 1e-12, 1 - 1e-12)
         scores[living] = np.log(odds) - np.log1p(-odds)
-        if samples is not None:
+        if found is not None:
             scores[window.alive] -= scores[window.alive].min()
-        extras["probability"] = probability
-        extras["gain"] = gain
-        extras["explained"] = share
-        if arguments.policy == "map":
-            given, doubt = probability, 0.0
-        candidates = choose(given, window.alive, arguments, rng.random(window.uavs), doubt)
+        extras |= {"probability": probability, "doubt": doubt, "gain": gain, "group": group}
+        candidates = choose(probability, window.alive, arguments, rng.random(window.uavs), doubt)
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader, extras=extras)
+
+
+def _give_reasons(found: Fit) -> list[str]:
+    """One sentence per head: how many UAVs follow it, in how many groups, and what they gain."""
+    reasons = []
+    for head in found.heads:
+        behind = found.leader == head
+        groups, first = np.unique(found.group[behind], return_index=True)
+        nats = found.gain[behind][first].sum()
+        reasons.append(f"Adds {nats:.0f} nats to {behind.sum()} followers in {len(groups)} groups.")
+    return reasons

@@ -1,167 +1,348 @@
-"""Pairwise screening before a strategy is known: the share of i's innovations that j's past explains, for all pairs."""
+"""Evidence that a group follows a UAV: how much the UAV's past adds to the group's own past as a predictor.
+
+The mean velocity y of a group is regressed on Z, a constant and the group's own past, which leaves the innovations e.
+The features of a candidate's past, less what Z explains of them, explain a part of e. Two laws are compared:
+
+* *own*: the group has a law of its own. With weights of a g-prior, whose g is estimated for each pair, the log Bayes
+  factor has a closed form (Liang et al. 2008, "Mixtures of g priors for Bayesian variable selection", local empirical
+  Bayes).
+* *shared*: all groups have the same weights; each group has an error variance of its own.
+
+Both need nothing but cross products of e, Z and the features, which are computed once per pair.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.follow_mixture.samples import Samples
+from detectors.follow_mixture.features import SCREENED, make_features
+from detectors.follow_mixture.motion import lagged
+from usnet_env.compiling import compiled
 
-__all__ = ["KINDS", "FeatureKind", "affordable_kinds", "gain_and_chance", "pairwise_gain", "whitened"]
+__all__ = [
+    "Pairs", "Statistics", "Targets", "choose_pairs", "fit_law", "gain_by_laws", "gather_statistics", "join",
+    "make_targets", "own_evidence", "pair", "screen", "shared_evidence", "whiten",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
-RealT = TypeVar("RealT", np.float32, np.float64)
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
-_RIDGE = 1e-3
-_ROWS_PER_FEATURE = 2.5
-_CHUNK_ENTRIES = 1_000_000
-_CHANCE_VOTERS = 30
+_ROWS_A_LAG = 12  # rows of a window per lag of the own past in Z
+_RIDGE = 1e-6  # of the mean square of a feature
+_GRAIN = 1e-3  # innovations below this share of the mean speed are rounding of the positions
+_ASKED = 3  # candidates of each sort that a class nominates for a group; their evidence is exact
+_CHUNK = 1000  # UAVs or pairs of one matrix product; bounds the memory
+_FREEDOM = 4.0  # of the t distribution whose weights the rows have: a sharp turn counts little more than other rows
+_MEDIAN = 2.366  # of a chi-square variable with three degrees of freedom
+_LEAST_SPREAD = 0.005  # least standard deviation of an innovation, in mean speeds
+_NOTHING = 1e-12
 
 
-@dataclass(frozen=True)
-class FeatureKind:
-    """A set of features of a past.
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """What is to be explained: C groups, then each UAV's group without this UAV.
 
     Args:
-        lags: the number of lags.
-        linear: whether to use the velocities.
-        squares: whether to use their axis-wise squares.
-        first: the newest lag, from 0.
+        label: ``(n,)`` the group of each UAV.
+        innovation: ``(C + n, R, 3)`` e; 0 for the rest of a group of one.
+        own: ``(C + n, R, z)`` orthonormal columns that span Z.
+        weight: ``(C + n, R)`` weight of each row, in units of which e and Z are.
+        rows: ``(C + n,)`` effective number of rows: R - z, less if a few rows hold most of |e|².
     """
 
-    lags: int
-    linear: bool = True
-    squares: bool = False
-    first: int = 0
+    label: Indices
+    innovation: Floats
+    own: Floats
+    weight: Floats
+    rows: Floats
+
+    @property
+    def sizes(self) -> Indices:
+        """``(C,)`` number of UAVs of each group."""
+        return np.bincount(self.label)
+
+    @property
+    def energy(self) -> Floats:
+        """``(C + n,)`` |e|², and the energy of rounding, which no candidate explains."""
+        return np.asarray((self.innovation**2).sum(axis=(1, 2)) + 3 * self.innovation.shape[1] * _GRAIN**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """P pairs of a group and a candidate.
+
+    Args:
+        group: ``(P,)``.
+        uav: ``(P,)`` the candidate.
+        target: ``(P,)`` row of :class:`Targets`: the group, without the candidate if that is a member.
+    """
+
+    group: Indices
+    uav: Indices
+    target: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """Cross products of one feature class, for P pairs.
+
+    Args:
+        name: of the class.
+        moment: ``(P, p, 3)`` features times innovations.
+        gram: ``(P, p, p)`` features times features, less what the own past explains of them.
+    """
+
+    name: str
+    moment: Floats
+    gram: Floats
 
     @property
     def width(self) -> int:
-        """Number of features."""
-        return 3 * self.lags * (int(self.linear) + int(self.squares))
-
-    @property
-    def name(self) -> str:
-        """Name of the features in reports."""
-        parts = [name for name in ("linear", "squares") if getattr(self, name)]
-        return f"{'+'.join(parts)}({self.first + self.lags})"
+        """Number of features, p."""
+        return int(self.gram.shape[1])
 
 
-#: From rich to poor: rich features cover more strategies, poor ones suit short windows.
-KINDS = (
-    FeatureKind(4, True, True),
-    FeatureKind(2, True, False),
-    FeatureKind(2, False, True),
-    FeatureKind(2, True, True),
-    FeatureKind(1, True, False),
-    FeatureKind(1, False, True),
-    FeatureKind(1, True, False, first=1),
-)
-
-
-def affordable_kinds(rows: int, memory: int) -> list[FeatureKind]:
-    """The feature sets that a window with this many rows allows, the richest first; never empty."""
-    kinds = [kind for kind in KINDS if kind.first + kind.lags <= memory and rows >= _ROWS_PER_FEATURE * kind.width]
-    return kinds or [FeatureKind(1, True, False)]
-
-
-def _features(samples: Samples, kind: FeatureKind, uavs: slice) -> NDArray[np.float32]:
-    """``(n, R, p)``: centred features of some UAVs, 0 where unseen; single precision is enough for screening."""
-    part = slice(kind.first, kind.first + kind.lags)
-    past = samples.lagged[uavs, :, part].reshape(-1, samples.rows, 3 * kind.lags).astype(np.float32)
-    stacked = np.concatenate([past] * kind.linear + [past * past] * kind.squares, axis=2)
-    if samples.complete:
-        stacked -= stacked.mean(axis=1, keepdims=True)
-        return stacked
-    times = int(kind.linear) + int(kind.squares)
-    seen = np.tile(np.repeat(samples.lag_seen[uavs, :, part], 3, axis=2), (1, 1, times)).astype(np.float32)
-    mean = (stacked * seen).sum(axis=1, keepdims=True) / np.maximum(seen.sum(axis=1, keepdims=True), 1)
-    return np.asarray((stacked - mean) * seen, np.float32)
-
-
-def pairwise_gain(
-    samples: Samples,
-    surprise: Floats,
-    kind: FeatureKind,
-    shift: int = 0,
-    voters: NDArray[np.int64] | None = None,
-    columns: NDArray[np.int64] | None = None,
-) -> Floats:
-    """Log-likelihood that j's features add to i's own past, for all pairs, by matrix products.
-
-    With whitened features Q of j (X = Q R), the explained share of i's innovations y is |Q' y|²/|y|², computed for all
-    targets in one product. Unlike the exact conditional regression, this ignores what j's features share with i's own
-    past, which can only lower the gain.
+def make_targets(velocity: Floats, label: Indices, lags: int) -> Targets:
+    """Compute the innovations of the groups.
 
     Args:
-        samples: samples of n UAVs.
-        surprise: ``(n, R, 3)``, the innovations: the residuals of the null model.
-        kind: the features.
-        shift: circular shift of the targets in rows; surrogates have a shift other than 0.
-        voters: ``(v,)``, the UAVs i; all by default.
-        columns: ``(c,)``, the UAVs j; all by default.
-
-    Returns:
-        ``(v, c)``; 0 for a UAV with itself.
+        velocity: ``(n, T, 3)``.
+        label: ``(n,)`` the group of each UAV.
+        lags: L; the rows are the steps from L on.
     """
-    voters = np.arange(samples.uavs) if voters is None else voters
-    return _gains(samples, kind, [(voters, _targets(surprise[voters], shift))], columns)[0]
+    steps = velocity.shape[1]
+    rows = steps - lags
+    own_lags = int(np.clip(rows // _ROWS_A_LAG, 1, lags))
+    sizes = np.bincount(label)
+    total = np.zeros((len(sizes), steps, 3))
+    np.add.at(total, label, velocity)
+    rest = total[label] - velocity
+    few = np.maximum(sizes[label] - 1, 1)[:, None, None]
+    mean = np.concatenate([total / sizes[:, None, None], rest / few])
+    width = 1 + 3 * own_lags
+    innovation, own = np.empty((len(mean), rows, 3)), np.empty((len(mean), rows, width))
+    weight = np.ones((len(mean), rows))
+    for first in range(0, len(mean), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        past = lagged(mean[part], lags)[:, :, :own_lags].reshape(-1, rows, 3 * own_lags)
+        known = np.concatenate([np.ones((len(past), rows, 1)), past], axis=2)
+        plain = _residuals(whiten(known), mean[part, lags:])
+        square = (plain**2).sum(axis=2)
+        scale = np.maximum(np.median(square, axis=1, keepdims=True) / _MEDIAN, _LEAST_SPREAD**2)
+        weight[part] = 1.0 / np.sqrt(1.0 + square / (_FREEDOM * scale))
+        own[part] = whiten(known * weight[part][:, :, None])
+        innovation[part] = _residuals(own[part], mean[part, lags:] * weight[part][:, :, None])
+    innovation[len(sizes) :][sizes[label] == 1] = 0.0
+    square = (innovation**2).sum(axis=2)
+    # Of normal innovations the participation ratio is 3/5 of their number; a few sharp turns count as a few rows.
+    effective = 5.0 / 3.0 * square.sum(axis=1) ** 2 / np.maximum((square**2).sum(axis=1), _NOTHING**2)
+    return Targets(label, innovation, own, weight, np.minimum(effective, rows - width))
 
 
-def gain_and_chance(
-    samples: Samples, surprise: Floats, kind: FeatureKind, voters: NDArray[np.int64] | None = None
-) -> tuple[Floats, float]:
-    """:func:`pairwise_gain`, and the median over some voters of their largest gain in time-shifted data."""
-    voters = np.arange(samples.uavs) if voters is None else voters
-    some = voters[:: max(1, -(-len(voters) // _CHANCE_VOTERS))]
-    asked = [(voters, _targets(surprise[voters], 0)), (some, _targets(surprise[some], samples.rows // 2))]
-    gain, surrogate = _gains(samples, kind, asked)
-    return gain, float(np.median(surrogate.max(axis=1)))
+def _residuals(columns: Floats, target: Floats) -> Floats:
+    """``(k, R, 3)``: what orthonormal columns ``(k, R, z)`` leave of targets."""
+    return np.asarray(target - columns @ (columns.transpose(0, 2, 1) @ target))
 
 
-def _targets(surprise: Floats, shift: int) -> NDArray[np.float32]:
-    """``(R, 3 v)``: the innovations ``(v, R, 3)``, scaled to length 1 and shifted by ``shift`` rows."""
-    total = (surprise**2).sum(axis=(1, 2))
-    scaled = surprise / np.sqrt(np.where(total > 1e-12, total, np.inf))[:, None, None]
-    axis_major = scaled.transpose(1, 2, 0).astype(np.float32)
-    return np.ascontiguousarray(np.roll(axis_major, shift, axis=0).reshape(len(axis_major), -1))
-
-
-def _gains(
-    samples: Samples,
-    kind: FeatureKind,
-    asked: list[tuple[NDArray[np.int64], NDArray[np.float32]]],
-    columns: NDArray[np.int64] | None = None,
-) -> list[Floats]:
-    """``(v, c)`` for each group of voters and their targets."""
-    everybody = np.arange(samples.uavs) if columns is None else columns
-    samples = samples if columns is None else samples.take(columns)
-    rows, width = samples.rows, kind.width
-    shares = [np.zeros((len(voters), samples.uavs)) for voters, _ in asked]
-    step = max(1, _CHUNK_ENTRIES // (width * max(target.shape[1] for _, target in asked)))
-    for first in range(0, samples.uavs, step):
-        part = slice(first, first + step)
-        white = whitened(_features(samples, kind, part))
-        stacked = white.transpose(0, 2, 1).reshape(-1, rows)
-        for share, (voters, target) in zip(shares, asked, strict=True):
-            product = stacked @ target
-            np.square(product, out=product)
-            share[:, part] = product.reshape(len(white), 3 * width, len(voters)).sum(axis=1).T
-    gains = []
-    for share, (voters, _) in zip(shares, asked, strict=True):
-        gain = -rows * np.log1p(-np.clip(share, 0.0, 1.0 - 1e-6))  # two free dimensions per row, half a logarithm each
-        gain[voters[:, None] == everybody[None]] = 0.0
-        gains.append(gain)
-    return gains
-
-
-def whitened(features: NDArray[RealT], ridge: float = _RIDGE) -> NDArray[RealT]:
-    """Orthonormalise the columns of each ``(R, p)`` block, up to a small ridge."""
-    gram = features.transpose(0, 2, 1) @ features
+def whiten(columns: Floats, ridge: float = _RIDGE) -> Floats:
+    """Orthonormal columns of the span of each ``(R, p)`` block, up to a small ridge."""
+    gram = columns.transpose(0, 2, 1) @ columns
     width = gram.shape[1]
     power = np.trace(gram, axis1=1, axis2=2) / width
-    gram += (ridge * power + 1e-9)[:, None, None] * np.eye(width, dtype=gram.dtype)
+    gram += (ridge * power + _NOTHING)[:, None, None] * np.eye(width)
     inverse = np.linalg.inv(np.linalg.cholesky(gram))
-    return np.asarray(features @ inverse.transpose(0, 2, 1), features.dtype)
+    return np.asarray(columns @ inverse.transpose(0, 2, 1))
+
+
+def bayes_factor(share: Floats, rows: Floats, width: int) -> Floats:
+    """Log Bayes factor of a regression of three axes on ``width`` features that explain ``share``, against none."""
+    share = np.clip(share, 0.0, 1.0 - _NOTHING)
+    free = np.maximum(rows - width, 1.0)
+    strength = np.maximum(share * free / ((1.0 - share) * width) - 1.0, 0.0)  # g: the F ratio less 1
+    factor = 1.5 * free * np.log1p(strength) - 1.5 * rows * np.log1p(strength * (1.0 - share))
+    return np.asarray(np.where(rows > width + 1.0, factor, 0.0))
+
+
+def screen(targets: Targets, past: Floats, names: Sequence[str], groups: Indices) -> Floats:
+    """``(K, c, n)``: evidence of laws of each group's own, for all candidates and K classes.
+
+    Classes of three features are compared exactly; for larger ones the screening ignores the weights of the rows and
+    what a candidate's features share with the group's own past.
+
+    Args:
+        targets: the groups.
+        past: ``(n, R, L, 3)`` pasts of the candidates.
+        names: the feature classes; those that others contain are left out.
+        groups: ``(c,)`` the groups that are screened.
+    """
+    weight = targets.weight[groups]
+    rows = targets.rows[groups, None]
+    power = targets.energy[groups][:, None]
+    flat = (targets.innovation[groups] * weight[:, :, None]).transpose(1, 0, 2).reshape(weight.shape[1], -1)
+    plain = (targets.innovation[groups] / weight[:, :, None]).transpose(1, 0, 2).reshape(weight.shape[1], -1)
+    own = (targets.own[groups] * weight[:, :, None]).transpose(1, 0, 2).reshape(weight.shape[1], -1)
+    rough = ((plain**2).reshape(len(plain), -1, 3).sum(axis=(0, 2)) + 3 * len(plain) * _GRAIN**2)[:, None]
+    screened = [name for name in names if name in SCREENED]
+    evidence = np.zeros((len(screened), len(groups), len(past)))
+    for first in range(0, len(past), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        for number, (_, features) in enumerate(make_features(past[part], screened)):
+            if features.shape[2] == 3:
+                share = _explain_by_three(features, flat, own, weight**2) / power
+            else:
+                share = _explain_roughly(features, plain) / rough
+            evidence[number, :, part] = bayes_factor(share, rows, features.shape[2])
+    return evidence
+
+
+def choose_pairs(targets: Targets, evidence: Floats, groups: Indices) -> Pairs:
+    """The candidates of some groups: every class nominates single UAVs, members of the group and of other groups.
+
+    Args:
+        targets: the groups.
+        evidence: ``(K, c, n)`` of the screening.
+        groups: ``(c,)`` the groups that were screened.
+    """
+    inside = targets.label[None] == groups[:, None]
+    alone = (targets.sizes[targets.label] == 1)[None]
+    asked = np.zeros(evidence.shape[1:], bool)
+    for mask in (inside, ~inside & alone, ~inside & ~alone):
+        for values in np.where(mask, evidence, 0.0):
+            some = min(_ASKED, values.shape[1])
+            least = np.partition(values, -some, axis=1)[:, -some, None]
+            asked |= (values >= least) & (values > 0.0)
+    place, uav = np.nonzero(asked)
+    return pair(targets, groups[place], uav)
+
+
+def pair(targets: Targets, group: Indices, uav: Indices) -> Pairs:
+    """The pairs of groups ``(P,)`` and candidates ``(P,)``."""
+    member = targets.label[uav] == group
+    return Pairs(group, uav, np.where(member, len(targets.sizes) + uav, group))
+
+
+def _explain_roughly(features: Floats, flat: Floats) -> Floats:
+    """``(C, k)``: energy of unweighted innovations ``(R, 3 C)`` that features ``(k, R, p)`` explain alone."""
+    white = whiten(features)
+    product = (white.transpose(0, 2, 1).reshape(-1, len(flat)) @ flat).reshape(len(white), white.shape[2], -1)
+    energy = np.einsum("kpc,kpc->kc", product, product)
+    return np.asarray(energy.reshape(len(white), -1, 3).sum(axis=2).T)
+
+
+def _explain_by_three(features: Floats, flat: Floats, own: Floats, weight: Floats) -> Floats:
+    """``(C, k)``: energy that three features ``(k, R, 3)`` explain beyond the own pasts, exactly.
+
+    ``flat`` ``(R, 3 C)`` are the innovations and ``own`` ``(R, z C)`` the own pasts, times the weights of their rows;
+    ``weight`` ``(C, R)`` are the squares of these weights.
+    """
+    count, uavs, rows = len(weight), len(features), len(flat)
+    turned = features.transpose(0, 2, 1).reshape(-1, rows)
+    moment = (turned @ flat).reshape(uavs, 3, count, 3)
+    known = (turned @ own).reshape(uavs, 3, count, own.shape[1] // max(count, 1))
+    products = features[:, :, [0, 1, 1, 2, 2, 2]] * features[:, :, [0, 0, 1, 0, 1, 2]]  # of a lower triangle
+    gram = (products.transpose(0, 2, 1).reshape(-1, rows) @ weight.T).reshape(uavs, 6, count)
+    return np.asarray(_solve_by_three(moment, known, gram, _RIDGE, _NOTHING).T)
+
+
+@compiled()
+def _solve_by_three(moment: Floats, known: Floats, gram: Floats, ridge: float, least: float) -> Floats:
+    """``(k, C)``: m' G^-1 m, summed over three axes, with G less what the own past explains, by Cholesky's method.
+
+    Args:
+        moment: ``(k, 3, C, 3)`` features times innovations.
+        known: ``(k, 3, C, z)`` features times own pasts.
+        gram: ``(k, 6, C)`` lower triangles of features times features.
+        ridge: share of the mean diagonal of G that is added to it.
+        least: added to the diagonal.
+    """
+    uavs, _, count, width = known.shape
+    explained = np.empty((uavs, count))
+    lower, left = np.empty((3, 3)), np.empty(3)
+    for k in range(uavs):
+        for c in range(count):
+            more = ridge * (gram[k, 0, c] + gram[k, 2, c] + gram[k, 5, c]) / 3.0 + least
+            for p in range(3):
+                for q in range(p + 1):
+                    value = gram[k, p * (p + 1) // 2 + q, c]
+                    for z in range(width):
+                        value -= known[k, p, c, z] * known[k, q, c, z]
+                    for r in range(q):
+                        value -= lower[p, r] * lower[q, r]
+                    lower[p, q] = np.sqrt(value + more) if p == q else value / lower[q, q]
+            total = 0.0
+            for axis in range(3):
+                for p in range(3):
+                    value = moment[k, p, c, axis]
+                    for r in range(p):
+                        value -= lower[p, r] * left[r]
+                    left[p] = value / lower[p, p]
+                    total += left[p] ** 2
+            explained[k, c] = total
+    return explained
+
+
+def join(one: Pairs, other: Pairs) -> Pairs:
+    """The pairs of both."""
+    return Pairs(*(np.append(getattr(one, name), getattr(other, name)) for name in ("group", "uav", "target")))
+
+
+def gather_statistics(targets: Targets, past: Floats, pairs: Pairs, names: Sequence[str]) -> list[Statistics]:
+    """Compute the cross products of the feature classes ``names`` for the pairs; ``past`` ``(n, R, L, 3)``."""
+    asked, place = np.unique(pairs.uav, return_inverse=True)
+    found = []
+    for name, features in make_features(past[asked], names):
+        width = features.shape[2]
+        moment, gram = np.empty((len(place), width, 3)), np.empty((len(place), width, width))
+        for first in range(0, len(place), _CHUNK):
+            part, target = slice(first, first + _CHUNK), pairs.target[first : first + _CHUNK]
+            weighted = features[place[part]] * targets.weight[target][:, :, None]
+            turned = weighted.transpose(0, 2, 1)
+            moment[part] = turned @ targets.innovation[target]
+            whole = turned @ weighted
+            power = np.trace(whole, axis1=1, axis2=2) / width
+            known = turned @ targets.own[target]
+            gram[part] = whole - known @ known.transpose(0, 2, 1)
+            gram[part] += (_RIDGE * power + _NOTHING)[:, None, None] * np.eye(width)
+        found.append(Statistics(name, moment, gram))
+    return found
+
+
+def own_evidence(targets: Targets, pairs: Pairs, statistics: Statistics) -> Floats:
+    """``(P,)``: log Bayes factor of each pair with a law of its own."""
+    solved = np.linalg.solve(statistics.gram, statistics.moment)
+    share = (statistics.moment * solved).sum(axis=(1, 2)) / targets.energy[pairs.target]
+    return bayes_factor(share, targets.rows[pairs.target], statistics.width)
+
+
+def fit_law(statistics: Statistics, used: Indices, variance: Floats) -> Floats:
+    """Weights ``(p, 3)`` of one law for the pairs ``used`` ``(k,)``, with error variances ``(k,)``."""
+    gram = np.einsum("k,kpq->pq", 1.0 / variance, statistics.gram[used])
+    moment = np.einsum("k,kpa->pa", 1.0 / variance, statistics.moment[used])
+    return np.asarray(np.linalg.solve(gram, moment))
+
+
+def shared_evidence(targets: Targets, pairs: Pairs, statistics: Statistics, law: Floats) -> tuple[Floats, Floats]:
+    """Log-likelihood that each pair gains by a law ``(p, 3)``, and its error variance per axis and row; both ``(P,)``.
+
+    Each pair has an error variance of its own.
+    """
+    gain, left = _gain_and_rest(targets, pairs, statistics, law)
+    return gain, left / (3.0 * np.maximum(targets.rows[pairs.target], 1.0))
+
+
+def gain_by_laws(targets: Targets, pairs: Pairs, statistics: Statistics, laws: Floats) -> Floats:
+    """``(P,)``: log-likelihood that each pair gains by a law of its own ``(P, p, 3)``, which is given."""
+    return _gain_and_rest(targets, pairs, statistics, laws)[0]
+
+
+def _gain_and_rest(targets: Targets, pairs: Pairs, statistics: Statistics, law: Floats) -> tuple[Floats, Floats]:
+    """Log-likelihood gained by laws ``(p, 3)`` or ``(P, p, 3)``, and the energy that they leave."""
+    power = targets.energy[pairs.target]
+    left = power + (law * (statistics.gram @ law - 2.0 * statistics.moment)).sum(axis=(1, 2))
+    left = np.maximum(left, 3 * targets.innovation.shape[1] * _GRAIN**2)
+    return -1.5 * targets.rows[pairs.target] * np.log(left / power), left

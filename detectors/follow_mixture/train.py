@@ -25,20 +25,9 @@ from pydantic import Field
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from detectors.follow_mixture.calibration import (
-    MOST_ODDS,
-    VERDICTS,
-    Belief,
-    Calibration,
-    Curve,
-    Curves,
-    Rates,
-    log_odds,
-    verdict,
-)
-from detectors.follow_mixture.explain import explain
-from detectors.follow_mixture.explanation import KINDS
-from detectors.follow_mixture.samples import samples_of
+from detectors.follow_mixture.calibration import MOST_ODDS, Calibration
+from detectors.follow_mixture.fit import fit_motion
+from detectors.follow_mixture.motion import read_motion
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.files import atomic_write
 from usnet_env.provenance import versions
@@ -47,36 +36,29 @@ from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_st
 from usnet_env.window import Window
 
 __all__ = [
-    "COLUMNS",
-    "CalibrationTraining",
-    "draw_swarm",
-    "draw_window",
-    "fit_calibration",
-    "read_rows",
-    "row_of",
+    "COLUMNS", "CalibrationTraining", "draw_swarm", "draw_window", "fit_calibration", "read_rows", "row_of",
     "train_calibration",
-]
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 Rows = Sequence[Mapping[str, str]]
 
 COLUMNS = (
     "swarm", "follows", "terms", "mobility", "head_jitter", "clusters", "uavs", "observation_steps", "position_noise",
-    "miss_rate", "decoys", "later", "living", "heads", "way", "kinds", "probability", "given",
+    "miss_rate", "decoys", "later", "living", "heads", "exact", "log_odds",
 )  # fmt: skip
 _MOBILITIES = ("iid", "gauss_markov", "smooth_turn", "local_waypoint", "waypoint", "straight")
 _SMOOTH = ("gauss_markov", "smooth_turn", "local_waypoint")
 _MEMORY = 4  # the detector's default
 _BIN = 0.25  # width of a bin of log-odds
 _BINS = int(2 * MOST_ODDS / _BIN) + 1
-_ODDS = np.tile(np.linspace(-MOST_ODDS, MOST_ODDS, _BINS), 2)
-_LEFT = np.arange(2 * _BINS) >= _BINS
+_ODDS = np.linspace(-MOST_ODDS, MOST_ODDS, _BINS)
 _EDGES = (0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97, 0.99, 1)
 _ROWS, _FITTED, _RELIABILITY, _IDENTITY = "rows.csv", "calibration.json", "reliability.csv", "rows.json"
+_COMMAND = "python -c \"from detectors.follow_mixture.train import train_calibration; train_calibration('out')\""
 _KEEP_EVERY = 20  # swarms between two writes of the rows
-#: Prior of a curve: mean and standard deviation of the log slope, the offset, the addition for unassigned UAVs, and the
-#: log-odds of trust.
-_PRIOR = np.array([[0.0, 1.0], [0.0, 3.0], [0.0, 3.0], [2.0, 2.0]])
+#: Prior of a calibration: mean and standard deviation of the log slope, the offset and the log-odds of the doubt.
+_PRIOR = np.array([[0.0, 1.0], [0.0, 3.0], [-2.0, 2.0]])
 
 
 class CalibrationTraining(Config):
@@ -89,7 +71,7 @@ class CalibrationTraining(Config):
         most_clusters: M is drawn between 1 and this.
     """
 
-    swarms: Annotated[int, Field(ge=1, le=1_000_000)] = 1500
+    swarms: Annotated[int, Field(ge=1, le=1_000_000)] = 600
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     most_uavs: Annotated[int, Field(ge=20, le=500)] = 150
     most_clusters: Annotated[int, Field(ge=1, le=100)] = 12
@@ -112,8 +94,7 @@ def draw_swarm(training: CalibrationTraining, rng: np.random.Generator) -> Swarm
 
     The grammar of the follow strategies contains none of f1 to f7. But in half of the noisy swarms with followers the
     strategy is linear and the identity replaces its rotation, so that its axes are alike. A strategy with the single
-    term v_t, which would be f1, is drawn again. A sum of two lags can be close to f2: among the 1,500 swarms of the
-    shipped calibration one or two are (number 1457, and less so 895).
+    term v_t, which would be f1, is drawn again.
     """
     uavs = _log_uniform(rng, 20, training.most_uavs)
     decoys = int(rng.integers(1, 6)) if rng.random() < 0.3 else 0
@@ -133,7 +114,7 @@ def draw_swarm(training: CalibrationTraining, rng: np.random.Generator) -> Swarm
         head_jitter=bool(rng.random() < 0.5),
     )
     if drawn.position_noise > 0 and kind >= 0.1 and rng.random() < 0.5:
-        # Strategies that are equal on all axes, with smooth heads: rare otherwise, and used by the cross-spectral fit.
+        # Strategies that are equal on all axes, with smooth heads, behind noise: rare otherwise.
         alike = _linear_strategy(rng)
         while len(alike.terms) == 1 and alike.terms[0].lag == 0:  # that is f1
             alike = _linear_strategy(rng)
@@ -163,167 +144,97 @@ def draw_window(config: SwarmConfig, rng: np.random.Generator) -> tuple[Window, 
     return window, state.head[0] & state.alive[0] & (config.follow != "none"), later
 
 
-def _told(place: NDArray[np.int64], head: NDArray[np.bool_], names: Sequence[Any]) -> str:
-    """``name:uavs:heads`` of every place with at least one UAV, joined by spaces."""
-    uavs = np.bincount(place, minlength=len(names))
-    heads = np.bincount(place[head], minlength=len(names))
-    return " ".join(f"{names[k]}:{uavs[k]}:{heads[k]}" for k in np.flatnonzero(uavs).tolist())
-
-
-def _placed(probability: Floats, left: NDArray[np.bool_] | None) -> NDArray[np.int64]:
-    """Bins of log-odds; unassigned UAVs have separate bins after the others."""
-    place = np.rint((log_odds(probability) + MOST_ODDS) / _BIN)
-    return np.asarray(place if left is None else place + _BINS * left, np.int64)
-
-
 def row_of(training: CalibrationTraining, swarm: int) -> dict[str, str]:
-    """Draw a swarm, fit it, and count heads and other UAVs by uncalibrated result.
+    """Draw a swarm, fit it, and count heads and other UAVs by uncalibrated log-odds.
 
     Args:
         training: the settings.
         swarm: the number of the swarm.
 
     Returns:
-        The values by :data:`COLUMNS`: ``way`` is ``mixture``, the reliability class of a flock fit, or empty if there
-        was no result; ``kinds``, ``probability`` and ``given`` hold ``category or bin:UAVs:heads``.
+        The values by :data:`COLUMNS`: ``exact`` is 1 if the fit has the true heads; ``log_odds`` holds
+        ``bin:UAVs:heads`` of every bin with a UAV, and is empty if no UAV seemed to follow.
     """
     rng = np.random.default_rng([training.seed, swarm])
     config = draw_swarm(training, rng)
     window, leads, later = draw_window(config, rng)
     living = np.flatnonzero(window.alive)
     head = leads[living]
-    samples = samples_of(window, living, _MEMORY)
-    found = None if samples is None else explain(window, samples, living, None, rng)
-    way = kinds = probability = given = ""
-    if found is not None and found.kind is not None:
-        way, kinds = "mixture", _told(found.kind, head, KINDS)
-    elif found is not None:
-        way = verdict(found)
-        probability, given = (
-            _told(_placed(raw, found.left), head, range(2 * _BINS)) for raw in (found.probability, found.given)
-        )
+    motion = read_motion(window, living)
+    found = None if motion is None else fit_motion(motion, _MEMORY, None, rng)
+    counts, exact = "", not head.any()
+    if found is not None:
+        place = np.rint((np.clip(found.log_odds, -MOST_ODDS, MOST_ODDS) + MOST_ODDS) / _BIN).astype(np.int64)
+        uavs, heads = np.bincount(place, minlength=_BINS), np.bincount(place[head], minlength=_BINS)
+        counts = " ".join(f"{k}:{uavs[k]}:{heads[k]}" for k in np.flatnonzero(uavs).tolist())
+        exact = np.array_equal(found.heads, np.flatnonzero(head))
     terms = [term.kind for term in config.follow.terms] if isinstance(config.follow, RandomFollowStrategy) else []
     values = (
         swarm, int(config.follow != "none"), "+".join(terms), config.mobility, int(config.head_jitter),
         config.clusters, config.uavs, config.observation_steps, round(config.position_noise, 3),
-        round(config.miss_rate, 3), config.decoys, int(later), len(living), int(head.sum()),
-        way, kinds, probability, given,
+        round(config.miss_rate, 3), config.decoys, int(later), len(living), int(head.sum()), int(exact), counts,
     )  # fmt: skip
     return dict(zip(COLUMNS, map(str, values), strict=True))
 
 
-def _entries(text: str) -> Iterable[tuple[str, int, int]]:
-    for entry in text.split():
-        name, uavs, heads = entry.split(":")
-        yield name, int(uavs), int(heads)
-
-
-def _fitted_rates(rows: Rows) -> Rates:
-    """Share of heads per category, with a prior of one more UAV at the overall share of heads."""
-    living, leading = (max(sum(int(row[name]) for row in rows), 1) for name in ("living", "heads"))
-    counts = {kind: np.array([1.0, min(leading / living, 0.5)]) for kind in KINDS}
-    for row in rows:
-        for kind, uavs, heads in _entries(row["kinds"]):
-            counts[kind] += uavs, heads
-    return Rates(**{kind: round(float(heads / uavs), 6) for kind, (uavs, heads) in counts.items()})
-
-
-def _counted(rows: Rows, column: str) -> tuple[Floats, Floats]:
-    """Counts of UAVs and of heads ``(S, 2 bins)`` of every row."""
-    uavs, heads = np.zeros((2, len(rows), 2 * _BINS))
+def _count(rows: Rows) -> tuple[Floats, Floats]:
+    """UAVs and heads ``(S, bins)`` of all rows."""
+    uavs, heads = np.zeros((2, len(rows), _BINS))
     for number, row in enumerate(rows):
-        for place, count, leading in _entries(row[column]):
-            uavs[number, int(place)], heads[number, int(place)] = count, leading
+        for entry in row["log_odds"].split():
+            place, count, leading = map(int, entry.split(":"))
+            uavs[number, place], heads[number, place] = count, leading
     return uavs, heads
 
 
-def _fitted_curve(rows: Rows, column: str, whole: bool) -> Curve:
-    """Fit a curve by maximum a posteriori.
+def fit_calibration(rows: Rows) -> Calibration:
+    """Fit a calibration to rows of :func:`row_of` by maximum likelihood, with a wide prior."""
+    uavs, heads = _count(rows)
+    others, size, leading = uavs - heads, uavs.sum(axis=1), heads.sum(axis=1)
 
-    Args:
-        rows: the rows of one reliability class.
-        column: ``"probability"`` or ``"given"``.
-        whole: whether a fit is right or wrong for the whole swarm; otherwise UAVs are independent.
-    """
-    uavs, heads = _counted(rows, column)
-    others = uavs - heads
-    size, leading = uavs.sum(axis=1), heads.sum(axis=1)
+    def curve(values: Floats) -> Calibration:
+        return Calibration(slope=math.exp(values[0]), offset=float(values[1]), doubt=float(expit(values[2])))
 
     def surprise(values: Floats) -> float:
-        share = np.clip(expit(math.exp(values[0]) * _ODDS + values[1] + values[2] * _LEFT), 1e-9, 1.0 - 1e-9)
+        fitted = curve(values)
+        share = np.clip(fitted(_ODDS), 1e-9, 1.0 - 1e-9)
         right = heads @ np.log(share) + others @ np.log1p(-share)
-        prior = 0.5 * float((((values - _PRIOR[:, 0]) / _PRIOR[:, 1]) ** 2).sum())
-        if not whole:
-            return prior - float(right.sum())
-        mean = uavs @ share / np.maximum(size, 1.0)
-        wrong = leading * np.log(mean) + (size - leading) * np.log1p(-mean) if len(rows) else right
-        trust = float(np.clip(expit(values[3]), 1e-9, 1.0 - 1e-9))
-        return prior - float(np.logaddexp(math.log(trust) + right, math.log1p(-trust) + wrong).sum())
+        mean = np.clip(uavs @ share / np.maximum(size, 1.0), 1e-9, 1.0 - 1e-9)
+        wrong = leading * np.log(mean) + (size - leading) * np.log1p(-mean)
+        doubt = min(max(fitted.doubt, 1e-9), 1.0 - 1e-9)
+        likelihood = float(np.logaddexp(math.log1p(-doubt) + right, math.log(doubt) + wrong).sum())
+        return 0.5 * float((((values - _PRIOR[:, 0]) / _PRIOR[:, 1]) ** 2).sum()) - likelihood
 
-    best = minimize(
-        surprise,
-        _PRIOR[:, 0],
-        method="Nelder-Mead",
-        options={"xatol": 1e-6, "fatol": 1e-6, "maxiter": 4000, "maxfev": 4000},
-    ).x
-    trust = min(max(float(expit(best[3])), 1e-4), 1.0) if whole else 1.0
-    slope, offset, left = math.exp(best[0]), float(best[1]), float(best[2])
-    return Curve(slope=round(slope, 5), offset=round(offset, 5), left=round(left, 5), trust=round(trust, 5))
-
-
-def _belief(rows: Rows, column: str, whole: bool) -> Belief:
-    curves = {said: _fitted_curve([row for row in rows if row["way"] == said], column, whole) for said in VERDICTS}
-    return Belief(rates=_fitted_rates(rows), curves=Curves(**curves))
-
-
-def fit_calibration(rows: Rows) -> Calibration:
-    """Fit a calibration to rows of :func:`row_of`; ``given`` is fitted to the swarms with heads only."""
-    led = [row for row in rows if row["follows"] == "1"]
-    return Calibration(probability=_belief(rows, "probability", False), given=_belief(led, "given", True))
-
-
-def _probabilities(row: Mapping[str, str], belief: Belief | None) -> Iterable[tuple[float, int, int]]:
-    """Probability, UAVs and heads of every category or bin; ``None``: of flock fits, before calibration."""
-    if belief is not None:
-        for kind, uavs, heads in _entries(row["kinds"]):
-            yield getattr(belief.rates, kind), uavs, heads
-    for place, uavs, heads in _entries(row["probability"]):
-        before, left = expit(_ODDS[int(place)]), bool(_LEFT[int(place)])
-        curve = None if belief is None else getattr(belief.curves, row["way"])
-        yield float(before if curve is None else curve(before, left)), uavs, heads
+    options = {"xatol": 1e-6, "fatol": 1e-6, "maxiter": 4000, "maxfev": 4000}
+    fitted = curve(minimize(surprise, _PRIOR[:, 0], method="Nelder-Mead", options=options).x)
+    return Calibration(**{name: round(value, 5) for name, value in fitted.model_dump().items()})
 
 
 def _reliability(rows: Rows) -> tuple[Floats, dict[str, float]]:
     """Compare probabilities with the truth by two-fold cross-validation.
 
     Returns:
-        ``(bins, 3)``: UAVs, heads and summed probability between the edges; Brier score and log loss, also for flock
-        fits before and after calibration.
+        ``(bins, 3)``: UAVs, heads and summed probability between the edges; Brier score and log loss, before and after
+        calibration.
     """
     table: Floats = np.zeros((len(_EDGES) - 1, 3))
-    totals: dict[str, Floats] = {name: np.zeros(3) for name in ("all", "flocks", "flocks before")}
+    totals: dict[str, Floats] = {name: np.zeros(3) for name in ("", ", before calibration")}
     for half in (0, 1):
-        belief = fit_calibration([row for row in rows if int(row["swarm"]) % 2 != half]).probability
-        for row in (row for row in rows if int(row["swarm"]) % 2 == half):
-            for p, uavs, heads in _probabilities(row, belief):
-                table[np.digitize(p, _EDGES[1:-1])] += uavs, heads, uavs * p
-                totals["all"] += _scores(p, uavs, heads)
-                if not row["kinds"]:
-                    totals["flocks"] += _scores(p, uavs, heads)
-            for p, uavs, heads in _probabilities(row, None):
-                totals["flocks before"] += _scores(p, uavs, heads)
+        fitted = fit_calibration([row for row in rows if int(row["swarm"]) % 2 != half])
+        uavs, heads = _count([row for row in rows if int(row["swarm"]) % 2 == half])
+        for name, curve in zip(totals, (fitted, Calibration(slope=1.0, offset=0.0)), strict=True):
+            share = np.clip(curve(_ODDS), 1e-9, 1.0 - 1e-9)
+            brier = (heads @ (1.0 - share) ** 2 + (uavs - heads) @ share**2).sum()
+            loss = -(heads @ np.log(share) + (uavs - heads) @ np.log1p(-share)).sum()
+            totals[name] += brier, loss, uavs.sum()
+        share, all_uavs = fitted(_ODDS), uavs.sum(axis=0)
+        counts = np.stack([all_uavs, heads.sum(axis=0), all_uavs * share], axis=1)
+        np.add.at(table, np.digitize(share, _EDGES[1:-1]), counts)
     scores = {}
-    for name, total in totals.items():
-        brier, loss = (total[:2] / max(total[2], 1.0)).tolist()
-        scores[f"brier, {name}"] = round(brier, 6)
-        scores[f"log loss, {name}"] = round(loss, 6)
+    for name, (brier, loss, count) in totals.items():
+        scores[f"brier{name}"] = round(float(brier / max(count, 1.0)), 6)
+        scores[f"log loss{name}"] = round(float(loss / max(count, 1.0)), 6)
     return table, scores
-
-
-def _scores(p: float, uavs: int, heads: int) -> Floats:
-    p = min(max(p, 1e-9), 1.0 - 1e-9)
-    brier = heads * (1.0 - p) ** 2 + (uavs - heads) * p**2
-    return np.array([brier, -heads * math.log(p) - (uavs - heads) * math.log1p(-p), uavs])
 
 
 def train_calibration(
@@ -375,16 +286,15 @@ def train_calibration(
         "calibration": fit_calibration(rows).model_dump(mode="json"),
         "training": {
             **training.model_dump(mode="json"),
-            "command": f"usnet train follow-mixture --swarms {training.swarms} --seed {training.seed}",
+            "command": _COMMAND,
             "detector": json.loads(identity)["detector"],
             "versions": versions(),
         },
         "metrics": {
             "uavs": sum(int(row["living"]) for row in rows),
             "heads": sum(int(row["heads"]) for row in rows),
-            "swarms": {
-                way or "nothing said": sum(row["way"] == way for row in rows) for way in ("mixture", *VERDICTS, "")
-            },
+            "swarms with followers": sum(int(row["follows"]) for row in rows),
+            "exact": sum(int(row["exact"]) for row in rows),
             **scores,
         },
     }
@@ -399,7 +309,7 @@ def _identity(training: CalibrationTraining) -> str:
     for source in sorted(
         (entry for entry in package.iterdir() if entry.name.endswith(".py")), key=lambda one: one.name
     ):
-        if source.name not in ("calibration.py", "policy.py"):  # the rows do not depend on these
+        if source.name != "calibration.py":  # the rows do not depend on it
             sources.update(source.read_bytes())
     draws = training.model_dump(mode="json", exclude={"swarms"})
     return json.dumps({**draws, "detector": sources.hexdigest()}, indent=2) + "\n"

@@ -17,6 +17,7 @@ import multiagent_observers
 import multiagent_payoff
 import pytest
 from multiagent_table import SEED
+from result_pages import cores
 
 from usnet_env.cli.reproduce import reproduce
 from usnet_env.reproduce import rounds as rounds_study
@@ -69,6 +70,26 @@ def test_commands_of_a_tier_make_its_rows(tier: str) -> None:
                     wanted.add((tier, cell.name, label, str(arguments.seed), str(episode)))
     columns = ("tier", "cell", "detector", "seed", "episode")
     assert keys_of(RESULTS / "follow_mixture" / f"{tier}.csv", columns) == Counter(wanted)
+
+
+@pytest.mark.parametrize("name", cores.FILES)
+def test_commands_of_a_core_make_its_rows(name: str) -> None:
+    made = [shlex.split(command, comments=True) for command in commands.commands_of(name)]
+    played = [words[2:] for words in made if words[0] == "python"]
+    assert all(words[:2] == ["python", "benchmarks/follow_mixture.py"] for words in made if words[0] != "git")
+    *steps, packing = (follow_mixture.parser().parse_args(words) for words in played)
+    assert packing.pack == Path("benchmarks/results", name)
+    assert all(step.results == packing.results and step.pack is None for step in steps)
+    wanted = {
+        (cell.tier, cell.name, follow_mixture.label_of(detector), str(step.seed), str(episode))
+        for step in steps
+        for cell in follow_mixture.chosen(step)
+        for detector in step.detectors
+        for episode in range(step.episodes)
+    }
+    columns = ("tier", "cell", "detector", "seed", "episode")
+    rows = Counter(tuple(row[column] for column in columns) for row in follow_mixture.unpack_rows(RESULTS / name))
+    assert rows == Counter(wanted)
 
 
 @pytest.mark.parametrize("name", ["learned.csv", "learned_limits.csv"])

@@ -11,7 +11,7 @@ from test_checks_registered import NAMES, made
 
 from usnet_env import ArgumentError, Window
 
-# Detectors that compare no pairs of UAVs in matrices, or only those of a sample.
+# Detectors that compare no pairs of UAVs in matrices, or only some of them.
 ANY_NUMBER = {"random", "destroy-all", "none", "follow-mixture"}
 
 

@@ -61,7 +61,7 @@ def learned(out: str, steps: int, swarms: int, seed: int, resume: bool) -> None:
     "--out", default="runs/follow-mixture", show_default=True, metavar="DIR", help="Folder for calibration and rows."
 )
 @click.option(
-    "--swarms", type=WholeNumber(1, 10**6), default=1500, show_default=True, help="Number of simulated swarms."
+    "--swarms", type=WholeNumber(1, 10**6), default=600, show_default=True, help="Number of simulated swarms."
 )
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the swarms.")
 @click.option("--resume/--no-resume", default=True, show_default=True, help="Resume from the rows in --out.")

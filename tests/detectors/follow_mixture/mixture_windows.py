@@ -1,17 +1,16 @@
-"""Windows of a simulated swarm, and the slow definitions that the fast ones are held against."""
+"""Windows of a simulated swarm with their truth, and the answer of a detector to one."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from detectors.follow_mixture.history import own_history
-from detectors.follow_mixture.samples import samples_of
+from detectors.follow_mixture import FollowMixture
 from usnet_env import Window
 from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, register_follow_strategy, start
 
-OWN_DELAYS = "tests_own_delays"
-MAJORITY = "tests_majority"
-ONWARDS = "tests_onwards"
+OWN_DELAYS = "tests_group_own_delays"
+MAJORITY = "tests_group_majority"
+ONWARDS = "tests_group_onwards"
 
 
 class OwnDelays(FollowStrategy):
@@ -25,12 +24,12 @@ class OwnDelays(FollowStrategy):
 
 
 def majority(inputs):
-    """On every axis the sign of the head's last three velocities together."""
+    """On every axis the sign of the sum of the head's last three velocities."""
     return np.sign(inputs.head_velocity[:, :3].sum(axis=1))
 
 
 def onwards(inputs):
-    """Where the head flies next if it turns again as it did."""
+    """The next direction of the head if it repeats its last turn."""
     now, before = inputs.head_velocity[:, 0], inputs.head_velocity[:, 1]
     return 2.0 * np.vecdot(now, before)[:, None] * now - before
 
@@ -48,9 +47,8 @@ def swarm_window(seed, **config):
     return Window(seen.position[0], seen.velocity[0], seen.seen[0], seen.alive[0]), state.episode(0)
 
 
-def problem(seed=0, **config):
-    """The samples of one window, their null, ``(n,)`` whom everybody follows (-1: nobody), and the truth."""
-    window, truth = swarm_window(seed, **config)
-    samples = samples_of(window, np.arange(window.uavs), 4)
-    leader = np.where(truth.head | truth.decoy, -1, truth.leader)
-    return samples, own_history(samples), leader, truth
+def answer(window, seed=0, **arguments):
+    """The detection of one window by a detector with these arguments."""
+    detector = FollowMixture(**arguments)
+    detector.reset(seed)
+    return detector.detect(window)

@@ -1,29 +1,19 @@
-"""Calibration of follow-mixture: maps that rise, a file that is checked, a training that goes on where it was."""
+"""Calibration of follow-mixture: the map, its file, its training and the policy that uses it."""
 
+import itertools
 import json
-from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from mixture_windows import answer, swarm_window
+from scipy.special import expit
 
-from detectors.checks.windows import simulate_window
-from detectors.follow_mixture import FollowMixture
-from detectors.follow_mixture.calibration import (
-    VERDICTS,
-    Calibration,
-    Curve,
-    calibrated,
-    read_calibration,
-    shipped_calibration,
-    verdict,
-)
-from detectors.follow_mixture.explanation import KINDS, Explanation
+from detectors.follow_mixture.calibration import Calibration, read_calibration, shipped_calibration
 from detectors.follow_mixture.train import (
-    COLUMNS,
     CalibrationTraining,
     draw_swarm,
     fit_calibration,
@@ -39,104 +29,74 @@ SHIPPED = files("detectors.follow_mixture") / "data" / "calibration.json"
 ROWS = Path(__file__).parents[3] / "benchmarks" / "results" / "follow_mixture_calibration.csv.gz"
 TINY = CalibrationTraining(swarms=4, most_uavs=24, most_clusters=3)
 
-finite = st.floats(-20, 20)
-shares = st.lists(st.floats(0, 1), min_size=2, max_size=20)
-
 
 class Interrupted(Exception):
-    """Stands for whatever ends a training early."""
+    """Raised by a test to end a training early."""
 
 
 def record():
     return json.loads(SHIPPED.read_text(encoding="utf-8"))
 
 
-def explanation(probability=(0.9, 0.1, 0.0), passed=(), kind=None):
-    n = len(probability) if kind is None else len(kind)
-    raw = np.zeros(n) if kind is not None else np.array(probability)
-    heads = np.arange(len(passed))
-    kinds = None if kind is None else np.array(kind)
-    nothing = np.zeros(n)
-    return Explanation(
-        heads, np.full(n, -1), raw, raw, nothing, nothing, kind=kinds, passed=np.array(passed, dtype=bool)
-    )
-
-
-@given(st.floats(0.01, 20), finite, shares)
-def test_curves_rise(slope, offset, probability):
-    mapped = Curve(slope=slope, offset=offset)(np.sort(probability))
+@given(st.floats(0.01, 20), st.floats(-20, 20), st.lists(st.floats(-20, 20), min_size=2, max_size=20))
+def test_probabilities_rise_with_the_log_odds(slope, offset, odds):
+    mapped = Calibration(slope=slope, offset=offset)(np.array([-np.inf, *sorted(odds), np.inf]))
     assert ((mapped >= 0) & (mapped <= 1)).all()
     assert (np.diff(mapped) >= 0).all()
 
 
-@pytest.mark.parametrize("said", VERDICTS)
-@given(shares)
-def test_calibrated_posteriors_rise_and_are_probabilities(said, probability):
-    passed = {"phases": [True], "firm": [True], "partly": [True, False], "weak": [False], "nobody": []}[said]
-    found = replace(explanation(np.sort(probability), passed), by_phases=said == "phases")
-    assert verdict(found) == said
-    plain, sure, doubt = calibrated(found)
-    for mapped in (plain, sure):
-        assert ((mapped >= 0) & (mapped <= 1)).all()
-        assert (np.diff(mapped) >= 0).all()
-    assert 0 <= doubt < 1
+def test_the_map_is_a_logistic_function():
+    odds = np.array([-3.0, 0.0, 0.5, 13.0])
+    np.testing.assert_allclose(Calibration(slope=0.5, offset=1.0)(odds), 1.0 / (1.0 + np.exp(-0.5 * odds - 1.0)))
 
 
-def test_a_mixture_gives_the_rates_of_its_kinds():
-    plain, sure, doubt = calibrated(explanation(kind=[0, 1, 2, 3, 4, 5], passed=[True, False]))
-    shipped = shipped_calibration()
-    assert plain.tolist() == [getattr(shipped.probability.rates, KINDS[k]) for k in range(6)]
-    assert sure.tolist() == [getattr(shipped.given.rates, KINDS[k]) for k in range(6)]
-    assert doubt == 0
-    assert plain[0] > 0.95
-    assert plain[2] < 0.01
+def test_the_detector_returns_calibrated_probabilities():
+    extras = answer(swarm_window(2, uavs=20, observation_steps=20)[0]).extras
+    least, most = shipped_calibration()(np.array([-np.inf, np.inf]))
+    assert ((extras["probability"] >= least) & (extras["probability"] <= most)).all()
+    assert extras["probability"].max() > 0.5
 
 
-def test_what_ships_holds_and_says_how_it_was_made(tmp_path):
+def test_what_ships_was_made_by_the_defaults():
     made = record()
     assert read_calibration(str(SHIPPED)) == shipped_calibration()
     draws = {name: made["training"][name] for name in CalibrationTraining.model_fields}
-    assert CalibrationTraining(**draws) == CalibrationTraining()  # what the command makes by default
-    assert made["metrics"]["log loss, flocks"] < made["metrics"]["log loss, flocks before"]
-    firm, weak = (getattr(shipped_calibration().given.curves, said) for said in ("firm", "weak"))
-    assert firm.trust > weak.trust
+    assert CalibrationTraining(**draws) == CalibrationTraining()
+    assert made["metrics"]["log loss"] <= made["metrics"]["log loss, before calibration"]
 
 
 def test_committed_rows_give_what_ships():
-    fitted, shipped = fit_calibration(read_rows(ROWS)).model_dump(), shipped_calibration().model_dump()
-    for belief in ("probability", "given"):
-        assert fitted[belief]["rates"] == pytest.approx(shipped[belief]["rates"], abs=2e-6)
-        for said in VERDICTS:
-            assert fitted[belief]["curves"][said] == pytest.approx(shipped[belief]["curves"][said], abs=2e-3)
+    rows = read_rows(ROWS)
+    assert len(rows) == CalibrationTraining().swarms
+    fitted = fit_calibration(rows)
+    assert fitted.slope == pytest.approx(shipped_calibration().slope, abs=1e-4)
+    assert fitted.offset == pytest.approx(shipped_calibration().offset, abs=1e-4)
+    assert fitted.doubt == pytest.approx(shipped_calibration().doubt, abs=1e-4)
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("calibration", "sentence"),
     [
-        (
-            lambda made: made["calibration"]["given"]["curves"]["firm"].update(slope=-1.0),
-            "slope must be greater than 0",
-        ),
-        (lambda made: made["calibration"]["given"]["curves"]["firm"].update(trust=1.5), "trust must be"),
-        (lambda made: made["calibration"]["given"]["rates"].update(passed=1.0), "passed must be less than 1"),
-        (lambda made: made["calibration"]["given"]["rates"].update(more=0.5), "more is not an argument"),
-        (lambda made: made["calibration"]["given"]["rates"].pop("alone"), "alone must be"),
-        (lambda made: made["calibration"].pop("given"), "given must be"),
-        (lambda made: made.pop("calibration"), "path must hold a calibration as JSON"),
+        ({"slope": -1.0, "offset": 0.0}, "slope must be greater than 0"),
+        ({"slope": float("inf"), "offset": 0.0}, "slope must be"),
+        ({"slope": 1.0, "offset": float("nan")}, "offset must be"),
+        ({"slope": 1.0, "offset": 0.0, "doubt": 1.0}, "doubt must be less than 1"),
+        ({"slope": 1.0, "offset": 0.0, "more": 1.0}, "more is not an argument"),
+        ({"slope": 1.0}, "offset must be"),
+        (3, "path must hold a calibration as JSON"),
+        (None, "path must hold a calibration as JSON"),
     ],
 )
-def test_a_bad_calibration_is_refused_in_one_sentence(tmp_path, change, sentence):
-    made = record()
-    change(made)
+def test_a_bad_calibration_is_refused_in_one_sentence(tmp_path, calibration, sentence):
     path = tmp_path / "calibration.json"
-    path.write_text(json.dumps(made))
+    path.write_text(json.dumps({} if calibration is None else {"calibration": calibration}))
     with pytest.raises(ArgumentError, match=sentence) as refused:
         read_calibration(path)
     assert str(refused.value).startswith("path must hold a calibration")
-    assert str(refused.value).count(".\n") == 0
+    assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"calibration": 3}', '{"calibration": {"given": 3}}'])
+@pytest.mark.parametrize("text", ["", "[]", '{"calibration": "slope"}'])
 def test_something_else_is_no_calibration(tmp_path, text):
     path = tmp_path / "calibration.json"
     path.write_text(text)
@@ -147,7 +107,7 @@ def test_something_else_is_no_calibration(tmp_path, text):
 
 
 @pytest.mark.slow
-def test_interrupted_training_goes_on_to_the_identical_result(tmp_path):
+def test_interrupted_training_is_resumed_to_the_identical_result(tmp_path):
     def stop(done, total):
         if done == 3:
             raise Interrupted
@@ -207,45 +167,68 @@ def test_the_calibration_never_draws_f1():
     assert nearest < 0.995  # the mean cosine of two strategies that the grammar's own test takes for different
 
 
-def row(swarm, way, follows=1, **entries):
-    entries = {"living": "20", "heads": "2", "kinds": "", "probability": "", "given": ""} | entries
-    return dict.fromkeys(COLUMNS, "") | {"swarm": str(swarm), "way": way, "follows": str(follows)} | entries
+def rows_of(slope, offset, doubt, swarms=300, uavs=60):
+    """Rows of swarms whose heads are drawn by a calibration; log-odds have bins of 0.25, the first of them at -14."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for _ in range(swarms):
+        place = rng.integers(30, 83, uavs)
+        share = expit(slope * (0.25 * place - 14.0) + offset)
+        head = rng.random(uavs) < (share if rng.random() >= doubt else share.mean())
+        counts = ((k, (place == k).sum(), head[place == k].sum()) for k in np.unique(place))
+        rows.append({"log_odds": " ".join(":".join(map(str, entry)) for entry in counts)})
+    return rows
 
 
-def test_fits_find_what_was_put_in():
-    mixtures = [row(n, "mixture", kinds="passed:2:2 follower:17:0 alone:1:0") for n in range(50)]
-    rates = fit_calibration(mixtures).probability.rates
-    assert rates.passed == pytest.approx((100 + 0.1) / 101, abs=1e-5)
-    assert rates.follower == pytest.approx(0.1 / 851, abs=1e-5)
-    assert rates.missing == pytest.approx(0.1)  # never seen: as likely as anybody
-    # Log-odds of +-3 that are right in a half of the swarms, and worth nothing in the other.
-    right = [row(n, "firm", given="44:18:0 68:2:2", probability="44:18:0 68:2:2") for n in range(40)]
-    wrong = [row(n, "firm", given="44:18:2 68:2:0", probability="44:18:2 68:2:0") for n in range(40)]
-    fitted = fit_calibration([*right, *wrong])
-    assert fitted.given.curves.firm.trust == pytest.approx(0.5, abs=0.1)
-    assert fitted.given.curves.firm(np.array([0.95]))[0] > 0.9
-    assert fitted.probability.curves.firm(np.array([0.9526]))[0] == pytest.approx(0.5, abs=0.05)
-    silent = [row(n, "weak", follows=0, heads="0", given="68:20:0", probability="68:20:0") for n in range(40)]
-    alarmed = fit_calibration([*right, *silent])
-    assert alarmed.probability.curves.weak(np.array([0.95]))[0] < 0.05
-    assert alarmed.given.curves.weak.slope == 1  # nothing seen of it where somebody leads
+@pytest.mark.parametrize(("slope", "offset", "doubt"), [(0.5, 0.0, 0.0), (1.0, -1.5, 0.3), (2.0, 1.0, 0.1)])
+def test_slope_offset_and_doubt_are_recovered_from_counts(slope, offset, doubt):
+    fitted = fit_calibration(rows_of(slope, offset, doubt))
+    assert fitted.slope == pytest.approx(slope, rel=0.1)
+    assert fitted.offset == pytest.approx(offset, abs=0.15)
+    assert fitted.doubt == pytest.approx(doubt, abs=0.06)
 
 
-def test_doubt_stands_for_misses_that_come_together():
+def test_without_evidence_the_map_is_the_identity():
+    fitted = fit_calibration([{"log_odds": ""}])
+    assert (fitted.slope, fitted.offset) == (1.0, 0.0)
+
+
+@given(st.integers(0, 10_000), st.floats(0.0, 3.0))
+@settings(max_examples=30)
+def test_the_policy_has_the_least_expected_cost(seed, price):
+    rng = np.random.default_rng(seed)
+    probability = rng.beta(0.3, 0.5, 6)
+    alive = np.ones(6, bool)
+    named = choose(probability, alive, Policy(redundancy_price=price, round_price=1.0), rng.random(6))
+
+    def cost(some):
+        rest = np.setdiff1d(np.arange(6), some)
+        return 1.0 - np.prod(1.0 - probability[rest]) + price / 6 * (1.0 - probability[list(some)]).sum()
+
+    costs = [cost(some) for count in range(1, 7) for some in itertools.combinations(range(6), count)]
+    assert cost(np.flatnonzero(named)) == pytest.approx(min(costs), abs=1e-9)
+
+
+def test_the_policy_keeps_to_its_budget_and_to_the_living():
+    probability = np.array([0.9, 0.8, 0.7, 0.2])
+    alive = np.array([True, False, True, True])
+    tie = np.zeros(4)
+    assert choose(probability, alive, Policy(shot_budget=1), tie).tolist() == [True, False, False, False]
+    assert choose(probability, alive, Policy(policy="map"), tie).tolist() == [True, False, True, False]
+    assert choose(probability, alive, Policy(objective="P1"), tie).tolist() == [True, False, False, False]
+    assert not choose(np.full(4, 0.1), alive, Policy(policy="map"), tie).any()
+    assert choose(np.full(4, 0.001), alive, Policy(), tie).sum() >= 1
+    assert not choose(probability, np.zeros(4, bool), Policy(), tie).any()
+
+
+def test_doubt_about_the_fit_misses_heads_together():
     alive, tie, p = np.ones(200, bool), np.zeros(200), np.full(200, 0.002)
     p[:5] = 0.97
     dear = Policy(round_price=1.2)
     assert choose(p, alive, dear, tie).sum() == 5
     assert choose(p, alive, dear, tie, doubt=0.5).sum() == 5
     apart = 0.5 * p + 0.5 * p.mean()
-    assert choose(apart, alive, dear, tie).sum() == 200  # the same probabilities, taken for independent
+    assert choose(apart, alive, dear, tie).sum() == 200  # the same probabilities, but independent
     assert choose(p, alive, Policy(policy="map"), tie, doubt=0.3).sum() == 5
     assert choose(p, alive, Policy(policy="map"), tie, doubt=0.6).sum() == 0
     assert choose(p, alive, Policy(objective="P1"), tie, doubt=0.3).sum() == 1
-
-
-def test_probabilities_of_the_detector_are_calibrated():
-    detector = FollowMixture()
-    detector.reset(0)
-    probability = detector.detect(simulate_window(2, 12)).extras["probability"]
-    assert ((probability >= 0) & (probability <= 1)).all()

@@ -1,0 +1,75 @@
+"""What each threshold of follow-mixture is worth: rows of ``threshold_ablation.py``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from threshold_ablation import CHANGES, COLUMNS
+
+from result_pages.text import RESULTS, page, source, table
+from usnet_env.evaluation.statistics import mean_interval
+from usnet_env.evaluation.table import read_table
+
+FILE = "follow_mixture_thresholds.csv"
+_LEAST = 0.005  # half a point
+Key = tuple[str, str, int]
+
+
+def read_windows() -> dict[str, dict[Key, tuple[float, float]]]:
+    """By change and window: whether the answer is exact, and J."""
+    found: dict[str, dict[Key, tuple[float, float]]] = {key: {} for key in CHANGES}
+    for row in read_table(RESULTS / FILE, COLUMNS):
+        found[row["change"]][row["tier"], row["cell"], row["game"]] = (float(row["exact"]), row["J"])
+    return found
+
+
+def compare(windows: dict[str, dict[Key, tuple[float, float]]], tiers: Iterable[str]) -> str:
+    """A line for each change: the change of the exact share and of J by it, over the windows and by tier."""
+    whole, lines = windows[""], []
+    for key, change in CHANGES.items():
+        common = [window for window in whole if window in windows[key]]
+        if not key or not common:
+            continue
+        difference = np.array([np.subtract(windows[key][window], whole[window]) for window in common])
+        exact, cost = (mean_interval(difference[:, column]) for column in (0, 1))
+        by_tier = {
+            tier: difference[[window[0] == tier for window in common]].mean(axis=0)
+            for tier in tiers
+            if any(window[0] == tier for window in common)
+        }
+        worst = max(by_tier, key=lambda tier: by_tier[tier][1])
+        worse = max(cost.mean, -exact.mean, *(max(rise, -share) for share, rise in by_tier.values())) > _LEAST
+        lines.append(
+            (
+                f"`{key}`",
+                change.what,
+                f"{len(common):,}",
+                f"{100 * exact.mean:+.1f} ({100 * exact.low:+.1f} to {100 * exact.high:+.1f})",
+                f"{cost.mean:+.3f} ({cost.low:+.3f} to {cost.high:+.3f})",
+                f"{worst}: {by_tier[worst][1]:+.3f}",
+                "yes" if worse else "no",
+            )
+        )
+    return table(("change", "what changes", "windows", "exact, points", "J", "worst tier", "earns"), lines)
+
+
+def text() -> str:
+    """The page."""
+    windows = read_windows()
+    tiers = dict.fromkeys(window[0] for window in windows[""])
+    counts = ", ".join(f"{tier} {sum(window[0] == tier for window in windows[''])}" for tier in tiers)
+    return page(
+        "Thresholds of follow-mixture",
+        "Each threshold of [follow-mixture](../follow_mixture.md) is moved or switched off alone, and the same windows "
+        "are answered again: first windows of games of a tuning seed, and random swarms of the calibration's grammar. "
+        "The calibration is not estimated again. Differences are paired, with 95 % bootstrap intervals over windows; "
+        "the change is worse where points are negative or J is positive. J is the least J_m that the answer allows; in "
+        "swarms in which no UAV follows another it is the share of UAVs named with `policy='map'`. A threshold *earns* "
+        "its place if the change is worse by more than half a point, or by more than 0.005 of J, in all windows or in "
+        "one tier. There are few windows, so that small effects are not seen.",
+        f"Windows by tier: {counts}.",
+        compare(windows, tiers),
+        "## Raw rows and commands",
+        source((FILE,)),
+    )

@@ -1,0 +1,171 @@
+"""What every threshold of follow-mixture is worth: each is switched off or moved alone, on the same windows. Resumable.
+
+    OMP_NUM_THREADS=1 python benchmarks/threshold_ablation.py --games 4
+    python benchmarks/threshold_ablation.py --list     # the changes
+
+The windows are the first ones of ``--games`` games of every cell of ``follow_mixture.py``, on a tuning seed, and of
+``--random`` swarms of the calibration's grammar (``detectors.follow_mixture.train``). The calibration is that of the
+whole detector. Each row of ``results/follow_mixture_thresholds.csv`` is one window under one change; the rows without
+a change are the whole detector.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from follow_mixture import Cell, cells, shifted_tracks
+from numpy.typing import NDArray
+
+from detectors.follow_mixture import FollowMixture, evidence, fit, motion, pooling
+from detectors.follow_mixture.features import LEVELS
+from detectors.follow_mixture.motion import lagged
+from detectors.follow_mixture.train import CalibrationTraining, draw_swarm, draw_window
+from usnet_env import Window
+from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
+from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.evaluation.store import RowFile
+
+RESULTS = Path(__file__).parent / "results" / "follow_mixture_thresholds.csv"
+SEED = 61  # seeds below 1000 are for tuning
+COLUMNS = {
+    "change": "str", "tier": "str", "cell": "str", "game": "int", "uavs": "int", "heads": "int", "exact": "int",
+    "J": "float",
+}  # fmt: skip
+INFINITE = 1e9
+
+
+@dataclass(frozen=True)
+class Change:
+    """One threshold or part of the detector that is switched off or moved.
+
+    Args:
+        what: it, and its new value.
+        patches: module, attribute and new value.
+    """
+
+    what: str
+    patches: tuple[tuple[Any, str, Any], ...]
+
+
+def _no_pool(targets: Any, pairs: Any, some: Any, follows: Any, fixed: Any) -> NDArray[np.float64]:
+    """In place of the evidence by the law of the other followers: none."""
+    return np.full(len(follows), -np.inf)
+
+
+#: Key of each change. The first ones move thresholds, the others switch off parts.
+CHANGES = {
+    "": Change("nothing", ()),
+    "steps-a-lag": Change("a window has as many lags as `memory`, however short it is", ((fit, "_STEPS_A_LAG", 1),)),
+    "own-law-free": Change("a group may deviate from the shared law at no price", ((fit, "_OWN_LAW", 0.0),)),
+    "own-law-never": Change("no group may deviate from the shared law", ((fit, "_OWN_LAW", INFINITE),)),
+    "certain-always": Change(
+        "the first level is final if all groups follow, whatever its doubt", ((fit, "_CERTAIN", -1.0),)
+    ),
+    "certain-never": Change("all classes of features are always tried", ((fit, "_CERTAIN", INFINITE),)),
+    "rare-0.5": Change("a head is missing in the window with probability 0.5 instead of 0.05", ((fit, "_RARE", 0.5),)),
+    "rare-0.001": Change("a head is missing in the window with probability 0.001", ((fit, "_RARE", 0.001),)),
+    "together-1": Change("a member of a group is as likely a head as a single UAV", ((fit, "_LEAST_TOGETHER", 1.0),)),
+    "rows-a-weight": Change("a shared law needs no least number of rows", ((fit, "_ROWS_A_WEIGHT", 0.0),)),
+    "rows-a-lag": Change("the own past has all lags, however short the window is", ((evidence, "_ROWS_A_LAG", 1),)),
+    "freedom": Change("all rows have the same weight, sharp turns too", ((evidence, "_FREEDOM", INFINITE),)),
+    "own-choice-free": Change("a single UAV chooses a head at no price", ((pooling, "_OWN_CHOICE", 0.0),)),
+    "own-choice-never": Change("no single UAV chooses a head by itself", ((pooling, "_OWN_CHOICE", INFINITE),)),
+    "unit-spread": Change(
+        "speeds are never taken for equal", ((motion, "_UNIT_SPREAD", 0.0), (motion, "_ROUNDING", 0.0))
+    ),
+    "drift": Change("no drift is taken off", ((motion, "_DRIFT", INFINITE),)),
+    "no-pools": Change("no single UAV gains by the law of the other followers", ((pooling, "_pool", _no_pool),)),
+    "no-single-uavs": Change("single UAVs never follow: one level, with all classes", ((fit, "LEVELS", LEVELS[1:]),)),
+    "no-classes": Change("the second level has the classes of the first", ((fit, "LEVELS", (LEVELS[0], LEVELS[0])),)),
+    "no-smoothing": Change(
+        "pasts behind noise are not smoothed", ((fit, "smoothed_pasts", lambda v, spectra, lags: lagged(v, lags)),)
+    ),
+    "no-shared-law": Change("groups share no law", ((fit, "_share_law", lambda *args: None),)),
+}
+
+
+@dataclass(frozen=True)
+class Game:
+    """A first window and its truth."""
+
+    tier: str
+    cell: str
+    number: int
+    kind: str
+    window: Window
+    head: NDArray[np.bool_]
+    seed: int
+
+
+def draw_games(tiers: list[str], each: int, random: int, seed: int) -> Iterator[Game]:
+    """The first windows of all cells of some tiers, and of random swarms."""
+    for cell in cells():
+        if cell.tier not in tiers:
+            continue
+        for number in range(min(each, 2) if cell.kind != "P2" else each):
+            yield draw_game(cell, number, seed)
+    training = CalibrationTraining(swarms=random, seed=seed)
+    for number in range(random):
+        rng = np.random.default_rng((seed, number))
+        config = draw_swarm(training, rng)
+        window, head, _ = draw_window(config, rng)
+        yield Game("random", config.mobility, number, "P2" if head.any() else "silence", window, head, number)
+
+
+def draw_game(cell: Cell, number: int, seed: int) -> Game:
+    """The first window of one game of a cell."""
+    env = (SingleClusterEnv if cell.kind == "P1" else MultiClusterEnv)(**cell.env)
+    swarm, detector = episode_seeds(seed, number)
+    observation, _ = env.reset(seed=swarm)
+    window = Window.from_observation(observation)
+    head = np.asarray(env.swarm.head) & (cell.kind not in ("silence", "shifted"))
+    if cell.kind == "shifted":
+        window = shifted_tracks(window, detector)
+    return Game(cell.tier, cell.name, number, cell.kind, window, head, detector)
+
+
+def play(game: Game, key: str) -> dict[str, Any]:
+    """One window under one change; J is the least J_m that this round allows, or the share of UAVs named in silence."""
+    detector = FollowMixture(policy="cost" if game.head.any() else "map", objective="P1" if game.kind == "P1" else "P2")
+    with ExitStack() as stack:
+        for module, name, value in CHANGES[key].patches:
+            stack.enter_context(patch.object(module, name, value))
+        detector.reset(game.seed)
+        named = detector.detect(game.window).candidates
+    wrong, missed = int((named & ~game.head).sum()), int((game.head & ~named).sum())
+    return {
+        "change": key, "tier": game.tier, "cell": game.cell, "game": game.number, "uavs": game.window.uavs,
+        "heads": int(game.head.sum()), "exact": int(not wrong and not missed),
+        "J": round(wrong / game.window.uavs + (missed > 0) + bool(game.head.any()), 6),
+    }  # fmt: skip
+
+
+def main() -> None:
+    """List the changes, or play."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--games", type=int, default=4, help="of each cell; 2 at most in P1, silence and shifted")
+    parser.add_argument("--tier", nargs="*", default=sorted({cell.tier for cell in cells()}))
+    parser.add_argument("--random", type=int, default=120, help="random swarms")
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--list", action="store_true", help="list the changes and play nothing")
+    arguments = parser.parse_args()
+    if arguments.list:
+        for key, change in CHANGES.items():
+            print(f"{key or 'whole':18} {change.what}")
+        return
+    with RowFile(arguments.results, COLUMNS) as file:
+        there = {(row["change"], row["tier"], row["cell"], row["game"]) for row in file.table}
+        for game in draw_games(arguments.tier, arguments.games, arguments.random, arguments.seed):
+            file.append([play(game, key) for key in CHANGES if (key, game.tier, game.cell, game.number) not in there])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,292 @@
+"""Fits one window: groups, the evidence of each group for each candidate, the heads, and the posterior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from detectors.follow_mixture.assignment import Assignment, assign_groups
+from detectors.follow_mixture.evidence import (
+    Pairs,
+    Statistics,
+    Targets,
+    choose_pairs,
+    fit_law,
+    gather_statistics,
+    join,
+    make_targets,
+    own_evidence,
+    screen,
+    shared_evidence,
+)  # fmt: skip
+from detectors.follow_mixture.features import LEVELS
+from detectors.follow_mixture.groups import find_groups
+from detectors.follow_mixture.motion import Motion, lagged
+from detectors.follow_mixture.pooling import LonePairs, ask_single_uavs
+from detectors.follow_mixture.spectra import fit_spectra, smoothed_pasts
+
+__all__ = ["Fit", "fit_motion"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_STEPS_A_LAG = 5  # a window has at most one lag per so many steps
+_OWN_LAW = 3.0  # log prior odds of the shared law against a law of a group's own
+_CERTAIN = 7.0  # log-odds of every UAV at which the search ends
+_RARE = 0.05  # prior probability that the head of a group is not in the window, and of a head of single UAVs only
+_LEAST_TOGETHER = 0.01  # least prior probability that a head moves with its followers, relative to a single UAV
+_ROWS_A_WEIGHT = 2.0  # least number of rows, of all groups, for each weight of a shared law
+_ITERATIONS = 8
+_NOTHING = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The result for n UAVs.
+
+    Args:
+        group: ``(n,)`` the group of each UAV.
+        heads: ``(M,)`` ascending.
+        leader: ``(n,)`` the head of each UAV, -1 for none and for heads.
+        log_odds: ``(n,)`` of being a head, before calibration; -inf for UAVs without any evidence.
+        gain: ``(n,)`` log-likelihood that the UAV's group gains by its head, in nats.
+        features: the class of features that the law uses.
+        law: ``(p, 3)`` weights of the shared law, or ``None`` if each group has a law of its own.
+        value: gain of all groups less the prices, in nats.
+        noise: variance of the position noise, in squared steps of mean speed.
+    """
+
+    group: Indices
+    heads: Indices
+    leader: Indices
+    log_odds: Floats
+    gain: Floats
+    features: str
+    law: Floats | None
+    value: float
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """One state of the search: the evidence ``(P,)`` of all pairs, and the heads that follow from it."""
+
+    assignment: Assignment
+    evidence: Floats
+    value: float
+    features: str = "each its own"
+    law: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What all states of the search share: targets, pairs, and the tables that :func:`assign_groups` reads.
+
+    Args:
+        targets: the groups.
+        pairs: the pairs with evidence.
+        most: the largest number of heads.
+    """
+
+    targets: Targets
+    pairs: Pairs
+    most: int | None
+
+    def assign(self, evidence: Floats) -> Assignment:
+        """The heads that a table of evidence ``(P,)`` implies."""
+        candidates, column = np.unique(self.pairs.uav, return_inverse=True)
+        sizes = self.targets.sizes
+        gain = np.full((len(sizes), len(candidates)), -np.inf)
+        follows = np.where(sizes > 1, np.log(1.0 / _RARE - 1.0), 0.0)  # several do, unless their head is not there
+        gain[self.pairs.group, column] = evidence + follows[self.pairs.group]
+        own = self.targets.label[candidates]
+        return assign_groups(gain, candidates, np.where(sizes[own] == 1, own, -1), sizes, self.most)
+
+    def explains(self, assignment: Assignment, single: bool = True) -> bool:
+        """Whether every group follows, but the heads that are single UAVs; or every group of several."""
+        lead = np.zeros(len(self.targets.sizes), bool)
+        lead[self.targets.label[assignment.heads]] = True
+        alone = self.targets.sizes == 1
+        return bool(((assignment.head >= 0) | (alone & (lead | (not single)))).all())
+
+    def chosen(self, assignment: Assignment) -> Indices:
+        """The pairs, each a group and its head, of an assignment."""
+        return np.flatnonzero(assignment.head[self.pairs.group] == self.pairs.uav)
+
+
+def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Generator) -> Fit | None:
+    """Fit one window.
+
+    Args:
+        motion: the velocities of n UAVs.
+        lags: the number of past velocities of a head that a law may use; fewer in short windows.
+        most: the largest number of heads, or ``None``.
+        rng: draws the UAVs that are grouped together in a large swarm.
+
+    Returns:
+        ``None`` if no UAV moves with or after another one.
+    """
+    velocity = motion.velocity
+    lags = int(np.clip(motion.steps // _STEPS_A_LAG, 1, lags))
+    spectra = fit_spectra(velocity, motion.unit)
+    targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
+    past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
+    several = np.flatnonzero(targets.sizes > 1)
+    lone: LonePairs | None = None  # at first no single UAV follows, as heads and decoys do not
+    for names in LEVELS:
+        pairs = choose_pairs(targets, screen(targets, past, names, several), several)
+        if lone is not None:
+            pairs = join(pairs, lone.pairs)
+        classes = gather_statistics(targets, past, pairs, names)
+        own = np.array([own_evidence(targets, pairs, some) for some in classes])
+        if lone is not None:
+            for values, some in zip(own, classes, strict=True):
+                values[len(values) - len(lone.own) :] = lone.compare(targets, pairs, some, values)
+        search = _Search(targets, pairs, most)
+        found = _search_laws(search, classes, own)
+        log_odds = _posterior(search, found, spectra.memory**lags)
+        certain = np.abs(log_odds).min() > _CERTAIN
+        if lone is not None or (certain and search.explains(found.assignment)):
+            break
+        lone = ask_single_uavs(targets, past, LEVELS[-1], found.assignment.head)
+        if certain and search.explains(found.assignment, single=False) and not lone.asks_more:
+            break
+    if found.assignment.value <= 0 and not (targets.sizes > 1).any():
+        return None
+    head = found.assignment.head
+    heads = found.assignment.heads
+    leader = head[label]
+    leader[heads] = -1
+    chosen = search.chosen(found.assignment)
+    gain = np.zeros(len(targets.sizes))
+    gain[pairs.group[chosen]] = found.evidence[chosen]
+    return Fit(
+        group=label,
+        heads=heads,
+        leader=leader,
+        log_odds=log_odds,
+        gain=np.where(leader >= 0, gain[label], 0.0),
+        features=found.features,
+        law=found.law,
+        value=found.value,
+        noise=spectra.noise,
+    )
+
+
+def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _Answer:
+    """Find the heads: first every group has a law of its own; then groups share one, of each class of features.
+
+    A group may deviate from the shared law, at a price. The state with the highest value wins. The search ends when a
+    shared law assigns all groups but the heads.
+
+    Args:
+        search: the groups and pairs.
+        classes: the statistics of all classes.
+        own: ``(K, P)`` evidence of laws of each group's own, by class.
+    """
+    each = own.max(axis=0) - np.log(len(own))
+    together = search.assign(each)
+    best = begin = _Answer(together, each, together.value)
+    gained = np.maximum(own, 0.0)
+    order = np.argsort(-gained[:, search.chosen(together)].sum(axis=1), kind="stable")
+    for start in (begin, None):
+        start = best if start is None else start
+        for some in order:
+            found = _share_law(search, classes[some], start.assignment, each - _OWN_LAW)
+            if found is not None and found.value > best.value:
+                best = found
+                if search.explains(found.assignment):
+                    return best
+    return best
+
+
+def _share_law(search: _Search, some: Statistics, assignment: Assignment, own: Floats) -> _Answer | None:
+    """Fit the law and the heads alternately, within one class; ``own`` ``(P,)`` is the evidence of other laws."""
+    best: _Answer | None = None
+    variance = np.ones(len(search.pairs.group))
+    for turn in range(_ITERATIONS):
+        used = search.chosen(assignment)
+        rows = float(search.targets.rows[search.pairs.target[used]].sum())
+        if rows <= _ROWS_A_WEIGHT * some.width:
+            break
+        law = fit_law(some, used, variance[used])
+        shared, variance = shared_evidence(search.targets, search.pairs, some, law)
+        evidence = np.maximum(shared, own)
+        before, assignment = assignment, search.assign(evidence)
+        value = assignment.value - 1.5 * some.width * float(np.log(3.0 * rows))
+        if best is not None and turn > 1 and value <= best.value:
+            break
+        if best is None or value > best.value:
+            best = _Answer(assignment, evidence, value, some.name, law)
+        if turn > 0 and np.array_equal(before.head, assignment.head):
+            break
+    return best
+
+
+def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
+    """``(n,)``: log-odds of being a head.
+
+    Every group of two and more UAVs has one head, unless it is not in the window. A priori that is any single UAV, or
+    with a smaller probability a member of a group: followers copy their head later, so that it moves with them only as
+    far as its velocity predicts that of L steps later. A UAV that leads other followers already has paid the price of a
+    head. The groups are independent. A head follows no UAV.
+
+    Args:
+        search: the groups and pairs.
+        found: the heads and the evidence.
+        kept: ``(n,)`` autocorrelation of each UAV's velocity at lag L.
+    """
+    targets, pairs = search.targets, search.pairs
+    sizes, uavs = targets.sizes, len(targets.label)
+    alone = sizes[targets.label] == 1
+    pool, follows = _weigh_single_uavs(search, found)
+
+    several = sizes > 1
+    head = np.where(several, found.assignment.head, -1)
+    groups = np.bincount(head[head >= 0], minlength=uavs)
+    others = groups[pairs.uav] - (head[pairs.group] == pairs.uav)
+    paid = np.where((others > 0) | (pool[pairs.uav] > 0), np.log(uavs), 0.0)
+    together = max(float(np.median(kept[alone] if alone.sum() > 1 else kept)), _LEAST_TOGETHER)
+    prior = np.where(alone, 0.0, np.log(together / sizes[targets.label]))
+    row = np.cumsum(several) - 1
+    logit = np.tile(np.append(prior, np.log(_RARE * np.exp(prior).sum())), (several.sum(), 1))
+    some = several[pairs.group]  # pairs that were not chosen have no evidence
+    logit[row[pairs.group[some]], pairs.uav[some]] += found.evidence[some] + paid[some]
+    share = np.exp(logit - logsumexp(logit, axis=1, keepdims=True))[:, :uavs]
+    stays = np.log1p(-np.minimum(share, 1.0 - _NOTHING)).sum(axis=0)  # log probability of leading no group of several
+    stays -= np.logaddexp(pool, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(-np.expm1(stays)) - stays - follows)
+
+
+def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats]:
+    """``(n,)``: log-odds that a UAV leads two or more single UAVs; and ``(n,)``: log-odds of following a head itself.
+
+    Each single UAV follows one of the heads found, or none, with equal prior probabilities. A further head is rare, and
+    one of n UAVs.
+    """
+    targets, pairs, heads = search.targets, search.pairs, found.assignment.heads
+    uavs, known = len(targets.label), len(heads)
+    lone = targets.sizes[pairs.group] == 1
+    candidates, column = np.unique(pairs.uav[lone], return_inverse=True)
+    single, row = np.unique(pairs.group[lone], return_inverse=True)
+    evidence = np.full((len(single), len(candidates)), -np.inf)
+    evidence[row, column] = found.evidence[lone]
+    head = np.isin(candidates, heads)
+    together = logsumexp(np.c_[evidence[:, head], np.zeros(len(single))], axis=1)  # 0: of following none
+    odds = evidence - together[:, None]  # of a further head
+    odds[:, head] -= np.log1p(-np.minimum(np.exp(odds[:, head]), 1.0 - _NOTHING))  # instead of the other heads
+    odds[np.isin(single, targets.label[heads])] = -np.inf
+    count = np.isfinite(odds).sum(axis=0)
+    every = np.logaddexp(odds, 0.0).sum(axis=0)
+    fewer = np.logaddexp(np.logaddexp.reduce(odds, axis=0, initial=-np.inf), 0.0)  # none or one: no head
+    led = every + np.log(np.maximum(-np.expm1(np.minimum(fewer - every, 0.0)), _NOTHING))
+    led += np.log(_RARE / uavs) - count * np.log1p(1.0 / np.maximum(known + ~head, 1))
+    pool = np.where(targets.sizes[targets.label] == 1, np.log(_RARE / uavs), -np.inf)  # without any evidence
+    pool[candidates] = np.where(count > 1, led, -np.inf)
+    itself = np.full(len(targets.sizes), 0.0)
+    itself[single] = together - np.log1p(known)
+    return pool, itself[targets.label]

@@ -1,0 +1,196 @@
+"""Innovations, features and evidence of follow-mixture against direct regressions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+
+from detectors.follow_mixture.evidence import (
+    bayes_factor,
+    choose_pairs,
+    fit_law,
+    gather_statistics,
+    make_targets,
+    own_evidence,
+    screen,
+    shared_evidence,
+)
+from detectors.follow_mixture.features import make_features
+
+LAGS = 2
+LABEL = np.array([0, 1, 1, 1, 2, 2, 3, 4, 1, 2])
+HEAD_OF = {1: 0, 2: 6}  # UAV 7 is a group of one that follows no UAV
+NAMES = ("v(1)", "v(L)", "v+v²+vv(1)", "v+v²+v×v(2)")
+
+
+def make_problem(seed=0, steps=60):
+    """Velocities ``(10, steps, 3)`` of two groups that copy a head, and their pasts ``(10, steps - 2, 2, 3)``."""
+    rng = np.random.default_rng(seed)
+    velocity = rng.normal(size=(len(LABEL), steps, 3))
+    for group, head in HEAD_OF.items():
+        for uav in np.flatnonzero(group == LABEL):
+            velocity[uav, 1:] = 0.8 * velocity[head, :-1] + 0.3 * velocity[uav, 1:]
+    velocity[3, steps // 2] += 6.0  # one sharp turn
+    past = np.stack([velocity[:, LAGS - 1 - lag : steps - 1 - lag] for lag in range(LAGS)], axis=2)
+    return velocity, past
+
+
+def regress(design, target):
+    """The residuals of least squares."""
+    return target - design @ np.linalg.lstsq(design, target, rcond=None)[0]
+
+
+def weighted_parts(velocity, members):
+    """Weighted target ``(R, 3)``, weighted columns of the own past ``(R, z)`` and weights ``(R,)`` of some UAVs."""
+    mean = velocity[members].mean(axis=0)
+    rows = len(mean) - LAGS
+    own_lags = min(max(rows // 12, 1), LAGS)
+    known = np.column_stack([np.ones(rows), *(mean[LAGS - 1 - lag : len(mean) - 1 - lag] for lag in range(own_lags))])
+    square = (regress(known, mean[LAGS:]) ** 2).sum(axis=1)
+    weight = 1.0 / np.sqrt(1.0 + square / (4.0 * np.median(square) / 2.366))
+    return mean[LAGS:] * weight[:, None], known * weight[:, None], weight
+
+
+def members_of(group, uav):
+    """The members of a group but the candidate."""
+    return np.setdiff1d(np.flatnonzero(group == LABEL), uav)
+
+
+def all_pairs(targets, past):
+    """Every group with every UAV, but a single UAV with itself."""
+    group, uav = np.nonzero((np.bincount(LABEL)[:, None] > 1) | (LABEL[None] != np.arange(5)[:, None]))
+    target = np.where(LABEL[uav] == group, 5 + uav, group)
+    return replace(choose(targets, past, NAMES[:1]), group=group, uav=uav, target=target)
+
+
+def choose(targets, past, names):
+    """The candidates of the two groups of several."""
+    groups = np.array(list(HEAD_OF))
+    return choose_pairs(targets, screen(targets, past, names, groups), groups)
+
+
+@pytest.mark.parametrize("steps", [20, 60])
+def test_innovations_are_residuals_of_a_weighted_regression_on_the_own_past(steps):
+    velocity, _ = make_problem(steps=steps)
+    targets = make_targets(velocity, LABEL, LAGS)
+    for row, members in [(1, members_of(1, -1)), (3, [6]), (5 + 3, members_of(1, 3)), (5 + 4, members_of(2, 4))]:
+        target, known, weight = weighted_parts(velocity, members)
+        np.testing.assert_allclose(targets.innovation[row], regress(known, target), atol=1e-4)
+        np.testing.assert_allclose(targets.weight[row], weight, rtol=1e-3)
+    assert not targets.innovation[5 + 6].any()  # the rest of a group of one
+    assert (targets.rows <= steps - LAGS - targets.own.shape[2] + 1e-9).all()
+
+
+def test_the_evidence_of_a_pair_is_that_of_a_regression_on_both_pasts():
+    velocity, past = make_problem(1)
+    targets = make_targets(velocity, LABEL, LAGS)
+    pairs = all_pairs(targets, past)
+    for statistics in gather_statistics(targets, past, pairs, NAMES):
+        evidence = own_evidence(targets, pairs, statistics)
+        ((_, features),) = make_features(past, [statistics.name])
+        for group, uav in ((1, 0), (1, 3), (2, 6), (2, 0), (0, 5), (2, 5)):
+            (place,) = np.flatnonzero((pairs.group == group) & (pairs.uav == uav))
+            target, known, weight = weighted_parts(velocity, members_of(group, uav))
+            alone = (regress(known, target) ** 2).sum()
+            both = np.column_stack([known, features[uav] * weight[:, None]])
+            share = 1.0 - (regress(both, target) ** 2).sum() / alone
+            expected = bayes_factor(share, targets.rows[pairs.target[place]], statistics.width)
+            assert evidence[place] == pytest.approx(float(expected), rel=1e-3, abs=1e-2)
+        assert evidence[(pairs.group == 1) & (pairs.uav == 0)] > 50
+
+
+@given(st.integers(0, 1000), st.integers(1, 6), st.floats(0.0, 2.0))
+@settings(max_examples=30)
+def test_the_bayes_factor_is_the_largest_of_a_g_prior(seed, width, strength):
+    """y ~ N(0, s² (I + g P)) for the projection P on the features, with s² integrated over 1 / s²."""
+    rng = np.random.default_rng(seed)
+    rows = 20
+    features = np.linalg.qr(rng.normal(size=(rows, width)))[0]
+    y = strength * features @ rng.normal(size=(width, 3)) + rng.normal(size=(rows, 3))
+
+    def evidence(g):
+        covariance = np.eye(rows) + g * features @ features.T
+        bent = np.sum(y * np.linalg.solve(covariance, y))
+        return -1.5 * np.linalg.slogdet(covariance)[1] - 1.5 * rows * np.log(bent / (y**2).sum())
+
+    best = max(0.0, -minimize_scalar(lambda x: -evidence(np.exp(x)), (-3.0, 3.0), tol=1e-10).fun)
+    share = ((features.T @ y) ** 2).sum() / (y**2).sum()
+    assert float(bayes_factor(share, np.float64(rows), width)) == pytest.approx(best, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", [0, 1, 3])
+def test_a_shared_law_is_a_stacked_weighted_regression(name):
+    velocity, past = make_problem(2)
+    targets = make_targets(velocity, LABEL, LAGS)
+    pairs = all_pairs(targets, past)
+    (statistics,) = gather_statistics(targets, past, pairs, [NAMES[name]])
+    ((_, features),) = make_features(past, [NAMES[name]])
+    used = np.array([np.flatnonzero((pairs.group == g) & (pairs.uav == h))[0] for g, h in [*HEAD_OF.items(), (2, 5)]])
+    variance = np.array([0.5, 1.0, 3.0])
+    design, target = [], []
+    for place, (group, uav) in enumerate([*HEAD_OF.items(), (2, 5)]):
+        y, known, weight = weighted_parts(velocity, members_of(group, uav))
+        own = [known if k == place else np.zeros_like(known) for k in range(3)]
+        design.append(np.column_stack([*own, features[uav] * weight[:, None]]) / np.sqrt(variance[place]))
+        target.append(y / np.sqrt(variance[place]))
+    expected = np.linalg.lstsq(np.concatenate(design), np.concatenate(target), rcond=None)[0][-statistics.width :]
+    law = fit_law(statistics, used, variance)
+    np.testing.assert_allclose(law, expected, atol=2e-3)
+    gained, left = shared_evidence(targets, pairs, statistics, law)
+    for group, uav in ((1, 0), (2, 6), (1, 3), (0, 5)):
+        (place,) = np.flatnonzero((pairs.group == group) & (pairs.uav == uav))
+        y, known, weight = weighted_parts(velocity, members_of(group, uav))
+        energy = (regress(known, y) ** 2).sum()
+        error = (regress(known, y - (features[uav] * weight[:, None]) @ law) ** 2).sum()
+        rows = targets.rows[pairs.target[place]]
+        assert gained[place] == pytest.approx(-1.5 * rows * np.log(error / energy), rel=1e-3, abs=1e-2)
+        assert left[place] == pytest.approx(error / (3.0 * rows), rel=1e-3)
+
+
+def test_the_best_candidates_of_each_sort_are_nominated():
+    velocity, past = make_problem(3)
+    targets = make_targets(velocity, LABEL, LAGS)
+    every = all_pairs(targets, past)
+    (statistics,) = gather_statistics(targets, past, every, ["v(1)"])
+    evidence = own_evidence(targets, every, statistics)
+    chosen = choose(targets, past, ["v(1)"])
+    named = set(zip(chosen.group, chosen.uav, strict=True))
+    alone = np.bincount(LABEL)[LABEL] == 1
+    for group in HEAD_OF:
+        for sort in (alone, ~alone):
+            some = (every.group == group) & sort[every.uav] & (LABEL[every.uav] != group)
+            kept = np.array([(group, uav) in named for uav in every.uav[some]])
+            best = np.sort(evidence[some])[-3:]
+            best = best[best > 0]
+            assert (evidence[some][kept] > 0).all()
+            np.testing.assert_allclose(np.sort(evidence[some][kept])[-len(best) :], best, rtol=1e-3, atol=1e-3)
+    assert all((group, head) in named for group, head in HEAD_OF.items())
+    member = LABEL[chosen.uav] == chosen.group
+    assert np.array_equal(chosen.target, np.where(member, 5 + chosen.uav, chosen.group))  # without the member itself
+    assert member.any()
+
+
+def test_features_of_a_row_are_functions_of_its_past():
+    past = np.random.default_rng(0).normal(size=(2, 9, 3, 3))
+
+    def features(row):
+        newest, before = row[0], row[1]
+        x, y, z = newest
+        return {
+            "v(1)": newest,
+            "v²(1)": newest**2,
+            "v(L)": row.ravel(),
+            "v²(L)": row.ravel() ** 2,
+            "v+v²+vv(1)": [*newest, *newest**2, y * z, z * x, x * y],
+            "v+v²(L)": [*row.ravel(), *row.ravel() ** 2],
+            "v+v²+v×v(2)": [*newest, *before, *newest**2, *before**2, *np.outer(newest, before).ravel()],
+        }
+
+    for name, values in make_features(past, features(past[0, 0])):
+        expected = np.array([[features(row)[name] for row in rows] for rows in past])
+        np.testing.assert_allclose(values, expected - expected.mean(axis=1, keepdims=True), atol=1e-12)
+    one_lag = make_features(past[:, :, :1], ["v(1)", "v(L)", "v+v²(L)", "v²(1)"])
+    assert [name for name, _ in one_lag] == ["v(1)", "v²(1)"]

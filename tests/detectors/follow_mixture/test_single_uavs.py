@@ -1,0 +1,121 @@
+"""Single UAVs: evidence by the law of the other followers against a slow definition, and the heads that they make."""
+
+import numpy as np
+import pytest
+
+from detectors.follow_mixture.evidence import gather_statistics, make_targets, own_evidence
+from detectors.follow_mixture.fit import fit_motion
+from detectors.follow_mixture.motion import Motion, lagged
+from detectors.follow_mixture.pooling import ask_single_uavs
+
+NAMES = ("v(1)", "v(L)")
+LAGS = 2
+
+
+def make_swarm(seed, followers, copied=0.25, steps=100, others=8):
+    """Velocities ``(n, steps, 3)``: UAV 0 is copied one step later, with much noise; others fly alone."""
+    rng = np.random.default_rng(seed)
+    velocity = rng.normal(size=(1 + followers + others, steps, 3))
+    velocity[1 : 1 + followers, 1:] += copied * velocity[0, :-1]
+    return velocity
+
+
+def compare(velocity, heads=()):
+    """Targets, pairs and evidence ``(K, P)`` of all UAVs as single ones."""
+    targets = make_targets(velocity, np.arange(len(velocity)), LAGS)
+    past = lagged(velocity, LAGS)
+    head = np.full(len(velocity), -1)
+    head[: len(heads)] = heads  # so that they are asked
+    lone = ask_single_uavs(targets, past, NAMES, head)
+    classes = gather_statistics(targets, past, lone.pairs, NAMES)
+    found = [lone.compare(targets, lone.pairs, some, own_evidence(targets, lone.pairs, some)) for some in classes]
+    return targets, past, lone, classes, np.array(found)
+
+
+def fit(velocity):
+    return fit_motion(Motion(velocity, 1.0, False, np.zeros(3)), LAGS, None, np.random.default_rng(0))
+
+
+def test_a_follower_gains_by_the_law_of_the_others():
+    """The law of each follower's gain is a regression on all other followers, shrunk by what chance explains."""
+    velocity = make_swarm(0, followers=12, copied=0.6)
+    targets, past, lone, _, evidence = compare(velocity, heads=[0])
+    followers = np.arange(1, 13)
+    weight = 3.0 * targets.rows / targets.energy
+    features = past[0, :, 0] - past[0, :, 0].mean(axis=0)
+
+    def residual(uav, values):
+        values = values * targets.weight[uav][:, None]
+        return values - targets.own[uav] @ (targets.own[uav].T @ values)
+
+    for uav in followers:
+        design = np.concatenate([residual(k, features) * np.sqrt(weight[k]) for k in followers if k != uav])
+        target = np.concatenate([targets.innovation[k] * np.sqrt(weight[k]) for k in followers if k != uav])
+        law = np.linalg.lstsq(design, target, rcond=None)[0]
+        explained = ((design @ law) ** 2).sum()
+        law *= 1.0 - 9.0 / explained
+        left = ((targets.innovation[uav] - residual(uav, features) @ law) ** 2).sum()
+        expected = -1.5 * targets.rows[uav] * np.log(left / (targets.innovation[uav] ** 2).sum())
+        (place,) = np.flatnonzero((lone.pairs.group == uav) & (lone.pairs.uav == 0))
+        assert expected > 5.0  # so that all are followers in the definition, too
+        assert evidence[0, place] == pytest.approx(expected, rel=0.02, abs=0.1)
+
+
+def test_uavs_that_follow_no_candidate_lose_on_average():
+    gained = []
+    for seed in range(30):
+        velocity = np.random.default_rng(seed).normal(size=(20, 80, 3))
+        _, _, lone, _, evidence = compare(velocity, heads=[0, 1, 2])
+        gained.append(evidence[0][~np.isfinite(lone.own)])
+    gained = np.concatenate(gained)
+    assert gained.mean() < -0.1
+
+
+def test_followers_that_no_regression_finds_alone_are_found_together():
+    heads = 0
+    for seed in range(3):
+        velocity = make_swarm(seed, followers=25)
+        targets, _, lone, classes, _ = compare(velocity, heads=[0])
+        alone = own_evidence(targets, lone.pairs, classes[0])[lone.pairs.uav == 0]
+        assert np.median(alone) < np.log(len(velocity))
+        found = fit(velocity)
+        heads += found is not None and found.heads.tolist() == [0]
+    assert heads == 3
+
+
+def test_a_follower_with_a_law_of_its_own_is_found():
+    rng = np.random.default_rng(3)
+    velocity = rng.normal(size=(12, 100, 3))
+    for uav in (1, 2, 3):
+        velocity[uav, 1:] = velocity[0, :-1] @ rng.normal(size=(3, 3)) + 0.3 * velocity[uav, 1:]
+    found = fit(velocity)
+    assert found.heads.tolist() == [0]
+    assert np.flatnonzero(found.leader == 0).tolist() == [1, 2, 3]
+    assert found.log_odds[0] > 5.0 > 0.0 > found.log_odds[1:].max()
+
+
+def test_one_follower_makes_no_head():
+    velocity = np.random.default_rng(4).normal(size=(12, 100, 3))
+    velocity[1, 1:] = velocity[0, :-1] + 0.1 * velocity[1, 1:]
+    found = fit(velocity)
+    assert found is None or (len(found.heads) == 0 and found.log_odds.max() < 0.0)
+
+
+@pytest.mark.parametrize("slow", [0.0, 0.9])
+def test_independent_uavs_have_no_head(slow):
+    named = 0
+    for seed in range(6):
+        noise = np.random.default_rng(seed).normal(size=(30, 100, 3))
+        velocity = noise.copy()
+        for step in range(1, 100):
+            velocity[:, step] = slow * velocity[:, step - 1] + noise[:, step]
+        found = fit(velocity)
+        named += found is not None and bool((found.log_odds > 0).any())
+    assert named == 0
+
+
+def test_few_uavs_and_short_windows_have_an_answer():
+    rng = np.random.default_rng(5)
+    for uavs in (2, 3, 4):
+        for steps in (5, 6, 12):
+            fit(rng.normal(size=(uavs, steps, 3)))
