@@ -231,7 +231,7 @@ RESULTS: tuple[Result, ...] = (
         ("follow_mixture_thresholds.csv",),
         (
             "python benchmarks/threshold_ablation.py --games 1 --random 60 "
-            "--tier paper smooth straight short noise missed decoys silence",
+            "--tier paper smooth straight short strategies silence",
         ),
     ),
     Result(
