@@ -81,10 +81,10 @@ def test_commands_of_a_core_make_its_rows(name: str) -> None:
     assert packing.pack == Path("benchmarks/results", name)
     assert all(step.results == packing.results and step.pack is None for step in steps)
     wanted = {
-        (cell.tier, cell.name, follow_mixture.label_of(detector), str(step.seed), str(episode))
+        (cell.tier, cell.name, label, str(step.seed), str(episode))
         for step in steps
+        for label in map(follow_mixture.label_of, step.detectors)
         for cell in follow_mixture.chosen(step)
-        for detector in step.detectors
         for episode in range(step.episodes)
     }
     columns = ("tier", "cell", "detector", "seed", "episode")
