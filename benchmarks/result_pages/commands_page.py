@@ -24,7 +24,7 @@ def text() -> str:
         "rows of seed 2022, which `learned.csv`, `ppo_observer.csv` and `multiagent_*.csv` have, and of seed 7077, "
         "which `follow_mixture/` has. The rows of seed 5353 in `former_core/`, and most of seed 4242, were first "
         "played after its last change. "
-        "The strategies that had been looked at before have a table of their own.",
+        "No follow strategy of the benchmarks is new to it either.",
         "**Former core.** `former_core/` holds rows of the former core of `follow-mixture`, whose code commit dcdecd2 "
         "has, and rows of the present core on the same swarms. The rows of `follow-mixture` in `learned.csv`, "
         "`ppo_observer.csv`, `multiagent_*.csv` and `follow_mixture_speed.json` are of the "

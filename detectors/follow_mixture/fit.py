@@ -21,7 +21,7 @@ from detectors.follow_mixture.evidence import (
     own_evidence,
     screen,
     shared_evidence,
-)  # fmt: skip
+)
 from detectors.follow_mixture.features import LEVELS
 from detectors.follow_mixture.groups import find_groups
 from detectors.follow_mixture.motion import Motion, lagged

@@ -42,7 +42,7 @@ class LonePairs:
     Args:
         pairs: P pairs.
         own: ``(P,)`` what the UAV gains by a law of its own; -inf for candidates that it does not choose.
-        asks_more: whether a candidate is among them that is no head yet.
+        asks_more: whether a candidate was nominated or chosen, beside the heads that are known.
         head: ``(C,)`` the heads of the groups, whose laws their single followers share; -1 for none.
     """
 

@@ -1,4 +1,4 @@
-"""Play one episode, round by round: the loop of every evaluation, reproduction, replay and benchmark."""
+"""Play one episode, round by round: the loop of `evaluate`, the rounds study, replays and the tier benchmark."""
 
 from __future__ import annotations
 
