@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from usnet_env.reproduce.detection_rate import Cell, measure, rate_of, tasks_for
+from detectors.studies.detection_rate import Cell, measure, rate_of, tasks_for
 
 GATED = "neural-granger(gate=True)"
 FOLLOWERS = (2, 5, 15)

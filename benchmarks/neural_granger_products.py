@@ -9,7 +9,7 @@ from pathlib import Path
 
 import follow_mixture_strategies  # noqa: F401  registers the strategy
 
-from usnet_env.reproduce.detection_rate import Cell, measure, rate_of, tasks_for
+from detectors.studies.detection_rate import Cell, measure, rate_of, tasks_for
 
 DETECTORS = ("neural-granger", "lagged-regression(clusters=1)")
 FOLLOWERS = (2, 5, 15)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from detectors.studies import rounds
+from detectors.studies.detection_rate import read_rows as read_rates
+from detectors.studies.rounds_report import paper_words
+from detectors.studies.table2 import paper_rates
 from result_pages.text import RESULTS, Row, mean_of, page, share, table
 from result_pages.tiers import of, tier_rows
 from usnet_env.evaluation.statistics import mean_interval, rate_interval
-from usnet_env.reproduce import rounds
-from usnet_env.reproduce.detection_rate import read_rows as read_rates
-from usnet_env.reproduce.rounds_report import paper_words
-from usnet_env.reproduce.rows import episode_means, read_rows
-from usnet_env.reproduce.table2 import paper_rates
+from usnet_env.evaluation.suite import episode_means, read_rows
 
 DETECTORS = (
     "follow-mixture",

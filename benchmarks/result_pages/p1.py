@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from detectors.studies.detection_rate import Cell, Row, rate_of, read_rows
+from detectors.studies.table2 import entries, markdown, paper_rates
 from result_pages.text import RESULTS, demoted, page, share, source, table
-from usnet_env.reproduce.detection_rate import Cell, Row, rate_of, read_rows
-from usnet_env.reproduce.table2 import entries, markdown, paper_rates
 
 FOLDER = RESULTS / "table2"
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from detectors.studies import metric_learning, purity_report
+from detectors.studies.purity import Row
 from result_pages.text import RESULTS, demoted, page, source
-from usnet_env.reproduce import metric_learning, purity_report
-from usnet_env.reproduce.purity import Row
-from usnet_env.reproduce.rows import read_rows
+from usnet_env.evaluation.suite import read_rows
 
 
 def text() -> str:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from detectors.studies.rounds import Row
+from detectors.studies.rounds_report import COLUMNS, markdown
 from result_pages.text import RESULTS, demoted, page, source
-from usnet_env.reproduce.rounds import Row
-from usnet_env.reproduce.rounds_report import COLUMNS, markdown
-from usnet_env.reproduce.rows import read_rows
+from usnet_env.evaluation.suite import read_rows
 
 FOLDER = RESULTS / "rounds"
 SHOWN = ("rounds", "redundancy", "J", "success", "exact", "purity_first", "head_in_cluster_first")

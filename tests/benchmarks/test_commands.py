@@ -19,9 +19,9 @@ import pytest
 from multiagent_table import SEED
 from result_pages import cores
 
-from usnet_env.cli.reproduce import reproduce
-from usnet_env.reproduce import rounds as rounds_study
-from usnet_env.reproduce import table2
+from detectors.studies import rounds as rounds_study
+from detectors.studies import table2
+from detectors.studies.commands import reproduce
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks" / "results"

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from detectors.studies import detection_rate, metric_learning, purity, rounds
 from usnet_env import ArgumentError
 from usnet_env.evaluation.store import COLUMNS, RowFile
 from usnet_env.evaluation.table import RowTable, columns_of, read_table
-from usnet_env.reproduce import detection_rate, metric_learning, purity, rounds
 
 PAIRS = {"name": "str", "number": "int", "value": "float", "right": "bool", "share": "float | None"}
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"

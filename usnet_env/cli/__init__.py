@@ -1,6 +1,7 @@
-"""The command line: ``usnet evaluate``, ``demo``, ``reproduce``, ``train``, ``check-detector`` and ``list``.
+"""The command line: ``usnet evaluate``, ``demo``, ``list``, and the commands of other packages.
 
-Every refusal or failure is one sentence on standard error, without a traceback. Each command imports its heavy
+``reproduce``, ``train`` and ``check-detector`` belong to the package ``detectors``, and are found by their entry
+points. Every refusal or failure is one sentence on standard error, without a traceback. Each command imports its heavy
 modules itself, so that ``usnet --help`` is fast.
 """
 
@@ -15,11 +16,10 @@ from collections.abc import Sequence
 
 import click
 
+from usnet_env.cli.commands import CommandGroup
 from usnet_env.cli.evaluation import demo, evaluate
-from usnet_env.cli.list_and_check import check_detector, list_
+from usnet_env.cli.list_and_check import list_
 from usnet_env.cli.output import print_message
-from usnet_env.cli.reproduce import reproduce
-from usnet_env.cli.train import train
 from usnet_env.config import ArgumentError
 
 __all__ = ["main"]
@@ -27,13 +27,13 @@ __all__ = ["main"]
 _REFUSED, _FAILED, _INTERRUPTED = 2, 1, 130
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="usnet", prog_name="usnet", message="%(prog)s %(version)s")
 def _usnet() -> None:
     """Simulate UAV swarms, find their cluster heads with detectors, and score the detectors."""
 
 
-for _command in (evaluate, demo, reproduce, train, check_detector, list_):
+for _command in (evaluate, demo, list_):
     _usnet.add_command(_command)
 
 

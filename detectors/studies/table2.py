@@ -9,12 +9,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from detectors.studies.detection_rate import Cell, Row, measure, rate_of, read_rows, tasks_for
 from usnet_env.config import ArgumentError, quote
 from usnet_env.envs import SingleClusterEnv
 from usnet_env.evaluation.statistics import Interval, rate_interval
+from usnet_env.evaluation.suite import counter, flight_suffix, keep_report
 from usnet_env.plugins import detector_label, make_detector
-from usnet_env.reproduce.detection_rate import Cell, Row, measure, rate_of, read_rows, tasks_for
-from usnet_env.reproduce.rows import counter, flight_suffix, keep_report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,7 +45,7 @@ _FEW, _MANY = 30, 100  # episodes a cell: above 15 followers, and up to 15
 
 def paper_rates() -> dict[tuple[str, int], Interval]:
     """The paper's values with the Wilson intervals of its 1,000 runs, by follow strategy and m."""
-    source = files("usnet_env.reproduce") / "data" / "table2_detection_rate.csv"
+    source = files("detectors.studies") / "data" / "table2_detection_rate.csv"
     rates = {}
     with source.open(encoding="utf-8") as file:
         for row in csv.DictReader(file):

@@ -16,9 +16,9 @@ from usnet_env.evaluation import TRIVIAL
 from usnet_env.evaluation.agents import Agent, as_agent
 from usnet_env.evaluation.episode import episode_seeds, play_agent, warm_up
 from usnet_env.evaluation.metrics import episode_metrics
+from usnet_env.evaluation.suite import Measurement, counter, flight_suffix, keep_report, measure, read_rows
 from usnet_env.objectives import rounds_hits_and_redundant
 from usnet_env.plugins import make_detector
-from usnet_env.reproduce.rows import Measurement, counter, flight_suffix, keep_report, measure, read_rows
 
 __all__ = ["DETECTORS", "STUDIES", "Cell", "Row", "Task", "cells_of", "play", "reproduce", "tasks_for"]
 
@@ -199,7 +199,7 @@ def reproduce(
         ArgumentError: an argument was refused.
         EvaluationError: a detector failed; rows that were finished are kept.
     """
-    from usnet_env.reproduce import rounds_report
+    from detectors.studies import rounds_report
 
     cells = cells_of(studies, mobility, head_jitter)
     names = list(dict.fromkeys([*detectors, *(TRIVIAL if trivial else ())]))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from detectors.studies.purity import CLUSTERERS, COUNTS, FEATURES, Method, Row
 from usnet_env.config import ArgumentError
 from usnet_env.drawing import new_figure
 from usnet_env.evaluation.statistics import Interval, mean_interval
-from usnet_env.reproduce.purity import CLUSTERERS, COUNTS, FEATURES, Method, Row
-from usnet_env.reproduce.rows import episode_means
+from usnet_env.evaluation.suite import episode_means
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

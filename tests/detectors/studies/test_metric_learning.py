@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from detectors.studies import metric_learning
+from detectors.studies.metric_learning import Row, collect_curves, compute_interval, format_markdown
 from usnet_env import ArgumentError
-from usnet_env.reproduce import metric_learning
-from usnet_env.reproduce.metric_learning import Row, collect_curves, compute_interval, format_markdown
 
 SMALL = {"trainings": 2, "strategies": 1, "episodes": 3, "steps": 2}
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from detectors.studies import attention
 from usnet_env import ArgumentError, Detection
-from usnet_env.reproduce import attention
 
 UAVS, HEAD = 5, 1
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from usnet_env import ArgumentError
 from usnet_env.evaluation import EvaluationError
-from usnet_env.reproduce.rows import Measurement, counter, episode_means, measure, read_rows, write_rows
+from usnet_env.evaluation.suite import Measurement, counter, episode_means, measure, read_rows, write_rows
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ import pytest
 
 from detectors.gassl import Gassl
 from detectors.mc_gassl import McGassl
+from detectors.studies import example, figures, metric_learning, purity, purity_report
+from detectors.studies.figures import FIGURES, Settings, make_figures, write_figure
 from usnet_env import ArgumentError, make_detector
 from usnet_env.cli import main
 from usnet_env.drawing import MissingExtraError, new_figure
-from usnet_env.reproduce import example, figures, metric_learning, purity, purity_report
-from usnet_env.reproduce.figures import FIGURES, Settings, make_figures, write_figure
-from usnet_env.reproduce.rows import write_rows
+from usnet_env.evaluation.suite import write_rows
 
 NAMES = {
     "detection-rates",
@@ -149,7 +149,7 @@ def test_purity_is_drawn_for_every_strategy():
 
 
 def test_the_example_is_the_first_episode_of_the_rounds():
-    from usnet_env.reproduce.rounds import Cell, Task, play
+    from detectors.studies.rounds import Cell, Task, play
 
     record = example.play_example("lagged-regression", 7, clusters=3, uavs=24)
     (row,) = play(Task("lagged-regression", Cell("f1", 3, 24), 0, 1), 7)
@@ -182,7 +182,7 @@ def test_the_committed_rows_are_those_of_the_figures():
     """The default files are the committed ones, so that the figures can be made in a fresh checkout."""
     from pathlib import Path
 
-    results = Path(__file__).parents[2] / figures.RESULTS
+    results = Path(__file__).parents[3] / figures.RESULTS
     for file in (
         "metric_learning/losses-F30-E1000-seed2022.csv",
         "purity/purity-seed2022.csv",

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, partial
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -14,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from detectors.clustering import make_clusterer
+from detectors.studies.rounds import Cell
 from usnet_env.config import ArgumentError, unknown_name
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.evaluation.suite import Measurement, counter, flight_suffix, keep_report, measure, read_rows
 from usnet_env.objectives import head_in_cluster, purity
-from usnet_env.reproduce.rounds import Cell
-from usnet_env.reproduce.rows import Measurement, counter, flight_suffix, keep_report, measure, read_rows
 from usnet_env.window import Window
 
 __all__ = [
@@ -48,7 +47,6 @@ CLUSTERERS = {
 #: The paper's one window of T_0 steps in metres and standardised, the series of all velocities, and GRU features.
 FEATURES = ("raw", "scaled", "velocities", "gru-single", "gru-mean", "gru-series")
 COUNTS = ("given", "estimated")
-_GRU = "detectors.mc_gassl"
 _EPISODES_A_TASK = 10
 
 
@@ -114,10 +112,7 @@ class Task:
 
 def _has_gru() -> bool:
     """Whether the GRU network can be used: it needs PyTorch, which is an extra."""
-    try:
-        return find_spec("torch") is not None and find_spec(f"{_GRU}.weights") is not None
-    except ModuleNotFoundError:  # of the package around it
-        return False
+    return find_spec("torch") is not None
 
 
 def list_methods(
@@ -160,12 +155,10 @@ def _make_features(name: str) -> Any:
 
 @cache
 def _make_gru_features(mode: str) -> Callable[[Window], Any]:
-    # Imported by name, so that this module can be imported without PyTorch.
-    parameters = import_module(f"{_GRU}.weights").load_meta_weights()
-    made: Callable[[Window], Any] = partial(
-        import_module(f"{_GRU}.features").gru_features, parameters=parameters, mode=mode
-    )
-    return made
+    from detectors.mc_gassl.features import gru_features  # they need PyTorch
+    from detectors.mc_gassl.weights import load_meta_weights
+
+    return partial(gru_features, parameters=load_meta_weights(), mode=mode)
 
 
 def cluster_windows(task: Task, seed: int) -> list[Row]:
@@ -239,7 +232,7 @@ def reproduce(
     Raises:
         ArgumentError: an argument is refused.
     """
-    from usnet_env.reproduce import purity_report
+    from detectors.studies import purity_report
 
     cells = [Cell(name, clusters, uavs, mobility, head_jitter) for name in dict.fromkeys(follow)]
     for cell in cells:

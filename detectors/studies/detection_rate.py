@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from usnet_env.envs import SingleClusterEnv
+from usnet_env.evaluation import suite
 from usnet_env.evaluation.statistics import Interval, rate_interval
 from usnet_env.plugins import make_detector
-from usnet_env.reproduce import rows
 from usnet_env.window import Window
 
 __all__ = ["Cell", "Row", "Task", "measure", "rate_of", "read_rows", "tasks_for", "write_rows"]
@@ -161,11 +161,11 @@ def measure(
     Returns:
         The rows of the tasks, in their order.
     """
-    return rows.measure(_measurement(seed), tasks, path, workers, advance)
+    return suite.measure(_measurement(seed), tasks, path, workers, advance)
 
 
-def _measurement(seed: int) -> rows.Measurement[Task, Row]:
-    return rows.Measurement(
+def _measurement(seed: int) -> suite.Measurement[Task, Row]:
+    return suite.Measurement(
         Row, partial(play, seed=seed), _keys, lambda row: (row.detector, row.cell, row.episode), _order
     )
 
@@ -184,12 +184,12 @@ def read_rows(path: Path) -> list[Row]:
     Raises:
         ArgumentError: the file holds something else.
     """
-    return rows.read_rows(path, Row)
+    return suite.read_rows(path, Row)
 
 
 def write_rows(path: Path, made: Iterable[Row]) -> None:
     """Write the rows, sorted, so that the file is there in full or as it was."""
-    rows.write_rows(path, made, Row, _order)
+    suite.write_rows(path, made, Row, _order)
 
 
 def rate_of(made: Iterable[Row], what: str = "hit") -> tuple[int, Interval] | None:

@@ -5,11 +5,11 @@ from dataclasses import asdict, replace
 import pytest
 
 from detectors.clustering import clusterers
+from detectors.studies import purity, purity_report
+from detectors.studies.purity import CLUSTERERS, FEATURES, Method, Row, Task, cluster_windows, list_methods, reproduce
+from detectors.studies.rounds import Cell
 from usnet_env import ArgumentError
-from usnet_env.reproduce import purity, purity_report
-from usnet_env.reproduce.purity import CLUSTERERS, FEATURES, Method, Row, Task, cluster_windows, list_methods, reproduce
-from usnet_env.reproduce.rounds import Cell
-from usnet_env.reproduce.rows import read_rows
+from usnet_env.evaluation.suite import read_rows
 
 CELL = Cell("f1", clusters=3, uavs=30)
 PLAIN = FEATURES[:3]

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from detectors.studies import table2
 from usnet_env import ArgumentError, make_detector
 from usnet_env.cli import main
 from usnet_env.evaluation.statistics import Interval
-from usnet_env.reproduce import table2
 
 
 def test_the_paper_s_table_is_whole():

@@ -118,7 +118,7 @@ def table2(
     workers: int,
 ) -> None:
     """Measure detection rates in one cluster: 7 follow strategies and 10 sizes."""
-    from usnet_env.reproduce import table2 as table
+    from detectors.studies import table2 as table
 
     if fast and cells is None:
         cells = ",".join(f"{follow}:{size}" for follow in table.FOLLOW for size in table.FOLLOWERS if size <= 15)
@@ -165,7 +165,7 @@ def figures(*, out: Path, only: tuple[str, ...], results: str, seed: int) -> Non
       feature-space           GRU features before and after metric learning
       example-m8-n185         rounds of one game with attention (minutes)
     """  # noqa: D301  # click reads the control character: it keeps the lines of the list
-    from usnet_env.reproduce import figures as paper
+    from detectors.studies import figures as paper
 
     with progress_bar("figures") as progress:
         files = paper.make_figures(
@@ -211,8 +211,8 @@ def purity(
     workers: int,
 ) -> None:
     """Measure purity and head-in-cluster of every clusterer, M given and estimated."""
-    from usnet_env.reproduce import purity as figure
-    from usnet_env.reproduce import purity_report
+    from detectors.studies import purity as figure
+    from detectors.studies import purity_report
 
     methods = figure.list_methods(clusterers or tuple(figure.CLUSTERERS), features or None, counts or figure.COUNTS)
     with _resumable(out, "windows") as progress:
@@ -271,8 +271,8 @@ def rounds(
     workers: int,
 ) -> None:
     """Measure rounds, redundancy and J_m of P2 against follow strategy, M and N, and in the paper's example."""
-    from usnet_env.reproduce import rounds as figure
-    from usnet_env.reproduce import rounds_report
+    from detectors.studies import rounds as figure
+    from detectors.studies import rounds_report
 
     with _resumable(out, "episodes") as progress:
         rows = figure.reproduce(
@@ -311,7 +311,7 @@ def rounds(
 @_add_workers
 def meta_losses(*, out: Path, trainings: int, strategies: int, episodes: int, seed: int, workers: int) -> None:
     """Measure the off-line loss, and the on-line loss from meta-learned, jointly trained and random starts."""
-    from usnet_env.reproduce import metric_learning
+    from detectors.studies import metric_learning
 
     with _resumable(out, "losses") as progress:
         rows = metric_learning.measure_losses(

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from detectors.studies.rounds import STUDIES, Row
 from usnet_env.evaluation import TRIVIAL
 from usnet_env.evaluation.metrics import RATES
 from usnet_env.evaluation.statistics import Interval, mean_interval, rate_interval
-from usnet_env.reproduce.rounds import STUDIES, Row
-from usnet_env.reproduce.rows import episode_means
+from usnet_env.evaluation.suite import episode_means
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,7 +82,7 @@ class Words:
 
 def paper_words() -> dict[str, Words]:
     """The paper's figures, by study."""
-    source = files("usnet_env.reproduce") / "data" / "multi_cluster_in_words.csv"
+    source = files("detectors.studies") / "data" / "multi_cluster_in_words.csv"
     with source.open(encoding="utf-8") as file:
         return {
             row["study"]: Words(

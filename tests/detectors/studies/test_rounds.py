@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import usnet_env
+from detectors.studies import rounds, rounds_report
+from detectors.studies.rounds import STUDIES, Cell, Row, Task, cells_of, play, reproduce, tasks_for
 from usnet_env import ArgumentError
 from usnet_env.evaluation import TRIVIAL
-from usnet_env.reproduce import rounds, rounds_report
-from usnet_env.reproduce.rounds import STUDIES, Cell, Row, Task, cells_of, play, reproduce, tasks_for
-from usnet_env.reproduce.rows import read_rows
+from usnet_env.evaluation.suite import read_rows
 
 QUICK = "lagged-correlation"
 SMALL = Cell("f1", clusters=2, uavs=14)

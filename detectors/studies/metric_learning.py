@@ -17,8 +17,8 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.drawing import CLUSTER_COLORS, new_figure
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.evaluation.suite import Measurement, counter, keep_report, measure
 from usnet_env.objectives import head_in_cluster, purity
-from usnet_env.reproduce.rows import Measurement, counter, keep_report, measure
 from usnet_env.window import Window
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from detectors import Detector
+from detectors.studies import detection_rate, table2
+from detectors.studies.detection_rate import Cell, measure, play, rate_of, read_rows, tasks_for, write_rows
 from usnet_env import ArgumentError, Detection, make_detector
-from usnet_env.reproduce import detection_rate, table2
-from usnet_env.reproduce.detection_rate import Cell, measure, play, rate_of, read_rows, tasks_for, write_rows
 
 HERE = __name__
 CELLS = [Cell("f1", 2), Cell("f4", 5, decoys=1)]

@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from usnet_env.config import ArgumentError, quote, unknown_name
-from usnet_env.drawing import new_figure
-from usnet_env.files import atomic_write
-from usnet_env.reproduce import (
+from detectors.studies import (
     attention,
     example,
     metric_learning,
@@ -20,8 +17,11 @@ from usnet_env.reproduce import (
     rounds_report,
     table2,
 )
-from usnet_env.reproduce.detection_rate import Row as DetectionRow
-from usnet_env.reproduce.rows import read_rows
+from detectors.studies.detection_rate import Row as DetectionRow
+from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.drawing import new_figure
+from usnet_env.evaluation.suite import read_rows
+from usnet_env.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
