@@ -8,9 +8,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from detectors.studies.detection_rate import Cell, measure, rate_of, tasks_for
+from detectors.studies.table2 import Cell, make_suite, make_tasks, rate_of
 
-GATED = "neural-granger(gate=True)"
 FOLLOWERS = (2, 5, 15)
 FOLLOW = ("none", "f1", "f2", "f3", "f4", "f5", "f6", "f7")
 SEED = 2022
@@ -18,10 +17,11 @@ SEED = 2022
 
 def main() -> None:
     """Measure and print."""
-    cells = [Cell(follow, followers, decoys) for follow in FOLLOW for followers in FOLLOWERS for decoys in (0, 1)]
+    swarms = [(follow, followers, decoys) for follow in FOLLOW for followers in FOLLOWERS for decoys in (0, 1)]
+    cells = [Cell("neural-granger(gate=True)", *swarm) for swarm in swarms]
+    tasks = make_tasks(cells, lambda cell: 200 if cell.follow == "none" else 60)
     path = Path(__file__).parent / "results" / "neural_granger_gate.csv"
-    tasks = tasks_for([GATED], cells, lambda cell: 200 if cell.follow == "none" else 60)
-    rows = measure(tasks, SEED, path, os.cpu_count() or 1)
+    rows = make_suite(SEED).run(tasks, path, workers=os.cpu_count() or 1)
     for name, some in (("without followers", ("none",)), ("with followers", FOLLOW[1:])):
         for followers in FOLLOWERS:
             rate = rate_of((row for row in rows if row.follow in some and row.followers == followers), "named")

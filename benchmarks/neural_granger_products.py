@@ -9,7 +9,8 @@ from pathlib import Path
 
 import follow_mixture_strategies  # noqa: F401  registers the strategy
 
-from detectors.studies.detection_rate import Cell, measure, rate_of, tasks_for
+from detectors.studies.table2 import Cell, make_suite, make_tasks, rate_of
+from usnet_env.evaluation.report import group_rows
 
 DETECTORS = ("neural-granger", "lagged-regression(clusters=1)")
 FOLLOWERS = (2, 5, 15)
@@ -19,16 +20,14 @@ SEED = 2022
 
 def main() -> None:
     """Measure and print."""
-    cells = [Cell("products", followers, decoys) for followers in FOLLOWERS for decoys in (0, 1)]
-    path = Path(__file__).parent / "results" / "neural_granger_products.csv"
-    rows = measure(tasks_for(DETECTORS, cells, lambda cell: EPISODES), SEED, path, 1)
-    for detector in DETECTORS:
-        for cell in cells:
-            rate = rate_of(row for row in rows if (row.detector, row.cell) == (detector, cell))
-            if rate is not None:
-                n, (mean, low, high) = rate
-                where = f"m={cell.followers}, {cell.decoys} decoys"
-                print(f"{detector}, {where}: only the head named in {mean:.3f} ({low:.3f}-{high:.3f}), n={n}")
+    swarms = [("products", followers, decoys) for followers in FOLLOWERS for decoys in (0, 1)]
+    tasks = make_tasks([Cell(name, *swarm) for name in DETECTORS for swarm in swarms], lambda cell: EPISODES)
+    rows = make_suite(SEED).run(tasks, Path(__file__).parent / "results" / "neural_granger_products.csv")
+    for cell, own in group_rows(rows, lambda row: (row.detector, row.followers, row.decoys)).items():
+        detector, followers, decoys = cell
+        n, (mean, low, high) = rate_of(own)
+        where = f"m={followers}, {decoys} decoys"
+        print(f"{detector}, {where}: only the head named in {mean:.3f} ({low:.3f}-{high:.3f}), n={n}")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import numpy as np
 from follow_mixture import cells, unpack_rows
 
 from result_pages.text import RESULTS, Row, cost_of, exact_of, page, source, table
+from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.statistics import mean_interval
 
 FILES = ("former_core/rows.csv.gz", "former_core/present.csv.gz")
@@ -29,18 +30,10 @@ def paired(former: Iterable[Row], present: Iterable[Row]) -> list[Pair]:
 def worst_cell(pairs: Iterable[Pair]) -> str:
     """The cell in which mean J is worse by most with the present core, and its change."""
     change = {}
-    for (tier, cell), own in grouped_pairs(pairs, lambda row: (row["tier"], row["cell"])).items():
+    for (tier, cell), own in group_rows(pairs, lambda pair: (pair[0]["tier"], pair[0]["cell"])).items():
         change[cell] = _COSTS.get(tier, 1.0) * fmean(_rise(pair) for pair in own)
     worst = max(change, key=lambda cell: change[cell])
     return f"{worst}: {change[worst]:.3f}" if change[worst] > 0 else "none"
-
-
-def grouped_pairs(pairs: Iterable[Pair], key: Callable[[Row], Key]) -> dict[Key, list[Pair]]:
-    """The pairs by a key of their rows."""
-    found: dict[Key, list[Pair]] = {}
-    for pair in pairs:
-        found.setdefault(key(pair[0]), []).append(pair)
-    return found
 
 
 def _rise(pair: Pair) -> float:
@@ -51,9 +44,9 @@ def _rise(pair: Pair) -> float:
 def compare(pairs: Iterable[Pair], key: Callable[[Row], Key]) -> str:
     """A line for each value of the key."""
     lines = []
-    for name, own in grouped_pairs(pairs, key).items():
+    for name, own in group_rows(pairs, lambda pair: key(pair[0])).items():
         cores = list(zip(*own, strict=True))
-        episodes = grouped_pairs(own, lambda row: (row["episode"],)).values()
+        episodes = group_rows(own, lambda pair: pair[0]["episode"]).values()
         change = mean_interval(np.array([fmean(_rise(pair) for pair in some) for some in episodes]))
         lines.append(
             (

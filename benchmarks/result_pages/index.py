@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from detectors.studies import rounds
-from detectors.studies.detection_rate import read_rows as read_rates
-from detectors.studies.rounds_report import paper_words
-from detectors.studies.table2 import paper_rates
+from detectors.studies import rounds, table2
 from result_pages.text import RESULTS, Row, mean_of, page, share, table
 from result_pages.tiers import of, tier_rows
-from usnet_env.evaluation.statistics import mean_interval, rate_interval
-from usnet_env.evaluation.suite import episode_means, read_rows
+from usnet_env.evaluation.report import format_interval, mean_over_episodes
+from usnet_env.evaluation.statistics import rate_interval
+from usnet_env.evaluation.suite import read_rows
 
 DETECTORS = (
     "follow-mixture",
@@ -44,8 +42,8 @@ def _named_alone(rows: Sequence[Row]) -> str:
 
 def _paper() -> tuple[str, ...]:
     """The paper's own numbers."""
-    rates = [rate.mean for (_, followers), rate in paper_rates().items() if followers == 2]
-    low, high = paper_words()["follow"].bounds("J", 82)
+    rates = [rate.mean for (_, followers), rate in table2.read_paper().items() if followers == 2]
+    low, high = rounds.read_paper()["follow"].bounds("J", 82)
     single = f"{100 * sum(rates) / len(rates):.1f} %; 7,000"
     return ("the paper (GASSL, MC-GASSL), in its own words", single, "–", f"{low:.2f}–{high:.2f}", "–", "–", "–", "–")
 
@@ -56,7 +54,7 @@ def _algorithms() -> tuple[str, ...]:
     for name, sizes in (("episodes-seed2022.csv", (2,)), ("episodes-decoys1-seed2022.csv", (2, 15))):
         hits = [
             float(row.hit)
-            for row in read_rates(RESULTS / "table2" / name)
+            for row in read_rows(RESULTS / "table2" / name, table2.Row)
             if row.detector == "gassl" and row.followers in sizes
         ]
         rates.append(f"{share(rate_interval(hits))}; {len(hits)}" if hits else "–")
@@ -67,8 +65,7 @@ def _algorithms() -> tuple[str, ...]:
     ]
     cost = "–"
     if played:
-        mean, low, high = (f"{value:.2f}" for value in mean_interval(episode_means(played, "J")))
-        cost = (mean if low == high else f"{mean} ({low}–{high})") + f"; {len(played)}"
+        cost = f"{format_interval(mean_over_episodes(played, 'J'), short=True)}; {len(played)}"
     return ("`gassl` (P1), `mc-gassl` (P2)", *rates, cost, "–", "–", "–", "–")
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from result_pages.text import FORMER, RESULTS, Row, exact_of, grouped, mean_of, page, read_csv, share_of, source, table
+from result_pages.text import FORMER, RESULTS, Row, exact_of, mean_of, page, read_csv, share_of, source, table
+from usnet_env.evaluation.report import group_rows
 
 EIGHT = "eight others"
 
@@ -13,7 +14,7 @@ def pivot(rows: Sequence[Row], episode: str) -> str:
     """A line for each swarm, strategy and metric; a column for each detector."""
     names = list(dict.fromkeys(row["detector"] for row in rows))
     lines = []
-    for key, own in grouped(rows, lambda row: (row["swarm"], row["follow"])).items():
+    for key, own in group_rows(rows, lambda row: (row["swarm"], row["follow"])).items():
         swarm, follow = key
         by_name = {name: [row for row in own if row["detector"] == name] for name in names}
         counts = "–".join(map(str, sorted({len(some) for some in by_name.values()})))
@@ -26,7 +27,7 @@ def exact(rows: Sequence[Row]) -> str:
     """The share of exact episodes by swarm, over f1 to f7 and over the other strategies."""
     names = list(dict.fromkeys(row["detector"] for row in rows))
     lines = []
-    groups = grouped(rows, lambda row: (row["swarm"], "f1–f7" if row["follow"] in _SEVEN else EIGHT))
+    groups = group_rows(rows, lambda row: (row["swarm"], "f1–f7" if row["follow"] in _SEVEN else EIGHT))
     for key, own in groups.items():
         swarm, strategies = key
         by_name = [[row for row in own if row["detector"] == name] for name in names]
@@ -42,7 +43,7 @@ def limits() -> str:
     """A line for each variant and detector, over f1 to f7."""
     rows = read_csv(RESULTS / "learned_limits.csv")
     lines = []
-    for key, own in grouped(rows, _variant).items():
+    for key, own in group_rows(rows, _variant).items():
         tier, variant, name = key
         empty = tier in ("silence", "shifted")
         lines.append(

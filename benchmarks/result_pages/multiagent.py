@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from result_pages.text import FORMER, RESULTS, Row, grouped, mean_of, page, read_csv, share_of, source, table
+from result_pages.text import FORMER, RESULTS, Row, mean_of, page, read_csv, share_of, source, table
+from usnet_env.evaluation.report import group_rows
 
 
 def means(rows: Sequence[Row], keys: Sequence[str], columns: dict[str, str]) -> str:
     """A line for each combination of the keys; ``success`` is a rate."""
     lines = []
-    for key, own in grouped(rows, lambda row: tuple(row[name] for name in keys)).items():
+    for key, own in group_rows(rows, lambda row: tuple(row[name] for name in keys)).items():
         numbers = [
             share_of([int(float(row["success"])) for row in own])
             if name == "success"

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from detectors.studies.detection_rate import Cell, Row, rate_of, read_rows
-from detectors.studies.table2 import entries, markdown, paper_rates
+from detectors.studies.table2 import Row, fill_table, rate_of, read_paper, report_rates
 from result_pages.text import RESULTS, demoted, page, share, source, table
+from usnet_env.evaluation.report import group_rows
+from usnet_env.evaluation.suite import read_rows
 
 FOLDER = RESULTS / "table2"
 
@@ -23,16 +24,13 @@ def heads(row: Row) -> str:
 
 def overview() -> str:
     """A line for each file and detector, over all its cells."""
-    theirs = [rate.mean for rate in paper_rates().values()]
+    theirs = [rate.mean for rate in read_paper().values()]
     mean, least = 100 * sum(theirs) / len(theirs), 100 * min(theirs)
     lines = [("the paper's table", "iid", "0", "70", "70,000", f"{mean:.1f} %", f"{least:.1f} %, n = 1,000")]
     for path in files():
-        rows = read_rows(path)
-        for detector in dict.fromkeys(row.detector for row in rows):
-            own = [row for row in rows if row.detector == detector]
-            cells: dict[Cell, list[Row]] = {}
-            for row in own:
-                cells.setdefault(row.cell, []).append(row)
+        rows = read_rows(path, Row)
+        for detector, own in group_rows(rows, lambda row: row.detector).items():
+            cells = group_rows(own, lambda row: (row.follow, row.followers))
             overall = rate_of(own)
             if overall is None:
                 continue
@@ -50,12 +48,12 @@ def text() -> str:
     """The page."""
     parts = []
     for path in files():
-        rows = read_rows(path)
+        rows = read_rows(path, Row)
         first = rows[0]
         count = f"{first.decoys} decoy{'s' if first.decoys != 1 else ''}"
         parts += [
             f"## {heads(first)} heads, {count}",
-            demoted(markdown(entries(rows), "", with_paper=path.name.startswith("episodes-seed"))),
+            demoted(report_rates(fill_table(rows), "", with_paper=path.name.startswith("episodes-seed"))),
             f"![Rates against the number of "
             f"followers](../../benchmarks/results/table2/{path.with_suffix('.png').name})",
         ]

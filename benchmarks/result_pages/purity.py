@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from detectors.studies import metric_learning, purity_report
-from detectors.studies.purity import Row
+from detectors.studies import metric_learning
+from detectors.studies.purity import Row, report_methods
 from result_pages.text import RESULTS, demoted, page, source
 from usnet_env.evaluation.suite import read_rows
 
@@ -14,13 +14,13 @@ def text() -> str:
     for path in sorted((RESULTS / "purity").glob("purity*.csv")):
         rows = read_rows(path, Row)
         picture = f"../../benchmarks/results/purity/{path.with_suffix('.png').name}"
-        parts += [demoted(purity_report.format_markdown(rows, ""), 0), f"![Purity]({picture})"]
+        parts += [demoted(report_methods(rows, ""), 0), f"![Purity]({picture})"]
         made.append(f"purity/{path.name}")
     losses = []
     for path in sorted((RESULTS / "metric_learning").glob("losses*.csv")):
         rows = read_rows(path, metric_learning.Row)
         picture = f"../../benchmarks/results/metric_learning/{path.with_suffix('.png').name}"
-        losses += [metric_learning.format_markdown(rows).strip(), f"![Losses]({picture})"]
+        losses += [metric_learning.report_losses(rows).strip(), f"![Losses]({picture})"]
         made.append(f"metric_learning/{path.name}")
     spaces = []
     for path in sorted((RESULTS / "metric_learning").glob("features*.png")):

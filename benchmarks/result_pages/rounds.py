@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from detectors.studies.rounds import Row
-from detectors.studies.rounds_report import COLUMNS, markdown
+from detectors.studies.rounds import COLUMNS, Row, report_studies
 from result_pages.text import RESULTS, demoted, page, source
 from usnet_env.evaluation.suite import read_rows
 
@@ -27,7 +26,7 @@ def text() -> str:
         heads = rows[0].mobility + (" heads with jitter" if rows[0].head_jitter else " heads")
         parts += [
             f"## {heads}",
-            demoted(markdown(rows, "", with_paper=path.name.startswith("rounds-seed"), columns=columns)),
+            demoted(report_studies(rows, "", with_paper=path.name.startswith("rounds-seed"), columns=columns)),
             f"![Rounds, redundancy and J_m](../../benchmarks/results/rounds/{path.with_suffix('.png').name})",
         ]
     return page(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 from commands import commands_of
 
-from usnet_env.evaluation.statistics import Interval, mean_interval, rate_interval
+from usnet_env.evaluation.report import format_interval, format_markdown, mean_over_episodes
+from usnet_env.evaluation.statistics import Interval, rate_interval
 
 __all__ = [
     "FOLLOW",
@@ -19,9 +19,7 @@ __all__ = [
     "Row",
     "cost_of",
     "demoted",
-    "episode_means",
     "exact_of",
-    "grouped",
     "mean_of",
     "number",
     "page",
@@ -34,7 +32,6 @@ __all__ = [
 ]
 
 Row = Mapping[str, str]
-KeyT = TypeVar("KeyT", bound=Hashable)
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -50,37 +47,20 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def grouped(rows: Iterable[Row], key: Callable[[Row], KeyT]) -> dict[KeyT, list[Row]]:
-    """The rows by a key, in the order in which the keys appear."""
-    found: dict[KeyT, list[Row]] = {}
-    for row in rows:
-        found.setdefault(key(row), []).append(row)
-    return found
-
-
-def number(interval: Interval, digits: int = 2, scale: float = 1.0) -> str:
+def number(interval: Interval, digits: int = 2) -> str:
     """A mean with its interval; the mean alone if all values were equal."""
-    mean, low, high = (f"{scale * value:.{digits}f}" for value in interval)
-    return mean if interval.low == interval.high else f"{mean} ({low}–{high})"
+    return format_interval(interval, f".{digits}f", short=True)
 
 
 def share(interval: Interval) -> str:
     """A rate in percent with its interval."""
-    mean, low, high = (f"{100 * value:.1f}" for value in interval)
-    return f"{mean} % ({low}–{high})"
-
-
-def episode_means(rows: Iterable[Row], column: str, episode: str = "episode") -> list[float]:
-    """The mean of a column over the rows of each episode: cells share the seeds of an episode, episodes do not."""
-    values: dict[str, list[float]] = {}
-    for row in rows:
-        values.setdefault(row[episode], []).append(float(row[column]))
-    return [sum(own) / len(own) for own in values.values()]
+    mean, bounds = format_interval(interval, ".1f", 100).split(" ", 1)
+    return f"{mean} % {bounds}"
 
 
 def mean_of(rows: Iterable[Row], column: str, digits: int = 2, episode: str = "episode") -> str:
     """The mean of a column with the bootstrap's interval over episodes."""
-    return number(mean_interval(episode_means(rows, column, episode)), digits)
+    return number(mean_over_episodes(rows, column, episode), digits)
 
 
 def cost_of(rows: Iterable[Row], digits: int = 3) -> str:
@@ -100,10 +80,7 @@ def exact_of(rows: Iterable[Row]) -> str:
 
 def table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     """A Markdown table."""
-    return "\n".join(
-        [f"| {' | '.join(header)} |", "| --- |" + " --- |" * (len(header) - 1)]
-        + [f"| {' | '.join(line)} |" for line in lines]
-    )
+    return "\n".join(format_markdown(header, lines, " --- "))
 
 
 def source(files: Sequence[str], more: str = "") -> str:

@@ -11,7 +11,8 @@ import numpy as np
 from follow_mixture import EDGES, SEED, read_rows
 from numpy.typing import NDArray
 
-from result_pages.text import FOLLOW, RESULTS, Row, cost_of, exact_of, grouped, number, page, source, table
+from result_pages.text import FOLLOW, RESULTS, Row, cost_of, exact_of, number, page, source, table
+from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.statistics import mean_interval
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def worst(rows: Iterable[Row]) -> str:
     """The strategy with the highest mean J, and that mean."""
     means = {
         follow: (np.mean([float(row["J"]) for row in own]), own)
-        for follow, own in grouped(rows, lambda row: row["follow"]).items()
+        for follow, own in group_rows(rows, lambda row: row["follow"]).items()
     }
     name, (_, own) = max(means.items(), key=lambda one: one[1][0])
     return f"{name}: {cost_of(own)}, n = {len(own)}"
@@ -69,7 +70,7 @@ def by_variant() -> str:
     """A line for each variant of each tier."""
     lines = []
     for tier in TIERS:
-        for variant, rows in grouped(tier_rows(tier), lambda row: row["variant"]).items():
+        for variant, rows in group_rows(tier_rows(tier), lambda row: row["variant"]).items():
             ours, lagged, everything = (of(rows, name) for name in (OURS, "lagged-regression", "destroy-all"))
             lines.append(
                 (
@@ -94,7 +95,7 @@ def policies() -> str:
     lines = []
     for tier in (*TIERS, "decoys", "strategies"):
         rows = tier_rows(tier)
-        for variant, own in grouped(rows, lambda row: row["variant"]).items():
+        for variant, own in group_rows(rows, lambda row: row["variant"]).items():
             costs = [{(row["cell"], row["episode"]): float(row["J"]) for row in of(own, name)} for name in (OURS, MAP)]
             both = sorted(costs[0].keys() & costs[1].keys())
             if not both:
@@ -243,7 +244,7 @@ def cells_text() -> str:
         names = list(dict.fromkeys(row["detector"] for row in rows))
         names.sort(key=lambda name: (not name.startswith(OURS), not name.startswith("learned"), name))
         lines = []
-        for cell, own in grouped(rows, lambda row: row["cell"]).items():
+        for cell, own in group_rows(rows, lambda row: row["cell"]).items():
             entries = []
             for name in names:
                 some = of(own, name)

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
-from usnet_env.drawing import HIT, MISSED, REDUNDANT, new_figure
+from usnet_env.drawing import HIT, MISSED, REDUNDANT
 from usnet_env.envs import SingleClusterEnv
+from usnet_env.evaluation.report import make_panels
 from usnet_env.plugins import make_detector
 from usnet_env.window import Window
 
@@ -89,11 +90,13 @@ def detect_head(scene: Scene, detector: str) -> Detection:
     return found
 
 
-def _new_grid(rows: int, columns: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
-    """Make a figure with a grid of axes, each ``width`` by ``height`` inches."""
-    figure = new_figure(width * columns, height * rows + 0.6)
-    figure.set_layout_engine("constrained")
-    return figure, list(figure.subplots(rows, columns, squeeze=False).ravel())
+def _new_grid(panels: int) -> tuple[Figure, list[Axes]]:
+    """Make a figure with three panels a row; those that are not needed are hidden."""
+    rows = -(-panels // 3)
+    figure, grid = make_panels(4.3 * 3, 3.9 * rows + 0.6, rows, 3)
+    for axes in grid.ravel()[panels:]:
+        axes.set_visible(False)
+    return figure, list(grid.ravel()[:panels])
 
 
 def _draw_heat_map(axes: Axes, alpha: Floats, head: int, title: str) -> None:
@@ -135,11 +138,9 @@ def draw_attention_heads(scene: Scene, found: Detection, label: str) -> Figure:
     for number, alpha in enumerate(values[:-1]):
         panels.append((f"attention head {number + 1}: velocity at t{f' − {number}' if number else ''}", alpha))
     panels.append((f"attention head {len(values)}: position at t − {len(values) - 2}", values[-1]))
-    figure, grid = _new_grid(-(-len(panels) // 3), 3, 4.3, 3.9)
-    for axes, (title, alpha) in zip(grid, panels, strict=False):
+    figure, grid = _new_grid(len(panels))
+    for axes, (title, alpha) in zip(grid, panels, strict=True):
         _draw_heat_map(axes, alpha, scene.head, title)
-    for axes in grid[len(panels) :]:
-        axes.set_visible(False)
     figure.suptitle(
         f"Attention of UAV i (row) to UAV i′ (column): {label}, {scene.follow}, m = {scene.followers}\n"
         f"{_describe_answer(scene, found)}; ▼ marks the column of the head",
@@ -156,13 +157,11 @@ def draw_attention_sizes(scenes: Sequence[Scene], answers: Sequence[Detection], 
         answers: its answers.
         label: the detector's name.
     """
-    figure, grid = _new_grid(-(-len(scenes) // 3), 3, 4.3, 3.9)
-    for axes, scene, found in zip(grid, scenes, answers, strict=False):
+    figure, grid = _new_grid(len(scenes))
+    for axes, scene, found in zip(grid, scenes, answers, strict=True):
         verdict = "found" if found.candidates[scene.head] else "missed"
         if found.attention is not None:
             _draw_heat_map(axes, found.attention, scene.head, f"m = {scene.followers}: head {verdict}")
-    for axes in grid[len(scenes) :]:
-        axes.set_visible(False)
     figure.suptitle(
         f"Attention weights α of UAV i (row) to UAV i′ (column): {label}, {scenes[0].follow}\n"
         f"▼ marks the column of the head, UAV {scenes[0].head + 1}",
@@ -196,7 +195,7 @@ def draw_hierarchy(scene: Scene, found: Detection, label: str) -> Figure:
         label: the detector's name.
     """
     assert found.attention is not None
-    figure, (graph, tree) = _new_grid(1, 2, 7.0, 6.2)
+    figure, ((graph, tree),) = make_panels(14.0, 6.8, 1, 2)
     place = np.asarray(scene.window.position[-1, :, :2], np.float64)
     _draw_attention_graph(graph, place, found.attention)
     graph.set(xlabel="x in m", ylabel="y in m", title="Attention graph: lines as wide as the attention weight")

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from usnet_env.cli.options import WholeNumber
 from usnet_env.cli.output import progress_bar, show_markdown
 
+if TYPE_CHECKING:
+    from detectors.studies.common import Reproduction
+
 __all__ = ["reproduce"]
+
+Option = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 @click.group(short_help="Reproduce a table or figure of the paper.")
@@ -22,126 +26,90 @@ def reproduce() -> None:
     """Reproduce the tables and figures of the paper."""
 
 
-def _add_out_and_seed(folder: str, seed_of: str = "episodes") -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add the options ``--out`` and ``--seed``: the folder of the results and the seed."""
-
-    def with_options(command: Callable[..., None]) -> Callable[..., None]:
-        @click.option("--out", default=folder, show_default=True, metavar="DIR", help="Folder of the results.")
-        @click.option(
-            "--seed", type=WholeNumber(0, 2**31), default=2022, show_default=True, help=f"Seed of the {seed_of}."
-        )
-        @wraps(command)
-        def called(*, out: str, **values: Any) -> None:
-            command(out=Path(out), **values)
-
-        return called
-
-    return with_options
+def _name(option: str, of: str, by_default: str, field: str | None = None) -> Option:
+    """An option with a name, which may repeat."""
+    text = f"{of}; may repeat; by default {by_default}."
+    return click.option(*([option, field] if field else [option]), multiple=True, metavar="NAME", help=text)
 
 
-def _add_workers(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the option ``--workers``."""
-
-    @click.option("--workers", type=WholeNumber(1, 256), help="Number of processes; by default the number of cores.")
-    @wraps(command)
-    def called(*, workers: int | None, **values: Any) -> None:
-        command(workers=workers or os.cpu_count() or 1, **values)
-
-    return called
+def _number(option: str, least: int, most: int, default: int | None, text: str) -> Option:
+    """An option with a whole number."""
+    kind = WholeNumber(least, most)
+    return click.option(option, type=kind, default=default, show_default=default is not None, help=text)
 
 
-def _add_head_motion(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options ``--mobility`` and ``--head-jitter``."""
-    command = click.option("--head-jitter", is_flag=True, help="Give heads the noise of the followers.")(command)
-    return click.option("--mobility", default="iid", show_default=True, metavar="NAME", help="Motion of the heads.")(
-        command
-    )
+def _add_options(command: Callable[..., Any], *options: Option) -> Callable[..., Any]:
+    for option in options:
+        command = option(command)
+    return command
 
 
-@contextmanager
-def _resumable(out: Path, what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show the progress of a measurement; an interruption prints how to continue it.
+def _out_and_seed(folder: str, seed_of: str) -> Option:
+    """The options ``--out`` and ``--seed``: the folder of the results and the seed."""
+    out = click.option("--out", default=folder, show_default=True, metavar="DIR", help="Folder of the results.")
+    return lambda command: _add_options(command, _number("--seed", 0, 2**31, 2022, f"Seed of the {seed_of}."), out)
+
+
+def _head_motion(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options ``--mobility`` and ``--head-jitter``."""
+    jitter = click.option("--head-jitter", is_flag=True, help="Give heads the noise of the followers.")
+    text = "Motion of the heads."
+    mobility = click.option("--mobility", default="iid", show_default=True, metavar="NAME", help=text)
+    return _add_options(command, jitter, mobility)
+
+
+def _measurement(folder: str, unit: str, seed_of: str = "episodes") -> Option:
+    """The options that all measurements share; they show their progress, and print their report.
+
+    An interruption prints how to continue. Options that were not given keep the defaults of the study.
+
+    Args:
+        folder: default folder of the results.
+        unit: what is counted.
+        seed_of: what the seed is of.
 
     Raises:
         MissingExtraError: matplotlib, which draws the picture of the results, is not installed.
     """
-    from usnet_env.drawing import new_figure
 
-    new_figure(1, 1)  # before anything is measured
-    click.get_current_context().find_root().obj = (
-        f"Finished {what} are kept in {out}: the same command continues from there."
-    )
-    with progress_bar(what) as progress:
-        yield progress
+    def with_options(command: Callable[..., Reproduction[Any]]) -> Callable[..., Any]:
+        @wraps(command)
+        def called(*, out: str, workers: int | None, **values: Any) -> None:
+            from usnet_env.drawing import new_figure
 
+            new_figure(1, 1)  # before anything is measured
+            resume = f"Finished {unit} are kept in {out}: the same command continues from there."
+            click.get_current_context().find_root().obj = resume
+            given = {name: value for name, value in values.items() if value not in ((), None)}
+            with progress_bar(unit) as progress:
+                made = command(Path(out), workers=workers or os.cpu_count() or 1, progress=progress, **given)
+            show_markdown(made.text)
+            click.echo(f"Rows, tables and picture are in {out}.", err=True)
 
-def _print_report(text: str, out: Path) -> None:
-    """Print a report, and the folder of the rows, tables and picture."""
-    show_markdown(text)
-    click.echo(f"Rows, tables and picture are in {out}.", err=True)
+        workers = _number("--workers", 1, 256, None, "Number of processes; by default the number of cores.")
+        return _add_options(called, workers, _out_and_seed(folder, seed_of))
+
+    return with_options
 
 
 @reproduce.command(short_help="Table of detection rates (P1).")
-@_add_out_and_seed("runs/table2")
-@click.option(
-    "--detector",
-    "detectors",
-    multiple=True,
-    metavar="NAME",
-    help="Detector; may repeat; by default gassl, neural-granger and lagged-regression(clusters=1).",
-)
-@click.option(
-    "--episodes", type=WholeNumber(1, 1_000_000), help="Episodes in each cell; by default 100 up to m=15, else 30."
-)
+@_measurement("runs/table2", "episodes")
+@_name("--detector", "Detector", "gassl, neural-granger and lagged-regression(clusters=1)", "detectors")
+@_number("--episodes", 1, 1_000_000, None, "Episodes in each cell; by default 100 up to m=15, else 30.")
 @click.option("--cells", metavar="LIST", help="Cells such as f1:2,f4:15 or rows such as f1; by default all 70.")
-@click.option(
-    "--decoys",
-    type=WholeNumber(0, 1000),
-    default=0,
-    show_default=True,
-    help="Number of decoys: UAVs without followers that fly like heads.",
-)
-@_add_head_motion
+@_number("--decoys", 0, 1000, 0, "Number of decoys: UAVs without followers that fly like heads.")
+@_head_motion
 @click.option("--fast", is_flag=True, help="Only 10 episodes in each cell, and only cells up to m=15.")
-@_add_workers
-def table2(
-    *,
-    out: Path,
-    detectors: tuple[str, ...],
-    episodes: int | None,
-    cells: str | None,
-    decoys: int,
-    mobility: str,
-    head_jitter: bool,
-    fast: bool,
-    seed: int,
-    workers: int,
-) -> None:
+def table2(out: Path, *, fast: bool, **options: Any) -> Reproduction[Any]:
     """Measure detection rates in one cluster: 7 follow strategies and 10 sizes."""
-    from detectors.studies import table2 as table
+    from detectors.studies import table2 as study
 
-    if fast and cells is None:
-        cells = ",".join(f"{follow}:{size}" for follow in table.FOLLOW for size in table.FOLLOWERS if size <= 15)
-    chosen: dict[str, Any] = {"detectors": detectors} if detectors else {}
-    with _resumable(out, "episodes") as progress:
-        _, report = table.reproduce(
-            out,
-            episodes=10 if fast and episodes is None else episodes,
-            cells=cells,
-            decoys=decoys,
-            mobility=mobility,
-            head_jitter=head_jitter,
-            seed=seed,
-            workers=workers,
-            progress=progress,
-            **chosen,
-        )
-    _print_report(report.read_text(encoding="utf-8"), out)
+    return study.reproduce(out, **(study.FAST if fast else {}) | options)
 
 
 @reproduce.command(short_help="All figures, as PNG and PDF.")
-@_add_out_and_seed("runs/figures", "scenes, of the example and of the rows")
-@click.option("--only", multiple=True, metavar="NAME", help="Name of a figure; may repeat; by default all figures.")
+@_out_and_seed("runs/figures", "scenes, of the example and of the rows")
+@_name("--only", "Name of a figure", "all figures")
 @click.option(
     "--results",
     default="benchmarks/results",
@@ -149,7 +117,7 @@ def table2(
     metavar="DIR",
     help="Folder of the measured rows from which tables and curves are drawn.",
 )
-def figures(*, out: Path, only: tuple[str, ...], results: str, seed: int) -> None:
+def figures(*, out: str, only: tuple[str, ...], results: str, seed: int) -> None:
     """Make the figures of the paper as PNG and PDF.
 
     \b
@@ -167,160 +135,55 @@ def figures(*, out: Path, only: tuple[str, ...], results: str, seed: int) -> Non
     """  # noqa: D301  # click reads the control character: it keeps the lines of the list
     from detectors.studies import figures as paper
 
+    settings = paper.Settings(results=Path(results), seed=seed)
     with progress_bar("figures") as progress:
-        files = paper.make_figures(
-            out, only=only, settings=paper.Settings(results=Path(results), seed=seed), progress=progress
-        )
+        files = paper.make_figures(Path(out), only=only, settings=settings, progress=progress)
     for file in files:
         click.echo(str(file))
 
 
 @reproduce.command(short_help="Purity of every clusterer.")
-@_add_out_and_seed("runs/purity")
-@click.option(
-    "--episodes", type=WholeNumber(1, 1_000_000), default=30, show_default=True, help="Episodes of each method."
-)
-@click.option("--follow", multiple=True, metavar="NAME", help="Follow strategy; may repeat; by default f1 to f7.")
-@click.option("--clusterer", "clusterers", multiple=True, metavar="NAME", help="Clusterer; may repeat; by default all.")
-@click.option(
-    "--features",
-    multiple=True,
-    metavar="NAME",
-    help="Features: raw, scaled, velocities, gru-single, gru-mean or gru-series; may repeat; by default all.",
-)
+@_measurement("runs/purity", "windows")
+@_number("--episodes", 1, 1_000_000, 30, "Episodes of each method.")
+@_name("--follow", "Follow strategy", "f1 to f7")
+@_name("--clusterer", "Clusterer", "all", "clusterers")
+@_name("--features", "Features: raw, scaled, velocities, gru-single, gru-mean or gru-series", "all")
 @click.option(
     "--count", "counts", multiple=True, metavar="NAME", help="How M is known: given or estimated; by default both."
 )
-@click.option("--clusters", type=WholeNumber(1, 1000), default=5, show_default=True, help="M.")
-@click.option("--uavs", type=WholeNumber(3, 10_000), default=82, show_default=True, help="N.")
-@_add_head_motion
-@_add_workers
-def purity(
-    *,
-    out: Path,
-    episodes: int,
-    follow: tuple[str, ...],
-    clusterers: tuple[str, ...],
-    features: tuple[str, ...],
-    counts: tuple[str, ...],
-    clusters: int,
-    uavs: int,
-    mobility: str,
-    head_jitter: bool,
-    seed: int,
-    workers: int,
-) -> None:
+@_number("--clusters", 1, 1000, 5, "M.")
+@_number("--uavs", 3, 10_000, 82, "N.")
+@_head_motion
+def purity(out: Path, **options: Any) -> Reproduction[Any]:
     """Measure purity and head-in-cluster of every clusterer, M given and estimated."""
-    from detectors.studies import purity as figure
-    from detectors.studies import purity_report
+    from detectors.studies import purity as study
 
-    methods = figure.list_methods(clusterers or tuple(figure.CLUSTERERS), features or None, counts or figure.COUNTS)
-    with _resumable(out, "windows") as progress:
-        rows = figure.reproduce(
-            out,
-            follow=follow or figure.FOLLOW,
-            methods=methods,
-            clusters=clusters,
-            uavs=uavs,
-            episodes=episodes,
-            mobility=mobility,
-            head_jitter=head_jitter,
-            seed=seed,
-            workers=workers,
-            progress=progress,
-        )
-    _print_report(purity_report.format_markdown(rows, "Purity and head-in-cluster"), out)
+    methods = {name: options.pop(name) for name in ("clusterers", "features", "counts") if name in options}
+    return study.reproduce(out, methods=study.list_methods(**methods), **options)
 
 
 @reproduce.command(short_help="P2 against follow strategy, M and N.")
-@_add_out_and_seed("runs/rounds")
-@click.option(
-    "--study",
-    "studies",
-    multiple=True,
-    metavar="NAME",
-    help="Study: follow, clusters, uavs or example; may repeat; by default all four.",
-)
-@click.option(
-    "--detector",
-    "detectors",
-    multiple=True,
-    metavar="NAME",
-    help="Detector; may repeat; by default the detectors of the committed rows.",
-)
+@_measurement("runs/rounds", "episodes")
+@_name("--study", "Study: follow, clusters, uavs or example", "all four", "studies")
+@_name("--detector", "Detector", "the detectors of the committed rows", "detectors")
 @click.option("--no-trivial", is_flag=True, help="Omit destroy-all, none, random and one-per-round.")
-@click.option(
-    "--episodes",
-    type=WholeNumber(1, 1_000_000),
-    default=30,
-    show_default=True,
-    help="Episodes of each detector and swarm.",
-)
-@_add_head_motion
-@_add_workers
-def rounds(
-    *,
-    out: Path,
-    studies: tuple[str, ...],
-    detectors: tuple[str, ...],
-    no_trivial: bool,
-    episodes: int,
-    mobility: str,
-    head_jitter: bool,
-    seed: int,
-    workers: int,
-) -> None:
+@_number("--episodes", 1, 1_000_000, 30, "Episodes of each detector and swarm.")
+@_head_motion
+@click.option("--isolate", is_flag=True, help="Play each detector in a process that never holds an environment.")
+def rounds(out: Path, *, no_trivial: bool, **options: Any) -> Reproduction[Any]:
     """Measure rounds, redundancy and J_m of P2 against follow strategy, M and N, and in the paper's example."""
-    from detectors.studies import rounds as figure
-    from detectors.studies import rounds_report
+    from detectors.studies import rounds as study
 
-    with _resumable(out, "episodes") as progress:
-        rows = figure.reproduce(
-            out,
-            studies=studies or tuple(figure.STUDIES),
-            detectors=detectors or figure.DETECTORS,
-            trivial=not no_trivial,
-            episodes=episodes,
-            mobility=mobility,
-            head_jitter=head_jitter,
-            seed=seed,
-            workers=workers,
-            progress=progress,
-        )
-    with_paper = mobility == "iid" and not head_jitter
-    _print_report(
-        rounds_report.markdown(rows, "P2 (all columns are in the file)", with_paper, rounds_report.SHORT), out
-    )
+    return study.reproduce(out, trivial=not no_trivial, **options)
 
 
 @reproduce.command(name="meta", short_help="Losses of metric learning.")
-@_add_out_and_seed("runs/meta-losses", "measurement")
-@click.option(
-    "--trainings", type=WholeNumber(2, 1000), default=5, show_default=True, help="Number of trainings of each start."
-)
-@click.option(
-    "--strategies",
-    type=WholeNumber(1, 10**6),
-    default=30,
-    show_default=True,
-    help="F, follow strategies of each training.",
-)
-@click.option(
-    "--episodes", type=WholeNumber(1, 10**6), default=1000, show_default=True, help="E, episodes of each training."
-)
-@_add_workers
-def meta_losses(*, out: Path, trainings: int, strategies: int, episodes: int, seed: int, workers: int) -> None:
+@_measurement("runs/meta-losses", "losses", "measurement")
+@_number("--trainings", 2, 1000, 5, "Number of trainings of each start.")
+@_number("--strategies", 1, 10**6, 30, "F, follow strategies of each training.")
+@_number("--episodes", 1, 10**6, 1000, "E, episodes of each training.")
+def meta_losses(out: Path, **options: Any) -> Reproduction[Any]:
     """Measure the off-line loss, and the on-line loss from meta-learned, jointly trained and random starts."""
     from detectors.studies import metric_learning
 
-    with _resumable(out, "losses") as progress:
-        rows = metric_learning.measure_losses(
-            out,
-            trainings=trainings,
-            strategies=strategies,
-            episodes=episodes,
-            seed=seed,
-            workers=workers,
-            progress=progress,
-        )
-    _print_report(metric_learning.format_markdown(rows), out)
+    return metric_learning.reproduce(out, **options)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import usnet_env.envs  # noqa: F401  # registers the environments
-from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, draw_round, last_seen_position, new_figure
+from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, draw_round, last_seen_position
 from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.evaluation.report import make_panels
 from usnet_env.plugins import make_detector
 from usnet_env.replay import EpisodeRecord, record_episode
 from usnet_env.replay.story import format_count
@@ -61,9 +62,9 @@ def draw_example(record: EpisodeRecord) -> Figure:
     rounds = _choose_rounds(record.rounds)
     panels = len(rounds) + 2
     columns = 2 if panels <= 4 else 3
-    figure = new_figure(5.6 * columns, 5.3 * -(-panels // columns) + 1.1)
-    figure.set_layout_engine("constrained")
-    grid: list[Axes] = list(figure.subplots(-(-panels // columns), columns, squeeze=False).ravel())
+    lines = -(-panels // columns)
+    figure, panels_by_line = make_panels(5.6 * columns, 5.3 * lines + 1.1, lines, columns)
+    grid: list[Axes] = list(panels_by_line.ravel())
     truth = (record.alive[0], record.head, record.leader[0], record.decoy)
     clusters = int(record.head.sum())
     title = f"Truth: {clusters} clusters, {record.uavs} UAVs"

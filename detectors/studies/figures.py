@@ -7,17 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from detectors.studies import (
-    attention,
-    example,
-    metric_learning,
-    purity,
-    purity_report,
-    rounds,
-    rounds_report,
-    table2,
-)
-from detectors.studies.detection_rate import Row as DetectionRow
+from detectors.studies import attention, example, metric_learning, purity, rounds, table2
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.drawing import new_figure
 from usnet_env.evaluation.suite import read_rows
@@ -90,7 +80,7 @@ def _draw_losses(settings: Settings) -> Figure:
 
 def _draw_purity(settings: Settings) -> Figure:
     rows = settings.read(f"purity/purity-seed{settings.seed}.csv", purity.Row)
-    return purity_report.draw_strategies(rows, f"Purity of clustering, M = {rows[0].clusters}, N = {rows[0].uavs}")
+    return purity.draw_strategies(rows, f"Purity of clustering, M = {rows[0].clusters}, N = {rows[0].uavs}")
 
 
 def _draw_feature_spaces(settings: Settings) -> Figure:
@@ -99,7 +89,7 @@ def _draw_feature_spaces(settings: Settings) -> Figure:
 
 def _draw_rounds(settings: Settings) -> Figure:
     rows = settings.read(f"rounds/rounds-seed{settings.seed}.csv", rounds.Row)
-    return rounds_report.draw(rows, "P2: rounds, redundancy and J_m", with_paper=True)
+    return rounds.draw_studies(rows, "P2: rounds, redundancy and J_m", with_paper=True)
 
 
 def _draw_example(settings: Settings) -> Figure:
@@ -107,8 +97,8 @@ def _draw_example(settings: Settings) -> Figure:
 
 
 def _draw_detection_rates(settings: Settings) -> Figure:
-    rows = settings.read(f"table2/episodes-seed{settings.seed}.csv", DetectionRow)
-    return table2.draw(table2.entries(rows), "Detection rate of P1, one cluster", with_paper=True)
+    rows = settings.read(f"table2/episodes-seed{settings.seed}.csv", table2.Row)
+    return table2.draw_rates(table2.fill_table(rows), "Detection rate of P1, one cluster", with_paper=True)
 
 
 #: The figures in the order of the paper, by name.

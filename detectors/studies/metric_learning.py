@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from detectors.studies.common import FOLLOW, Reproduction
 from usnet_env.config import ArgumentError, quote
-from usnet_env.drawing import CLUSTER_COLORS, new_figure
+from usnet_env.drawing import CLUSTER_COLORS
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
-from usnet_env.evaluation.suite import Measurement, counter, keep_report, measure
+from usnet_env.evaluation.report import add_legend, format_markdown, keep_report, make_panels
+from usnet_env.evaluation.suite import Game, Suite
 from usnet_env.objectives import head_in_cluster, purity
 from usnet_env.window import Window
 
@@ -26,18 +28,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "FOLLOW",
     "PAPER_LOSS",
     "STARTS",
+    "Cell",
     "Row",
-    "Task",
+    "collect_curves",
+    "compute_interval",
     "draw_feature_spaces",
     "draw_losses",
-    "format_markdown",
-    "measure_losses",
+    "report_losses",
+    "reproduce",
 ]
 
-FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 STARTS = ("random", "joint", "meta")
 PAPER_LOSS = 0.125  # the paper's meta loss settles near this value
 _LAST = 10  # the final on-line loss is the mean over this many steps
@@ -51,56 +53,60 @@ _LOOKS = {  # colour, line and label of each start
 
 
 @dataclass(frozen=True)
-class Row:
-    """One loss.
+class Cell:
+    """One training from one start.
 
     Args:
         training: number of the training; each training draws its own strategies, start and triplets.
         start: one of :data:`STARTS`; ``random`` has no off-line rows, because it is not trained off line.
-        follow: follow strategy of the on-line swarm; empty for an off-line row.
-        step: off line the episode, on line the gradient step, from 0.
-        loss: triplet loss of this episode or step.
+        follow: follow strategy of the on-line swarm; empty for off-line rows.
     """
 
     training: int
     start: str
     follow: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row(Cell):
+    """One loss.
+
+    Args:
+        step: off line the episode, on line the gradient step, from 0.
+        loss: triplet loss of this episode or step.
+    """
+
     step: int
     loss: float
 
 
-@dataclass(frozen=True)
-class Task:
-    """One off-line training, and the on-line training from its result on a swarm of every follow strategy."""
-
-    training: int
-    start: str
-    strategies: int
-    episodes: int
-    steps: int
-
-
-def train_start(task: Task, seed: int) -> list[Row]:
-    """Train one start off line (``random`` is not trained), then on line."""
+def train_start(games: Sequence[Game[Cell]], seed: int, strategies: int, episodes: int, steps: int) -> list[Row]:
+    """Train the start of all games off line (``random`` is not trained), then on line with every follow strategy."""
     from detectors.mc_gassl.train import MetaTraining, online_losses, start_of, trained
 
+    number, start = games[0][0].training, games[0][0].start
     training = MetaTraining(
-        seed=int(np.random.SeedSequence(seed, spawn_key=(task.training,)).generate_state(1)[0]),
-        method="joint" if task.start == "joint" else "meta",
-        strategies=task.strategies,
-        episodes=task.episodes,
+        seed=int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]),
+        method="joint" if start == "joint" else "meta",
+        strategies=strategies,
+        episodes=episodes,
     )
-    offline: list[float] = []
-    if task.start == "random":
-        parameters = start_of(training)
-    else:
-        parameters, offline = trained(training)
-    rows = [Row(task.training, task.start, "", step, loss) for step, loss in enumerate(offline)]
-    for number, follow in enumerate(FOLLOW):
-        window, labels, _ = _draw_swarm(MultiClusterEnv(follow=follow), seed, len(FOLLOW) * task.training + number)
-        _, online = online_losses(parameters, window, labels, task.steps, training)
-        rows += [Row(task.training, task.start, follow, step, loss) for step, loss in enumerate(online)]
-    return rows
+    parameters, losses = (start_of(training), []) if start == "random" else trained(training)
+    curves = {"": losses}
+    for place, follow in enumerate(FOLLOW):
+        window, labels, _ = _draw_swarm(MultiClusterEnv(follow=follow), seed, len(FOLLOW) * number + place)
+        curves[follow] = online_losses(parameters, window, labels, steps, training)[1]
+    return [
+        Row(number, start, follow, step=step, loss=loss)
+        for follow, curve in curves.items()
+        for step, loss in enumerate(curve)
+    ]
+
+
+def _list_games(training: int, start: str, episodes: int, steps: int) -> list[Game[Cell]]:
+    """List the games of one training, which one process plays."""
+    counts = {"": 0 if start == "random" else episodes} | dict.fromkeys(FOLLOW, steps)
+    return [(Cell(training, start, follow), step) for follow, count in counts.items() for step in range(count)]
 
 
 def _draw_swarm(env: MultiClusterEnv, seed: int, episode: int) -> tuple[Window, NDArray[np.int64], Any]:
@@ -110,14 +116,7 @@ def _draw_swarm(env: MultiClusterEnv, seed: int, episode: int) -> tuple[Window, 
     return Window.from_observation(observation), labels, env.swarm
 
 
-def _list_keys(task: Task) -> list[tuple[int, str, str, int]]:
-    offline = 0 if task.start == "random" else task.episodes
-    return [(task.training, task.start, "", step) for step in range(offline)] + [
-        (task.training, task.start, follow, step) for follow in FOLLOW for step in range(task.steps)
-    ]
-
-
-def measure_losses(
+def reproduce(
     folder: Path,
     *,
     trainings: int = 5,
@@ -127,7 +126,7 @@ def measure_losses(
     seed: int = 2022,
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Row]:
+) -> Reproduction[Row]:
     """Measure the off-line loss of meta and joint training, and the on-line loss from their results and a random start.
 
     Args:
@@ -140,29 +139,19 @@ def measure_losses(
         workers: number of processes.
         progress: called with the number of losses that are done, and of all losses.
 
-    Returns:
-        The rows, in the order of the trainings and starts.
-
     Raises:
         ArgumentError: there are fewer than 2 trainings.
     """
     if trainings < 2:
         raise ArgumentError(f"trainings must be at least 2, for intervals, got {quote(trainings)}.")
-    tasks = [Task(number, start, strategies, episodes, steps) for number in range(trainings) for start in STARTS]
+    tasks = [_list_games(number, start, episodes, steps) for number in range(trainings) for start in STARTS]
     path = folder / f"losses-F{strategies}-E{episodes}-seed{seed}.csv"
-    rows = measure(
-        Measurement(Row, partial(train_start, seed=seed), _list_keys, _get_key, _get_key),
-        tasks,
-        path,
-        workers,
-        counter(sum(len(_list_keys(task)) for task in tasks), progress),
-    )
-    keep_report(path, format_markdown(rows), draw_losses(rows))
-    return rows
-
-
-def _get_key(row: Row) -> tuple[int, str, str, int]:
-    return row.training, row.start, row.follow, row.step
+    play = partial(train_start, seed=seed, strategies=strategies, episodes=episodes, steps=steps)
+    suite = Suite(Cell, Row, play, number="step", order=("training", "start", "follow", "step"), digits=4)
+    rows = suite.run(tasks, path, workers=workers, progress=progress)
+    text = report_losses(rows)
+    keep_report(path, text, draw_losses(rows))
+    return Reproduction(rows, text)
 
 
 def collect_curves(rows: Sequence[Row], start: str, online: bool) -> NDArray[np.float64]:
@@ -182,37 +171,28 @@ def compute_interval(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], 
     return values.mean(axis=0), half
 
 
-def format_markdown(rows: Sequence[Row]) -> str:
-    """Format a table of the first and last losses of every start, with 95 % intervals over the trainings."""
-    lines = [
-        "| start | trainings | off-line loss at the end | on-line loss, step 0 | on-line loss at the end |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+def report_losses(rows: Sequence[Row]) -> str:
+    """Report the first and last losses of every start in a table, with 95 % intervals over the trainings."""
+    lines = []
     for start in STARTS:
-        online = collect_curves(rows, start, True)
-        offline = collect_curves(rows, start, False)
-        cells = [online[:, 0], online[:, -_LAST:].mean(axis=1)]
-        words = [f"{mean:.3f} ± {half:.3f}" for mean, half in map(compute_interval, cells)]
-        end = (
-            "–" if not len(offline) else "{:.3f} ± {:.3f}".format(*compute_interval(offline[:, -_SMOOTH:].mean(axis=1)))
-        )
-        lines.append(f"| {start} | {len(online)} | {end} | {words[0]} | {words[1]} |")
+        online, offline = (collect_curves(rows, start, there) for there in (True, False))
+        last = [offline[:, -_SMOOTH:].mean(axis=1)] if len(offline) else []
+        means = [compute_interval(part) for part in (*last, online[:, 0], online[:, -_LAST:].mean(axis=1))]
+        words = [f"{mean:.3f} ± {half:.3f}" for mean, half in means]
+        lines.append((start, str(len(online)), *([] if last else ["–"]), *words))
+    header = ("start", "trainings", "off-line loss at the end", "on-line loss, step 0", "on-line loss at the end")
     differences = (collect_curves(rows, "meta", True) - collect_curves(rows, "joint", True))[:, -_LAST:].mean(axis=1)
     mean, half = compute_interval(differences)
-    lines += [
-        "",
+    conclusion = (
         f"Meta minus joint at the end of on-line training, by training: {mean:+.4f} ± {half:.4f}. The paper's "
-        f"meta loss settles near {PAPER_LOSS}; the value of a loss depends on margin, scaling and batches.",
-        "",
-    ]
-    return "\n".join(lines)
+        f"meta loss settles near {PAPER_LOSS}; the value of a loss depends on margin, scaling and batches."
+    )
+    return "\n".join([*format_markdown(header, lines, " --- "), "", conclusion, ""])
 
 
 def draw_losses(rows: Sequence[Row]) -> Figure:
     """Draw the off-line loss (left) and the on-line loss (right): means over trainings, with 95 % intervals."""
-    figure = new_figure(11.5, 4.4)
-    figure.set_layout_engine("constrained")
-    axes = figure.subplots(1, 2, sharey=True)
+    figure, (axes,) = make_panels(11.5, 4.4, 1, 2, sharey=True)
     for panel, online in zip(axes, (False, True), strict=True):
         for start in STARTS:
             values = collect_curves(rows, start, online)
@@ -232,8 +212,7 @@ def draw_losses(rows: Sequence[Row]) -> Figure:
     axes[0].set_ylim(bottom=0)
     axes[0].set(xlabel="episode", ylabel="triplet loss", title="Off line, on random follow strategies")
     axes[1].set(xlabel="gradient step", title="On line, mean over f1 to f7, true clusters")
-    handles = {label: line for panel in axes for line, label in zip(*panel.get_legend_handles_labels(), strict=True)}
-    figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=4, fontsize=9)
+    add_legend(figure, axes)
     trainings = len({row.training for row in rows})
     figure.suptitle(f"Loss of metric learning: means over {trainings} trainings, bands are 95 % intervals", fontsize=11)
     return figure
@@ -262,10 +241,9 @@ def draw_feature_spaces(
 
     window, labels, truth = _draw_swarm(MultiClusterEnv(follow=follow, clusters=clusters, uavs=uavs), seed, 0)
     training = MetaTraining(seed=seed)
-    figure = new_figure(10.5, 9.6)
-    figure.set_layout_engine("constrained")
+    figure, grid = make_panels(10.5, 9.6, 2, 2)
     starts = {"random start": start_of(training), "meta-learned start": load_meta_weights()}
-    for row, (name, before) in zip(figure.subplots(2, 2), starts.items(), strict=True):
+    for row, (name, before) in zip(grid, starts.items(), strict=True):
         after, _ = online_losses(before, window, labels, steps, training)
         for panel, when, parameters in zip(row, ("before", f"after {steps} episodes"), (before, after), strict=True):
             features = partial(gru_features, parameters=parameters)
@@ -277,8 +255,7 @@ def draw_feature_spaces(
             placed = head_in_cluster(truth.head, truth.leader, found.labels)
             _draw_feature_space(panel, found.features, labels, truth.head)
             panel.set_title(f"{name}, {when}\nK-Means: purity {share:.2f}, head-in-cluster {placed:.2f}", fontsize=10)
-    handles, names = panel.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=clusters + 1, fontsize=9)
+    add_legend(figure, [panel], clusters + 1)
     figure.suptitle(f"Feature space of metric learning: {follow}, M = {clusters}, N = {uavs}", fontsize=12)
     return figure
 

@@ -3,51 +3,176 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from detectors.studies.detection_rate import Cell, Row, measure, rate_of, read_rows, tasks_for
+import numpy as np
+
+from detectors.studies.common import FOLLOW, Reproduction, check_detectors, describe_flight, name_flight
 from usnet_env.config import ArgumentError, quote
 from usnet_env.envs import SingleClusterEnv
+from usnet_env.evaluation.report import COLOURS, draw_intervals, format_markdown, group_rows, keep_report, make_panels
 from usnet_env.evaluation.statistics import Interval, rate_interval
-from usnet_env.evaluation.suite import counter, flight_suffix, keep_report
+from usnet_env.evaluation.suite import Game, Suite, read_rows
 from usnet_env.plugins import detector_label, make_detector
+from usnet_env.window import Window
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
     "DETECTORS",
-    "FOLLOW",
+    "FAST",
     "FOLLOWERS",
+    "Cell",
     "Entry",
-    "draw",
-    "entries",
-    "markdown",
-    "paper_rates",
+    "Row",
+    "compare_intervals",
+    "draw_rates",
+    "fill_table",
+    "make_suite",
+    "make_tasks",
+    "parse_cells",
+    "play_games",
+    "rate_of",
+    "read_paper",
+    "report_rates",
     "reproduce",
-    "verdict",
 ]
 
-FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 FOLLOWERS = (2, 3, 5, 10, 15, 20, 25, 30, 40, 50)
-PAPER_RUNS = 1000  # episodes behind each value of the paper
-
 #: The paper's Algorithm 1, a variant of it, and a detector without training, on the same episodes.
 DETECTORS = ("gassl", "neural-granger", "lagged-regression(clusters=1)")
-#: Okabe and Ito's colours, apart for readers who see few colours.
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
+PAPER_RUNS = 1000  # episodes behind each value of the paper
 _FEW, _MANY = 30, 100  # episodes a cell: above 15 followers, and up to 15
+#: Arguments of :func:`reproduce` for a quick look.
+FAST: dict[str, Any] = {
+    "episodes": 10,
+    "cells": ",".join(f"{follow}:{size}" for follow in FOLLOW for size in FOLLOWERS if size <= 15),
+}
+_BATCH_UAVS = 64  # UAVs of the windows that a detector gets at once: small swarms train side by side
 
 
-def paper_rates() -> dict[tuple[str, int], Interval]:
-    """The paper's values with the Wilson intervals of its 1,000 runs, by follow strategy and m."""
-    source = files("detectors.studies") / "data" / "table2_detection_rate.csv"
+@dataclass(frozen=True)
+class Cell:
+    """One detector against one kind of swarm: follow strategy, m followers, decoys, mobility, jitter of the heads."""
+
+    detector: str
+    follow: str
+    followers: int
+    decoys: int = 0
+    mobility: str = "iid"
+    head_jitter: bool = False
+
+    @property
+    def uavs(self) -> int:
+        """N."""
+        return self.followers + 1 + self.decoys
+
+    def make_env(self) -> SingleClusterEnv:
+        """Make its environment."""
+        return SingleClusterEnv(**{field.name: getattr(self, field.name) for field in fields(Cell)[1:]})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row(Cell):
+    """One episode of a cell.
+
+    Args:
+        episode: number of the episode.
+        named: whether there was a candidate.
+        hit: whether the head was the only candidate: J_s = 0.
+        explained: share of the squared velocity that the detector's fit explains, mean over UAVs; NaN without a fit.
+        seconds: time of the batch divided by its number of episodes.
+        batch: first episode and number of episodes that the detector answered together, such as ``42+21``. A detector
+            that is not ``side_by_side`` answers each episode alone: ``43+1`` for episode 43.
+    """
+
+    episode: int
+    named: int
+    hit: int
+    explained: float
+    seconds: float
+    batch: str
+
+
+def make_tasks(cells: Sequence[Cell], episodes: Callable[[Cell], int]) -> list[list[Game[Cell]]]:
+    """Tasks of all cells, the small swarms first.
+
+    A detector that is ``side_by_side`` answers the episodes of a task as one batch, so its answers depend on the batch,
+    and the last batch of a cell depends on the number of episodes. The rows therefore record the batch. The answers of
+    other detectors depend on neither.
+    """
+    tasks: list[list[Game[Cell]]] = []
+    for cell in sorted(cells, key=lambda cell: (cell.uavs, cell.follow)):
+        count, size = episodes(cell), max(1, _BATCH_UAVS // cell.uavs)
+        tasks += [
+            [(cell, episode) for episode in range(first, min(first + size, count))] for first in range(0, count, size)
+        ]
+    return tasks
+
+
+def _make_seed(seed: int, cell: Cell, episode: int, branch: int) -> int:
+    """Seed of an episode's swarm (branch 0) or detector (branch 1); every detector gets the same swarms."""
+    name = int.from_bytes(f"{cell.follow}/{cell.mobility}".encode(), "little")
+    key = (name % 2**61, cell.followers, cell.decoys, int(cell.head_jitter), episode, branch)
+    return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1)[0])
+
+
+def play_games(games: Sequence[Game[Cell]], seed: int) -> list[Row]:
+    """Play consecutive games of one cell."""
+    cell, episodes = games[0][0], [episode for _, episode in games]
+    env, detector = cell.make_env(), make_detector(cell.detector)
+    windows, heads = [], []
+    for episode in episodes:
+        observation, _ = env.reset(seed=_make_seed(seed, cell, episode, 0))
+        windows.append(Window.from_observation(observation))
+        heads.append(env.swarm.head)
+    answer_batch = getattr(detector, "detect_batch", None) if getattr(detector, "side_by_side", False) else None
+    size = len(games) if answer_batch else 1
+    rows: list[Row] = []
+    for first in range(0, len(games), size):
+        batch = windows[first : first + size]
+        detector.reset(_make_seed(seed, cell, episodes[first], 1))
+        begun = time.perf_counter()
+        detections = answer_batch(batch) if answer_batch else [detector.detect(batch[0])]
+        seconds = (time.perf_counter() - begun) / len(batch)
+        rows += [
+            Row(
+                **vars(cell),
+                episode=episodes[first] + number,
+                named=int(detection.candidates.any()),
+                hit=int(np.array_equal(detection.candidates, heads[first + number])),
+                explained=float(np.mean(detection.extras.get("explained", np.nan))),
+                seconds=seconds,
+                batch=f"{episodes[first]}+{len(batch)}",
+            )
+            for number, detection in enumerate(detections)
+        ]
+    return rows
+
+
+def make_suite(seed: int) -> Suite[Cell, Row]:
+    """The suite of a seed. Its rows do not contain the seed, so the name of their file should."""
+    order = ("mobility", "decoys", "follow", "followers", "detector", "episode")
+    return Suite(Cell, Row, partial(play_games, seed=seed), order=order, digits=4)
+
+
+def rate_of(rows: Iterable[Row], what: str = "hit") -> tuple[int, Interval] | None:
+    """Number of episodes and the share with ``what`` (``"hit"`` or ``"named"``), Wilson; ``None`` without a row."""
+    values = [getattr(row, what) for row in rows]
+    return (len(values), rate_interval(values)) if values else None
+
+
+def read_paper() -> dict[tuple[str, int], Interval]:
+    """Read the paper's values, with the Wilson intervals of its 1,000 runs, by follow strategy and m."""
     rates = {}
-    with source.open(encoding="utf-8") as file:
+    with (files("detectors.studies") / "data" / "table2_detection_rate.csv").open(encoding="utf-8") as file:
         for row in csv.DictReader(file):
             hits = round(float(row["detection_rate_percent"]) / 100 * PAPER_RUNS)
             rates[row["ifs"], int(row["followers"])] = rate_interval([1.0] * hits + [0.0] * (PAPER_RUNS - hits))
@@ -88,24 +213,21 @@ class Entry:
     paper: Interval
 
 
-def verdict(entry: Entry) -> str:
+def compare_intervals(entry: Entry) -> str:
     """``above``, ``overlaps`` or ``below``: our 95 % interval against the paper's."""
     if entry.ours.high < entry.paper.low:
         return "below"
     return "above" if entry.ours.low > entry.paper.high else "overlaps"
 
 
-def entries(rows: Sequence[Row]) -> list[Entry]:
+def fill_table(rows: Sequence[Row]) -> list[Entry]:
     """The cells that the rows fill."""
-    paper = paper_rates()
+    groups = group_rows(rows, lambda row: (row.detector, row.follow, row.followers))
     found = []
     for detector in dict.fromkeys(row.detector for row in rows):
-        for (follow, followers), theirs in paper.items():
-            rate = rate_of(
-                row for row in rows if (row.detector, row.follow, row.followers) == (detector, follow, followers)
-            )
-            if rate is not None:
-                found.append(Entry(detector, follow, followers, rate[0], rate[1], theirs))
+        for place, theirs in read_paper().items():
+            if (rate := rate_of(groups.get((detector, *place), ()))) is not None:
+                found.append(Entry(detector, *place, *rate, theirs))
     return found
 
 
@@ -121,7 +243,7 @@ def reproduce(
     seed: int = 2022,
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> tuple[list[Row], Path]:
+) -> Reproduction[Row]:
     """Measure the table's cells; an interrupted measurement continues where it stopped.
 
     Args:
@@ -136,103 +258,78 @@ def reproduce(
         workers: processes.
         progress: called with the episodes done and to do.
 
-    Returns:
-        The rows of these detectors, and the path of the report.
+    Raises:
+        ArgumentError: an argument was refused.
     """
-    for detector in detectors:
-        make_detector(detector).reset(seed)  # a wrong name or argument is refused before anything is measured
-    grid = [Cell(follow, followers, decoys, mobility, head_jitter) for follow, followers in parse_cells(cells)]
+    check_detectors(detectors, seed)
+    grid = [
+        Cell(detector_label(detector), follow, followers, decoys, mobility, head_jitter)
+        for follow, followers in parse_cells(cells)
+        for detector in detectors
+    ]
     for cell in grid:
-        SingleClusterEnv(**asdict(cell))  # a wrong mobility or number of decoys, too
-
-    def count(cell: Cell) -> int:
-        return episodes or (_MANY if cell.followers <= 15 else _FEW)
-
-    tasks = tasks_for([detector_label(detector) for detector in detectors], grid, count)
-    suffix = (f"-decoys{decoys}" if decoys else "") + flight_suffix(mobility, head_jitter)
+        cell.make_env()  # refuses a wrong mobility or number of decoys
+    tasks = make_tasks(grid, lambda cell: episodes or (_MANY if cell.followers <= 15 else _FEW))
+    suffix = (f"-decoys{decoys}" if decoys else "") + name_flight(grid[0])
     path = folder / f"episodes{suffix}-seed{seed}.csv"
-    rows = measure(tasks, seed, path, workers, counter(sum(task.count for task in tasks), progress))
-    table = entries(read_rows(path))  # earlier measurements with the same seed stay in the table
-    title = f"Detection rate, one cluster, {mobility} heads, {decoys} decoy{'s' if decoys != 1 else ''}"
-    keep_report(path, markdown(table, title, with_paper=not suffix), draw(table, title, with_paper=not suffix))
-    return rows, path.with_suffix(".md")
+    rows = make_suite(seed).run(tasks, path, workers=workers, progress=progress)
+    table = fill_table(read_rows(path, Row))  # earlier measurements with the same seed stay in the table
+    title = f"Detection rate, one cluster, {describe_flight(grid[0])}, {decoys} decoy{'s' if decoys != 1 else ''}"
+    text = report_rates(table, title, not suffix)
+    keep_report(path, text, draw_rates(table, title, not suffix))
+    return Reproduction(rows, text)
 
 
 def _percent(value: float) -> str:
     return f"{100 * value:.1f}"
 
 
-def markdown(table: Sequence[Entry], title: str, with_paper: bool) -> str:
+def report_rates(table: Sequence[Entry], title: str, with_paper: bool) -> str:
     """The table in Markdown: one row for each follow strategy and detector; rates in percent."""
     sizes = [size for size in FOLLOWERS if any(entry.followers == size for entry in table)]
-    lines = [
-        f"# {title}",
-        "",
+    lines = []
+    for follow, entries in group_rows(table, lambda entry: entry.follow).items():
+        if with_paper:
+            theirs = {entry.followers: _percent(entry.paper.mean) for entry in entries}
+            lines.append((follow, "paper's table", *(theirs.get(size, "") for size in sizes)))
+        own = {(entry.detector, entry.followers): _format_entry(entry, with_paper) for entry in entries}
+        for detector in dict.fromkeys(entry.detector for entry in table):
+            lines.append((follow, detector, *(own.get((detector, size), "") for size in sizes)))
+    header = ("f", "detector", *(f"m={size}" for size in sizes))
+    what = (
         "Percent of episodes in which the head was the only candidate, with 95 % Wilson intervals and n, the number of "
-        "episodes.",
-        "",
-    ]
-    lines += ["| f | detector | " + " | ".join(f"m={size}" for size in sizes) + " |", "|---|---|" + "---|" * len(sizes)]
-    detectors = list(dict.fromkeys(entry.detector for entry in table))
-    for follow in dict.fromkeys(entry.follow for entry in table):
-        cells = {(entry.detector, entry.followers): entry for entry in table if entry.follow == follow}
-        if with_paper:
-            theirs = {entry.followers: entry.paper for entry in cells.values()}
-            shown_rates = [_percent(theirs[size].mean) if size in theirs else "" for size in sizes]
-            lines.append(f"| {follow} | paper's table | " + " | ".join(shown_rates) + " |")
-        for detector in detectors:
-            texts = []
-            for size in sizes:
-                entry = cells.get((detector, size))
-                if entry is None:
-                    texts.append("")
-                    continue
-                mark = " **below**" if with_paper and verdict(entry) == "below" else ""
-                low, high = _percent(entry.ours.low), _percent(entry.ours.high)
-                texts.append(f"{_percent(entry.ours.mean)} ({low}–{high}; {entry.episodes}){mark}")
-            lines.append(f"| {follow} | {detector} | " + " | ".join(texts) + " |")
-    return "\n".join([*lines, ""])
+        "episodes."
+    )
+    return "\n".join([f"# {title}", "", what, "", *format_markdown(header, lines), ""])
 
 
-def draw(table: Sequence[Entry], title: str, with_paper: bool) -> Figure:
+def _format_entry(entry: Entry, with_paper: bool) -> str:
+    mean, low, high = map(_percent, entry.ours)
+    mark = " **below**" if with_paper and compare_intervals(entry) == "below" else ""
+    return f"{mean} ({low}–{high}; {entry.episodes}){mark}"
+
+
+def draw_rates(table: Sequence[Entry], title: str, with_paper: bool) -> Figure:
     """One panel for each follow strategy: rates against m with 95 % intervals, the paper's as open circles."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    follows = list(dict.fromkeys(entry.follow for entry in table))
     detectors = list(dict.fromkeys(entry.detector for entry in table))
-    colours = {detector: _COLOURS[place % len(_COLOURS)] for place, detector in enumerate(detectors)}
-    figure = Figure(figsize=(13, 6.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(2, 4, sharex=True, sharey=True, squeeze=False).ravel()
-    for axes, follow in zip(grid, follows, strict=False):
+    follows = group_rows(table, lambda entry: entry.follow)
+    figure, grid = make_panels(13, 6.5, 2, 4, sharex=True, sharey=True)
+    for axes, (follow, entries) in zip(grid.ravel(), follows.items(), strict=False):
         for number, detector in enumerate(detectors):
-            own = [entry for entry in table if (entry.follow, entry.detector) == (follow, detector)]
-            places = [FOLLOWERS.index(entry.followers) + 0.18 * (number - len(detectors) / 2 + 0.5) for entry in own]
-            means = [100 * entry.ours.mean for entry in own]
-            ends = [
-                [100 * (entry.ours.mean - entry.ours.low) for entry in own],
-                [100 * (entry.ours.high - entry.ours.mean) for entry in own],
-            ]
-            axes.errorbar(places, means, ends, fmt="o", ms=4, lw=1.2, color=colours[detector], label=detector)
+            shift = 0.18 * (number - len(detectors) / 2 + 0.5)
+            own = {FOLLOWERS.index(each.followers) + shift: each.ours for each in entries if each.detector == detector}
+            color = COLOURS[number % len(COLOURS)]
+            draw_intervals(axes, own, 100, fmt="o", ms=4, lw=1.2, color=color, label=detector)
         if with_paper:
-            theirs = {entry.followers: entry.paper for entry in table if entry.follow == follow}
-            places = [FOLLOWERS.index(size) for size in theirs]
-            axes.plot(
-                places,
-                [100 * rate.mean for rate in theirs.values()],
-                "o",
-                mfc="none",
-                mec="black",
-                ms=9,
-                label="the paper's table (1,000 runs)",
-            )
+            theirs = {FOLLOWERS.index(entry.followers): 100 * entry.paper.mean for entry in entries}
+            label = "the paper's table (1,000 runs)"
+            axes.plot(list(theirs), list(theirs.values()), "o", mfc="none", mec="black", ms=9, label=label)
         axes.set_title(follow)
         axes.set_xticks(range(len(FOLLOWERS)), [str(size) for size in FOLLOWERS])
         axes.grid(alpha=0.3)
-    for axes in grid[len(follows) :]:
+    for axes in grid.ravel()[len(follows) :]:
         axes.set_visible(False)
-    handles, labels = grid[0].get_legend_handles_labels()
+    handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower right", bbox_to_anchor=(0.98, 0.12), fontsize=9)
     figure.supxlabel("followers m")
     figure.supylabel("head is the only candidate, %")

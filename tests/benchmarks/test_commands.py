@@ -175,13 +175,9 @@ def table2_keys(asked: dict[str, Any]) -> set[Key]:
 def rounds_keys(asked: dict[str, Any]) -> set[Key]:
     """The same of `usnet reproduce rounds`."""
     names = [*(asked["detectors"] or rounds_study.DETECTORS), *(() if asked["no_trivial"] else rounds_study.TRIVIAL)]
-    cells = rounds_study.cells_of(asked["studies"] or rounds_study.STUDIES, asked["mobility"], asked["head_jitter"])
-    return {
-        (name, cell.follow, str(cell.clusters), str(cell.uavs), cell.mobility, str(cell.head_jitter), str(episode))
-        for name in names
-        for cell in cells
-        for episode in range(asked["episodes"])
-    }
+    studies = asked["studies"] or rounds_study.STUDIES
+    cells = rounds_study.list_cells(studies, names, asked["mobility"], asked["head_jitter"])
+    return {(*map(str, vars(cell).values()), str(episode)) for cell in cells for episode in range(asked["episodes"])}
 
 
 REPRODUCED = [

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from detectors.studies import detection_rate, metric_learning, purity, rounds
+from detectors.studies import metric_learning, purity, rounds, table2
 from usnet_env import ArgumentError
 from usnet_env.evaluation.store import COLUMNS, RowFile
 from usnet_env.evaluation.table import RowTable, columns_of, read_table
@@ -192,7 +192,7 @@ def test_any_rows_survive_the_file(tmp_path_factory, rows):
 @pytest.mark.parametrize(
     ("folder", "record"),
     [
-        ("table2", detection_rate.Row),
+        ("table2", table2.Row),
         ("purity", purity.Row),
         ("rounds", rounds.Row),
         ("metric_learning", metric_learning.Row),

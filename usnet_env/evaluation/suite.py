@@ -1,167 +1,152 @@
-"""Rows of a long measurement: made on every core, kept in a CSV file as they come, and never made twice."""
+"""Suites: games of many cells, played on several processes and kept in a file of rows; none is played twice."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
-from math import isfinite
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
+
+import gymnasium as gym
 
 from usnet_env.config import ArgumentError
+from usnet_env.envs.play import PlayedRound
+from usnet_env.evaluation.agents import Agent, Answer, as_agent
+from usnet_env.evaluation.episode import episode_seeds, play_agent, warm_up
 from usnet_env.evaluation.errors import EvaluationError
+from usnet_env.evaluation.isolation import IsolatedAgent
 from usnet_env.evaluation.store import RowFile
 from usnet_env.evaluation.table import RowTable, columns_of, read_table
-from usnet_env.files import atomic_write
-from usnet_env.processes import ProcessDied, ProcessPool, SendError
+from usnet_env.plugins import make_detector
+from usnet_env.processes import Limits, ProcessDied, ProcessPool, SendError
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+__all__ = ["Game", "Suite", "list_games", "play_detector", "read_rows", "split_games"]
 
-__all__ = [
-    "Measurement",
-    "counter",
-    "episode_means",
-    "flight_suffix",
-    "keep_report",
-    "measure",
-    "read_rows",
-    "write_rows",
-]
-
+CellT = TypeVar("CellT")
 RowT = TypeVar("RowT")
-TaskT = TypeVar("TaskT")
+
+#: A cell and the number of a game in it. The number gives the seeds, so games of one number meet the same swarm.
+Game = tuple[CellT, int]
 
 
 @dataclass(frozen=True)
-class Measurement(Generic[TaskT, RowT]):
-    """What is measured.
+class Suite(Generic[CellT, RowT]):
+    """What is played, and what is kept of it.
 
     Args:
-        row: the class of its rows, a frozen dataclass of ``int``, ``float``, ``str`` and ``bool``.
-        play: gives the rows of a task. Other processes must be able to import it: a function of a module, or a
-            ``partial`` of one.
-        keys: what tells the rows of a task from all others, in their order.
-        key: the same of a row.
-        order: what the rows of a file are sorted by.
+        cell: the class of the cells, a frozen dataclass: a detector and the arguments of an environment, for example.
+        row: the class of the rows, a frozen dataclass of ``int``, ``float``, ``str`` and ``bool``: the fields of the
+            cell, the number of the game, and what was measured. It may derive from the class of the cells.
+        play: plays games, and returns the row of each. Other processes must be able to import it: a function of a
+            module, or a ``partial`` of one.
+        number: the field of a row that has the number of its game.
+        order: fields by which the rows of a complete file are sorted; none: they stay as they were played.
+        digits: decimals of ``float``; ``None``: as many as are needed to read the same value again.
     """
 
+    cell: type[CellT]
     row: type[RowT]
-    play: Callable[[TaskT], list[RowT]]
-    keys: Callable[[TaskT], Sequence[Hashable]]
-    key: Callable[[RowT], Hashable]
-    order: Callable[[RowT], Any]
+    play: Callable[[Sequence[Game[CellT]]], Iterable[RowT]]
+    number: str = "episode"
+    order: tuple[str, ...] = ()
+    digits: int | None = None
+
+    def run(
+        self,
+        tasks: Sequence[Sequence[Game[CellT]]],
+        path: Path,
+        *,
+        workers: int = 1,
+        progress: Callable[[int, int], None] = lambda done, total: None,
+    ) -> list[RowT]:
+        """Play all tasks of which ``path`` lacks a row; rows are written as they come.
+
+        Args:
+            tasks: games that one process plays in one go, as :func:`split_games` returns them.
+            path: CSV file of the rows. Its name should hold whatever its rows do not say, such as the seed.
+            workers: number of processes; the rows are the same for any number of them, seconds apart.
+            progress: called with the number of games that are done, and of all games.
+
+        Returns:
+            The rows of the tasks, in their order.
+
+        Raises:
+            ArgumentError: another process writes the same file, its folder was removed, or it holds other rows.
+            EvaluationError: a task ended its process; the message names it. Rows that were finished are kept.
+        """
+        wanted = [self._key_of_game(game) for task in tasks for game in task]
+        with self._open(path) as file:
+            rows = {self._key(row): row for row in _records(file.table, self.row)}
+            todo = [task for task in tasks if any(self._key_of_game(game) not in rows for game in task)]
+            done = len(set(wanted) & rows.keys())
+            progress(done, len(wanted))
+            with closing(_played(self.play, todo, workers)) as played:
+                for made in played:
+                    fresh = {self._key(row): row for row in made if self._key(row) not in rows}
+                    rows.update(fresh)
+                    file.append(map(vars, fresh.values()))
+                    done += len(fresh)
+                    progress(done, len(wanted))
+            if self.order:
+                file.sort(self._sorted)
+        return [rows[key] for key in wanted]
+
+    def _key(self, row: RowT) -> Hashable:
+        """What tells a row from all others: its cell and number."""
+        return (*(getattr(row, field.name) for field in fields(cast(Any, self.cell))), getattr(row, self.number))
+
+    @staticmethod
+    def _key_of_game(game: Game[CellT]) -> Hashable:
+        return (*vars(game[0]).values(), game[1])
+
+    def _sorted(self, table: RowTable) -> list[int]:
+        keys = list(zip(*(table.column(name).tolist() for name in self.order), strict=True))
+        return sorted(range(len(keys)), key=keys.__getitem__)
+
+    def _open(self, path: Path) -> RowFile:
+        try:
+            return RowFile(path, columns_of(self.row), digits=self.digits)
+        except ArgumentError:
+            raise
+        except ValueError:
+            raise _other_rows(path) from None
 
 
-def measure(
-    what: Measurement[TaskT, RowT],
-    tasks: Sequence[TaskT],
-    path: Path,
-    workers: int,
-    advance: Callable[[int], None] = lambda rows: None,
-) -> list[RowT]:
-    """Play all tasks that ``path`` does not hold yet; rows are written as they come.
+def list_games(cells: Sequence[CellT], games: int | Callable[[CellT], int], first: int = 0) -> list[list[Game[CellT]]]:
+    """List the games of all cells, cell by cell, each as a task of its own.
 
     Args:
-        what: the measurement.
-        tasks: what there is to play.
-        path: the CSV of rows. It grows as they come and is sorted at the end. Its name should hold whatever its rows do
-            not say, such as the seed.
-        workers: processes; the rows are the same for any number of them, seconds apart.
-        advance: called with the number of rows that are newly done.
-
-    Returns:
-        The rows of the tasks, in their order.
-
-    Raises:
-        ArgumentError: another process measures into the same file, or its folder was removed.
-        EvaluationError: a task ended its process; the message names it. Rows that were finished are kept.
+        cells: the cells.
+        games: number of games of each cell, or a function that returns it.
+        first: number of the first game.
     """
-    wanted = [key for task in tasks for key in what.keys(task)]
-    with _open_rows(path, what.row) as file:
-        rows = {what.key(row): row for row in _records(file.table, what.row)}
-        todo = [task for task in tasks if any(key not in rows for key in what.keys(task))]
-        advance(len(set(wanted) & rows.keys()))
-        with closing(_played(what.play, todo, workers)) as played:
-            for done in played:
-                fresh = {what.key(row): row for row in done if what.key(row) not in rows}
-                rows.update(fresh)
-                file.append(map(vars, fresh.values()))
-                advance(len(fresh))
-
-        def order(table: RowTable) -> list[int]:
-            keys = [what.order(row) for row in _records(table, what.row)]
-            return sorted(range(len(keys)), key=keys.__getitem__)
-
-        file.sort(order)
-    return [rows[key] for key in wanted]
+    return [
+        [(cell, number)]
+        for cell in cells
+        for number in range(first, first + (games(cell) if callable(games) else games))
+    ]
 
 
-def _played(
-    play: Callable[[TaskT], list[RowT]], tasks: Sequence[TaskT], workers: int
-) -> Generator[list[RowT], None, None]:
-    """Play the tasks in this process if there is one worker or task, else in others."""
-    if workers == 1 or len(tasks) < 2:
-        for task in tasks:
-            try:
-                yield play(task)
-            except SystemExit as error:
-                raise _failure(task, error) from error
-        return
-    with ProcessPool[TaskT, list[RowT]](play, min(workers, len(tasks))) as pool:
-        try:
-            for outcome in pool.run(tasks):
-                if isinstance(outcome.error, Exception) and not isinstance(outcome.error, ProcessDied):
-                    raise outcome.error
-                if outcome.error is not None:
-                    raise _failure(outcome.task, outcome.error)
-                yield cast("list[RowT]", outcome.result)
-        except SendError as error:
-            raise EvaluationError(
-                f"{error}. A worker process imports the script that started it, so a script must start a measurement "
-                'in a block that begins with `if __name__ == "__main__":`.'
-            ) from None
+def split_games(cells: Sequence[CellT], games: int, size: int) -> list[list[Game[CellT]]]:
+    """Split the games of all cells into tasks, the first games of all cells first.
 
+    An interruption then leaves all cells equally full.
 
-def _failure(task: object, error: BaseException) -> EvaluationError:
-    """The error for a task that ended its process; one sentence with the task."""
-    reason = error.reason if isinstance(error, ProcessDied) else f"{type(error).__name__}: {error}"
-    return EvaluationError(f"{' '.join(repr(task).split())} failed: {reason}.")
-
-
-def counter(total: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
-    """An ``advance`` for :func:`measure` that calls ``progress`` with the rows done and to do."""
-    done = 0
-
-    def advance(more: int) -> None:
-        nonlocal done
-        done += more
-        progress(done, total)
-
-    return advance
-
-
-def _records(table: RowTable, kind: type[RowT]) -> list[RowT]:
-    return [kind(**row) for row in table]
-
-
-def _open_rows(path: Path, kind: type[RowT]) -> RowFile:
-    """Open a file of rows to append to; floats have four decimals."""
-    try:
-        return RowFile(path, columns_of(kind), digits=4)
-    except ArgumentError:
-        raise
-    except ValueError:
-        raise _other_rows(path) from None
-
-
-def _other_rows(path: Path) -> ArgumentError:
-    return ArgumentError(f"out must hold rows of this measurement, got something else in {path.name!r}.")
+    Args:
+        cells: the cells.
+        games: number of games of each cell.
+        size: number of games of one task. An interruption loses at most those of the tasks that are being played.
+    """
+    return [
+        [(cell, number) for number in range(first, min(first + size, games))]
+        for first in range(0, games, size)
+        for cell in cells
+    ]
 
 
 def read_rows(path: Path, kind: type[RowT]) -> list[RowT]:
-    """The rows of a file; none if there is no file.
+    """Read the rows of a file; none if there is no file.
 
     Raises:
         ArgumentError: the file holds something else.
@@ -172,34 +157,68 @@ def read_rows(path: Path, kind: type[RowT]) -> list[RowT]:
         raise _other_rows(path) from None
 
 
-def write_rows(path: Path, rows: Iterable[RowT], kind: type[RowT], order: Callable[[RowT], Any]) -> None:
-    """Write the rows, sorted, so that the file is there in full or as it was; floats have four decimals."""
-    table = RowTable(columns_of(kind), map(vars, sorted(rows, key=order)))
-    with atomic_write(path) as aside:
-        aside.write_text(",".join(table.columns) + "\n" + table.format_csv(digits=4), encoding="utf-8", newline="")
+def _records(table: RowTable, kind: type[RowT]) -> list[RowT]:
+    return [kind(**row) for row in table]
 
 
-def flight_suffix(mobility: str, head_jitter: bool) -> str:
-    """What the name of a file says of how heads fly; nothing for the paper's heads."""
-    return (f"-{mobility}" if mobility != "iid" else "") + ("-jitter" if head_jitter else "")
+def _other_rows(path: Path) -> ArgumentError:
+    return ArgumentError(f"out must hold rows of this measurement, got something else in {path.name!r}.")
 
 
-def keep_report(path: Path, markdown: str, picture: Figure) -> None:
-    """Keep table and picture of a measurement beside its rows, as ``.md`` and ``.png``, each whole or as it was."""
-    with atomic_write(path.with_suffix(".md")) as aside:
-        aside.write_text(markdown, encoding="utf-8")
-    with atomic_write(path.with_suffix(".png")) as aside:
-        picture.savefig(aside, format="png", dpi=100)
+def _played(
+    play: Callable[[Sequence[Game[CellT]]], Iterable[RowT]], tasks: Sequence[Sequence[Game[CellT]]], workers: int
+) -> Generator[list[RowT], None, None]:
+    """Play the tasks in this process if there is one worker or task, else in others."""
+    if workers == 1 or len(tasks) < 2:
+        for task in tasks:
+            try:
+                yield list(play(task))
+            except SystemExit as error:
+                raise _failure(task, error) from error
+        return
+    with ProcessPool[Sequence[Game[CellT]], Iterable[RowT]](play, min(workers, len(tasks))) as pool:
+        try:
+            for outcome in pool.run(tasks):
+                if isinstance(outcome.error, Exception) and not isinstance(outcome.error, ProcessDied):
+                    raise outcome.error
+                if outcome.error is not None:
+                    raise _failure(outcome.task, outcome.error)
+                yield list(cast(Iterable[RowT], outcome.result))
+        except SendError as error:
+            raise EvaluationError(
+                f"{error}. A worker process imports the script that started it, so a script must start a suite "
+                'in a block that begins with `if __name__ == "__main__":`.'
+            ) from None
 
 
-def episode_means(rows: Iterable[Any], field: str) -> list[float]:
-    """Mean of a field over the rows of each episode, NaN left out.
+def _failure(task: Sequence[Game[Any]], error: BaseException) -> EvaluationError:
+    """The error for a task that ended its process; one sentence with its first game."""
+    cell, number = task[0]
+    reason = error.reason if isinstance(error, ProcessDied) else f"{type(error).__name__}: {error}"
+    return EvaluationError(f"Game {number} of {' '.join(repr(cell).split())} failed: {reason}.")
 
-    Cells share the seed of an episode and so its chances: their rows are no independent sample, these means are.
+
+_agents: dict[tuple[str, bool], Agent] = {}  # of this process
+
+
+def play_detector(
+    env: gym.Env[Any, Any], detector: str, seed: int, episode: int, isolate: bool = True
+) -> list[PlayedRound[Answer]]:
+    """Play the episode that :func:`usnet_env.evaluate` plays with the same seed and without a secret.
+
+    Args:
+        env: a USNET environment.
+        detector: a name as :func:`usnet_env.make_detector` takes it. Each process makes one detector of a name, which
+            answers a window before anything is timed.
+        seed: seed of all episodes.
+        episode: number of the episode.
+        isolate: play the detector in a process of its own, which never holds an environment.
+
+    Raises:
+        EvaluationError: the detector failed.
     """
-    values: dict[int, list[float]] = {}
-    for row in rows:
-        value = float(getattr(row, field))
-        if isfinite(value):
-            values.setdefault(row.episode, []).append(value)
-    return [sum(own) / len(own) for own in values.values()]
+    if (detector, isolate) not in _agents:
+        agent = IsolatedAgent(detector, Limits()) if isolate else as_agent(make_detector(detector))
+        warm_up(env, agent, detector, episode_seeds(seed, 0)[0])
+        _agents[detector, isolate] = agent
+    return play_agent(env, _agents[detector, isolate], detector, episode, episode_seeds(seed, episode))

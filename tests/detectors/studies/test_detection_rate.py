@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from detectors import Detector
-from detectors.studies import detection_rate, table2
-from detectors.studies.detection_rate import Cell, measure, play, rate_of, read_rows, tasks_for, write_rows
+from detectors.studies import table2
+from detectors.studies.table2 import Cell, Row, make_suite, make_tasks, play_games, rate_of
 from usnet_env import ArgumentError, Detection, make_detector
+from usnet_env.evaluation.suite import read_rows
 
 HERE = __name__
-CELLS = [Cell("f1", 2), Cell("f4", 5, decoys=1)]
+SWARMS = [("f1", 2), ("f4", 5, 1)]  # follow strategy, followers, decoys
 NAMES = ["lagged-regression(clusters=1)", "destroy-all"]
 
 
@@ -38,8 +39,12 @@ class Apart(Together):
     side_by_side = False
 
 
-def tasks(episodes=30):
-    return tasks_for(NAMES, CELLS, lambda cell: episodes)
+def tasks(episodes=30, names=NAMES, swarms=SWARMS):
+    return make_tasks([Cell(name, *swarm) for swarm in swarms for name in names], lambda cell: episodes)
+
+
+def measure(games, seed, path, workers=1, progress=lambda done, total: None):
+    return make_suite(seed).run(games, path, workers=workers, progress=progress)
 
 
 def plain(rows):
@@ -48,10 +53,9 @@ def plain(rows):
 
 
 def test_batches_do_not_depend_on_how_many_episodes_are_asked_for():
-    few, many = tasks_for(NAMES, CELLS, lambda cell: 25), tasks_for(NAMES, CELLS, lambda cell: 90)
-    starts = {(task.detector, task.cell, task.first) for task in many}
-    assert {(task.detector, task.cell, task.first) for task in few} <= starts
-    assert sum(task.count for task in few) == 25 * 4
+    few, many = tasks(25), tasks(90)
+    assert {task[0] for task in few} <= {task[0] for task in many}
+    assert sum(map(len, few)) == 25 * 4
 
 
 def test_rows_are_the_same_on_any_number_of_workers(tmp_path):
@@ -62,7 +66,7 @@ def test_rows_are_the_same_on_any_number_of_workers(tmp_path):
 
 
 def test_another_seed_is_another_measurement(tmp_path):
-    chance = tasks_for(["random"], CELLS, lambda cell: 60)
+    chance = tasks(60, ["random"])
     one, again, other = (
         [row.hit for row in measure(chance, seed, tmp_path / f"{number}.csv", 1)]
         for number, seed in enumerate((7, 7, 8))
@@ -85,32 +89,30 @@ def test_an_interrupted_measurement_goes_on_without_repeating(tmp_path, monkeypa
     path = tmp_path / "rows.csv"
     played = []
 
-    def stops(task, seed):
+    def stops(games, seed):
         if len(played) == 3:
             raise KeyboardInterrupt
-        played.append(task)
-        return play(task, seed)
+        played.append(games)
+        return play_games(games, seed)
 
-    monkeypatch.setattr(detection_rate, "play", stops)
+    monkeypatch.setattr(table2, "play_games", stops)
     with pytest.raises(KeyboardInterrupt):
         measure(tasks(), 7, path, 1)
-    kept = len(read_rows(path))
-    assert kept == sum(task.count for task in played)
+    kept = len(read_rows(path, Row))
+    assert kept == sum(map(len, played))
     again = []
-    monkeypatch.setattr(detection_rate, "play", lambda task, seed: again.append(task) or play(task, seed))
+    monkeypatch.setattr(table2, "play_games", lambda games, seed: again.append(games) or play_games(games, seed))
     counted = []
-    rows = measure(tasks(), 7, path, 1, counted.append)
-    assert not set(played) & set(again)
-    assert counted[0] == kept
-    assert sum(counted) == 120
+    rows = measure(tasks(), 7, path, 1, lambda *count: counted.append(count))
+    assert not [games for games in again if games in played]
+    assert (counted[0], counted[-1]) == ((kept, 120), (120, 120))
     assert plain(rows) == plain(measure(tasks(), 7, tmp_path / "whole.csv", 1))
 
 
 def test_rows_survive_the_file(tmp_path):
     rows = measure(tasks(5), 7, tmp_path / "rows.csv", 1)
-    write_rows(tmp_path / "copy.csv", rows)
-    assert set(plain(read_rows(tmp_path / "copy.csv"))) == set(plain(rows))
-    assert read_rows(tmp_path / "none.csv") == []
+    assert set(plain(read_rows(tmp_path / "rows.csv", Row))) == set(plain(rows))
+    assert read_rows(tmp_path / "none.csv", Row) == []
     assert not list(tmp_path.glob(".*"))
 
 
@@ -120,47 +122,49 @@ def test_another_file_is_refused(tmp_path, text):
     with pytest.raises(
         ArgumentError, match=r"out must hold rows of this measurement, got something else in 'rows.csv'"
     ):
-        read_rows(tmp_path / "rows.csv")
+        read_rows(tmp_path / "rows.csv", Row)
 
 
 def test_every_detector_meets_the_same_swarms(tmp_path):
     """Seeds of swarms depend on the cell and the episode, not on the detector; those of detectors differ from them."""
-    seeds = [detection_rate._seeds(7, CELLS[0], episode, 0) for episode in range(50)]
+    here, there = (Cell(NAMES[0], *swarm) for swarm in SWARMS)
+    seeds = [table2._make_seed(7, here, episode, 0) for episode in range(50)]
+    assert seeds == [table2._make_seed(7, replace(here, detector=NAMES[1]), episode, 0) for episode in range(50)]
     assert len(set(seeds)) == 50
-    assert not set(seeds) & {detection_rate._seeds(7, CELLS[0], episode, 1) for episode in range(50)}
-    assert not set(seeds) & {detection_rate._seeds(7, CELLS[1], episode, 0) for episode in range(50)}
+    assert not set(seeds) & {table2._make_seed(7, here, episode, 1) for episode in range(50)}
+    assert not set(seeds) & {table2._make_seed(7, there, episode, 0) for episode in range(50)}
 
 
 def test_a_fit_s_explained_share_is_kept(tmp_path):
     small = "gassl(steps=3)"
-    rows = measure(tasks_for([small], CELLS[:1], lambda cell: 3), 7, tmp_path / "rows.csv", 1)
+    rows = measure(tasks(3, [small], SWARMS[:1]), 7, tmp_path / "rows.csv", 1)
     assert np.isfinite([row.explained for row in rows]).all()
     with (tmp_path / "rows.csv").open(encoding="utf-8", newline="") as file:
         assert {row["detector"] for row in csv.DictReader(file)} == {small}
 
 
 def test_a_detector_that_is_side_by_side_gets_batches_which_its_rows_record(tmp_path):
-    cell = Cell("f1", 2)  # 3 UAVs: 64 // 3 = 21 windows in a batch
-    rows = measure(tasks_for([f"{HERE}:Together"], [cell], lambda cell: 50), 7, tmp_path / "rows.csv", 1)
+    # 3 UAVs: 64 // 3 = 21 windows in a batch
+    rows = measure(tasks(50, [f"{HERE}:Together"], [("f1", 2)]), 7, tmp_path / "rows.csv", 1)
     assert [row.episode for row in rows] == list(range(50))
     assert [row.batch for row in rows] == ["0+21"] * 21 + ["21+21"] * 21 + ["42+8"] * 8
     assert [row.explained for row in rows] == [float(row.batch.partition("+")[2]) for row in rows]
-    assert {row.batch for row in read_rows(tmp_path / "rows.csv")} == {"0+21", "21+21", "42+8"}
+    assert {row.batch for row in read_rows(tmp_path / "rows.csv", Row)} == {"0+21", "21+21", "42+8"}
 
 
 def test_any_other_detector_answers_each_episode_alone(tmp_path):
     names = [f"{HERE}:Apart", "random"]
-    rows = measure(tasks_for(names, [Cell("f1", 2)], lambda cell: 25), 7, tmp_path / "rows.csv", 1)
+    rows = measure(tasks(25, names, [("f1", 2)]), 7, tmp_path / "rows.csv", 1)
     assert [row.batch for row in rows] == [f"{episode}+1" for episode in range(25)] * 2
     assert {row.explained for row in rows if row.detector == names[0]} == {1.0}
 
 
 def test_answers_do_not_depend_on_how_many_episodes_are_asked_for(tmp_path):
     """That of a detector that is side_by_side may, in the last batch, which its rows show."""
-    cell, names = Cell("f1", 20), ["random", "gassl(steps=2)", f"{HERE}:Together"]
+    names = ["random", "gassl(steps=2)", f"{HERE}:Together"]
 
     def answers(episodes):
-        rows = measure(tasks_for(names, [cell], lambda cell: episodes), 7, tmp_path / f"{episodes}.csv", 1)
+        rows = measure(tasks(episodes, names, [("f1", 20)]), 7, tmp_path / f"{episodes}.csv", 1)
         return {(row.detector, row.episode): (row.hit, row.named, row.explained, row.batch) for row in rows}
 
     few, many = answers(4), answers(11)

@@ -8,12 +8,13 @@ import pytest
 
 from detectors.gassl import Gassl
 from detectors.mc_gassl import McGassl
-from detectors.studies import example, figures, metric_learning, purity, purity_report
+from detectors.studies import example, figures, metric_learning, purity
 from detectors.studies.figures import FIGURES, Settings, make_figures, write_figure
 from usnet_env import ArgumentError, make_detector
 from usnet_env.cli import main
 from usnet_env.drawing import MissingExtraError, new_figure
-from usnet_env.evaluation.suite import write_rows
+from usnet_env.evaluation.store import RowFile
+from usnet_env.evaluation.table import columns_of
 
 NAMES = {
     "detection-rates",
@@ -30,7 +31,7 @@ NAMES = {
 
 def write_losses(folder):
     rows = [
-        metric_learning.Row(training, start, follow, step, 0.5 / (step + 1) + 0.1 * training)
+        metric_learning.Row(training, start, follow, step=step, loss=0.5 / (step + 1) + 0.1 * training)
         for training in range(2)
         for start in metric_learning.STARTS
         for follow in ("", "f1")
@@ -38,14 +39,15 @@ def write_losses(folder):
         if (start, follow) != ("random", "")
     ]
     path = folder / "metric_learning" / "losses-F30-E1000-seed5.csv"
-    write_rows(path, rows, metric_learning.Row, lambda row: (row.training, row.start, row.follow, row.step))
+    with RowFile(path, columns_of(metric_learning.Row), digits=4) as file:
+        file.append(map(vars, rows))
 
 
 def purity_rows(**values):
     methods = [purity.Method("kmeans", features, "given") for features in ("raw", "scaled", "gru-single")]
     return [
         purity.Row(
-            method.clusterer, method.features, method.count, follow, 5, 82, "iid", False, episode,
+            **vars(method), follow=follow, episode=episode,
             **{"found": 5, "purity": 0.5, "head_in_cluster": 0.25, "seconds": 0.1} | values,
         )
         for method in methods
@@ -134,7 +136,7 @@ def test_figures_of_attention_share_one_answer(tmp_path, monkeypatch):
 
 
 def test_purity_is_drawn_for_every_strategy():
-    figure = purity_report.draw_strategies(purity_rows(), "title")
+    figure = purity.draw_strategies(purity_rows(), "title")
     axes = figure.axes[0]
     assert [tick.get_text() for tick in axes.get_xticklabels()] == ["f1", "f2", "all"]
     assert [bars.get_label() for bars in axes.containers] == [
@@ -145,14 +147,14 @@ def test_purity_is_drawn_for_every_strategy():
     assert list(axes.containers[0].lines[0].get_ydata()) == pytest.approx([0.5, 0.5, 0.5])
     estimated = [row for row in purity_rows() if row.count != "given"]
     with pytest.raises(ArgumentError, match="rows must hold"):
-        purity_report.draw_strategies(estimated, "title")
+        purity.draw_strategies(estimated, "title")
 
 
 def test_the_example_is_the_first_episode_of_the_rounds():
-    from detectors.studies.rounds import Cell, Task, play
+    from detectors.studies.rounds import Cell, play_games
 
     record = example.play_example("lagged-regression", 7, clusters=3, uavs=24)
-    (row,) = play(Task("lagged-regression", Cell("f1", 3, 24), 0, 1), 7)
+    (row,) = play_games([(Cell("lagged-regression", "f1", 3, 24), 0)], 7)
     assert record.rounds == row.rounds
     assert record.objective[-1] == pytest.approx(row.J)
     assert record.attention.shape == (record.rounds, 24, 24)

@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 
 from detectors.studies import metric_learning
-from detectors.studies.metric_learning import Row, collect_curves, compute_interval, format_markdown
+from detectors.studies.common import FOLLOW
+from detectors.studies.metric_learning import Row, collect_curves, compute_interval, report_losses
 from usnet_env import ArgumentError
 
 SMALL = {"trainings": 2, "strategies": 1, "episodes": 3, "steps": 2}
@@ -14,7 +15,7 @@ SMALL = {"trainings": 2, "strategies": 1, "episodes": 3, "steps": 2}
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("losses")
-    return folder, metric_learning.measure_losses(folder, **SMALL, seed=7)
+    return folder, metric_learning.reproduce(folder, **SMALL, seed=7).rows
 
 
 def test_every_start_has_its_losses(made):
@@ -25,7 +26,7 @@ def test_every_start_has_its_losses(made):
             mine = [row for row in rows if (row.start, row.training) == (start, training)]
             assert sum(row.follow == "" for row in mine) == offline
             assert sorted((row.follow, row.step) for row in mine if row.follow) == [
-                (follow, step) for follow in metric_learning.FOLLOW for step in range(2)
+                (follow, step) for follow in FOLLOW for step in range(2)
             ]
     assert all(np.isfinite(row.loss) and row.loss >= 0 for row in rows)
     assert {path.suffix for path in folder.iterdir()} == {".csv", ".md", ".png"}
@@ -38,14 +39,14 @@ def test_it_goes_on_where_it_stopped(made, tmp_path):
     name = next(path.name for path in folder.iterdir() if path.suffix == ".csv")
     whole = (folder / name).read_text().splitlines(keepends=True)
     (tmp_path / name).write_text("".join(whole[: len(whole) // 2]))
-    again = metric_learning.measure_losses(tmp_path, **SMALL, seed=7)
+    again = metric_learning.reproduce(tmp_path, **SMALL, seed=7).rows
     assert [row.loss for row in again] == pytest.approx([row.loss for row in rows], abs=6e-5)  # four digits are kept
     assert (tmp_path / name).read_text().splitlines(keepends=True) == whole
 
 
 def test_curves_and_intervals_are_over_strategies_and_trainings():
     rows = [
-        Row(training, "meta", follow, step, 10.0 * training + step + bonus)
+        Row(training, "meta", follow, step=step, loss=10.0 * training + step + bonus)
         for training in range(3)
         for follow, bonus in (("f1", 0.0), ("f2", 1.0))
         for step in range(2)
@@ -60,14 +61,14 @@ def test_curves_and_intervals_are_over_strategies_and_trainings():
 
 
 def test_the_table_names_every_start_and_the_difference(made):
-    text = format_markdown(made[1])
+    text = report_losses(made[1])
     assert [line.split(" | ")[0] for line in text.splitlines()[2:5]] == ["| random", "| joint", "| meta"]
     assert "Meta minus joint" in text
 
 
 def test_one_training_has_no_interval(tmp_path):
     with pytest.raises(ArgumentError, match="trainings must be at least 2"):
-        metric_learning.measure_losses(tmp_path, **{**SMALL, "trainings": 1})
+        metric_learning.reproduce(tmp_path, **{**SMALL, "trainings": 1})
 
 
 def test_losses_are_drawn_off_line_and_on_line(made):

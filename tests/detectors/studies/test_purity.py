@@ -5,19 +5,21 @@ from dataclasses import asdict, replace
 import pytest
 
 from detectors.clustering import clusterers
-from detectors.studies import purity, purity_report
-from detectors.studies.purity import CLUSTERERS, FEATURES, Method, Row, Task, cluster_windows, list_methods, reproduce
-from detectors.studies.rounds import Cell
+from detectors.studies import purity
+from detectors.studies.purity import CLUSTERERS, FEATURES, Cell, Method, Row, cluster_windows, list_methods, reproduce
 from usnet_env import ArgumentError
 from usnet_env.evaluation.suite import read_rows
 
-CELL = Cell("f1", clusters=3, uavs=30)
 PLAIN = FEATURES[:3]
 
 
 def row(method, follow="f1", episode=0, **more):
     values = {"found": 5, "purity": 0.5, "head_in_cluster": 0.25, "seconds": 0.1} | more
-    return Row(method.clusterer, method.features, method.count, follow, 5, 82, "iid", False, episode, **values)
+    return Row(**vars(method), follow=follow, episode=episode, **values)
+
+
+def cluster(method, episodes, **swarm):
+    return cluster_windows([(Cell(**vars(method), **swarm), episode) for episode in range(episodes)], 7)
 
 
 def test_every_clusterer_takes_part():
@@ -51,16 +53,16 @@ def test_features_of_a_network_that_is_not_there_are_refused(monkeypatch):
 @pytest.mark.skipif(not purity._has_gru(), reason="needs PyTorch")
 def test_features_of_the_network_are_clustered_as_others_are():
     for features in FEATURES[3:]:
-        (made,) = cluster_windows(Task(Method("kmeans", features, "given"), CELL, 0, 1), 7)
+        (made,) = cluster(Method("kmeans", features, "given"), 1, clusters=3, uavs=30)
         assert made.found == 3
         assert 1 / 3 < made.purity <= 1.0
 
 
 @pytest.mark.parametrize("method", list_methods(features=PLAIN), ids=lambda method: "-".join(asdict(method).values()))
 def test_every_method_clusters_a_small_swarm(method):
-    for made in cluster_windows(Task(method, CELL, 0, 2), 7):
+    for made in cluster(method, 2, clusters=3, uavs=30):
         assert made.method == method
-        assert made.cell == CELL
+        assert (made.follow, made.clusters, made.uavs) == ("f1", 3, 30)
         assert 0 < made.purity <= 1
         assert 0 <= made.head_in_cluster <= 1
         if method.count == "given":
@@ -70,7 +72,7 @@ def test_every_method_clusters_a_small_swarm(method):
 def test_known_cases_differ():
     """Lagged votes place all UAVs; metres alone do not; a correlation without lags misplaces the heads."""
     rows = {
-        name: cluster_windows(Task(Method(*name.split("/")), Cell("f1"), 0, 3), 7)
+        name: cluster(Method(*name.split("/")), 3)
         for name in ("lead-votes/velocities/given", "kmeans/raw/given", "kmeans/velocities/given")
     }
     lead, metres, unlagged = rows.values()
@@ -86,10 +88,12 @@ def test_a_measurement_goes_on_and_makes_tables_and_a_picture(tmp_path, monkeypa
     reproduce(tmp_path, follow=["f1"], episodes=5, **small)
     path, played, seen = tmp_path / "purity-M2N14-seed5.csv", [], []
     monkeypatch.setattr(
-        purity, "cluster_windows", lambda task, seed: played.append(task) or cluster_windows(task, seed)
+        purity, "cluster_windows", lambda games, seed: played.extend(games) or cluster_windows(games, seed)
     )
-    rows = reproduce(tmp_path, follow=["f1", "f4"], episodes=5, progress=lambda *count: seen.append(count), **small)
-    assert {task.cell.follow for task in played} == {"f4"}
+    rows = reproduce(
+        tmp_path, follow=["f1", "f4"], episodes=5, progress=lambda *count: seen.append(count), **small
+    ).rows
+    assert {cell.follow for cell, _ in played} == {"f4"}
     assert seen[0] == (25, 50)
     assert seen[-1] == (50, 50)
     assert len(rows) == len(read_rows(path, Row)) == 50
@@ -103,7 +107,7 @@ def test_a_measurement_goes_on_and_makes_tables_and_a_picture(tmp_path, monkeypa
 @pytest.mark.slow
 def test_rows_are_the_same_on_two_processes(tmp_path):
     arguments = {"follow": ["f1"], "methods": list_methods(["kmeans"], ["raw"]), "episodes": 12}
-    one, two = (reproduce(tmp_path / str(workers), workers=workers, **arguments) for workers in (1, 2))
+    one, two = (reproduce(tmp_path / str(workers), workers=workers, **arguments).rows for workers in (1, 2))
     assert [replace(made, seconds=0) for made in one] == [replace(made, seconds=0) for made in two]
     assert len({made.purity for made in one}) > 5
 
@@ -127,8 +131,8 @@ def test_bad_arguments_leave_nothing_behind(tmp_path, arguments, said):
 def test_tables_hold_means_and_leave_out_missing_rows():
     good, part = Method("spectral", "raw", "given"), Method("kmeans", "raw", "given")
     rows = [row(good, "f1", purity=1.0), row(good, "f2", purity=0.0), row(part, "f2")]
-    table = purity_report.format_markdown(rows, "title")
+    table = purity.report_methods(rows, "title")
     assert "| spectral | given | raw | 2 | 0.50 (0.50–0.50) | 1.00 (1.00–1.00) | 0.00 (0.00–0.00) |" in table
     assert "| kmeans | given | raw | 1 | 0.50 (0.50–0.50) |  | 0.50 (0.50–0.50) |" in table
     assert "estimated" not in table.partition("## ")[2]
-    assert len(purity_report.draw_methods(rows, "title").axes) == 2
+    assert len(purity.draw_methods(rows, "title").axes) == 2

@@ -6,22 +6,21 @@ import numpy as np
 import pytest
 
 import usnet_env
-from detectors.studies import rounds, rounds_report
-from detectors.studies.rounds import STUDIES, Cell, Row, Task, cells_of, play, reproduce, tasks_for
+from detectors.studies import rounds
+from detectors.studies.rounds import STUDIES, Cell, Row, list_cells, play_games, reproduce
 from usnet_env import ArgumentError
 from usnet_env.evaluation import TRIVIAL
-from usnet_env.evaluation.suite import read_rows
+from usnet_env.evaluation.suite import Suite, read_rows, split_games
 
 QUICK = "lagged-correlation"
-SMALL = Cell("f1", clusters=2, uavs=14)
+SMALL = ("f1", 2, 14)
 
 
 @pytest.fixture
 def small_studies(monkeypatch):
     """Studies of small swarms, in which everything is as in large ones but quick."""
     small = {"follow": (("f1", 2, 14), ("f4", 2, 14)), "example": (("f1", 3, 20),)}
-    for module in (rounds, rounds_report):
-        monkeypatch.setattr(module, "STUDIES", small)
+    monkeypatch.setattr(rounds, "STUDIES", small)
     return small
 
 
@@ -45,22 +44,23 @@ def row(episode=0, named="8 2", hits="6 2", detector="x", **more):
 
 
 def test_the_studies_are_the_paper_s():
-    cells = cells_of(tuple(STUDIES))
+    cells = list_cells(tuple(STUDIES), [QUICK])
     assert len(cells) == 7 + 5 + 6 + 1 - 2  # f1 M=5 and f3 N=82 stand in two studies
-    assert {cell.clusters for cell in cells_of(["clusters"])} == {2, 3, 5, 8, 10}
-    assert cells_of(["example"], "gauss_markov", True) == [Cell("f1", 8, 185, "gauss_markov", True)]
+    assert {cell.clusters for cell in list_cells(["clusters"], [QUICK])} == {2, 3, 5, 8, 10}
+    assert list_cells(["example"], ["none"], "gauss_markov", True) == [Cell("none", "f1", 8, 185, "gauss_markov", True)]
     with pytest.raises(ArgumentError, match="study"):
-        cells_of(["size"])
+        list_cells(["size"], [QUICK])
 
 
 def test_all_cells_have_their_first_episodes_before_any_has_its_last():
-    tasks = tasks_for(["a", "b"], cells_of(["clusters"]), 5)
-    assert [task.first for task in tasks] == sorted(task.first for task in tasks)
-    assert sum(task.count for task in tasks) == 2 * 5 * 5
+    tasks = split_games(list_cells(["clusters"], ["a", "b"]), 5, 2)
+    first = [games[0][1] for games in tasks]
+    assert first == sorted(first)
+    assert sum(map(len, tasks)) == 2 * 5 * 5
 
 
 def test_rows_are_those_of_the_referee():
-    rows = play(Task(QUICK, SMALL, 0, 6), 7)
+    rows = play_games([(Cell(QUICK, *SMALL), episode) for episode in range(6)], 7)
     referee = usnet_env.evaluate(
         "USNET/MultiCluster-v0", QUICK, episodes=6, seed=7, env_kwargs={"clusters": 2, "uavs": 14}
     )
@@ -71,8 +71,8 @@ def test_rows_are_those_of_the_referee():
 
 @pytest.mark.parametrize("detector", ["random(count=3)", "one-per-round", QUICK])
 def test_rounds_add_up(detector):
-    for made in play(Task(detector, Cell("f5", 3, 20), 0, 4), 11):
-        named, hits = np.array(made.each_round()).T
+    for made in play_games([(Cell(detector, "f5", 3, 20), episode) for episode in range(4)], 11):
+        named, hits = np.array(made.list_rounds()).T
         assert len(named) == made.rounds
         assert (hits <= named).all()
         assert hits.sum() <= 3
@@ -82,8 +82,8 @@ def test_rounds_add_up(detector):
 
 
 def test_destroying_all_uavs_costs_what_it_must():
-    (made,) = play(Task("destroy-all", SMALL, 0, 1), 3)
-    assert made.each_round() == [(14, 2)]
+    (made,) = play_games([(Cell("destroy-all", *SMALL), 0)], 3)
+    assert made.list_rounds() == [(14, 2)]
     assert pytest.approx(1 + 12 / 14) == made.J
     assert np.isnan(made.purity_first)
 
@@ -91,14 +91,14 @@ def test_destroying_all_uavs_costs_what_it_must():
 def test_by_default_the_paper_s_algorithm_is_measured_beside_two_other_detectors(monkeypatch, tmp_path):
     asked = []
 
-    def stop(what, tasks, *arguments):
+    def stop(suite, tasks, *arguments, **options):
         asked.extend(tasks)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(rounds, "measure", stop)
+    monkeypatch.setattr(Suite, "run", stop)
     with pytest.raises(KeyboardInterrupt):
         reproduce(tmp_path)
-    assert [*dict.fromkeys(task.detector for task in asked)] == [
+    assert [*dict.fromkeys(cell.detector for games in asked for cell, _ in games)] == [
         "mc-gassl",
         "lead-votes",
         "lagged-regression",
@@ -107,7 +107,7 @@ def test_by_default_the_paper_s_algorithm_is_measured_beside_two_other_detectors
 
 
 def test_the_paper_s_words():
-    words = rounds_report.paper_words()
+    words = rounds.read_paper()
     assert list(words) == list(STUDIES)
     assert words["follow"].bounds("J", 82) == pytest.approx((3.06, 4.06), abs=0.005)
     assert words["clusters"].bounds("redundancy", 82)[1] == pytest.approx(0.222, abs=0.0005)
@@ -117,27 +117,27 @@ def test_the_paper_s_words():
 
 
 def test_every_episode_counts_in_every_round():
-    table = rounds_report.found_by_round([row(0), row(1, "8", "8")], 3)
+    table = rounds.find_by_round([row(0), row(1, "8", "8")], 3)
     assert table == [([8, 8], [6, 8]), ([2, 0], [8, 8]), ([0, 0], [8, 8])]
 
 
 def test_means_are_over_all_episodes():
     made = [row(0, rounds=1, success=1), row(1, rounds=20, success=0)]
-    assert rounds_report.interval_of(made, "rounds").mean == 10.5
-    assert rounds_report.interval_of(made, "success").mean == 0.5
-    assert rounds_report.interval_of(made[:1], "success").high == 1.0
-    assert rounds_report.interval_of([replace(made[0], purity_first=np.nan)], "purity_first") is None
+    assert rounds.measure_field(made, "rounds").mean == 10.5
+    assert rounds.measure_field(made, "success").mean == 0.5
+    assert rounds.measure_field(made[:1], "success").high == 1.0
+    assert rounds.measure_field([replace(made[0], purity_first=np.nan)], "purity_first") is None
 
 
 def test_a_measurement_goes_on_and_makes_table_and_picture(tmp_path, small_studies, monkeypatch):
     path = tmp_path / "rounds-seed5.csv"
     arguments = {"studies": list(small_studies), "detectors": [QUICK], "seed": 5}
-    first = reproduce(tmp_path, episodes=2, **arguments)
+    first = reproduce(tmp_path, episodes=2, **arguments).rows
     assert len(first) == 3 * 5 * 2
     played, seen = [], []
-    monkeypatch.setattr(rounds, "play", lambda task, seed: played.append(task) or play(task, seed))
-    both = reproduce(tmp_path, episodes=3, progress=lambda *count: seen.append(count), **arguments)
-    assert {task.first for task in played} == {2}
+    monkeypatch.setattr(rounds, "play_games", lambda games, **seeds: played.extend(games) or play_games(games, **seeds))
+    both = reproduce(tmp_path, episodes=3, progress=lambda *count: seen.append(count), **arguments).rows
+    assert {episode for _, episode in played} == {2}
     assert seen[0] == (30, 45)
     assert seen[-1] == (45, 45)
     assert len(read_rows(path, Row)) == len(both) == 45
@@ -162,8 +162,13 @@ def test_other_heads_have_a_file_of_their_own_without_the_paper(tmp_path, small_
 
 def test_rows_are_the_same_on_two_processes(tmp_path, small_studies):
     arguments = {"studies": ["follow"], "detectors": ["random"], "trivial": False, "episodes": 4, "seed": 1}
-    one, two = (reproduce(tmp_path / str(workers), workers=workers, **arguments) for workers in (1, 2))
+    one, two = (reproduce(tmp_path / str(workers), workers=workers, **arguments).rows for workers in (1, 2))
     assert plain(one) == plain(two)
+
+
+def test_isolated_detectors_have_the_same_rows():
+    games = [(Cell(QUICK, *SMALL), episode) for episode in range(2)]
+    assert plain(play_games(games, 5, isolate=True)) == plain(play_games(games, 5))
 
 
 @pytest.mark.parametrize(
@@ -186,6 +191,6 @@ def test_bad_arguments_leave_nothing_behind(tmp_path, arguments, said):
 
 def test_the_picture_has_a_row_of_panels_a_study(small_studies):
     made = [row(number, detector=name, clusters=3, uavs=20) for number in range(2) for name in (QUICK, "none")]
-    figure = rounds_report.draw(made, "title", with_paper=True)
+    figure = rounds.draw_studies(made, "title", with_paper=True)
     assert len(figure.axes) == 3
     assert figure.axes[0].get_ylabel() == "heads found, %"

@@ -7,10 +7,11 @@ from detectors.studies import table2
 from usnet_env import ArgumentError, make_detector
 from usnet_env.cli import main
 from usnet_env.evaluation.statistics import Interval
+from usnet_env.evaluation.suite import Suite
 
 
 def test_the_paper_s_table_is_whole():
-    rates = table2.paper_rates()
+    rates = table2.read_paper()
     means = [100 * rate.mean for rate in rates.values()]
     assert len(rates) == 70
     assert np.mean(means) == pytest.approx(98.86, abs=0.005)
@@ -24,7 +25,7 @@ def test_the_paper_s_table_is_whole():
 )
 def test_verdicts_compare_intervals(ours, expected):
     entry = table2.Entry("gassl", "f1", 2, 100, Interval(*ours), Interval(0.981, 0.97, 0.988))
-    assert table2.verdict(entry) == expected
+    assert table2.compare_intervals(entry) == expected
 
 
 def test_cells_are_cells_or_rows():
@@ -93,11 +94,12 @@ def test_a_second_measurement_joins_the_first_in_the_table(tmp_path, capsys):
 
 def test_each_detector_has_its_own_row_on_the_same_episodes(tmp_path):
     detectors = ["lagged-regression(clusters=1)", "destroy-all"]
-    rows, report = table2.reproduce(tmp_path, episodes=3, cells="f1:2,f1:3", detectors=detectors)
-    assert {(row.detector, row.followers, row.episode) for row in rows} == {
+    made = table2.reproduce(tmp_path, episodes=3, cells="f1:2,f1:3", detectors=detectors)
+    assert {(row.detector, row.followers, row.episode) for row in made.rows} == {
         (detector, followers, episode) for detector in detectors for followers in (2, 3) for episode in range(3)
     }
-    table = report.read_text(encoding="utf-8")
+    table = (tmp_path / "episodes-seed2022.md").read_text(encoding="utf-8")
+    assert table == made.text
     assert "| f1 | lagged-regression(clusters=1) | 100.0 (43.9–100.0; 3) | 100.0 (43.9–100.0; 3) |" in table
     assert "| f1 | destroy-all | 0.0 (0.0–56.1; 3) **below** | 0.0 (0.0–56.1; 3) **below** |" in table
 
@@ -105,12 +107,28 @@ def test_each_detector_has_its_own_row_on_the_same_episodes(tmp_path):
 def test_by_default_the_paper_s_algorithm_is_measured_beside_two_other_detectors(tmp_path, monkeypatch):
     asked = []
 
-    def measure(tasks, *arguments):
+    def run(suite, tasks, *arguments, **options):
         asked.extend(tasks)
-        return []
+        raise KeyboardInterrupt
 
-    monkeypatch.setattr(table2, "measure", measure)
-    table2.reproduce(tmp_path)
-    assert {task.detector for task in asked} == {"gassl", "neural-granger", "lagged-regression(clusters=1)"}
-    assert sum(task.count for task in asked) == 3 * 7 * (5 * 100 + 5 * 30)
-    assert all(make_detector(task.detector) for task in asked[:3])
+    monkeypatch.setattr(Suite, "run", run)
+    with pytest.raises(KeyboardInterrupt):
+        table2.reproduce(tmp_path)
+    detectors = {cell.detector for games in asked for cell, _ in games}
+    assert detectors == {"gassl", "neural-granger", "lagged-regression(clusters=1)"}
+    assert sum(map(len, asked)) == 3 * 7 * (5 * 100 + 5 * 30)
+    assert all(map(make_detector, detectors))
+
+
+def test_fast_is_a_quick_look(tmp_path, monkeypatch, capsys):
+    asked = []
+    monkeypatch.setattr(
+        table2, "reproduce", lambda out, **options: asked.append(options) or table2.Reproduction([], "")
+    )
+    words = ["reproduce", "table2", "--out", str(tmp_path), "--fast"]
+    assert main(words) == 0
+    assert main([*words, "--episodes", "3", "--cells", "f1:2"]) == 0
+    fast, chosen = asked
+    assert (fast["episodes"], fast["cells"].count(":")) == (10, 7 * 5)
+    assert (chosen["episodes"], chosen["cells"]) == (3, "f1:2")
+    capsys.readouterr()

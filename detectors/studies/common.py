@@ -1,0 +1,44 @@
+"""What several studies share: the paper's follow strategies, how heads fly, and a table with a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from usnet_env.plugins import make_detector
+
+__all__ = ["FOLLOW", "Reproduction", "check_detectors", "describe_flight", "name_flight"]
+
+RowT = TypeVar("RowT")
+
+FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
+
+
+@dataclass(frozen=True)
+class Reproduction(Generic[RowT]):
+    """A study that was measured.
+
+    Args:
+        rows: the rows that were asked for.
+        text: a report of them in Markdown.
+    """
+
+    rows: list[RowT]
+    text: str
+
+
+def check_detectors(names: Sequence[str], seed: int) -> None:
+    """Refuse a wrong name or argument of a detector before anything is measured."""
+    for name in names:
+        make_detector(name).reset(seed)
+
+
+def name_flight(cell: Any) -> str:
+    """What the name of a file says of how the heads of a cell fly; nothing for the paper's heads."""
+    return (f"-{cell.mobility}" if cell.mobility != "iid" else "") + ("-jitter" if cell.head_jitter else "")
+
+
+def describe_flight(cell: Any) -> str:
+    """How the heads of a cell fly, in words."""
+    return f"{cell.mobility} heads{' with jitter' if cell.head_jitter else ''}"
