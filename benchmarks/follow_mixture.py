@@ -18,7 +18,9 @@ import csv
 import gzip
 import io
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -26,13 +28,13 @@ from typing import Any
 import numpy as np
 from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
+from running import play_games
 
 from usnet_env import Detection, Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.envs.play import play_rounds
 from usnet_env.evaluation.episode import episode_seeds
-from usnet_env.evaluation.store import RowFile
-from usnet_env.evaluation.table import RowTable, read_table
+from usnet_env.evaluation.report import group_rows
 from usnet_env.files import atomic_write
 from usnet_env.objectives import average_precision, multi_cluster_objective, single_cluster_objective
 from usnet_env.plugins import detector_label, make_detector
@@ -118,16 +120,11 @@ def cells() -> list[Cell]:
     return found
 
 
-COLUMNS = {
-    **dict.fromkeys(("tier", "cell", "detector"), "str"),
-    **dict.fromkeys(("seed", "episode", "uavs", "heads"), "int"),
-    "J": "float",
-    **dict.fromkeys(("rounds", "exact", "named", "false_first", "missed_first", "decoys_named"), "int"),
-    "ap": "float",
-    "brier": "float | None",
-    "reliability": "str",
-    "seconds": "float",
-}
+VALUES = (
+    "uavs", "heads", "J", "rounds", "exact", "named", "false_first", "missed_first", "decoys_named", "ap", "brier",
+    "reliability", "seconds",
+)  # fmt: skip
+COLUMNS = ("tier", "cell", "detector", "seed", "episode", *VALUES)
 
 
 def shifted_tracks(window: Window, seed: int) -> Window:
@@ -151,10 +148,17 @@ def binned(probability: NDArray[np.float64], head: NDArray[np.bool_]) -> str:
     return " ".join(f"{number}:{uavs[number]}:{heads[number]}" for number in np.flatnonzero(uavs))
 
 
-def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict[str, Any]:
-    """Play one episode and return its row. ``J`` is J_m (P2), J_s (P1), or the number of candidates (other kinds)."""
+@cache
+def detector_of(label: str) -> Any:
+    """This process's detector of that name."""
+    return make_detector(label)
+
+
+def play(cell: Cell, label: str, seed: int, episode: int) -> dict[str, Any]:
+    """Play one episode. ``J`` is J_m (P2), J_s (P1), or the number of candidates (other kinds)."""
     env = (SingleClusterEnv if cell.kind == "P1" else MultiClusterEnv)(**cell.env)
     swarm_seed, detector_seed = episode_seeds(seed, episode)
+    detector = detector_of(label)
     detector.reset(detector_seed)
 
     def answer(observation: Any, truth: Any) -> Detection:
@@ -176,11 +180,6 @@ def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict
         value = float(rounds[0].sum())
     probability = first.extras.get("probability")
     return {
-        "tier": cell.tier,
-        "cell": cell.name,
-        "detector": label,
-        "seed": seed,
-        "episode": episode,
         "uavs": len(head),
         "heads": int(head.sum()),
         "J": round(value, 5),
@@ -191,15 +190,10 @@ def play(cell: Cell, detector: Any, label: str, seed: int, episode: int) -> dict
         "missed_first": int((head & ~rounds[0]).sum()),
         "decoys_named": int((rounds[0] & truth.decoy).sum()),
         "ap": round(average_precision(head, first.scores), 4),
-        "brier": None if probability is None else round(float(((probability - head) ** 2).mean()), 6),
+        "brier": "" if probability is None else round(float(((probability - head) ** 2).mean()), 6),
         "reliability": "" if probability is None else binned(probability[alive], head[alive]),
         "seconds": round(seconds, 5),
     }
-
-
-def read_rows(path: Path) -> RowTable:
-    """The complete rows of a file; none if there is no file."""
-    return read_table(path, COLUMNS)
 
 
 def pack_rows(results: Path, path: Path) -> None:
@@ -220,6 +214,7 @@ def unpack_rows(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(gzip.decompress(path.read_bytes()).decode())))
 
 
+@cache
 def label_of(name: str) -> str:
     """The label of a detector's rows: its name with the arguments that differ from their defaults."""
     return detector_label(make_detector(name))
@@ -227,14 +222,20 @@ def label_of(name: str) -> str:
 
 def measure(wanted: list[Cell], detectors: list[str], episodes: int | None, seed: int, results: Path) -> None:
     """Play the episodes that the files lack, and append their rows."""
-    for cell in wanted:
-        with RowFile(results / f"{cell.tier}.csv", COLUMNS) as file:
-            there = {(row["cell"], row["detector"], row["seed"], row["episode"]) for row in file.table}
-            for name in detectors:
-                detector, label = make_detector(name), label_of(name)
-                for episode in range(cell.episodes if episodes is None else episodes):
-                    if (cell.name, label, seed, episode) not in there:
-                        file.append([play(cell, detector, label, seed, episode)])
+    for tier, own in group_rows(wanted, lambda cell: cell.tier).items():
+        by_name = {cell.name: cell for cell in own}
+        games = [
+            ({"tier": tier, "cell": cell.name, "detector": label_of(name), "seed": seed}, episode)
+            for cell in own
+            for name in detectors
+            for episode in range(cell.episodes if episodes is None else episodes)
+        ]
+
+        def play_one(game: Mapping[str, Any], episode: int, by_name: Mapping[str, Cell] = by_name) -> dict[str, Any]:
+            return play(by_name[game["cell"]], game["detector"], seed, episode)
+
+        if games:
+            play_games(results / f"{tier}.csv", games, play_one, VALUES, "episode")
 
 
 def parser() -> argparse.ArgumentParser:

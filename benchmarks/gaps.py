@@ -14,14 +14,14 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from multiagent_table import RESULTS, play_cells
+from running import RESULTS, play_games
 
 from detectors.clustering import make_clusterer
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.agents import as_agent
 from usnet_env.evaluation.episode import episode_seeds, play_episode
-from usnet_env.evaluation.statistics import mean_interval
+from usnet_env.evaluation.report import group_rows, mean_over_episodes
 from usnet_env.plugins import make_detector
 
 SEED = 100
@@ -122,13 +122,12 @@ def games(cell: Mapping[str, Any]) -> int:
 
 def main() -> None:
     """Play the games that the file lacks, and print the means."""
-    rows = play_cells(RESULTS / "gaps.csv", cells(), games, play, ("follow", "mobility", "value"), SEED)
-    for cell in cells():
-        plain = {name: str(value) for name, value in cell.items()}
-        values = [float(row["value"]) for row in rows if plain.items() <= row.items()]
-        mean, low, high = mean_interval(values)
-        what = "purity" if cell["detector"] in CLUSTERERS else "rate" if cell["detector"] in P1 else "J_m"
-        print(*plain.values(), f"{what} {mean:.3f} ({low:.3f}-{high:.3f}), n={len(values)}", sep=", ")
+    every = [(cell, SEED + number) for cell in cells() for number in range(games(cell))]
+    rows = play_games(RESULTS / "gaps.csv", every, play, ("follow", "mobility", "value"))
+    for cell, own in group_rows(rows, lambda row: (row["detector"], row["rule"], row["miss_rate"])).items():
+        mean, low, high = mean_over_episodes(own, "value", "seed")
+        what = "purity" if cell[0] in CLUSTERERS else "rate" if cell[0] in P1 else "J_m"
+        print(*cell, f"{what} {mean:.3f} ({low:.3f}-{high:.3f}), n={len(own)}", sep=", ")
 
 
 if __name__ == "__main__":

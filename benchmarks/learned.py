@@ -17,12 +17,11 @@ from follow_mixture import Cell, label_of
 from follow_mixture import cells as all_cells
 from follow_mixture import play as play_cell
 from follow_mixture_strategies import FIRST_EIGHT
-from multiagent_table import RESULTS, SEED, play_cells
+from running import RESULTS, SEED, play_games
 
 from usnet_env.envs import MultiClusterEnv
-from usnet_env.evaluation.agents import as_agent
-from usnet_env.evaluation.episode import episode_seeds, play_episode, warm_up
-from usnet_env.plugins import make_detector
+from usnet_env.evaluation.metrics import episode_metrics
+from usnet_env.evaluation.suite import play_detector
 
 DETECTORS = ("learned", "follow-mixture", "lagged-regression", "one-per-round", "destroy-all", "random")
 SWARMS: dict[str, dict[str, Any]] = {
@@ -44,12 +43,8 @@ KEPT_OF_LIMITS = ("J", "exact", "named", "decoys_named")
 def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """One episode of the evaluation with seed 2022."""
     env = MultiClusterEnv(follow=cell["follow"], **SWARMS[cell["swarm"]])
-    label = cell["detector"]
-    agent = as_agent(make_detector(label))
-    if seed == SEED:
-        warm_up(env, agent, label, episode_seeds(SEED, 0)[0])
-    row = play_episode(env, agent, label, seed - SEED, episode_seeds(SEED, seed - SEED))
-    return {name: round(row[name], 5) for name in KEPT}
+    metrics = episode_metrics(env.problem, play_detector(env, cell["detector"], SEED, seed - SEED, isolate=False))
+    return {name: round(metrics[name], 5) for name in KEPT}
 
 
 def unseen_cells() -> list[dict[str, str]]:
@@ -80,8 +75,7 @@ def limit_cells() -> list[dict[str, str]]:
 
 def play_limit(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     """One episode of a cell of follow_mixture.py."""
-    label = cell["detector"]
-    row = play_cell(CELLS[f"{cell['tier']} {cell['cell']}"], make_detector(label), label, SEED, seed - SEED)
+    row = play_cell(CELLS[f"{cell['tier']} {cell['cell']}"], cell["detector"], SEED, seed - SEED)
     return {column: row[column] for column in KEPT_OF_LIMITS}
 
 
@@ -104,10 +98,11 @@ def chosen(arguments: argparse.Namespace) -> list[dict[str, str]]:
 def main() -> None:
     """Play the games that the file lacks."""
     arguments = parser().parse_args()
-    path, one, kept = (
-        ("learned_limits.csv", play_limit, KEPT_OF_LIMITS) if arguments.limits else ("learned.csv", play, KEPT)
-    )
-    play_cells(RESULTS / path, chosen(arguments), lambda _: arguments.games, one, kept)
+    games = [(cell, SEED + number) for cell in chosen(arguments) for number in range(arguments.games)]
+    if arguments.limits:
+        play_games(RESULTS / "learned_limits.csv", games, play_limit, KEPT_OF_LIMITS)
+    else:
+        play_games(RESULTS / "learned.csv", games, play, KEPT)
 
 
 if __name__ == "__main__":

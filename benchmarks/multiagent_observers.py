@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from multiagent_table import RESULTS, play_cells
+from running import RESULTS, SEED, play_games
 
 from usnet_env import make_detector
 from usnet_env.multiagent.play import play_game
@@ -29,12 +29,9 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     env = parallel_env(observers=cell["observers"], sensing_range=cell["range"], fusion=cell["fusion"])
     game = play_game(env, {"observer": DetectorObserver(make_detector(DETECTOR))}, seed)
     return {
+        **{name: getattr(game, name) for name in VALUES if hasattr(game, name)},
         "J": round(game.J, 6),
-        "rounds": game.rounds,
         "success": int(game.success),
-        "first_hits": game.first_hits,
-        "first_redundant": game.first_redundant,
-        "redundant": game.redundant,
         "seen_in_round_1": int(game.record["seen"][0].any(axis=0).sum()),
     }
 
@@ -57,4 +54,5 @@ def games(cell: Mapping[str, Any]) -> int:
 
 
 if __name__ == "__main__":
-    play_cells(RESULTS / "multiagent_observers.csv", cells(), games, play, VALUES)
+    every = [(cell, SEED + number) for cell in cells() for number in range(games(cell))]
+    play_games(RESULTS / "multiagent_observers.csv", every, play, VALUES)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from multiagent_table import RESULTS, play_cells
+from running import RESULTS, SEED, play_games
 
 from usnet_env import make_detector
 from usnet_env.multiagent.play import play_game
@@ -39,14 +39,11 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     game = play_game(env, {"observer": observer, "head": SWARMS[cell["swarm"]]}, seed)
     price = game.prices["observer_0"]
     return {
+        **{name: getattr(game, name) for name in VALUES if hasattr(game, name)},
         "J": round(game.J, 6),
         "price": round(price, 6),
         "swarm_payoff": round(game.J - price, 6),
-        "rounds": game.rounds,
         "success": int(game.success),
-        "first_hits": game.first_hits,
-        "first_redundant": game.first_redundant,
-        "redundant": game.redundant,
     }
 
 
@@ -61,4 +58,5 @@ def cells() -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    play_cells(RESULTS / "multiagent_payoff.csv", cells(), games, play, VALUES)
+    every = [(cell, SEED + number) for cell in cells() for number in range(games(cell))]
+    play_games(RESULTS / "multiagent_payoff.csv", every, play, VALUES)

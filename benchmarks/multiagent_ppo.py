@@ -3,27 +3,27 @@
     OMP_NUM_THREADS=1 python benchmarks/multiagent_ppo.py      # writes benchmarks/results/multiagent_ppo*
 
 All heads make the same choice. Trained with seeds below 1000, measured with seeds from 2022. Matches that the files
-hold are not played again.
+hold are not played again; a swarm is trained when a game of it is missing.
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Mapping
-from pathlib import Path
+from functools import cache
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium import spaces
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from multiagent_table import RESULTS, SEED
+from running import RESULTS, SEED, play_games, read_csv
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from usnet_env import make_detector
+from usnet_env.evaluation.report import group_rows, make_panels
+from usnet_env.evaluation.store import RowFile
 from usnet_env.files import atomic_write
 from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.multiagent.usnet_evasion_v0 import OBSERVER, parallel_env
@@ -38,6 +38,8 @@ MAX_ROUNDS = 10
 BATCH = 512
 GAMES = 40
 CHOICES = ("mobility", "jitter", "decoys", "delay")
+CURVES = RESULTS / "multiagent_ppo_curve.csv"
+CURVE = {"detector": "str", "follow": "str", "steps": "int", "games": "int", "J": "float", "swarm_payoff": "float"}
 
 
 class SwarmAsOne(gym.Env[Any, Any]):
@@ -113,47 +115,49 @@ def training_seeds() -> Iterable[int]:
         yield int(rng.integers(1000))
 
 
-def measured(detector: str, follow: str, swarm: str, choose: Any) -> list[dict[str, Any]]:
-    """One row for each game, with seeds from 2022."""
-    env = SwarmAsOne(detector, follow, range(SEED, SEED + GAMES))
-    rows = []
-    for seed in range(SEED, SEED + GAMES):
-        known, _ = env.reset()
-        over, chosen = False, []
-        while not over:
-            action = choose(known)
-            known, _, ended, cut, info = env.step(action)
-            over = ended or cut
-            chosen.append(action)
-        means = {name: round(float(value), 4) for name, value in zip(CHOICES, np.mean(chosen, axis=0), strict=True)}
-        payoff = {"J": round(info["J"], 6), "swarm_payoff": round(info["J"] - info["paid"], 6)}
-        cell = {"detector": detector, "follow": follow, "swarm": swarm, "seed": seed}
-        rows.append({**cell, **payoff, "success": info["success"], **means})
-    return rows
+@cache
+def trained(detector: str, follow: str) -> PPO:
+    """A swarm that is trained in a match; its curve is appended to the file of curves."""
+    agent = PPO(
+        "MlpPolicy",
+        SwarmAsOne(detector, follow, training_seeds()),
+        learning_rate=3e-3,
+        n_steps=BATCH,
+        batch_size=128,
+        gamma=1.0,
+        ent_coef=0.01,
+        policy_kwargs={"net_arch": [32, 32]},
+        seed=0,
+        device="cpu",
+    )
+    curve = Curve(detector, follow)
+    agent.learn(MATCHES[detector, follow], callback=curve)
+    with RowFile(CURVES, CURVE) as file:
+        file.append(curve.rows)
+    return agent
 
 
-def earlier(path: Path) -> list[dict[str, Any]]:
-    """Rows of an earlier run."""
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def write(path: Path, rows: list[dict[str, Any]]) -> None:
-    with atomic_write(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """One game of the truthful swarm, or of the trained one."""
+    match = cell["detector"], cell["follow"]
+    agent = trained(*match) if cell["swarm"] == "ppo" else None
+    env = SwarmAsOne(*match, [seed])
+    known, _ = env.reset()
+    over, chosen = False, []
+    while not over:
+        chosen.append(np.zeros(4, np.int64) if agent is None else agent.predict(known, deterministic=True)[0])
+        known, _, ended, cut, info = env.step(chosen[-1])
+        over = ended or cut
+    means = {name: round(float(value), 4) for name, value in zip(CHOICES, np.mean(chosen, axis=0), strict=True)}
+    payoff = {"J": round(info["J"], 6), "swarm_payoff": round(info["J"] - info["paid"], 6)}
+    return {**payoff, "success": info["success"], **means}
 
 
 def draw(curves: list[dict[str, Any]]) -> Figure:
     """One panel for each match: J_m and the swarm's payoff, means over the games of a batch; 1 is truthful."""
-    matches = list(dict.fromkeys((row["detector"], row["follow"]) for row in curves))
-    figure = Figure(figsize=(3.2 * len(matches), 3.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    for axes, match in zip(figure.subplots(1, len(matches), squeeze=False)[0], matches, strict=True):
-        own = [row for row in curves if (row["detector"], row["follow"]) == match]
+    matches = group_rows(curves, lambda row: (row["detector"], row["follow"]))
+    figure, (panels,) = make_panels(3.2 * len(matches), 3.2, 1, len(matches))
+    for axes, (match, own) in zip(panels, matches.items(), strict=True):
         steps = [int(row["steps"]) for row in own]
         axes.plot(steps, [float(row["J"]) for row in own], color="#0072b2", label="J_m")
         axes.plot(steps, [float(row["swarm_payoff"]) for row in own], color="#d55e00", label="J_m minus the price")
@@ -170,33 +174,11 @@ def draw(curves: list[dict[str, Any]]) -> Figure:
 def main() -> None:
     """Train, measure and draw."""
     torch.set_num_threads(1)  # a program of its own, not the library: small networks wait for each other on more
-    curves, rows = earlier(RESULTS / "multiagent_ppo_curve.csv"), earlier(RESULTS / "multiagent_ppo.csv")
-    for (detector, follow), steps in MATCHES.items():
-        if any((row["detector"], row["follow"]) == (detector, follow) for row in rows):
-            continue
-        agent = PPO(
-            "MlpPolicy",
-            SwarmAsOne(detector, follow, training_seeds()),
-            learning_rate=3e-3,
-            n_steps=BATCH,
-            batch_size=128,
-            gamma=1.0,
-            ent_coef=0.01,
-            policy_kwargs={"net_arch": [32, 32]},
-            seed=0,
-            device="cpu",
-        )
-        curve = Curve(detector, follow)
-        agent.learn(steps, callback=curve)
-        curves += curve.rows
-        rows += measured(detector, follow, "truthful", lambda _: np.zeros(4, np.int64))
-        rows += measured(
-            detector, follow, "ppo", lambda known, agent=agent: agent.predict(known, deterministic=True)[0]
-        )
-        write(RESULTS / "multiagent_ppo_curve.csv", curves)
-        write(RESULTS / "multiagent_ppo.csv", rows)
+    cells = [{"detector": name, "follow": f, "swarm": swarm} for name, f in MATCHES for swarm in ("truthful", "ppo")]
+    games = [(cell, SEED + number) for cell in cells for number in range(GAMES)]
+    play_games(RESULTS / "multiagent_ppo.csv", games, play, ("J", "swarm_payoff", "success", *CHOICES))
     with atomic_write(RESULTS / "multiagent_ppo.png") as aside:
-        draw(curves).savefig(aside, format="png", dpi=100)
+        draw(read_csv(CURVES)).savefig(aside, format="png", dpi=100)
 
 
 if __name__ == "__main__":

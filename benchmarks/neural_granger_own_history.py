@@ -11,12 +11,10 @@ that flies nearly straight, a detector that has to learn the strategy from one w
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
-
 import gymnasium as gym
 import numpy as np
 import torch
+from running import RESULTS, write_csv
 
 import usnet_env
 from detectors.neural_granger.inputs import build_samples
@@ -70,20 +68,14 @@ def main() -> None:
                 truth = ((predict_with_truth(env, window, follow, followers) - target) ** 2).sum(-1).mean(1)
                 gains += list(np.log(null / truth))
                 rows += [
-                    (follow, mobility, jitter, episode, i, f"{a:.6f}", f"{b:.6f}")
+                    dict(zip(HEADER, (follow, mobility, jitter, episode, i, f"{a:.6f}", f"{b:.6f}"), strict=True))
                     for i, a, b in zip(followers, null, truth, strict=True)
                 ]
             low, middle, high = np.quantile(gains, [0.05, 0.5, 0.95])
             print(
                 f"{mobility}{' with jitter' * jitter}, {follow}: {middle:.2f} nats a sample ({low:.2f} to {high:.2f})"
             )
-    out = Path(__file__).parent / "results" / "neural_granger_own_history.csv"
-    aside = out.with_suffix(".part")
-    with aside.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(HEADER)
-        writer.writerows(rows)
-    aside.replace(out)
+    write_csv(RESULTS / "neural_granger_own_history.csv", rows)
 
 
 if __name__ == "__main__":

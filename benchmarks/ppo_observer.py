@@ -10,9 +10,7 @@ which it was not trained on. Its weights are kept as safetensors; if they exist,
 from __future__ import annotations
 
 import argparse
-import csv
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -20,7 +18,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from learned import DETECTORS, KEPT
-from multiagent_table import RESULTS, SEED
+from running import RESULTS, SEED, play_games, write_csv
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
@@ -34,7 +32,6 @@ from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.agents import as_agent
 from usnet_env.evaluation.episode import episode_seeds, play_episode
-from usnet_env.files import atomic_write
 from usnet_env.plugins import make_detector
 from usnet_env.swarm.random_follow import random_follow_strategy
 
@@ -194,31 +191,10 @@ def trained() -> EquivariantPolicy:
         return agent.policy
     curve = Curve()
     agent.learn(STEPS, callback=curve)
-    write(RESULTS / "ppo_observer_curve.csv", curve.rows)
+    write_csv(RESULTS / "ppo_observer_curve.csv", curve.rows)
     arrays = dict(agent.policy.named_parameters())
     write_weights(WEIGHTS, arrays, {"algorithm": "PPO", "steps": STEPS, **SMALL}, curve.rows[-1])
     return agent.policy
-
-
-def measured(detectors: Mapping[str, Any], games: int) -> list[dict[str, Any]]:
-    """One row for each swarm, follow strategy, detector and game, with seeds from 2022."""
-    rows = []
-    for swarm, more in SWARMS.items():
-        for follow in FOLLOW:
-            env = MultiClusterEnv(follow=follow, **SMALL, **more)
-            for label, detector in detectors.items():
-                for episode in range(games):
-                    row = play_episode(env, as_agent(detector), label, episode, episode_seeds(SEED, episode))
-                    kept = {name: round(row[name], 5) for name in KEPT}
-                    rows.append({"swarm": swarm, "follow": follow, "detector": label, "episode": episode, **kept})
-    return rows
-
-
-def write(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    with atomic_write(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def main() -> None:
@@ -229,7 +205,16 @@ def main() -> None:
     torch.set_num_threads(1)  # a program of its own, not the library: small networks wait for each other on more
     detectors = {"ppo": PolicyDetector(trained(), observe=observe)}
     detectors |= {name: make_detector(name) for name in DETECTORS}
-    write(RESULTS / "ppo_observer.csv", measured(detectors, games))
+
+    def play(cell: Mapping[str, Any], episode: int) -> dict[str, Any]:
+        env = MultiClusterEnv(follow=cell["follow"], **SMALL, **SWARMS[cell["swarm"]])
+        agent = as_agent(detectors[cell["detector"]])
+        row = play_episode(env, agent, cell["detector"], episode, episode_seeds(SEED, episode))
+        return {name: round(row[name], 5) for name in KEPT}
+
+    cells = [{"swarm": s, "follow": f, "detector": name} for s in SWARMS for f in FOLLOW for name in detectors]
+    every = [(cell, episode) for cell in cells for episode in range(games)]
+    play_games(RESULTS / "ppo_observer.csv", every, play, KEPT, "episode")
 
 
 if __name__ == "__main__":

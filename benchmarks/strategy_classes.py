@@ -11,18 +11,17 @@ law for each follower; each follower has its own constant. R² = 1 means that th
 from __future__ import annotations
 
 import argparse
-import csv
 from pathlib import Path
 
 import numpy as np
 from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
+from running import write_csv
 
 from detectors.follow_mixture.features import CLASSES, make_features
 from detectors.follow_mixture.motion import lagged, read_motion
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
-from usnet_env.files import atomic_write
 from usnet_env.swarm import FollowInputs
 from usnet_env.swarm.follow import follow_strategy
 
@@ -95,10 +94,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS)
     out = parser.parse_args().out
     rows = [row for name in STRATEGIES for row in measure(name)]
-    with atomic_write(out) as aside, aside.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(out, rows)
     for name in STRATEGIES:
         own = [row for row in rows if row["strategy"] == name]
         best = max(own, key=lambda row: max(float(row["r2_shared"]), float(row["r2_each"])))

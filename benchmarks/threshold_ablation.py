@@ -12,16 +12,18 @@ a change are the whole detector.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from follow_mixture import Cell, cells, shifted_tracks
+from follow_mixture import cells, shifted_tracks
 from numpy.typing import NDArray
+from running import play_games
 
 from detectors.follow_mixture import FollowMixture, evidence, fit, motion, pooling
 from detectors.follow_mixture.features import LEVELS
@@ -30,14 +32,9 @@ from detectors.follow_mixture.train import CalibrationTraining, draw_swarm, draw
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
-from usnet_env.evaluation.store import RowFile
 
 RESULTS = Path(__file__).parent / "results" / "follow_mixture_thresholds.csv"
 SEED = 61  # seeds below 1000 are for tuning
-COLUMNS = {
-    "change": "str", "tier": "str", "cell": "str", "game": "int", "uavs": "int", "heads": "int", "exact": "int",
-    "J": "float",
-}  # fmt: skip
 INFINITE = 1e9
 
 
@@ -95,40 +92,37 @@ CHANGES = {
 class Game:
     """A first window and its truth."""
 
-    tier: str
-    cell: str
-    number: int
     kind: str
     window: Window
     head: NDArray[np.bool_]
     seed: int
 
 
-def draw_games(tiers: list[str], each: int, random: int, seed: int) -> Iterator[Game]:
-    """The first windows of all cells of some tiers, and of random swarms."""
+def list_windows(tiers: list[str], each: int, random: int, seed: int) -> list[tuple[str, str, int]]:
+    """Tier, cell and number of the first windows of all cells of some tiers, and of random swarms."""
+    found = []
     for cell in cells():
-        if cell.tier not in tiers:
-            continue
-        for number in range(min(each, 2) if cell.kind != "P2" else each):
-            yield draw_game(cell, number, seed)
+        if cell.tier in tiers:
+            found += [(cell.tier, cell.name, n) for n in range(min(each, 2) if cell.kind != "P2" else each)]
     training = CalibrationTraining(swarms=random, seed=seed)
-    for number in range(random):
+    mobilities = [draw_swarm(training, np.random.default_rng((seed, number))).mobility for number in range(random)]
+    return [*found, *(("random", mobility, number) for number, mobility in enumerate(mobilities))]
+
+
+@lru_cache(maxsize=1)  # all changes are played on a window, one after the other
+def draw_game(tier: str, name: str, number: int, random: int, seed: int) -> Game:
+    """The first window of one game of a cell, or of a random swarm."""
+    if tier == "random":
         rng = np.random.default_rng((seed, number))
-        config = draw_swarm(training, rng)
-        window, head, _ = draw_window(config, rng)
-        yield Game("random", config.mobility, number, "P2" if head.any() else "silence", window, head, number)
-
-
-def draw_game(cell: Cell, number: int, seed: int) -> Game:
-    """The first window of one game of a cell."""
+        window, head, _ = draw_window(draw_swarm(CalibrationTraining(swarms=random, seed=seed), rng), rng)
+        return Game("P2", window, head, number)
+    cell = next(cell for cell in cells() if (cell.tier, cell.name) == (tier, name))
     env = (SingleClusterEnv if cell.kind == "P1" else MultiClusterEnv)(**cell.env)
     swarm, detector = episode_seeds(seed, number)
     observation, _ = env.reset(seed=swarm)
     window = Window.from_observation(observation)
     head = np.asarray(env.swarm.head) & (cell.kind not in ("silence", "shifted"))
-    if cell.kind == "shifted":
-        window = shifted_tracks(window, detector)
-    return Game(cell.tier, cell.name, number, cell.kind, window, head, detector)
+    return Game(cell.kind, shifted_tracks(window, detector) if cell.kind == "shifted" else window, head, detector)
 
 
 def play(game: Game, key: str) -> dict[str, Any]:
@@ -140,11 +134,9 @@ def play(game: Game, key: str) -> dict[str, Any]:
         detector.reset(game.seed)
         named = detector.detect(game.window).candidates
     wrong, missed = int((named & ~game.head).sum()), int((game.head & ~named).sum())
-    return {
-        "change": key, "tier": game.tier, "cell": game.cell, "game": game.number, "uavs": game.window.uavs,
-        "heads": int(game.head.sum()), "exact": int(not wrong and not missed),
-        "J": round(wrong / game.window.uavs + (missed > 0) + bool(game.head.any()), 6),
-    }  # fmt: skip
+    cost = round(wrong / game.window.uavs + (missed > 0) + bool(game.head.any()), 6)
+    heads, exact = int(game.head.sum()), int(not wrong and not missed)
+    return {"uavs": game.window.uavs, "heads": heads, "exact": exact, "J": cost}
 
 
 def main() -> None:
@@ -161,10 +153,13 @@ def main() -> None:
         for key, change in CHANGES.items():
             print(f"{key or 'whole':18} {change.what}")
         return
-    with RowFile(arguments.results, COLUMNS) as file:
-        there = {(row["change"], row["tier"], row["cell"], row["game"]) for row in file.table}
-        for game in draw_games(arguments.tier, arguments.games, arguments.random, arguments.seed):
-            file.append([play(game, key) for key in CHANGES if (key, game.tier, game.cell, game.number) not in there])
+
+    def play_one(cell: Mapping[str, Any], number: int) -> dict[str, Any]:
+        return play(draw_game(cell["tier"], cell["cell"], number, arguments.random, arguments.seed), cell["change"])
+
+    windows = list_windows(arguments.tier, arguments.games, arguments.random, arguments.seed)
+    games = [({"change": key, "tier": tier, "cell": cell}, number) for tier, cell, number in windows for key in CHANGES]
+    play_games(arguments.results, games, play_one, ("uavs", "heads", "exact", "J"), "game")
 
 
 if __name__ == "__main__":

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 
 from commands import commands_of
+from running import RESULTS, read_csv
 
 from usnet_env.evaluation.report import format_interval, format_markdown, mean_over_episodes
 from usnet_env.evaluation.statistics import Interval, rate_interval
@@ -33,18 +32,10 @@ __all__ = [
 
 Row = Mapping[str, str]
 
-ROOT = Path(__file__).parents[2]
-RESULTS = ROOT / "benchmarks" / "results"
 FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 #: Of pages whose rows of follow-mixture were not measured again since.
 FORMER = "The rows of `follow-mixture` are of its [former core](follow_mixture_cores.md)."
 NOTICE = "<!-- Written by `python benchmarks/tables.py` from the rows in benchmarks/results. Do not edit. -->"
-
-
-def read_csv(path: Path) -> list[dict[str, str]]:
-    """The rows of a file."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def number(interval: Interval, digits: int = 2) -> str:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from threshold_ablation import CHANGES, COLUMNS
+from threshold_ablation import CHANGES
 
-from result_pages.text import RESULTS, page, source, table
+from result_pages.text import RESULTS, page, read_csv, source, table
 from usnet_env.evaluation.statistics import mean_interval
-from usnet_env.evaluation.table import read_table
 
 FILE = "follow_mixture_thresholds.csv"
 _LEAST = 0.005  # half a point
@@ -19,8 +18,8 @@ Key = tuple[str, str, int]
 def read_windows() -> dict[str, dict[Key, tuple[float, float]]]:
     """By change and window: whether the answer is exact, and J."""
     found: dict[str, dict[Key, tuple[float, float]]] = {key: {} for key in CHANGES}
-    for row in read_table(RESULTS / FILE, COLUMNS):
-        found[row["change"]][row["tier"], row["cell"], row["game"]] = (float(row["exact"]), row["J"])
+    for row in read_csv(RESULTS / FILE):
+        found[row["change"]][row["tier"], row["cell"], int(row["game"])] = (float(row["exact"]), float(row["J"]))
     return found
 
 

@@ -8,10 +8,10 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from follow_mixture import EDGES, SEED, read_rows
+from follow_mixture import EDGES, SEED
 from numpy.typing import NDArray
 
-from result_pages.text import FOLLOW, RESULTS, Row, cost_of, exact_of, number, page, source, table
+from result_pages.text import FOLLOW, RESULTS, Row, cost_of, exact_of, number, page, read_csv, source, table
 from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.statistics import mean_interval
 
@@ -28,7 +28,7 @@ FIGURE = RESULTS / "follow_mixture" / "reliability.png"
 def tier_rows(tier: str, seed: int = SEED) -> tuple[Row, ...]:
     """The rows of a tier and seed, each with its strategy (``follow``) and the rest of its cell's name."""
     found = []
-    for row in read_rows(RESULTS / "follow_mixture" / f"{tier}.csv"):
+    for row in read_csv(RESULTS / "follow_mixture" / f"{tier}.csv"):
         if int(row["seed"]) == seed:
             follow, _, variant = row["cell"].partition("-")
             found.append({**row, "follow": follow, "variant": variant})

@@ -16,8 +16,8 @@ import learned
 import multiagent_observers
 import multiagent_payoff
 import pytest
-from multiagent_table import SEED
 from result_pages import cores
+from running import SEED
 
 from detectors.studies import rounds as rounds_study
 from detectors.studies import table2

@@ -1,0 +1,67 @@
+"""What the benchmarks that play detectors share: a suite with columns of text, and where its rows lie."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import make_dataclass
+from pathlib import Path
+from typing import Any
+
+from usnet_env.cli.output import progress_bar
+from usnet_env.evaluation.suite import Suite
+from usnet_env.files import atomic_write
+
+RESULTS = Path(__file__).parent / "results"
+SEED = 2022  # of the first game; seeds below 1000 are for tuning
+
+Cell = Mapping[str, Any]
+
+
+def play_games(
+    path: Path,
+    games: Sequence[tuple[Cell, int]],
+    play: Callable[[Cell, int], Mapping[str, Any]],
+    values: Iterable[str],
+    number: str = "seed",
+) -> list[dict[str, str]]:
+    """Play the games that a file lacks, and append their rows: the cell, the number of the game, the values.
+
+    Games that the file holds are not played again: delete it to measure anew.
+
+    Args:
+        path: CSV file of the rows.
+        games: each a cell, and the number of a game in it.
+        play: returns the values of a game.
+        values: their names.
+        number: name of the column with the numbers.
+    """
+    names = tuple(games[0][0])
+    kind = make_dataclass("Cell", [(name, "str") for name in names], frozen=True)
+    columns = [(number, "int"), *((name, "str") for name in values)]
+    row = make_dataclass("Row", columns, bases=(kind,), frozen=True)
+    cells = {kind(*map(str, cell.values())): cell for cell, _ in games}
+
+    def play_task(task: Sequence[tuple[Any, int]]) -> Iterator[Any]:
+        for cell, game in task:
+            found = play(cells[cell], game)
+            yield row(**vars(cell), **{number: game}, **{name: str(value) for name, value in found.items()})
+
+    with progress_bar("games") as progress:
+        tasks = [[(kind(*map(str, cell.values())), game)] for cell, game in games]
+        rows = Suite(kind, row, play_task, number=number).run(tasks, path, progress=progress)
+    return [{name: str(value) for name, value in vars(made).items()} for made in rows]
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """The rows of a file."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write the rows of a file at once."""
+    with atomic_write(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
