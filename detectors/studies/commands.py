@@ -1,4 +1,4 @@
-"""``usnet reproduce …``: the tables and figures of the paper, with its values beside ours."""
+"""``usnet reproduce …``: the tables and figures of the paper; ``usnet train …``: the models of the package."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from usnet_env.cli.output import progress_bar, show_markdown
 if TYPE_CHECKING:
     from detectors.studies.common import Reproduction
 
-__all__ = ["reproduce"]
+__all__ = ["reproduce", "train"]
 
 Option = Callable[[Callable[..., Any]], Callable[..., Any]]
+Progress = Callable[[int, int], None]
 
 
 @click.group(short_help="Reproduce a table or figure of the paper.")
@@ -44,10 +45,15 @@ def _add_options(command: Callable[..., Any], *options: Option) -> Callable[...,
     return command
 
 
+def _out(folder: str, of: str = "of the results") -> Option:
+    """The option ``--out``."""
+    return click.option("--out", default=folder, show_default=True, metavar="DIR", help=f"Folder {of}.")
+
+
 def _out_and_seed(folder: str, seed_of: str) -> Option:
     """The options ``--out`` and ``--seed``: the folder of the results and the seed."""
-    out = click.option("--out", default=folder, show_default=True, metavar="DIR", help="Folder of the results.")
-    return lambda command: _add_options(command, _number("--seed", 0, 2**31, 2022, f"Seed of the {seed_of}."), out)
+    seed = _number("--seed", 0, 2**31, 2022, f"Seed of the {seed_of}.")
+    return lambda command: _add_options(command, seed, _out(folder))
 
 
 def _head_motion(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -187,3 +193,69 @@ def meta_losses(out: Path, **options: Any) -> Reproduction[Any]:
     from detectors.studies import metric_learning
 
     return metric_learning.reproduce(out, **options)
+
+
+@click.group(short_help="Retrain the models that are part of the package.")
+def train() -> None:
+    """Retrain the models that are part of the package: weights and calibration."""
+
+
+def _training(folder: str, what: str, unit: str, seed_of: str, most: int, resume_from: str) -> Option:
+    """The options that all trainings share; they show their progress, and print the path of what they made.
+
+    Args:
+        folder: default folder of the results.
+        what: what it gets.
+        unit: what is counted.
+        seed_of: what the seed is of.
+        most: the largest seed.
+        resume_from: what a training goes on from.
+    """
+
+    def with_options(command: Callable[..., Path]) -> Callable[..., Any]:
+        @wraps(command)
+        def called(**values: Any) -> None:
+            with progress_bar(unit) as progress:
+                click.echo(str(command(progress=progress, **values)))
+
+        text = f"Resume from {resume_from} in --out."
+        resume = click.option("--resume/--no-resume", default=True, show_default=True, help=text)
+        seed = _number("--seed", 0, most, 0, f"Seed of the {seed_of}.")
+        return _add_options(called, resume, seed, _out(folder, f"for {what}"))
+
+    return with_options
+
+
+@train.command(short_help="The GRU network of mc-gassl.")
+@_training("runs/meta", "weights and losses", "strategies and episodes", "training", 2**31, "a checkpoint")
+@click.option(
+    "--method", type=click.Choice(["meta", "joint"]), default="meta", show_default=True, help="Training method."
+)
+@_number("--strategies", 1, 10**7, 100, "F, number of random follow strategies.")
+@_number("--episodes", 1, 10**7, 10_000, "Number of episodes.")
+def meta(*, out: str, resume: bool, progress: Progress, **settings: Any) -> Path:
+    """Train the GRU network of mc-gassl off-line, on random follow strategies that exclude f1 to f7."""
+    from detectors.mc_gassl.train import MetaTraining, train_meta
+
+    return train_meta(out, MetaTraining.model_validate(settings), progress, resume)
+
+
+@train.command(short_help="The network of the learned detector.")
+@_training("runs/learned", "weights and losses", "steps", "training", 2**63 - 1, "a checkpoint")
+@_number("--steps", 1, 10**7, 4000, "Number of optimiser steps.")
+@_number("--swarms", 1, 10**5, 8, "Swarms in each step.")
+def learned(*, out: str, resume: bool, progress: Progress, **settings: Any) -> Path:
+    """Train the network of the learned detector, on random follow strategies that exclude f1 to f7."""
+    from detectors.learned.train import HeadTraining, train_heads
+
+    return train_heads(out, HeadTraining.model_validate(settings), progress, resume)
+
+
+@train.command("follow-mixture", short_help="The calibration of follow-mixture.")
+@_training("runs/follow-mixture", "calibration and rows", "swarms", "swarms", 2**63 - 1, "the rows")
+@_number("--swarms", 1, 10**6, 600, "Number of simulated swarms.")
+def follow_mixture(*, out: str, resume: bool, progress: Progress, **settings: Any) -> Path:
+    """Calibrate the probabilities of follow-mixture, on swarms with random follow strategies."""
+    from detectors.follow_mixture.train import CalibrationTraining, train_calibration
+
+    return train_calibration(out, CalibrationTraining.model_validate(settings), progress, resume)
