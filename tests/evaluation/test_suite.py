@@ -25,14 +25,14 @@ from usnet_env.evaluation.table import columns_of
 
 @dataclass(frozen=True)
 class Cell:
-    name: "str"
+    name: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class Square(Cell):
-    episode: "int"
-    square: "float"
-    even: "bool"
+    episode: int
+    square: float
+    even: bool
 
 
 def play(games, power):

@@ -25,8 +25,8 @@ _ROWS_AT_ONCE = 10_000  # of a file that is read
 
 
 def columns_of(record: type) -> dict[str, str]:
-    """The columns for a dataclass of ``str``, ``int``, ``float`` and ``bool``."""
-    return {field.name: str(field.type) for field in fields(record)}
+    """The columns for a dataclass of ``str``, ``int``, ``float`` and ``bool``, written as types or as texts."""
+    return {each.name: each.type.__name__ if isinstance(each.type, type) else str(each.type) for each in fields(record)}
 
 
 class RowTable(Sequence[dict[str, Any]]):
