@@ -17,9 +17,9 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from matplotlib.figure import Figure
+from ppo_curve import Curve
 from running import RESULTS, SEED, play_games, read_csv
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 
 from usnet_env import make_detector
 from usnet_env.evaluation.report import group_rows, make_panels
@@ -81,34 +81,6 @@ class SwarmAsOne(gym.Env[Any, Any]):
         return np.concatenate([game, *last]).astype(np.float32)
 
 
-class Curve(BaseCallback):
-    """A row for every batch of steps: the mean over the games that ended in it."""
-
-    def __init__(self, detector: str, follow: str) -> None:
-        super().__init__()
-        self.match = {"detector": detector, "follow": follow}
-        self.rows, self.ended = [], []
-
-    def _on_step(self) -> bool:
-        self.ended += [info for info, done in zip(self.locals["infos"], self.locals["dones"], strict=True) if done]
-        return True
-
-    def _on_rollout_end(self) -> None:
-        objective = np.array([info["J"] for info in self.ended])
-        paid = np.array([info["paid"] for info in self.ended])
-        means = {"J": objective.mean(), "swarm_payoff": (objective - paid).mean()}
-        self.rows.append(
-            {
-                **self.match,
-                "steps": self.num_timesteps,
-                "games": len(self.ended),
-                **{name: round(float(value), 4) for name, value in means.items()},
-            }
-        )
-        print(self.rows[-1], flush=True)
-        self.ended = []
-
-
 def training_seeds() -> Iterable[int]:
     rng = np.random.default_rng(0)
     while True:
@@ -130,7 +102,8 @@ def trained(detector: str, follow: str) -> PPO:
         seed=0,
         device="cpu",
     )
-    curve = Curve(detector, follow)
+    match = {"detector": detector, "follow": follow}
+    curve = Curve(match, lambda info: {"J": info["J"], "swarm_payoff": info["J"] - info["paid"]})
     agent.learn(MATCHES[detector, follow], callback=curve)
     with RowFile(CURVES, CURVE) as file:
         file.append(curve.rows)

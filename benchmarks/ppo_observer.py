@@ -18,9 +18,9 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from learned import DETECTORS, KEPT
+from ppo_curve import Curve
 from running import RESULTS, SEED, play_games, write_csv
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
@@ -148,25 +148,6 @@ class EquivariantPolicy(MultiInputActorCriticPolicy):
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
-class Curve(BaseCallback):
-    """A row for every batch of steps: the mean over the games that ended in it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.rows, self.ended = [], []
-
-    def _on_step(self) -> bool:
-        self.ended += [info for info, done in zip(self.locals["infos"], self.locals["dones"], strict=True) if done]
-        return True
-
-    def _on_rollout_end(self) -> None:
-        row = {"steps": self.num_timesteps, "games": len(self.ended)}
-        row |= {name: round(float(np.mean([info[name] for info in self.ended])), 4) for name in ("J", "success")}
-        self.rows.append(row)
-        print(row, flush=True)
-        self.ended = []
-
-
 def untrained() -> PPO:
     return PPO(
         EquivariantPolicy,
@@ -189,7 +170,7 @@ def trained() -> EquivariantPolicy:
     if WEIGHTS.exists():
         agent.policy.load_state_dict(read_arrays(WEIGHTS), strict=False)  # shared layers are in the file once
         return agent.policy
-    curve = Curve()
+    curve = Curve({}, lambda info: {name: info[name] for name in ("J", "success")})
     agent.learn(STEPS, callback=curve)
     write_csv(RESULTS / "ppo_observer_curve.csv", curve.rows)
     arrays = dict(agent.policy.named_parameters())

@@ -72,28 +72,24 @@ def text() -> str:
     files = [f"follow_mixture/{tier}.csv" for tier in ("decoys", "silence", "shifted", "P1")]
     return page(
         "Decoys, swarms without followers, and P1",
-        "A *decoy* flies like a head and no UAV follows it. Each row is labelled with the arguments that were "
-        "played; a "
-        "name without arguments is the detector as it comes. The policies `cost` (the default) and `map` differ most "
-        "here: `cost` names at least one UAV and adds doubtful UAVs, because a missed head costs a whole round; `map` "
-        "names only UAVs that are more probably heads than not, and may name none. No detector is given M, the "
-        "strategy "
-        "or the number of decoys.",
+        "A *decoy* flies like a head and no UAV follows it. Each row is labelled with the arguments that were played; "
+        "a name without arguments is the detector as it comes. The policies `cost` (the default) and `map` differ "
+        "most here: `cost` names at least one UAV and adds doubtful UAVs, because a missed head costs a whole round; "
+        "`map` names only UAVs that are more probably heads than not, and may name none. No detector is given M, the "
+        "strategy or the number of decoys.",
         "Seed 7077, the same episodes for all detectors: a row with a smaller n has the first episodes of each cell.",
         "## Decoys",
         "P2 with M = 5, and 82 UAVs plus the decoys.",
         decoys(),
         "## No UAV follows another",
         "82 independent UAVs, one window; and windows of 900 steps of 30 UAVs in which every track was shifted in "
-        "time by "
-        "a different amount, so that following is destroyed and each flight stays as it was. The right answer is "
-        "empty.",
+        "time by a different amount, so that following is destroyed and each flight stays as it was. The right answer "
+        "is empty.",
         silence(),
         "## P1",
         "One head, m followers, one round. J_s is 0 when the head alone is named, -1 for an empty answer, and lower "
-        "for "
-        "redundant candidates. With `objective='P1'` `follow-mixture` is given that there is one head; no other row is "
-        "given the number of clusters.",
+        "for redundant candidates. With `objective='P1'` `follow-mixture` is given that there is one head; no other "
+        "row is given the number of clusters.",
         single_cluster(),
         "## Raw rows and commands",
         source(files),

@@ -89,12 +89,11 @@ def summary(short: bool = False) -> str:
     """The table of README.md, at most eight rows; ``short`` leaves out what the index says around it."""
     lines = [_paper(), _algorithms(), *(_line(name) for name in DETECTORS)]
     caption = (
-        "Means over f1–f7 with 95 % intervals, and n after the semicolon; a mean alone: all episodes were equal. *Head "
-        "alone named*: higher is better. J_m: rounds plus redundant candidates divided by N; lower is better, the best "
-        "value is 1. In the last column 0 is right. P2 has M = 5 clusters and N = 82 UAVs plus the decoys; M is not "
-        "given. No decoy: iid heads; decoys: half of the episodes with iid, half with Gauss–Markov heads. A name "
-        "without "
-        "arguments is the detector as it comes."
+        "Means over f1–f7 with 95 % intervals, and n after the semicolon; a mean alone: all episodes were equal. "
+        "*Head alone named*: higher is better. J_m: rounds plus redundant candidates divided by N; lower is better, "
+        "the best value is 1. In the last column 0 is right. P2 has M = 5 clusters and N = 82 UAVs plus the decoys; M "
+        "is not given. No decoy: iid heads; decoys: half of the episodes with iid, half with Gauss–Markov heads. A "
+        "name without arguments is the detector as it comes."
     )
     trivial = [
         f"`{name}`: J_m {_with_n(of(tier_rows('paper'), name), lambda rows: mean_of(rows, 'J', 2))}"
@@ -127,15 +126,13 @@ def text() -> str:
         "Results",
         "All tables of these pages are made by `python benchmarks/tables.py` from the rows in `benchmarks/results/`; "
         "`benchmarks/README.md` lists the command of every file. The label of a row is the detector's full name with "
-        "every "
-        "argument that differs from its default. Intervals are 95 %: Wilson's for rates, the percentile bootstrap over "
-        "episodes for means.",
+        "every argument that differs from its default. Intervals are 95 %: Wilson's for rates, the percentile "
+        "bootstrap over episodes for means.",
         "## One table",
         summary(),
-        "J alone is won by policies that no observer would want: destroying all UAVs in round 1 costs less than 2, and "
-        "beats every detector that needs a second round. So precision, recall, the share of exact episodes and the "
-        "trivial "
-        "policies stand beside it on the pages.",
+        "J alone is won by policies that no observer would want: destroying all UAVs in round 1 costs less than 2, "
+        "and beats every detector that needs a second round. So precision, recall, the share of exact episodes and "
+        "the trivial policies stand beside it on the pages.",
         "## Pages",
         "\n".join(
             f"* [{words[0].upper()}{words[1:]}]({name}.md)" if words[0] != "`" else f"* [{words}]({name}.md)"

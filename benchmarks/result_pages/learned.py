@@ -86,21 +86,18 @@ def text() -> str:
     return page(
         "learned, and an observer trained by PPO",
         "`learned` was trained with labels on random follow strategies; it shows what labels are worth. M = 5, N = "
-        "82; no "
-        "detector is given M. Episodes end after 20 rounds; destroying all UAVs costs J_m = 1.94. n is that of each "
-        "detector in the line.",
+        "82; no detector is given M. Episodes end after 20 rounds; destroying all UAVs costs J_m = 1.94. n is that of "
+        "each detector in the line.",
         "Seeds 2022 to 2041. `learned` was not tuned on them, with one exception: an earlier network failed on "
-        "`products` "
-        "with tuning seeds, and features were added for that reason. `follow-mixture` was developed further after rows "
-        f"of an earlier build had been published for these seeds, so they are not new to it. {FORMER} Half of the "
-        "eight other strategies lie inside its [feature classes](strategies.md).",
+        "`products` with tuning seeds, and features were added for that reason. `follow-mixture` was developed "
+        "further after rows of an earlier build had been published for these seeds, so they are not new to it. "
+        f"{FORMER} Half of the eight other strategies lie inside its [feature classes](strategies.md).",
         games(),
         "## Harder swarms",
         "The cells of `benchmarks/follow_mixture.py`, from seed 2022: short windows (T: steps), position noise in "
-        "metres, "
-        "missed samples, straight heads, decoys (the last number), and windows in which no UAV follows another. "
-        "`bare`: straight or waypoint heads without the followers' jitter, and 5 decoys. A name without arguments is "
-        "the default policy, `cost`.",
+        "metres, missed samples, straight heads, decoys (the last number), and windows in which no UAV follows "
+        "another. `bare`: straight or waypoint heads without the followers' jitter, and 5 decoys. A name without "
+        "arguments is the default policy, `cost`.",
         limits(),
         "Tables with both policies, on other seeds and with more detectors, are on the page of [decoys](decoys.md).",
         "## An observer trained by PPO",

@@ -31,8 +31,7 @@ def text() -> str:
         *parts,
         "## Metric learning",
         "Losses of the triplet network, off line and on line, from three starts; ± is a 95 % interval (Student's t) "
-        "over "
-        "trainings.",
+        "over trainings.",
         *losses,
         *spaces,
         "## Raw rows and commands",

@@ -208,17 +208,15 @@ def text() -> str:
     return page(
         "follow-mixture by tier",
         "`follow-mixture` with its default arguments, in groups of swarms (*tiers*). It is given neither M nor the "
-        "follow "
-        "strategy. *Exact* is the share of episodes in which round 1 names all heads and no other UAV. J_m is better "
-        "when lower; the best value is 1. n counts the episodes over all seven strategies.",
+        "follow strategy. *Exact* is the share of episodes in which round 1 names all heads and no other UAV. J_m is "
+        "better when lower; the best value is 1. n counts the episodes over all seven strategies.",
         "The published seed is 7077. Rules of the detector were changed after looks at rows of this seed. "
         "[Another page](follow_mixture_cores.md) has seeds that were first played after the last change.",
         by_variant(),
         "Straight heads without jitter fly a line that each of their followers repeats: the data do not show which of "
         "them is the head. The default policy then names all UAVs.",
         "Every cell, with more detectors, is on [its own page](follow_mixture_cells.md); decoys, swarms in which no "
-        "UAV "
-        "follows another, and P1 are on [the next](decoys.md).",
+        "UAV follows another, and P1 are on [the next](decoys.md).",
         "## Both policies",
         "`policy='cost'`, the default, names the set with the lowest expected cost, and at least one UAV. "
         "`policy='map'` names the UAVs that are more probably heads than not, and may name none. Means over the "
