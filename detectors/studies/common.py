@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Generic, TypeVar
 
 from usnet_env.plugins import make_detector
 
-__all__ = ["FOLLOW", "Reproduction", "check_detectors", "describe_flight", "name_flight"]
+__all__ = ["FOLLOW", "Reproduction", "check_detectors", "describe_flight", "name_flight", "swarm_arguments"]
 
 RowT = TypeVar("RowT")
 
@@ -26,6 +26,11 @@ class Reproduction(Generic[RowT]):
 
     rows: list[RowT]
     text: str
+
+
+def swarm_arguments(cell: Any, kind: type, skipped: int = 1) -> dict[str, Any]:
+    """The arguments of a cell's environment: the fields of the class of cells after the first ones."""
+    return {field.name: getattr(cell, field.name) for field in fields(kind)[skipped:]}
 
 
 def check_detectors(names: Sequence[str], seed: int) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from detectors.studies import attention, example, metric_learning, purity, rounds, table2
 from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.detection import Detection
 from usnet_env.drawing import new_figure
 from usnet_env.evaluation.suite import read_rows
 from usnet_env.files import atomic_write
@@ -55,16 +57,10 @@ class Settings:
         return rows
 
 
-def _draw_attention_heads(settings: Settings) -> Figure:
+def _draw_scene(settings: Settings, draw: Callable[[attention.Scene, Detection, str], Figure]) -> Figure:
+    """Draw the cluster with m = 15, whose head is UAV 7."""
     scene = attention.find_scene("f1", 15, 6, settings.seed)
-    return attention.draw_attention_heads(
-        scene, attention.detect_head(scene, settings.detector_p1), settings.detector_p1
-    )
-
-
-def _draw_hierarchy(settings: Settings) -> Figure:
-    scene = attention.find_scene("f1", 15, 6, settings.seed)
-    return attention.draw_hierarchy(scene, attention.detect_head(scene, settings.detector_p1), settings.detector_p1)
+    return draw(scene, attention.detect_head(scene, settings.detector_p1), settings.detector_p1)
 
 
 def _draw_attention_sizes(settings: Settings) -> Figure:
@@ -83,17 +79,9 @@ def _draw_purity(settings: Settings) -> Figure:
     return purity.draw_strategies(rows, f"Purity of clustering, M = {rows[0].clusters}, N = {rows[0].uavs}")
 
 
-def _draw_feature_spaces(settings: Settings) -> Figure:
-    return metric_learning.draw_feature_spaces(settings.seed)
-
-
 def _draw_rounds(settings: Settings) -> Figure:
     rows = settings.read(f"rounds/rounds-seed{settings.seed}.csv", rounds.Row)
     return rounds.draw_studies(rows, "P2: rounds, redundancy and J_m", with_paper=True)
-
-
-def _draw_example(settings: Settings) -> Figure:
-    return example.draw_example(example.play_example(settings.detector_p2, settings.seed))
 
 
 def _draw_detection_rates(settings: Settings) -> Figure:
@@ -104,13 +92,13 @@ def _draw_detection_rates(settings: Settings) -> Figure:
 #: The figures in the order of the paper, by name.
 FIGURES: dict[str, Callable[[Settings], Figure]] = {
     "detection-rates": _draw_detection_rates,
-    "attention-heads-f1-m15": _draw_attention_heads,
-    "hierarchy-f1-m15": _draw_hierarchy,
+    "attention-heads-f1-m15": partial(_draw_scene, draw=attention.draw_attention_heads),
+    "hierarchy-f1-m15": partial(_draw_scene, draw=attention.draw_hierarchy),
     "meta-loss": _draw_losses,
     "purity": _draw_purity,
-    "feature-space": _draw_feature_spaces,
+    "feature-space": lambda settings: metric_learning.draw_feature_spaces(settings.seed),
     "rounds": _draw_rounds,
-    "example-m8-n185": _draw_example,
+    "example-m8-n185": lambda settings: example.draw_example(example.play_example(settings.detector_p2, settings.seed)),
     "attention-sizes-f7": _draw_attention_sizes,
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from detectors.clustering import make_clusterer
-from detectors.studies.common import FOLLOW, Reproduction, describe_flight, name_flight
+from detectors.studies.common import FOLLOW, Reproduction, describe_flight, name_flight, swarm_arguments
 from usnet_env.config import ArgumentError, unknown_name
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
@@ -94,7 +94,7 @@ class Cell(Method):
 
     def make_env(self) -> MultiClusterEnv:
         """Make its environment."""
-        return MultiClusterEnv(**{field.name: getattr(self, field.name) for field in fields(Cell)[3:]})
+        return MultiClusterEnv(**swarm_arguments(self, Cell, 3))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from detectors.studies.common import FOLLOW, Reproduction, check_detectors, describe_flight, name_flight
+from detectors.studies.common import (
+    FOLLOW,
+    Reproduction,
+    check_detectors,
+    describe_flight,
+    name_flight,
+    swarm_arguments,
+)
 from usnet_env.config import ArgumentError, unknown_name
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import TRIVIAL
@@ -71,7 +78,7 @@ class Cell:
 
     def make_env(self) -> MultiClusterEnv:
         """Make its environment."""
-        return MultiClusterEnv(**{field.name: getattr(self, field.name) for field in fields(Cell)[1:]})
+        return MultiClusterEnv(**swarm_arguments(self, Cell))
 
 
 #: The cells of each study (follow strategy, M, N), as the paper has them.

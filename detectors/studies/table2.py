@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from detectors.studies.common import FOLLOW, Reproduction, check_detectors, describe_flight, name_flight
+from detectors.studies.common import (
+    FOLLOW,
+    Reproduction,
+    check_detectors,
+    describe_flight,
+    name_flight,
+    swarm_arguments,
+)
 from usnet_env.config import ArgumentError, quote
 from usnet_env.envs import SingleClusterEnv
 from usnet_env.evaluation.report import COLOURS, draw_intervals, format_markdown, group_rows, keep_report, make_panels
@@ -76,7 +83,7 @@ class Cell:
 
     def make_env(self) -> SingleClusterEnv:
         """Make its environment."""
-        return SingleClusterEnv(**{field.name: getattr(self, field.name) for field in fields(Cell)[1:]})
+        return SingleClusterEnv(**swarm_arguments(self, Cell))
 
 
 @dataclass(frozen=True, kw_only=True)
