@@ -7,7 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usnet_env import ArgumentError, Detection, plugins
+import usnet_env.envs
+from usnet_env import ArgumentError, Detection, plugins, registry
+from usnet_env.multiagent import usnet_observers_v0
+from usnet_env.multiagent.sensors import PLACEMENTS, register_placement
 from usnet_env.plugins import (
     DetectorLike,
     describe_detectors,
@@ -17,6 +20,7 @@ from usnet_env.plugins import (
     make_detector,
     register_detector,
 )
+from usnet_env.swarm.formation import FORMATIONS, register_formation
 
 BUILT_IN = ["destroy-all", "lagged-correlation", "lagged-regression", "none", "one-per-round", "random"]
 
@@ -72,7 +76,7 @@ class Unhashable(Mine):
 
 @pytest.fixture(autouse=True)
 def own_registry(monkeypatch):
-    monkeypatch.setattr(plugins, "_registered", {})
+    monkeypatch.setattr(plugins.DETECTORS, "_registered", {})
 
 
 @pytest.fixture
@@ -81,8 +85,8 @@ def installed(monkeypatch):
 
     def add(*points):
         real = importlib.metadata.entry_points
-        extra = [importlib.metadata.EntryPoint(name, value, plugins.GROUP) for name, value in points]
-        monkeypatch.setattr(plugins, "entry_points", lambda group: [*extra, *real(group=group)])
+        extra = [importlib.metadata.EntryPoint(name, value, plugins.DETECTORS.group) for name, value in points]
+        monkeypatch.setattr(registry, "entry_points", lambda group: [*extra, *real(group=group)])
 
     return add
 
@@ -384,13 +388,13 @@ def test_distributions_without_metadata_are_accepted(monkeypatch):
     class Nameless:
         name = None
 
-    real = list(importlib.metadata.entry_points(group=plugins.GROUP))
+    real = list(importlib.metadata.entry_points(group=plugins.DETECTORS.group))
     extra = []
     for number, distribution in enumerate((Half(), Nameless())):
-        point = importlib.metadata.EntryPoint(f"half-{number}", f"{__name__}:Mine", plugins.GROUP)
+        point = importlib.metadata.EntryPoint(f"half-{number}", f"{__name__}:Mine", plugins.DETECTORS.group)
         vars(point).update(dist=distribution)
         extra.append(point)
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [*extra, *real])
+    monkeypatch.setattr(registry, "entry_points", lambda group: [*extra, *real])
     assert {"half-0", "half-1", *BUILT_IN} <= set(detector_names())
     assert make_detector("half-1(count=3)").count == 3
 
@@ -405,3 +409,75 @@ def test_all_three_ways_end_in_one_registry(installed):
         "by-hand(count=3)",
         "by-entry-point(count=3)",
     ]
+
+
+def test_an_installed_package_declares_parts_of_every_kind(monkeypatch, tmp_path):
+    source = """
+import numpy as np
+from detectors.clustering import KMeans as Groups
+from usnet_env.multiagent import Fusion
+from usnet_env.swarm.follow import Lags
+from usnet_env.swarm.mobility import CompiledMobility
+
+class Backwards(Lags):
+    kappa = -1.0
+
+onwards = CompiledMobility(5, 1)
+corner = lambda rng, roles: np.zeros((len(roles.leader), 3))
+middle = lambda rng, observers: np.full((observers, 3), 500.0)
+both = Fusion("candidates", lambda votes, seen: votes.all(axis=0))
+"""
+    (tmp_path / "strangers_parts.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    names = {
+        "follow strategy": "Backwards",
+        "mobility": "onwards",
+        "formation": "corner",
+        "placement": "middle",
+        "fusion rule": "both",
+        "clusterer": "Groups",
+    }
+    groups = {registry.REGISTRIES[kind].group: f"strangers_parts:{name}" for kind, name in names.items()}
+
+    def entry_points(group):
+        value = groups.get(group)
+        return [importlib.metadata.EntryPoint("strange", value, group)] if value else []
+
+    monkeypatch.setattr(registry, "entry_points", entry_points)
+    for kind in names:
+        parts = registry.REGISTRIES[kind]
+        assert "strange" in parts
+        assert parts.find("strange") is parts["strange"]
+        with pytest.raises(ArgumentError, match=f"the name of an installed {kind}"):
+            parts.register("strange", next(iter(parts.values())))
+        parts._loaded.clear()
+    env = usnet_env.envs.MultiClusterEnv(follow="strange", mobility="strange", formation="strange")
+    env.reset(seed=0)
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: [importlib.metadata.EntryPoint("odd", "math:pi", group)]
+    )
+    for kind in names:
+        with pytest.raises(ArgumentError, match=rf"^{kind} 'odd' must be a .*, got 3\.14"):
+            registry.REGISTRIES[kind].find("odd")
+
+
+def test_a_formation_and_a_placement_can_be_registered(monkeypatch):
+    monkeypatch.setattr(FORMATIONS, "_registered", {})
+    monkeypatch.setattr(PLACEMENTS, "_registered", {})
+    register_formation("line", lambda rng, roles: np.arange(len(roles.leader))[:, None] * np.ones(3))
+    register_placement("origin", lambda rng, observers: np.zeros((observers, 3)))
+    env = usnet_env.envs.MultiClusterEnv(formation="line", clusters=2, uavs=9)
+    env.reset(seed=0)
+    game = usnet_observers_v0.parallel_env(placement="origin", clusters=2, uavs=9)
+    observations, _ = game.reset(seed=0)
+    assert not observations["observer_3"]["place"].any()
+    for place, sentence in (
+        (np.zeros(3), "return an array of shape"),
+        (np.full((9, 3), np.nan), "return coordinates from"),
+    ):
+        register_formation("bad", lambda rng, roles, place=place: place, replace=True)
+        with pytest.raises(ArgumentError, match=f"formation function must {sentence}"):
+            usnet_env.envs.MultiClusterEnv(formation="bad", clusters=2, uavs=9).reset(seed=0)
+    for register in (register_formation, register_placement):
+        with pytest.raises(ArgumentError, match="function must be a function"):
+            register("worse", 3)

@@ -7,11 +7,11 @@ argument takes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from functools import wraps
 from inspect import signature
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
@@ -19,7 +19,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 __all__ = [
     "ArgumentError",
     "Config",
-    "add_to_registry",
     "is_whole_number",
     "optional_seed",
     "plain_text",
@@ -34,7 +33,6 @@ __all__ = [
 _LONGEST_VALUE = 80
 
 P = ParamSpec("P")
-T = TypeVar("T")
 
 _EXPECTED = {  # texts for pydantic's error types
     "int_type": "a whole number",
@@ -166,39 +164,6 @@ def refuse_unknown_arguments(init: Callable[P, None]) -> Callable[P, None]:
         init(*values, **arguments)
 
     return checked
-
-
-def add_to_registry(registry: dict[str, T], name: str, value: T, replace: Any, own: Collection[str]) -> None:
-    """Store ``value`` under ``name`` in a registry.
-
-    Args:
-        registry: what is registered, by name; changed in place.
-        name: the name; the caller has checked its form.
-        value: what to register.
-        replace: whether to replace another value of the same name.
-        own: names of this package, which can't be replaced: results refer to them.
-
-    Raises:
-        ArgumentError: another value has the name, and ``replace`` is false or the name is one of ``own``.
-    """
-    if not isinstance(replace, bool):
-        raise ArgumentError(f"replace must be true or false, got {quote(replace)}.")
-    if name in registry and not _is_same(registry[name], value):
-        if name in own:
-            raise ArgumentError(f"name must be a new one, got {quote(name)}, which is a name of this package.")
-        if not replace:
-            raise ArgumentError(
-                f"name must be a new one, got {quote(name)}, which is registered already (replace=True replaces it)."
-            )
-    registry[name] = value
-
-
-def _is_same(one: object, other: object) -> bool:
-    """Compare two registered values; values whose comparison raises are different."""
-    try:
-        return one is other or bool(one == other)
-    except Exception:  # the comparison of a foreign class may raise anything
-        return False
 
 
 def _to_sentence(error: ValidationError) -> str:

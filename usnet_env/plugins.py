@@ -16,26 +16,27 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from hashlib import sha256
 from importlib import import_module
 from importlib.machinery import ModuleSpec, PathFinder
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from importlib.util import find_spec, resolve_name
 from pathlib import Path
-from types import FunctionType, MappingProxyType
+from types import FunctionType
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.detection import Detection
+from usnet_env.registry import OWN_DISTRIBUTION, Registry, describe_error
 from usnet_env.window import Window
 
 __all__ = [
-    "GROUP",
+    "DETECTORS",
     "DetectorEntry",
     "DetectorLike",
     "describe_detectors",
@@ -45,12 +46,9 @@ __all__ = [
     "list_detectors",
     "make_detector",
     "register_detector",
-    "registered_detectors",
 ]
 
-GROUP = "usnet.detectors"
-_OWN_DISTRIBUTION, _OWN_PACKAGE = "usnet", "detectors"
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_OWN_PACKAGE = "detectors"
 # The packages that an installation of USNET without extras has, by the names under which they are imported.
 _ALWAYS_INSTALLED = frozenset(
     {"usnet_env", "detectors", "click", "gymnasium", "numba", "numpy", "pydantic", "rich", "scipy", "sklearn"}
@@ -73,9 +71,26 @@ class DetectorLike(Protocol):
         """Return the answer for one window."""
 
 
-_registered: dict[str, Factory] = {}
 # Labels of detectors that a function created: such a detector does not know the name of the function.
 _function_labels: WeakKeyDictionary[Any, str] = WeakKeyDictionary()
+
+
+def _check_factory(factory: Any, subject: str = "factory") -> Factory:
+    if not callable(factory):
+        raise ArgumentError(f"{subject} must be a class or a function that returns a detector, got {quote(factory)}.")
+    return factory
+
+
+#: All detectors by name: classes, and functions that return a detector.
+DETECTORS = Registry(
+    "detector",
+    "detector",
+    "usnet.detectors",
+    __name__,
+    _check_factory,
+    form=(re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*"), "consist of letters, digits, '_', '.' and '-'"),
+    classes=True,
+)
 
 
 def register_detector(name: str, factory: Factory, *, replace: bool = False) -> None:
@@ -90,27 +105,12 @@ def register_detector(name: str, factory: Factory, *, replace: bool = False) -> 
     Raises:
         ArgumentError: another detector has the name, the name has other characters, or the factory is not callable.
     """
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise ArgumentError(f"name must consist of letters, digits, '_', '.' and '-', got {quote(name)}.")
-    if not callable(factory):
-        raise ArgumentError(f"factory must be a class or a function that returns a detector, got {quote(factory)}.")
-    if not isinstance(replace, bool):
-        raise ArgumentError(f"replace must be true or false, got {quote(replace)}.")
-    if name not in _registered and name in _entry_points():
-        raise ArgumentError(f"name must be a new one, got {name!r}, which is the name of an installed detector.")
-    if _registered.get(name, factory) is not factory and not replace:
-        raise ArgumentError(f"name must be a new one unless replace=True, got {name!r}, which is registered already.")
-    _registered[name] = factory
-
-
-def registered_detectors() -> Mapping[str, Factory]:
-    """The detectors that were registered in this process by name (a read-only view)."""
-    return MappingProxyType(_registered)
+    DETECTORS.register(name, factory, replace=replace)
 
 
 def detector_names() -> list[str]:
     """Return the names of all registered and installed detectors in alphabetical order, without importing any."""
-    return sorted({*_registered, *_entry_points()})
+    return sorted(DETECTORS)
 
 
 @dataclass(frozen=True)
@@ -137,10 +137,10 @@ def list_detectors() -> list[DetectorEntry]:
     Both are read from the source files; a detector is imported only if its class can't be found there. If a detector
     isn't available, its description and a warning give the reason; the others are not affected.
     """
-    points, parse = _entry_points(), functools.cache(_parse_module)
+    points, parse = DETECTORS.entry_points(), functools.cache(_parse_module)
     entries = []
-    for name in sorted({*_registered, *points}):
-        needs = () if name in _registered else _find_needs(points[name].module, parse)
+    for name in sorted(DETECTORS):
+        needs = () if name in DETECTORS.registered else _find_needs(points[name].module, parse)
         missing = tuple(package for package in needs if not _is_installed(package))
         try:
             entries.append(DetectorEntry(name, _read_description(name, points, parse), needs, missing))
@@ -158,7 +158,7 @@ def describe_detectors() -> dict[str, str]:
 def _read_description(name: str, points: Mapping[str, EntryPoint], parse: Parse) -> str:
     """Read the first line of the docstring, from the source file if it is an installed detector."""
     definition = None
-    if name not in _registered:
+    if name not in DETECTORS.registered:
         definition = _find_definition(points[name].module, points[name].attr, parse)
     doc = inspect.getdoc(_find_factory(name)) if definition is None else ast.get_docstring(definition)
     return (doc or "").partition("\n")[0]
@@ -298,7 +298,7 @@ def make_detector(name: str, /, **arguments: Any) -> DetectorLike:
     except ArgumentError:
         raise
     except (Exception, SystemExit) as error:
-        raise ArgumentError(f"detector {plain!r} could not be made: {_describe_error(error)}.") from error
+        raise ArgumentError(f"detector {plain!r} could not be made: {describe_error(error)}.") from error
     if isinstance(detector, type) or not isinstance(detector, DetectorLike):
         raise ArgumentError(
             f"detector {plain!r} must have the methods detect(window) and reset(seed), got {quote(detector)}."
@@ -369,10 +369,10 @@ def _is_literal(value: Any) -> bool:
 
 def _find_registered_name(detector_class: type) -> str | None:
     """Find the name under which a class is registered; imports only entry points to a class of the same name."""
-    for name, factory in _registered.items():
+    for name, factory in DETECTORS.registered.items():
         if factory is detector_class:
             return name
-    for name, point in _entry_points().items():
+    for name, point in DETECTORS.entry_points().items():
         if point.attr == detector_class.__qualname__:
             try:
                 if _find_factory(name) is detector_class:
@@ -458,72 +458,19 @@ def _parse_literals(text: str, inner: str) -> dict[str, Any]:
     return arguments
 
 
-def _entry_points() -> dict[str, EntryPoint]:
-    """Return the entry points of the group by name.
-
-    The detectors of this package keep their names if another distribution uses them too. An entry point that can't be
-    loaded because it is malformed is ignored with a warning.
-    """
-    found: dict[str, EntryPoint] = {}
-    for point in _read_entry_points(entry_points, tuple(map(_stamp, sys.path))):
-        if EntryPoint.pattern.match(point.value) is None or not _NAME.fullmatch(point.name):
-            warnings.warn(
-                f"detector {point.name!r} of {_distribution_name(point)} is ignored: an entry point must be written "
-                f"name = module:Class, got {quote(f'{point.name} = {point.value}')}.",
-                stacklevel=3,
-            )
-            continue
-        taken = found.setdefault(point.name, point)
-        if taken.value != point.value:
-            warnings.warn(
-                f"detector {point.name!r} of {_distribution_name(point)} is ignored, because "
-                f"{_distribution_name(taken)} has a detector of the same name.",
-                stacklevel=3,
-            )
-    return found
-
-
-@functools.lru_cache(maxsize=1)  # a detector is looked up by each call of make_detector, and reading all takes 50 ms
-def _read_entry_points(read: Callable[..., Iterable[EntryPoint]], places: object) -> list[EntryPoint]:
-    """Read the entry points of the group again if ``read`` or ``places`` is another, those of this package first."""
-    return sorted(read(group=GROUP), key=_sort_key)
-
-
-def _stamp(folder: str) -> tuple[str, int | None]:
-    """A folder of the path and when it was changed, as an installation changes it; ``None`` without one."""
-    try:
-        return folder, os.stat(folder or ".").st_mtime_ns
-    except (OSError, ValueError):
-        return folder, None
-
-
-def _distribution_name(point: EntryPoint) -> str:
-    try:
-        name = point.dist.name if point.dist is not None else None
-    except Exception:  # a partly removed distribution may have no metadata
-        name = None
-    return name or "an unnamed distribution"
-
-
-def _sort_key(point: EntryPoint) -> tuple[bool, str]:
-    name = _distribution_name(point)
-    return name != _OWN_DISTRIBUTION, name
-
-
 def _find_factory(name: str) -> Factory:
     """Return the class or function for a name without brackets."""
-    if name in _registered:
-        return _registered[name]
-    points = _entry_points()
-    if name in points:
-        return _load_factory(name, points[name].load)
     module, colon, attribute = name.partition(":")
-    if colon and module and attribute:
-        return _load_factory(name, lambda: _import_attribute(module, attribute))
-    known = sorted({*_registered, *points})
-    near = get_close_matches(name, known, n=1)
-    hint = f" (did you mean {near[0]!r}?)" if near else ""
-    raise ArgumentError(f"detector must be one of {', '.join(known)}, or module:Class, got {quote(name)}{hint}.")
+    try:
+        if name in DETECTORS:
+            return DETECTORS[name]
+        if colon and module and attribute:
+            return DETECTORS.load(name, lambda: _import_attribute(module, attribute))
+    except ArgumentError as error:
+        if reason := describe_foreign_detectors():
+            raise ArgumentError(f"detector {name!r} can't be loaded: {reason}") from error
+        raise
+    raise unknown_name("detector", name, [*DETECTORS, "module:Class"])
 
 
 def _import_attribute(module: str, path: str) -> Any:
@@ -531,21 +478,6 @@ def _import_attribute(module: str, path: str) -> Any:
     for part in path.split("."):
         target = getattr(target, part)
     return target
-
-
-def _load_factory(name: str, load: Callable[[], Any]) -> Factory:
-    try:
-        factory = load()
-    except (Exception, SystemExit) as error:  # importing a foreign module may raise anything
-        if reason := describe_foreign_detectors():
-            raise ArgumentError(f"detector {name!r} can't be loaded: {reason}") from error
-        raise ArgumentError(f"detector {name!r} can't be loaded: {_describe_error(error)}.") from error
-    if not callable(factory):
-        raise ArgumentError(
-            f"detector {name!r} must be a class or a function that returns a detector, got {quote(factory)}."
-        )
-    loaded: Factory = factory
-    return loaded
 
 
 def describe_foreign_detectors() -> str | None:
@@ -559,12 +491,6 @@ def describe_foreign_detectors() -> str | None:
         return None
     place = next(iter(getattr(package, "__path__", [])), package.__file__)  # a module has no path
     return (
-        f"the package {_OWN_PACKAGE!r} that Python found is not that of {_OWN_DISTRIBUTION}: rename {place!r}, or "
-        f"remove the distribution that it belongs to and install {_OWN_DISTRIBUTION} again."
+        f"the package {_OWN_PACKAGE!r} that Python found is not that of {OWN_DISTRIBUTION}: rename {place!r}, or "
+        f"remove the distribution that it belongs to and install {OWN_DISTRIBUTION} again."
     )
-
-
-def _describe_error(error: BaseException) -> str:
-    """Describe an exception on one line."""
-    text = " ".join(str(error).split()).rstrip(".")
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -19,7 +17,7 @@ from detectors.clustering.affinity import AFFINITIES, Affinity, compute_affinity
 from detectors.clustering.eigengap import estimate_count_by_eigengap
 from detectors.clustering.features import FEATURES, Features, compute_features
 from detectors.clustering.gap_statistic import compute_gap_statistic
-from usnet_env.config import ArgumentError, Config, add_to_registry, quote, unknown_name
+from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.window import Window, frozen_array
 
 __all__ = [
@@ -27,9 +25,6 @@ __all__ = [
     "ClustererArguments",
     "Clustering",
     "Living",
-    "clusterers",
-    "make_clusterer",
-    "register_clusterer",
 ]
 
 Floats = NDArray[np.float64]
@@ -226,53 +221,3 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
             count: the number of clusters, 1 to n; ``None`` if the clusterer finds it itself (``count="own"``).
             rng: generator of all random numbers.
         """
-
-
-_CLUSTERERS: dict[str, Callable[..., Clusterer]] = {}
-
-
-def clusterers() -> Mapping[str, Callable[..., Clusterer]]:
-    """Return all registered clusterers by name (a read-only view)."""
-    return MappingProxyType(_CLUSTERERS)
-
-
-def register_clusterer(name: str, factory: Callable[..., Clusterer], *, replace: bool = False) -> None:
-    """Register a clusterer under ``name``.
-
-    Args:
-        name: a new name.
-        factory: a class or a function that takes keyword arguments and returns an object with
-            ``cluster(window, rng)``.
-        replace: replace another clusterer of this name, for example to run a notebook cell again. The clusterers of
-            this package can't be replaced.
-
-    Raises:
-        ArgumentError: the name belongs to another clusterer or is not a string, or the factory is not callable.
-    """
-    if not isinstance(name, str) or not name.strip():
-        raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
-    if not callable(factory):
-        raise ArgumentError(f"factory must be a class or a function that returns a clusterer, got {quote(factory)}.")
-    own = [known for known, each in _CLUSTERERS.items() if getattr(each, "__module__", "").startswith("detectors.")]
-    add_to_registry(_CLUSTERERS, name, factory, replace, own)
-
-
-def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
-    """Create the clusterer that is registered under ``name``: ``make_clusterer("spectral", count="eigengap")``.
-
-    Args:
-        name: a name of :func:`clusterers`.
-        arguments: keyword arguments of its constructor.
-
-    Raises:
-        ArgumentError: there is no such clusterer, or it does not take such an argument.
-    """
-    if not isinstance(name, str) or name not in _CLUSTERERS:
-        raise unknown_name("clusterer", name, _CLUSTERERS)
-    factory = _CLUSTERERS[name]
-    known = inspect.signature(factory).parameters
-    takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values())
-    for argument in arguments:
-        if argument not in known and not takes_any:
-            raise ArgumentError(f"clusterer {name!r} has no argument {argument!r}; it takes {', '.join(known)}.")
-    return factory(**arguments)

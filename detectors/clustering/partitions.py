@@ -10,7 +10,7 @@ from pydantic import Field
 from sklearn.cluster import HDBSCAN, AgglomerativeClustering, spectral_clustering
 
 from detectors.clustering.affinity import Affinity, normalise_affinity, regularise_affinity
-from detectors.clustering.base import COUNTS, OWN, Clusterer, ClustererArguments, Living, register_clusterer
+from detectors.clustering.base import COUNTS, OWN, Clusterer, ClustererArguments, Living
 from detectors.clustering.features import Features
 from detectors.clustering.k_means import assign_k_means_labels
 from detectors.clustering.snmf import factorise_affinity
@@ -229,14 +229,3 @@ class LeadVotes(Clusterer):
         clusters = detection_from_evidence(evidence, candidates, count, first_round=True, rng=rng).clusters
         assert clusters is not None
         return clusters
-
-
-for _name, _class in {
-    "kmeans": KMeans,
-    "spectral": Spectral,
-    "snmf": SymmetricNMF,
-    "agglomerative": Agglomerative,
-    "hdbscan": Hdbscan,
-    "lead-votes": LeadVotes,
-}.items():
-    register_clusterer(_name, _class)

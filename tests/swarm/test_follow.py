@@ -9,7 +9,7 @@ from head_dependence import head_dependence
 from usnet_env import ArgumentError, register_follow_strategy
 from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, follow_strategies, start
 from usnet_env.swarm import follow as follow_module
-from usnet_env.swarm.follow import FollowInputs, Lags, Network, StayInRange, follow_strategy
+from usnet_env.swarm.follow import FOLLOW_STRATEGIES, FollowInputs, Lags, Network, StayInRange, follow_strategy
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
@@ -23,7 +23,7 @@ def generators(count, seed=0):
 @pytest.fixture
 def registry(monkeypatch):
     """A registry of its own, so that a test's strategies do not outlive it."""
-    monkeypatch.setattr(follow_module, "_STRATEGIES", dict(follow_module._STRATEGIES))
+    monkeypatch.setattr(FOLLOW_STRATEGIES, "_registered", {})
 
 
 def fly(follow, **arguments):

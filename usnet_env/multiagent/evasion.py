@@ -25,7 +25,7 @@ from usnet_env.swarm import (
     advance,
     kernels,
 )
-from usnet_env.swarm.mobility import mobilities, mobility
+from usnet_env.swarm.mobility import MOBILITIES
 from usnet_env.swarm.simulator import JITTER
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
@@ -68,8 +68,8 @@ class Manoeuvres(Config):
     @model_validator(mode="after")
     def _known(self) -> Self:
         for name in self.mobilities:
-            if name not in mobilities():
-                raise unknown_name("mobilities", name, mobilities())
+            if name not in MOBILITIES:
+                raise unknown_name("mobilities", name, MOBILITIES)
         if not self.mobilities or len(set(self.mobilities)) != len(self.mobilities):
             raise ArgumentError(
                 f"mobilities must hold one or more different names, got {quote(list(self.mobilities))}."
@@ -291,7 +291,7 @@ def fly_window(
     Returns:
         The state at the end of the window, the window, and the mobility ``(M,)`` of each head in it.
     """
-    laws = tuple(mobility(name) for name in manoeuvres.mobilities)
+    laws = tuple(MOBILITIES.find(name) for name in manoeuvres.mobilities)
     heads = np.flatnonzero(state.head[0])
     free = state.free[0]
     row_of = {int(head): row for row, head in enumerate(heads)}

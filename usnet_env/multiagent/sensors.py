@@ -4,19 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from usnet_env.config import ArgumentError, Config, quote, unknown_name
+from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.registry import Registry
 from usnet_env.swarm import ObservationBatch, SwarmConfig
-from usnet_env.swarm.formation import ARENA
+from usnet_env.swarm.formation import ARENA, check_place
 from usnet_env.swarm.sensing import sense
 
-__all__ = ["Observer", "SensorConfig", "merge_sightings", "placements", "sense_window"]
+__all__ = [
+    "PLACEMENTS",
+    "Observer",
+    "SensorConfig",
+    "merge_sightings",
+    "placements",
+    "register_placement",
+    "sense_window",
+]
 
 Number = Annotated[float, Field(ge=0, le=1e6)]
 Share = Annotated[float, Field(ge=0, lt=1)]
@@ -55,8 +63,7 @@ class SensorConfig(Config):
                 raise ArgumentError(
                     f"{name} must be one number, or one for each of {self.observers} observers, got {quote(value)}."
                 )
-        if self.placement not in _PLACEMENTS:
-            raise unknown_name("placement", self.placement, _PLACEMENTS)
+        PLACEMENTS.find(self.placement)
         return self
 
     def expand(self, name: str) -> tuple[float, ...]:
@@ -74,7 +81,7 @@ class SensorConfig(Config):
 
     def draw_positions(self, rng: np.random.Generator) -> NDArray[np.float64]:
         """Draw the positions of the observers in an episode, ``(K, 3)`` in metres."""
-        return _PLACEMENTS[self.placement](rng, self.observers)
+        return check_place("placement", PLACEMENTS.find(self.placement)(rng, self.observers), self.observers)
 
 
 @dataclass(frozen=True)
@@ -155,12 +162,35 @@ def _uniform(rng: np.random.Generator, observers: int) -> NDArray[np.float64]:
     return rng.uniform(0.0, ARENA, (observers, 3))
 
 
-_PLACEMENTS: dict[str, Callable[[np.random.Generator, int], NDArray[np.float64]]] = {
-    "grid": _grid,
-    "uniform": _uniform,
-}
+Placement = Callable[[np.random.Generator, int], NDArray[np.float64]]
 
 
-def placements() -> Mapping[str, Callable[[np.random.Generator, int], NDArray[Any]]]:
+def _check_placement(function: Any, subject: str = "function") -> Any:
+    if not callable(function) or isinstance(function, type):
+        raise ArgumentError(f"{subject} must be a function (rng, K) -> (K, 3), got {quote(function)}.")
+    return function
+
+
+#: All placements by name.
+PLACEMENTS = Registry[Placement](
+    "placement", "placement", "usnet.placements", __name__, _check_placement, {"grid": _grid, "uniform": _uniform}
+)
+
+
+def placements() -> Mapping[str, Placement]:
     """Return all placements ``(rng, K) -> (K, 3)`` in metres by name, as a read-only view."""
-    return MappingProxyType(_PLACEMENTS)
+    return PLACEMENTS
+
+
+def register_placement(name: str, function: Placement, *, replace: bool = False) -> None:
+    """Register a placement of observers, so that ``placement=name`` selects it.
+
+    Args:
+        name: a new name.
+        function: ``(rng, K) -> (K, 3)``, the positions of K observers in metres, each coordinate from -1060 to 1060.
+        replace: replace another placement of this name; those of this package can't be replaced.
+
+    Raises:
+        ArgumentError: the name belongs to another placement or is empty, or ``function`` is not a function.
+    """
+    PLACEMENTS.register(name, function, replace=replace)

@@ -22,7 +22,7 @@ from usnet_env.multiagent.base import (
     to_ordered_aec,
     to_scalars,
 )
-from usnet_env.multiagent.fusion import fusion as fusion_rule
+from usnet_env.multiagent.fusion import FUSIONS
 from usnet_env.multiagent.sensors import Observer, SensorConfig, merge_sightings, sense_window
 from usnet_env.swarm import ObservationBatch, SwarmConfig
 
@@ -127,7 +127,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         max_cycles: int | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self.fusion = fusion_rule(fusion)
+        self.fusion = FUSIONS.find(fusion)
         self.sensor_config = SensorConfig(
             observers=observers,
             sensing_range=sensing_range,  # type: ignore[arg-type]  # a list is converted to a tuple

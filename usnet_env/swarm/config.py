@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm.follow import FollowStrategy, check_strategy, follow_strategy
-from usnet_env.swarm.formation import ARENA, AROUND_RADIUS, formation
+from usnet_env.swarm.formation import FARTHEST, FORMATIONS
 from usnet_env.swarm.mobility import Mobility, mobility
 
 __all__ = ["SwarmConfig"]
@@ -64,7 +64,7 @@ class SwarmConfig(Config):
         strategy = self.follow_strategy
         if not isinstance(self.mobility, Mobility):
             mobility(self.mobility)
-        formation(self.formation)
+        FORMATIONS.find(self.formation)
         if strategy is not None and check_strategy(strategy).lags > self.memory:
             raise ArgumentError(
                 f"memory must be at least {strategy.lags} for follow={quote(self.follow)}, got {self.memory}."
@@ -114,7 +114,7 @@ class SwarmConfig(Config):
     def position_bound(self, rounds: int) -> float:
         """An upper bound in metres of all observed coordinates within ``rounds`` rounds."""
         travelled = self.memory + rounds * self.steps
-        return max(ARENA) + AROUND_RADIUS + travelled + NOISE_BOUND * self.position_noise
+        return FARTHEST + travelled + NOISE_BOUND * self.position_noise
 
     def velocity_bound(self) -> float:
         """An upper bound in metres per step of all observed velocity coordinates."""

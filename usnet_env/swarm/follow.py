@@ -10,24 +10,18 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import (
-    ArgumentError,
-    add_to_registry,
-    plain_text,
-    quote,
-    real_number,
-    unknown_name,
-    whole_number,
-)
+from usnet_env.config import ArgumentError, plain_text, quote, real_number, whole_number
+from usnet_env.registry import Registry
 from usnet_env.swarm import kernels
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
 __all__ = [
+    "FOLLOW_STRATEGIES",
     "FollowInputs",
     "FollowStrategy",
     "Lags",
@@ -283,47 +277,58 @@ class FollowFunction(FollowStrategy):
         return direction
 
 
-_STRATEGIES: dict[str, FollowStrategy] = {
-    "f1": Lags(1),
-    "f2": Lags(2),
-    "f3": Lags(3),
-    "f4": Lags(2, square=True),
-    "f5": Lags(3, square=True),
-    "f6": StayInRange(),
-    "f7": Network(),
-}
+def check_strategy(strategy: Any, subject: str = "strategy") -> FollowStrategy:
+    """Return a strategy, made of a function if it is one.
 
-
-_OWN_NAMES = frozenset(_STRATEGIES)
-
-
-def _registered_name(strategy: FollowStrategy) -> str:
-    """The name under which a strategy is registered, or else the name of its class."""
-    names = (name for name, registered in _STRATEGIES.items() if registered is strategy)
-    return next(names, type(strategy).__name__)
-
-
-def check_strategy(strategy: FollowStrategy) -> FollowStrategy:
-    """Return the strategy; raise :class:`ArgumentError` if its ``lags`` or ``noise`` is invalid."""
+    Raises:
+        ArgumentError: it is neither, or its ``lags`` or ``noise`` is out of range.
+    """
+    if not isinstance(strategy, FollowStrategy):
+        if not callable(strategy) or isinstance(strategy, type):
+            raise ArgumentError(f"{subject} must be a FollowStrategy or a function, got {quote(strategy)}.")
+        strategy = FollowFunction(strategy)
     whole_number("lags", strategy.lags, 1, MOST_LAGS)
     real_number("noise", strategy.noise, 0, MOST_NOISE)
     return strategy
 
 
+#: All follow strategies by name; ``"none"`` selects the control without followers.
+FOLLOW_STRATEGIES = Registry(
+    "follow strategy",
+    "follow",
+    "usnet.follow_strategies",
+    __name__,
+    check_strategy,
+    {
+        "f1": Lags(1),
+        "f2": Lags(2),
+        "f3": Lags(3),
+        "f4": Lags(2, square=True),
+        "f5": Lags(3, square=True),
+        "f6": StayInRange(),
+        "f7": Network(),
+    },
+    reserved=("none",),
+)
+
+
+def _registered_name(strategy: FollowStrategy) -> str:
+    """The name under which a strategy is registered, or else the name of its class."""
+    return next((name for name in FOLLOW_STRATEGIES if FOLLOW_STRATEGIES[name] is strategy), type(strategy).__name__)
+
+
 def follow_strategies() -> Mapping[str, FollowStrategy]:
-    """All registered follow strategies by name (a read-only view)."""
-    return MappingProxyType(_STRATEGIES)
+    """All follow strategies by name (a read-only view)."""
+    return FOLLOW_STRATEGIES
 
 
 def follow_strategy(name: str) -> FollowStrategy:
-    """The follow strategy registered under ``name``.
+    """The follow strategy of this name.
 
     Raises:
-        ArgumentError: no strategy has this name.
+        ArgumentError: there is none.
     """
-    if not isinstance(name, str) or name not in _STRATEGIES:
-        raise unknown_name("follow", name, [*_STRATEGIES, "none"])
-    return _STRATEGIES[name]
+    return FOLLOW_STRATEGIES.find(name)
 
 
 def register_follow_strategy(
@@ -351,15 +356,11 @@ def register_follow_strategy(
         ArgumentError: ``name`` is empty or already registered for another strategy, or another argument has the wrong
             type or is out of range.
     """
-    if not isinstance(name, str) or not name.strip() or name == "none":
-        raise ArgumentError(f"name must be a non-empty name other than 'none', got {quote(name)}.")
-    if not isinstance(strategy, FollowStrategy):
-        if not callable(strategy) or isinstance(strategy, type):
-            raise ArgumentError(f"strategy must be a FollowStrategy or a function, got {quote(strategy)}.")
+    if callable(strategy) and not isinstance(strategy, FollowStrategy | type):
         strategy = FollowFunction(
             strategy,
             whole_number("lags", lags, 1, MOST_LAGS),
             real_number("noise", noise, 0, MOST_NOISE),
             plain_text("equation", equation),
         )
-    add_to_registry(_STRATEGIES, name, check_strategy(strategy), replace, _OWN_NAMES)
+    FOLLOW_STRATEGIES.register(name, strategy, replace=replace)

@@ -4,17 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import unknown_name
+from usnet_env.config import ArgumentError, quote
+from usnet_env.registry import Registry
 
-__all__ = ["ARENA", "AROUND_RADIUS", "Roles", "draw_roles", "formation", "formations", "random_cluster_sizes"]
+__all__ = [
+    "ARENA",
+    "AROUND_RADIUS",
+    "FORMATIONS",
+    "Formation",
+    "Roles",
+    "check_place",
+    "draw_roles",
+    "formations",
+    "random_cluster_sizes",
+    "register_formation",
+]
 
 ARENA = (1000.0, 1000.0, 100.0)  # metres, the box of the paper's simulations
 AROUND_RADIUS = 60.0  # metres; equals kappa_r of f6, so that `around` followers start within the range of their head
+FARTHEST = max(ARENA) + AROUND_RADIUS  # metres, the largest initial coordinate
 
 
 @dataclass(frozen=True)
@@ -86,23 +99,54 @@ def _around(rng: np.random.Generator, roles: Roles) -> NDArray[np.float64]:
     return np.where(followers[:, None], position[roles.leader] + offset, position)
 
 
-_FORMATIONS: dict[str, Callable[[np.random.Generator, Roles], NDArray[np.float64]]] = {
-    "uniform": _uniform,
-    "around": _around,
-}
+Formation = Callable[[np.random.Generator, Roles], NDArray[np.float64]]
 
 
-def formations() -> Mapping[str, Callable[[np.random.Generator, Roles], NDArray[np.float64]]]:
-    """All formations by name (a read-only view)."""
-    return MappingProxyType(_FORMATIONS)
-
-
-def formation(name: str) -> Callable[[np.random.Generator, Roles], NDArray[np.float64]]:
-    """The formation called ``name``: a function ``(rng, roles) -> (N, 3)`` positions in metres.
+def check_place(what: str, place: Any, count: int) -> NDArray[np.float64]:
+    """Return the positions ``(count, 3)`` that a formation or placement has drawn.
 
     Raises:
-        ArgumentError: there is no formation of this name.
+        ArgumentError: another shape, or a coordinate that is not finite or is beyond the bounds of observations.
     """
-    if not isinstance(name, str) or name not in _FORMATIONS:
-        raise unknown_name("formation", name, _FORMATIONS)
-    return _FORMATIONS[name]
+    values = np.asarray(place, np.float64)
+    if values.shape != (count, 3):
+        raise ArgumentError(f"{what} function must return an array of shape {(count, 3)}, got {values.shape}.")
+    if not (np.abs(values) <= FARTHEST).all():
+        raise ArgumentError(f"{what} function must return coordinates from -{FARTHEST:g} to {FARTHEST:g} m.")
+    return values
+
+
+def _check_formation(function: Any, subject: str = "function") -> Any:
+    if not callable(function) or isinstance(function, type):
+        raise ArgumentError(f"{subject} must be a function (rng, roles) -> (N, 3), got {quote(function)}.")
+    return function
+
+
+#: All formations by name: functions ``(rng, roles) -> (N, 3)``, positions in metres.
+FORMATIONS = Registry[Formation](
+    "formation",
+    "formation",
+    "usnet.formations",
+    __name__,
+    _check_formation,
+    {"uniform": _uniform, "around": _around},
+)
+
+
+def formations() -> Mapping[str, Formation]:
+    """All formations by name (a read-only view)."""
+    return FORMATIONS
+
+
+def register_formation(name: str, function: Formation, *, replace: bool = False) -> None:
+    """Register a formation, so that ``formation=name`` selects it.
+
+    Args:
+        name: a new name.
+        function: ``(rng, roles) -> (N, 3)``, the initial positions in metres, each coordinate from -1060 to 1060.
+        replace: replace another formation of this name; those of this package can't be replaced.
+
+    Raises:
+        ArgumentError: the name belongs to another formation or is empty, or ``function`` is not a function.
+    """
+    FORMATIONS.register(name, function, replace=replace)

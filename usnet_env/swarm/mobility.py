@@ -8,16 +8,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, add_to_registry, plain_text, quote, unknown_name
+from usnet_env.config import ArgumentError, plain_text, quote
+from usnet_env.registry import Registry
 from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import ARENA
 
-__all__ = ["CompiledMobility", "Mobility", "mobilities", "mobility", "register_mobility"]
+__all__ = ["MOBILITIES", "CompiledMobility", "Mobility", "mobilities", "mobility", "register_mobility"]
 
 State = NDArray[np.float64]
 
@@ -132,7 +133,16 @@ class MobilityFunction(Mobility):
         return directions
 
 
-_MOBILITIES: dict[str, Mobility] = {
+def _check_mobility(model: Any, subject: str = "model") -> Mobility:
+    """Return a mobility, made of a function if it is one."""
+    if isinstance(model, Mobility):
+        return model
+    if not callable(model) or isinstance(model, type):
+        raise ArgumentError(f"{subject} must be a Mobility or a function, got {quote(model)}.")
+    return MobilityFunction(model)
+
+
+_OWN: dict[str, Mobility] = {
     "iid": CompiledMobility(kernels.IID, 3, description="a new random direction at each step (the paper's setting)"),
     "gauss_markov": CompiledMobility(
         kernels.GAUSS_MARKOV,
@@ -161,24 +171,22 @@ _MOBILITIES: dict[str, Mobility] = {
     "straight": CompiledMobility(kernels.STRAIGHT, 1, description="a straight line in a random direction"),
 }
 
-
-_OWN_NAMES = frozenset(_MOBILITIES)
+#: All mobilities by name.
+MOBILITIES = Registry("mobility", "mobility", "usnet.mobilities", __name__, _check_mobility, _OWN)
 
 
 def mobilities() -> Mapping[str, Mobility]:
-    """All registered mobilities by name (a read-only view)."""
-    return MappingProxyType(_MOBILITIES)
+    """All mobilities by name (a read-only view)."""
+    return MOBILITIES
 
 
 def mobility(name: str) -> Mobility:
-    """The mobility registered under ``name``.
+    """The mobility of this name.
 
     Raises:
-        ArgumentError: no mobility has this name.
+        ArgumentError: there is none.
     """
-    if not isinstance(name, str) or name not in _MOBILITIES:
-        raise unknown_name("mobility", name, _MOBILITIES)
-    return _MOBILITIES[name]
+    return MOBILITIES.find(name)
 
 
 def register_mobility(
@@ -202,10 +210,6 @@ def register_mobility(
     Raises:
         ArgumentError: ``name`` is empty or already registered for another mobility, or an argument has another type.
     """
-    if not isinstance(name, str) or not name.strip():
-        raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
-    if not isinstance(model, Mobility):
-        if not callable(model) or isinstance(model, type):
-            raise ArgumentError(f"model must be a Mobility or a function, got {quote(model)}.")
+    if callable(model) and not isinstance(model, Mobility | type):
         model = MobilityFunction(model, plain_text("description", description))
-    add_to_registry(_MOBILITIES, name, model, replace, _OWN_NAMES)
+    MOBILITIES.register(name, model, replace=replace)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from usnet_env.config import ArgumentError, quote
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
-from usnet_env.swarm.formation import draw_roles, formation
+from usnet_env.swarm.formation import FORMATIONS, check_place, draw_roles
 from usnet_env.swarm.mobility import CompiledMobility
 from usnet_env.swarm.sensing import ObservationBatch, sense
 from usnet_env.swarm.trajectory import TrajectoryBatch
@@ -112,7 +112,8 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     """
     _check_types(config, None, rngs)
     episodes, uavs, memory = len(rngs), config.uavs, config.memory
-    strategy, mobility_model, place = config.follow_strategy, config.head_mobility, formation(config.formation)
+    strategy, mobility_model = config.follow_strategy, config.head_mobility
+    formation = FORMATIONS.find(config.formation)
     count = uavs if strategy is None else config.clusters + config.decoys
     head, decoy = np.empty((episodes, uavs), bool), np.empty((episodes, uavs), bool)
     leader, free = np.empty((episodes, uavs), np.int64), np.empty((episodes, count), np.int64)
@@ -124,7 +125,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
         roles = draw_roles(rng, config.clusters, uavs, config.decoys, config.cluster_sizes)
         head[b], decoy[b], leader[b] = roles.head, roles.decoy, roles.leader
         free[b] = np.arange(uavs) if strategy is None else np.flatnonzero(roles.head | roles.decoy)
-        position[b, 0] = place(rng, roles)
+        position[b, 0] = check_place("formation", formation(rng, roles), uavs)
         mobility_state[b] = mobility_model.start(rng, count)
         rng.standard_normal(out=velocity[b], dtype=np.float32)
         if strategy is not None:

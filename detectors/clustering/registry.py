@@ -1,0 +1,75 @@
+"""The registry of the clusterers."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from detectors.clustering.base import Clusterer
+from detectors.clustering.partitions import Agglomerative, Hdbscan, KMeans, LeadVotes, Spectral, SymmetricNMF
+from usnet_env.config import ArgumentError, quote
+from usnet_env.registry import Registry
+
+__all__ = ["CLUSTERERS", "clusterers", "make_clusterer", "register_clusterer"]
+
+Factory = Callable[..., Clusterer]
+
+
+def _check_factory(factory: Any, subject: str = "factory") -> Factory:
+    if not callable(factory):
+        raise ArgumentError(f"{subject} must be a class or a function that returns a clusterer, got {quote(factory)}.")
+    return factory
+
+
+_OWN: dict[str, Factory] = {
+    "kmeans": KMeans,
+    "spectral": Spectral,
+    "snmf": SymmetricNMF,
+    "agglomerative": Agglomerative,
+    "hdbscan": Hdbscan,
+    "lead-votes": LeadVotes,
+}
+
+#: All clusterers by name.
+CLUSTERERS = Registry("clusterer", "clusterer", "usnet.clusterers", __name__, _check_factory, _OWN, classes=True)
+
+
+def clusterers() -> Mapping[str, Factory]:
+    """Return all clusterers by name (a read-only view)."""
+    return CLUSTERERS
+
+
+def register_clusterer(name: str, factory: Factory, *, replace: bool = False) -> None:
+    """Register a clusterer under ``name``.
+
+    Args:
+        name: a new name.
+        factory: a class or a function that takes keyword arguments and returns an object with
+            ``cluster(window, rng)``.
+        replace: replace another clusterer of this name, for example to run a notebook cell again. The clusterers of
+            this package can't be replaced.
+
+    Raises:
+        ArgumentError: the name belongs to another clusterer or is not a string, or the factory is not callable.
+    """
+    CLUSTERERS.register(name, factory, replace=replace)
+
+
+def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
+    """Create the clusterer of this name: ``make_clusterer("spectral", count="eigengap")``.
+
+    Args:
+        name: a name of :func:`clusterers`.
+        arguments: keyword arguments of its constructor.
+
+    Raises:
+        ArgumentError: there is no such clusterer, or it does not take such an argument.
+    """
+    factory = CLUSTERERS.find(name)
+    known = inspect.signature(factory).parameters
+    takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values())
+    for argument in arguments:
+        if argument not in known and not takes_any:
+            raise ArgumentError(f"clusterer {name!r} has no argument {argument!r}; it takes {', '.join(known)}.")
+    return factory(**arguments)
