@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.objectives import hits_and_redundant
@@ -20,7 +20,10 @@ COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 __all__ = [
     "COUNTERS",
     "GameState",
+    "RenderArguments",
+    "RoundArguments",
     "Rules",
+    "ShotArguments",
     "StepResult",
     "action_space",
     "check_options",
@@ -36,23 +39,49 @@ __all__ = [
 Observation = dict[str, NDArray[Any]]
 
 
-class Rules(Config):
-    """The rules: the problem, its limits and its prices.
+class ShotArguments(Config):
+    """The arguments about candidates, which both problems have."""
 
-    Args:
-        problem: ``"P1"`` (one cluster, one round) or ``"P2"`` (several clusters, rounds until no head is left).
-        max_rounds: R_m, the number of rounds after which P2 is truncated.
-        shot_budget: maximum number of candidates in a round; a larger set destroys no UAV. ``None``: no limit.
-        redundancy_price: price of a redundant candidate; 1 gives the paper's objective.
+    shot_budget: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
+        None, description="largest number of candidates in a round; a larger set destroys no UAV"
+    )
+    redundancy_price: Annotated[float, Field(ge=0, le=1e6)] = Field(
+        1.0, description="price of a redundant candidate; 1 gives the paper's objective"
+    )
+
+
+class RoundArguments(ShotArguments):
+    """The arguments of P2."""
+
+    max_rounds: Annotated[int, Field(ge=1, le=10_000)] = Field(
+        20, description="R_m, number of rounds after which the game is truncated"
+    )
+
+
+class Rules(RoundArguments):
+    """The rules: the problem, its limits and its prices.
 
     Raises:
         ArgumentError: a value has the wrong type or is out of range.
     """
 
-    problem: Literal["P1", "P2"] = "P2"
-    max_rounds: Annotated[int, Field(ge=1, le=10_000)] = 20
-    shot_budget: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    redundancy_price: Annotated[float, Field(ge=0, le=1e6)] = 1.0
+    problem: Literal["P1", "P2"] = Field(
+        "P2",
+        description='``"P1"`` (one cluster, one round) or ``"P2"`` (several clusters, rounds until no head is left)',
+    )
+
+
+class RenderArguments(Config):
+    """The argument about pictures."""
+
+    render_mode: str | None = Field(None, description='``"rgb_array"`` to draw pictures')
+
+    @field_validator("render_mode", mode="before")
+    @classmethod
+    def _check_mode(cls, mode: Any) -> Any:
+        if mode is None or (isinstance(mode, str) and mode == "rgb_array"):
+            return mode
+        raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(mode)}.")
 
 
 @dataclass(frozen=True)

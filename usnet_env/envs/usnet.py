@@ -10,28 +10,31 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from usnet_env.config import ArgumentError, Config, optional_seed, quote, refuse_unknown_arguments
+from usnet_env.config import ArgumentError, list_arguments, optional_seed, quote, takes_arguments
 from usnet_env.drawing import EpisodeFrames, describe_frame
 from usnet_env.envs import game
 from usnet_env.swarm import SwarmConfig, SwarmState
+from usnet_env.swarm.config import MobilityArguments, SensorArguments, SwarmArguments
 
 __all__ = ["MultiClusterEnv", "SingleClusterEnv", "UsnetEnv"]
 
 Observation = dict[str, NDArray[Any]]
 
 
-class _OutputOptions(Config):
-    """The arguments about the output of the environment: ``info`` and rendering."""
+class OutputArguments(game.RenderArguments):
+    """The arguments about the output of an environment: ``info`` and pictures."""
 
-    reveal_truth: bool = False
-    render_mode: str | None = None
+    reveal_truth: bool = Field(False, description="``info`` also holds ``head``, ``decoy``, ``leader``, ``heads_left``")
 
 
-class _ClusterSize(Config):
-    """The size of the single cluster of :class:`SingleClusterEnv`."""
+class SingleClusterArguments(OutputArguments, game.ShotArguments, SensorArguments, MobilityArguments, SwarmArguments):
+    """The arguments of :class:`SingleClusterEnv`."""
 
-    followers: Annotated[int, Field(ge=2, le=90_000)]
-    decoys: Annotated[int, Field(ge=0, le=9_000)]
+    followers: Annotated[int, Field(ge=2, le=90_000)] = Field(15, description="m, number of followers, at least 2")
+
+
+class MultiClusterArguments(OutputArguments, game.RoundArguments, SwarmConfig):
+    """The arguments of :class:`MultiClusterEnv`."""
 
 
 class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
@@ -44,10 +47,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}  # type: ignore[misc]
 
-    def __init__(self, config: SwarmConfig, rules: game.Rules, reveal_truth: bool, render_mode: str | None) -> None:
-        output = _OutputOptions(reveal_truth=reveal_truth, render_mode=render_mode)
-        if output.render_mode not in (None, *self.metadata["render_modes"]):
-            raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(render_mode)}.")
+    def __init__(self, config: SwarmConfig, rules: game.Rules, output: OutputArguments) -> None:
         self.config = config
         self.rules = rules
         self.reveal_truth = output.reveal_truth
@@ -213,6 +213,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         )
 
 
+@list_arguments
 class SingleClusterEnv(UsnetEnv):
     """P1: find the head of one cluster in one round.
 
@@ -264,69 +265,20 @@ class SingleClusterEnv(UsnetEnv):
     The episode terminates after one round. It is never truncated.
 
     ## Arguments
-    | name | default | meaning |
-    | --- | --- | --- |
-    | `follow` | `"f1"` | follow strategy: `"f1"` to `"f7"`, a registered name, or `"none"` (control: no UAV follows) |
-    | `mobility` | `"iid"` | how heads and decoys move: `iid`, `gauss_markov`, `smooth_turn`, `waypoint`, … |
-    | `formation` | `"uniform"` | initial positions: `uniform` in 1000 × 1000 × 100 m, or `around` the head |
-    | `followers` | 15 | m, number of followers, at least 2 |
-    | `observation_steps` | 100 | T_ob, number of velocity samples |
-    | `memory` | 4 | T_0, number of past steps that a follow strategy may use |
-    | `sample_every` | 1 | the observer samples every k-th step |
-    | `position_noise` | 0 | standard deviation of the observed positions, m |
-    | `miss_rate` | 0 | probability of a missed detection |
-    | `decoys` | 0 | UAVs that move like heads but have no followers |
-    | `head_jitter` | `False` | add the followers' noise to heads and decoys |
-    | `follow_seed` | `None` | seed of f7's network; `None`: a new network in each episode |
-    | `shot_budget` | `None` | maximum number of candidates |
-    | `redundancy_price` | 1 | price of a redundant candidate |
-    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader`, `heads_left` |
-    | `render_mode` | `None` | `"rgb_array"` |
+    {arguments}
 
     ## Version History
     * v0: first version
     """
 
-    @refuse_unknown_arguments
-    def __init__(
-        self,
-        follow: str = "f1",
-        mobility: str = "iid",
-        formation: str = "uniform",
-        followers: int = 15,
-        observation_steps: int = 100,
-        memory: int = 4,
-        sample_every: int = 1,
-        position_noise: float = 0.0,
-        miss_rate: float = 0.0,
-        decoys: int = 0,
-        head_jitter: bool = False,
-        follow_seed: int | None = None,
-        shot_budget: int | None = None,
-        redundancy_price: float = 1.0,
-        reveal_truth: bool = False,
-        render_mode: str | None = None,
-    ) -> None:
-        size = _ClusterSize(followers=followers, decoys=decoys)
-        config = SwarmConfig(
-            follow=follow,
-            mobility=mobility,
-            formation=formation,
-            clusters=1,
-            uavs=size.followers + 1 + size.decoys,
-            observation_steps=observation_steps,
-            memory=memory,
-            sample_every=sample_every,
-            position_noise=position_noise,
-            miss_rate=miss_rate,
-            decoys=decoys,
-            head_jitter=head_jitter,
-            follow_seed=follow_seed,
-        )
-        rules = game.Rules(problem="P1", max_rounds=1, shot_budget=shot_budget, redundancy_price=redundancy_price)
-        super().__init__(config, rules, reveal_truth, render_mode)
+    @takes_arguments(SingleClusterArguments)
+    def __init__(self, arguments: SingleClusterArguments) -> None:
+        uavs = arguments.followers + 1 + arguments.decoys
+        config = arguments.part(SwarmConfig, clusters=1, uavs=uavs)
+        super().__init__(config, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
 
 
+@list_arguments
 class MultiClusterEnv(UsnetEnv):
     """P2: find all heads of a swarm with unknown clusters, in few rounds and with few redundant candidates.
 
@@ -385,72 +337,12 @@ class MultiClusterEnv(UsnetEnv):
     then empty. The episode is truncated after `max_rounds` rounds if a head is left (decision n).
 
     ## Arguments
-    | name | default | meaning |
-    | --- | --- | --- |
-    | `follow` | `"f1"` | follow strategy: `"f1"` to `"f7"`, a registered name, or `"none"` (control: no UAV follows) |
-    | `mobility` | `"iid"` | how heads and decoys move: `iid`, `gauss_markov`, `smooth_turn`, `waypoint`, … |
-    | `formation` | `"uniform"` | initial positions: `uniform` in 1000 × 1000 × 100 m, or `around` the heads |
-    | `clusters` | 5 | M, number of clusters |
-    | `uavs` | 82 | N, number of UAVs, decoys included |
-    | `cluster_sizes` | `None` | followers of each cluster; their sum is `uavs` − `clusters` − `decoys` |
-    | `observation_steps` | 100 | T_ob, number of velocity samples in a window |
-    | `memory` | 4 | T_0, number of past steps that a follow strategy may use |
-    | `sample_every` | 1 | the observer samples every k-th step |
-    | `position_noise` | 0 | standard deviation of the observed positions, m |
-    | `miss_rate` | 0 | probability of a missed detection |
-    | `decoys` | 0 | UAVs that move like heads but have no followers |
-    | `head_jitter` | `False` | add the followers' noise to heads and decoys |
-    | `follow_seed` | `None` | seed of f7's network; `None`: a new network in each episode |
-    | `max_rounds` | 20 | R_m, maximum number of rounds |
-    | `shot_budget` | `None` | maximum number of candidates in a round |
-    | `redundancy_price` | 1 | price of a redundant candidate |
-    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader`, `heads_left` |
-    | `render_mode` | `None` | `"rgb_array"` |
+    {arguments}
 
     ## Version History
     * v0: first version
     """
 
-    @refuse_unknown_arguments
-    def __init__(
-        self,
-        follow: str = "f1",
-        mobility: str = "iid",
-        formation: str = "uniform",
-        clusters: int = 5,
-        uavs: int = 82,
-        cluster_sizes: tuple[int, ...] | list[int] | None = None,
-        observation_steps: int = 100,
-        memory: int = 4,
-        sample_every: int = 1,
-        position_noise: float = 0.0,
-        miss_rate: float = 0.0,
-        decoys: int = 0,
-        head_jitter: bool = False,
-        follow_seed: int | None = None,
-        max_rounds: int = 20,
-        shot_budget: int | None = None,
-        redundancy_price: float = 1.0,
-        reveal_truth: bool = False,
-        render_mode: str | None = None,
-    ) -> None:
-        config = SwarmConfig(
-            follow=follow,
-            mobility=mobility,
-            formation=formation,
-            clusters=clusters,
-            uavs=uavs,
-            cluster_sizes=cluster_sizes,  # type: ignore[arg-type]  # a list is converted to a tuple
-            observation_steps=observation_steps,
-            memory=memory,
-            sample_every=sample_every,
-            position_noise=position_noise,
-            miss_rate=miss_rate,
-            decoys=decoys,
-            head_jitter=head_jitter,
-            follow_seed=follow_seed,
-        )
-        rules = game.Rules(
-            problem="P2", max_rounds=max_rounds, shot_budget=shot_budget, redundancy_price=redundancy_price
-        )
-        super().__init__(config, rules, reveal_truth, render_mode)
+    @takes_arguments(MultiClusterArguments)
+    def __init__(self, arguments: MultiClusterArguments) -> None:
+        super().__init__(arguments.part(SwarmConfig), arguments.part(game.Rules, problem="P2"), arguments)

@@ -10,12 +10,14 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
+from pydantic import Field
 
-from usnet_env.config import ArgumentError, is_whole_number, optional_seed, quote
+from usnet_env.config import ArgumentError, optional_seed, quote
 from usnet_env.drawing import EpisodeFrames, MissingExtraError, describe_frame
-from usnet_env.envs.game import GameState, Rules
+from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
+from usnet_env.swarm.config import SizeArguments, SwarmArguments
 
 try:
     from pettingzoo import AECEnv, ParallelEnv
@@ -28,11 +30,11 @@ __all__ = [
     "IGNORED_OPTIONS",
     "AECEnv",
     "BaseParallelWrapper",
+    "GameArguments",
     "Observation",
     "RoundRecord",
     "Step",
     "UsnetParallelEnv",
-    "make_rules",
     "to_aec",
     "to_ordered_aec",
     "to_scalars",
@@ -68,29 +70,29 @@ class RoundRecord:
     over_budget: bool
 
 
-def make_rules(
-    max_rounds: int, max_cycles: int | None, extra_steps: int, shot_budget: int | None, redundancy_price: float
-) -> Rules:
-    """Create the rules of P2.
+class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArguments):
+    """The arguments that both games take."""
 
-    Args:
-        max_rounds: R_m, the largest number of rounds.
-        max_cycles: PettingZoo's name for the largest number of steps; ``None`` for no limit besides ``max_rounds``.
-        extra_steps: number of steps before the first round.
-        shot_budget: largest number of candidates in a round; ``None`` for no limit.
-        redundancy_price: price of a redundant candidate.
+    max_cycles: int | None = Field(
+        None, description="largest number of steps, of which the game with an opening has one more than rounds"
+    )
 
-    Raises:
-        ArgumentError: a number is out of its range.
-    """
-    rules = Rules(problem="P2", max_rounds=max_rounds, shot_budget=shot_budget, redundancy_price=redundancy_price)
-    if max_cycles is None:
-        return rules
-    if not is_whole_number(max_cycles) or max_cycles < 1 + extra_steps:
-        raise ArgumentError(
-            f"max_cycles must be None or a whole number from {1 + extra_steps}, got {quote(max_cycles)}."
-        )
-    return rules.model_copy(update={"max_rounds": min(rules.max_rounds, int(max_cycles) - extra_steps)})
+    def make_rules(self, opening: int = 0) -> Rules:
+        """Create the rules of P2.
+
+        Args:
+            opening: number of steps before the first round.
+
+        Raises:
+            ArgumentError: ``max_cycles`` leaves no round.
+        """
+        if self.max_cycles is None:
+            return self.part(Rules)
+        if self.max_cycles < 1 + opening:
+            raise ArgumentError(
+                f"max_cycles must be None or a whole number from {1 + opening}, got {quote(self.max_cycles)}."
+            )
+        return self.part(Rules, max_rounds=min(self.max_rounds, self.max_cycles - opening))
 
 
 def to_scalars(metrics: Mapping[str, NDArray[Any]]) -> dict[str, int | float]:
@@ -119,8 +121,6 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         observation_spaces: dict[str, spaces.Dict],
         action_spaces: dict[str, spaces.Space[Any]],
     ) -> None:
-        if not (render_mode is None or (isinstance(render_mode, str) and render_mode in self.metadata["render_modes"])):
-            raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(render_mode)}.")
         self.config = config
         self.rules = rules
         self.render_mode = render_mode

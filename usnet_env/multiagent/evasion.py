@@ -46,24 +46,29 @@ Price = Annotated[float, Field(ge=0, le=1e6)]
 class Manoeuvres(Config):
     """What a head may choose for the next window, and the price in rounds (the unit of J_m).
 
-    Args:
-        mobilities: names of the available mobilities; the first is the swarm's own and costs nothing.
-        most_decoys: largest number of followers that a head may turn into decoys, its nearest followers first. A decoy
-            flies freely by its head's mobility for one window. At least one follower keeps following.
-        most_delay: largest delay in steps; the followers then use the head's motion of that many steps before.
-        mobility_price: price of a mobility other than the first, times the share of the swarm in the head's cluster.
-        jitter_price: price of flying with the followers' noise, times the same share.
-        decoy_price: price of each decoy, times 1/N; at 1 it equals the cost of a redundant candidate in J_m.
-        delay_price: price of each step of delay, times the share of the swarm that follows the head.
+    A decoy flies freely by its head's mobility for one window.
     """
 
-    mobilities: tuple[str, ...] = ("iid", "gauss_markov", "smooth_turn")
-    most_decoys: Annotated[int, Field(ge=0, le=1000)] = 2
-    most_delay: Annotated[int, Field(ge=0, le=1000)] = 4
-    mobility_price: Price = 0.1
-    jitter_price: Price = 0.05
-    decoy_price: Price = 1.0
-    delay_price: Price = 0.05
+    mobilities: Sequence[str] = Field(
+        ("iid", "gauss_markov", "smooth_turn"),
+        description="the mobilities to choose from; the first is the swarm's own and free",
+    )
+    most_decoys: Annotated[int, Field(ge=0, le=1000)] = Field(
+        2, description="largest number of followers that a head may turn into decoys, the nearest first"
+    )
+    most_delay: Annotated[int, Field(ge=0, le=1000)] = Field(
+        4, description="largest delay in steps; the followers then use the head's motion of that many steps before"
+    )
+    mobility_price: Price = Field(
+        0.1, description="of a mobility other than the first, times the share of the swarm in the head's cluster"
+    )
+    jitter_price: Price = Field(0.05, description="of flying with the followers' noise, times the same share")
+    decoy_price: Price = Field(
+        1.0, description="of each decoy, times 1/N; at 1 it equals the cost of a redundant candidate in J_m"
+    )
+    delay_price: Price = Field(
+        0.05, description="of each step of delay, times the share of the swarm that follows the head"
+    )
 
     @model_validator(mode="after")
     def _known(self) -> Self:

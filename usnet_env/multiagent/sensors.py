@@ -27,6 +27,7 @@ __all__ = [
 ]
 
 Number = Annotated[float, Field(ge=0, le=1e6)]
+Noise = Annotated[float, Field(ge=0, le=1000)]
 Share = Annotated[float, Field(ge=0, lt=1)]
 Generators = Sequence[np.random.Generator]
 
@@ -34,26 +35,24 @@ Generators = Sequence[np.random.Generator]
 class SensorConfig(Config):
     """The number of observers of a swarm, and their sensors. Lengths in metres.
 
-    Args:
-        observers: K.
-        sensing_range: largest distance at which an observer sees a UAV; one number, or one for each observer.
-        position_noise: standard deviation of the observed positions per axis, drawn independently for each observer;
-            one number, or one for each observer.
-        miss_rate: probability that a UAV in range is not detected at a sampling instant; one number, or one for each
-            observer.
-        placement: name of the placement of the observers: ``"grid"`` or ``"uniform"``.
-        message_size: how many numbers each observer sends to all others in a round; 0 for no messages.
-
     Raises:
         ArgumentError: a value has a wrong type or is out of its range, or a list does not have K values.
     """
 
-    observers: Annotated[int, Field(ge=1, le=1000)] = 4
-    sensing_range: Number | tuple[Number, ...] = 500.0
-    position_noise: Annotated[float, Field(ge=0, le=1000)] | tuple[Annotated[float, Field(ge=0, le=1000)], ...] = 0.0
-    miss_rate: Share | tuple[Share, ...] = 0.0
-    placement: str = "grid"
-    message_size: Annotated[int, Field(ge=0, le=100_000)] = 0
+    observers: Annotated[int, Field(ge=1, le=1000)] = Field(4, description="K")
+    sensing_range: Number | Sequence[Number] = Field(
+        500.0, description="largest distance at which an observer sees a UAV, m; one number, or one for each observer"
+    )
+    position_noise: Noise | Sequence[Noise] = Field(
+        0.0, description="standard deviation of the observed positions, m; one number, or one for each observer"
+    )
+    miss_rate: Share | Sequence[Share] = Field(
+        0.0, description="probability of a missed detection in range; one number, or one for each observer"
+    )
+    placement: str = Field("grid", description="places of the observers: ``grid``, ``uniform``, or a registered name")
+    message_size: Annotated[int, Field(ge=0, le=100_000)] = Field(
+        0, description="B, how many numbers each observer sends to all others in a round"
+    )
 
     @model_validator(mode="after")
     def _check_lengths(self) -> Self:
@@ -73,9 +72,8 @@ class SensorConfig(Config):
 
     def sensor_configs(self, config: SwarmConfig) -> list[SwarmConfig]:
         """Return the swarm's configuration once for each observer, with that observer's noise and miss rate."""
-        parts = {name: getattr(config, name) for name in SwarmConfig.model_fields}
         return [
-            SwarmConfig(**(parts | {"position_noise": noise, "miss_rate": miss}))
+            config.part(SwarmConfig, position_noise=noise, miss_rate=miss)
             for noise, miss in zip(self.expand("position_noise"), self.expand("miss_rate"), strict=True)
         ]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,7 +57,7 @@ def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int
 
 
 def draw_roles(
-    rng: np.random.Generator, clusters: int, uavs: int, decoys: int, cluster_sizes: tuple[int, ...] | None
+    rng: np.random.Generator, clusters: int, uavs: int, decoys: int, cluster_sizes: Sequence[int] | None
 ) -> Roles:
     """Draw the roles. Indices are permuted at random, so an index carries no information about the role.
 
