@@ -10,29 +10,27 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
+from detectors.parameters import Count, Lags
 from detectors.series.designs import check_pairs
 from detectors.series.evidence import Evidence, correlation_evidence, granger_evidence, regression_evidence
 from detectors.series.votes import detection_from_evidence, rank_uavs
-from usnet_env.config import ArgumentError, Config
+from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
 __all__ = ["EvidenceDetector", "Granger", "LaggedCorrelation", "LaggedRegression", "OnePerRound"]
 
 
-class _Arguments(Config):
-    """The checked arguments that all these detectors share."""
-
-    clusters: Annotated[int, Field(ge=1, le=100_000)] | None
-
-
 class EvidenceDetector(Detector):
     """Base class of detectors that measure pairwise evidence; it derives votes, heads and clusters from the evidence.
 
-    A subclass stores its arguments, including ``clusters``, and defines ``Arguments`` and :meth:`evidence`.
+    A subclass declares its further arguments and defines :meth:`evidence`.
+
+    Args:
+        clusters: M, or ``None`` if it is unknown.
     """
 
-    clusters: int | None
+    clusters: Count | None = None
 
     @abstractmethod
     def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
@@ -62,10 +60,6 @@ class EvidenceDetector(Detector):
         return detection_from_evidence(evidence, window.alive, self.clusters, window.round == 1, self.rng)
 
 
-class _CorrelationArguments(_Arguments):
-    max_lag: Annotated[int, Field(ge=1, le=1000)]
-
-
 class LaggedCorrelation(EvidenceDetector):
     """Votes for heads by net lead in lagged velocity correlation, for strategies that copy the head's direction.
 
@@ -86,21 +80,11 @@ class LaggedCorrelation(EvidenceDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    Arguments = _CorrelationArguments
-
-    def __init__(self, clusters: int | None = None, max_lag: int = 4) -> None:
-        self.clusters = clusters
-        self.max_lag = max_lag
+    max_lag: Lags = 4
 
     def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
         """Compute the net lead of every pair, see :func:`detectors.series.evidence.correlation_evidence`."""
         return correlation_evidence(velocity, seen, self.max_lag)
-
-
-class _RegressionArguments(_Arguments):
-    lags: Annotated[int, Field(ge=1, le=1000)]
-    squares: bool
-    ridge: Annotated[float, Field(ge=0)]
 
 
 class LaggedRegression(EvidenceDetector):
@@ -127,22 +111,13 @@ class LaggedRegression(EvidenceDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    Arguments = _RegressionArguments
-
-    def __init__(self, clusters: int | None = None, lags: int = 4, squares: bool = True, ridge: float = 1e-3) -> None:
-        self.clusters = clusters
-        self.lags = lags
-        self.squares = squares
-        self.ridge = ridge
+    lags: Lags = 4
+    squares: bool = True
+    ridge: Annotated[float, Field(ge=0)] = 1e-3
 
     def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
         """Compute the adjusted R² of every pair, see :func:`detectors.series.evidence.regression_evidence`."""
         return regression_evidence(velocity, seen, self.lags, self.squares, self.ridge)
-
-
-class _GrangerArguments(_Arguments):
-    lags: Annotated[int, Field(ge=1, le=1000)]
-    own_lags: Annotated[int, Field(ge=0, le=1000)]
 
 
 class Granger(EvidenceDetector):
@@ -161,12 +136,8 @@ class Granger(EvidenceDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    Arguments = _GrangerArguments
-
-    def __init__(self, clusters: int | None = None, lags: int = 3, own_lags: int = 2) -> None:
-        self.clusters = clusters
-        self.lags = lags
-        self.own_lags = own_lags
+    lags: Lags = 3
+    own_lags: Annotated[int, Field(ge=0, le=1000)] = 2
 
     def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
         """Compute the Granger causality of every pair, see :func:`detectors.series.evidence.granger_evidence`."""

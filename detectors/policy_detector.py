@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from functools import cached_property
 from importlib import import_module
 from typing import Any
 
@@ -73,22 +74,23 @@ class PolicyDetector(Detector):
             environment, or returns a number of values other than N.
     """
 
-    def __init__(self, policy: Any, observe: Callable[[Window], Any] | None = None, threshold: float = 0.0) -> None:
-        self.policy = policy
-        self.observe = observe
-        self.threshold = threshold
+    policy: Any
+    observe: Callable[[Window], Any] | None = None
+    threshold: float = 0.0
 
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode and clear the state of a recurrent policy."""
-        self._check_arguments()
-        super().reset(seed)
-        self._state: Any = None
-        self._start = True
+    @cached_property
+    def _state(self) -> Any:
+        """What the policy remembers within an episode; ``None`` at its start."""
+        return None
+
+    @cached_property
+    def _start(self) -> bool:
+        """Whether the next window is the first of an episode."""
+        return True
 
     def detect(self, window: Window) -> Detection:
         """Return the policy's deterministic action on the window as a detection."""
-        if not hasattr(self, "_start"):
-            self.reset()
+        self.check_arguments()
         observation = (self.observe or observation_of)(window)
         if callable(getattr(self.policy, "predict", None)):
             candidates, scores = self._act_by_predict(observation, window)
@@ -162,7 +164,8 @@ class PolicyDetector(Detector):
             for module in training:
                 module.training = True
 
-    def _check_arguments(self) -> None:
+    def check_arguments(self) -> None:
+        """Check the policy and the other arguments."""
         policy = self.policy
         if isinstance(policy, type) or not (callable(policy) or callable(getattr(policy, "predict", None))):
             raise ArgumentError(

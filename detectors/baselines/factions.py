@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
+from detectors.parameters import Lags
 from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
 from detectors.series.regressions import correlate_over_lags
 from detectors.series.votes import rank_uavs
-from usnet_env.config import Config
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -22,11 +22,6 @@ Floats = NDArray[np.float64]
 
 _DAMPING = 0.85
 _ITERATIONS = 100
-
-
-class _Arguments(Config):
-    max_lag: Annotated[int, Field(ge=1, le=1000)]
-    threshold: Annotated[float, Field(ge=0, le=1)]
 
 
 class Factions(Detector):
@@ -48,11 +43,8 @@ class Factions(Detector):
             UAVs.
     """
 
-    Arguments = _Arguments
-
-    def __init__(self, max_lag: int = 4, threshold: float = 0.4) -> None:
-        self.max_lag = max_lag
-        self.threshold = threshold
+    max_lag: Lags = 4
+    threshold: Annotated[float, Field(ge=0, le=1)] = 0.4
 
     def detect(self, window: Window) -> Detection:
         """Name the leaders of all factions, or the UAV with the highest PageRank if there is no leader.

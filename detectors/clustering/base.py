@@ -11,18 +11,17 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from sklearn.base import BaseEstimator
 
 from detectors.clustering.affinity import AFFINITIES, Affinity, compute_affinity
 from detectors.clustering.eigengap import estimate_count_by_eigengap
 from detectors.clustering.features import FEATURES, Features, compute_features
 from detectors.clustering.gap_statistic import compute_gap_statistic
-from usnet_env.config import ArgumentError, Config, quote, unknown_name
+from detectors.parameters import Count, Lags, Parameters
+from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.window import Window, frozen_array
 
 __all__ = [
     "Clusterer",
-    "ClustererArguments",
     "Clustering",
     "Living",
 ]
@@ -76,27 +75,17 @@ class Clustering:
         put(self, "extras", dict(self.extras))
 
 
-class ClustererArguments(Config):
-    """The arguments that all clusterers take, checked."""
-
-    count: Annotated[int, Field(ge=1, le=100_000)] | str
-    features: str | Features
-    affinity: str | Affinity | None
-    max_lag: Annotated[int, Field(ge=0, le=1000)]
-    memory: Annotated[int, Field(ge=1, le=1000)]
-
-
 @dataclass(frozen=True, eq=False)
 class Living:
     """Features and affinity of the n living UAVs of a window, computed at first use.
 
     Args:
         window: the whole window, with all N UAVs.
-        arguments: the arguments of the clusterer.
+        arguments: the checked arguments of the clusterer.
     """
 
     window: Window
-    arguments: ClustererArguments
+    arguments: Any
 
     @cached_property
     def index(self) -> NDArray[np.intp]:
@@ -119,7 +108,7 @@ class Living:
         return compute_affinity(self.arguments.affinity, self.features, self.arguments.max_lag)
 
 
-class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no types
+class Clusterer(Parameters):
     """Base class: clusters the living UAVs of one window. A subclass implements :meth:`partition`.
 
     The constructor only stores its keyword arguments. A window without living UAVs has no cluster; with one living UAV
@@ -142,26 +131,17 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
         ArgumentError: raised by :meth:`cluster` for an invalid argument.
     """
 
-    arguments: ClassVar[type[ClustererArguments]] = ClustererArguments  #: what checks the constructor's arguments
-    counts: tuple[str, ...] = COUNTS  #: the strings that ``count`` accepts
+    counts: ClassVar[tuple[str, ...]] = COUNTS  #: the strings that ``count`` accepts
 
-    def __init__(
-        self,
-        count: int | str = "eigengap",
-        features: str | Features = "velocities",
-        affinity: str | Affinity | None = None,
-        max_lag: int = 4,
-        memory: int = 4,
-    ) -> None:
-        self.count = count
-        self.features = features
-        self.affinity = affinity
-        self.max_lag = max_lag
-        self.memory = memory
+    count: Count | str = "eigengap"
+    features: str | Features = "velocities"
+    affinity: str | Affinity | None = None
+    max_lag: Annotated[int, Field(ge=0, le=1000)] = 4
+    memory: Lags = 4
 
-    def check_arguments(self) -> ClustererArguments:
-        """Check all arguments and return those of :attr:`arguments`."""
-        common = self.arguments(**{name: getattr(self, name) for name in self.arguments.model_fields})
+    def check_arguments(self) -> Any:
+        """Check all arguments and return them."""
+        common = super().check_arguments()
         if isinstance(common.count, str) and common.count not in self.counts:
             raise unknown_name("count", common.count, (*self.counts, "a whole number"))
         if isinstance(common.features, str) and common.features not in FEATURES:

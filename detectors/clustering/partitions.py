@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from sklearn.cluster import HDBSCAN, AgglomerativeClustering, spectral_clustering
 
-from detectors.clustering.affinity import Affinity, normalise_affinity, regularise_affinity
-from detectors.clustering.base import COUNTS, OWN, Clusterer, ClustererArguments, Living
-from detectors.clustering.features import Features
+from detectors.clustering.affinity import normalise_affinity, regularise_affinity
+from detectors.clustering.base import COUNTS, OWN, Clusterer, Living
 from detectors.clustering.k_means import assign_k_means_labels
 from detectors.clustering.snmf import factorise_affinity
+from detectors.parameters import Count, Lags
 from detectors.series.evidence import regression_evidence
 from detectors.series.votes import detection_from_evidence
-from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.config import ArgumentError, quote
 
 __all__ = ["Agglomerative", "Hdbscan", "KMeans", "LeadVotes", "Spectral", "SymmetricNMF"]
 
@@ -50,11 +50,6 @@ class Spectral(Clusterer):
         return labels
 
 
-class _SymmetricNMFArguments(ClustererArguments):
-    starts: Annotated[int, Field(ge=1, le=1_000_000)]
-    steps: Annotated[int, Field(ge=1, le=1_000_000)]
-
-
 class SymmetricNMF(Clusterer):
     """Symmetric non-negative matrix factorisation of the normalised affinity, A ≈ H Hᵀ.
 
@@ -66,21 +61,8 @@ class SymmetricNMF(Clusterer):
         steps: the largest number of updates of each start.
     """
 
-    arguments = _SymmetricNMFArguments
-
-    def __init__(
-        self,
-        count: int | str = "eigengap",
-        features: str | Features = "velocities",
-        affinity: str | Affinity | None = None,
-        max_lag: int = 4,
-        memory: int = 4,
-        starts: int = 5,
-        steps: int = 300,
-    ) -> None:
-        super().__init__(count, features, affinity, max_lag, memory)
-        self.starts = starts
-        self.steps = steps
+    starts: Annotated[int, Field(ge=1, le=1_000_000)] = 5
+    steps: Annotated[int, Field(ge=1, le=1_000_000)] = 300
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
         """Return labels ``(n,)`` of the best start."""
@@ -91,9 +73,6 @@ class SymmetricNMF(Clusterer):
         return best[0].argmax(axis=1).astype(np.int64)
 
 
-LINKAGES = ("average", "complete", "single")
-
-
 class Agglomerative(Clusterer):
     """Agglomerative clustering of the distances 1 - affinity.
 
@@ -102,33 +81,13 @@ class Agglomerative(Clusterer):
         linkage: ``"average"``, ``"complete"`` or ``"single"``.
     """
 
-    def __init__(
-        self,
-        count: int | str = "eigengap",
-        features: str | Features = "velocities",
-        affinity: str | Affinity | None = None,
-        max_lag: int = 4,
-        memory: int = 4,
-        linkage: str = "complete",
-    ) -> None:
-        super().__init__(count, features, affinity, max_lag, memory)
-        self.linkage = linkage
-
-    def check_arguments(self) -> ClustererArguments:
-        """Check all arguments and return those of :attr:`arguments`."""
-        if not isinstance(self.linkage, str) or self.linkage not in LINKAGES:
-            raise unknown_name("linkage", self.linkage, LINKAGES)
-        return super().check_arguments()
+    linkage: Literal["average", "complete", "single"] = "complete"
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
         """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
         model = AgglomerativeClustering(count, metric="precomputed", linkage=self.linkage)
         labels: Labels = model.fit_predict(1.0 - living.affinity)
         return labels
-
-
-class _HdbscanArguments(ClustererArguments):
-    least: Annotated[int, Field(ge=2, le=100_000)]
 
 
 class Hdbscan(Clusterer):
@@ -143,23 +102,13 @@ class Hdbscan(Clusterer):
         least: the smallest number of members of a cluster, at least 2.
     """
 
-    arguments = _HdbscanArguments
-    counts = (OWN,)
+    counts: ClassVar[tuple[str, ...]] = (OWN,)
 
-    def __init__(
-        self,
-        count: int | str = OWN,
-        features: str | Features = "velocities",
-        affinity: str | Affinity | None = None,
-        max_lag: int = 4,
-        memory: int = 4,
-        least: int = 3,
-    ) -> None:
-        super().__init__(count, features, affinity, max_lag, memory)
-        self.least = least
+    count: Count | str = OWN
+    least: Annotated[int, Field(ge=2, le=100_000)] = 3
 
-    def check_arguments(self) -> ClustererArguments:
-        """Check all arguments and return those of :attr:`arguments`."""
+    def check_arguments(self) -> Any:
+        """Check all arguments and return them."""
         if not isinstance(self.count, str) or self.count != OWN:
             raise ArgumentError(
                 f"count must be {OWN!r} for HDBSCAN, which estimates the number of clusters, got {quote(self.count)}."
@@ -180,12 +129,6 @@ class Hdbscan(Clusterer):
         return found
 
 
-class _LeadVotesArguments(ClustererArguments):
-    lags: Annotated[int, Field(ge=1, le=1000)]
-    squares: bool
-    ridge: Annotated[float, Field(ge=0)]
-
-
 class LeadVotes(Clusterer):
     """Clusters of the UAVs that vote for the same leader: those of :class:`detectors.lagged.LaggedRegression`.
 
@@ -200,24 +143,12 @@ class LeadVotes(Clusterer):
         lags, squares, ridge: as in :class:`detectors.lagged.LaggedRegression`.
     """
 
-    arguments = _LeadVotesArguments
-    counts = (*COUNTS, OWN)
+    counts: ClassVar[tuple[str, ...]] = (*COUNTS, OWN)
 
-    def __init__(
-        self,
-        count: int | str = OWN,
-        features: str | Features = "velocities",
-        affinity: str | Affinity | None = None,
-        max_lag: int = 4,
-        memory: int = 4,
-        lags: int = 4,
-        squares: bool = True,
-        ridge: float = 1e-3,
-    ) -> None:
-        super().__init__(count, features, affinity, max_lag, memory)
-        self.lags = lags
-        self.squares = squares
-        self.ridge = ridge
+    count: Count | str = OWN
+    lags: Lags = 4
+    squares: bool = True
+    ridge: Annotated[float, Field(ge=0)] = 1e-3
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
         """Return labels ``(n,)``; ``rng`` breaks ties between leaders."""

@@ -11,7 +11,7 @@ from detectors.clustering.partitions import Agglomerative, Hdbscan, KMeans, Lead
 from usnet_env.config import ArgumentError, quote
 from usnet_env.registry import Registry
 
-__all__ = ["CLUSTERERS", "clusterers", "make_clusterer", "register_clusterer"]
+__all__ = ["CLUSTERERS", "check_clusterer", "clusterers", "make_clusterer", "register_clusterer"]
 
 Factory = Callable[..., Clusterer]
 
@@ -73,3 +73,11 @@ def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
         if argument not in known and not takes_any:
             raise ArgumentError(f"clusterer {name!r} has no argument {argument!r}; it takes {', '.join(known)}.")
     return factory(**arguments)
+
+
+def check_clusterer(clusterer: Any) -> None:
+    """Refuse what is neither the name of a clusterer nor an object with ``cluster(window, rng)``."""
+    if isinstance(clusterer, str):
+        CLUSTERERS.find(clusterer)
+    elif not callable(getattr(clusterer, "cluster", None)):
+        raise ArgumentError(f"clusterer must be a name or have cluster(window, rng), got {quote(clusterer)}.")

@@ -104,7 +104,7 @@ class FollowMixture(Detector):
             raise ArgumentError(
                 f"clusters must be at most the number of UAVs in the window ({window.uavs}), got {arguments.clusters}."
             )
-        rng = getattr(self, "rng", None) or np.random.default_rng()
+        rng = self.rng
         living = np.flatnonzero(window.alive)
         most = 1 if arguments.objective == "P1" else arguments.clusters
         motion = read_motion(window, living)

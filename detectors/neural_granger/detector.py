@@ -13,9 +13,10 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate, fit_per_candidate
+from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
 from detectors.series.votes import choose_heads, select_top
-from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -24,16 +25,6 @@ __all__ = ["NeuralGranger"]
 Floats = NDArray[np.float64]
 
 _LEAST_UAVS = 3  # a head and two followers
-
-
-class _Arguments(Config):
-    """The arguments that :class:`PerCandidate` does not check."""
-
-    top_k: Annotated[int, Field(ge=1, le=100_000)]
-    gate: bool
-    gate_threshold: Annotated[float, Field(ge=0)]
-    device: str
-    memory: Annotated[int, Field(ge=1, le=1000)]
 
 
 class NeuralGranger(Detector):
@@ -67,39 +58,21 @@ class NeuralGranger(Detector):
 
     side_by_side: ClassVar[bool] = True
 
-    def __init__(
-        self,
-        top_k: int = 1,
-        gate: bool = False,
-        gate_threshold: float = 0.5,
-        device: str = "cpu",
-        memory: int = 4,
-        steps: int | None = None,
-        times: int | None = None,
-        voters: int | None = None,
-        units: int | None = None,
-        learning_rate: float | None = None,
-        weight_decay: float | None = None,
-        input_noise: float | None = None,
-        blocks: int | None = None,
-        ridge: float | None = None,
-        floor: float | None = None,
-    ) -> None:
-        self.top_k = top_k
-        self.gate = gate
-        self.gate_threshold = gate_threshold
-        self.device = device
-        self.memory = memory
-        self.steps = steps
-        self.times = times
-        self.voters = voters
-        self.units = units
-        self.learning_rate = learning_rate
-        self.weight_decay = weight_decay
-        self.input_noise = input_noise
-        self.blocks = blocks
-        self.ridge = ridge
-        self.floor = floor
+    top_k: Count = 1
+    gate: bool = False
+    gate_threshold: Annotated[float, Field(ge=0)] = 0.5
+    device: str = "cpu"
+    memory: Lags = 4
+    steps: int | None = None
+    times: int | None = None
+    voters: int | None = None
+    units: int | None = None
+    learning_rate: float | None = None
+    weight_decay: float | None = None
+    input_noise: float | None = None
+    blocks: int | None = None
+    ridge: float | None = None
+    floor: float | None = None
 
     def check_arguments(self) -> PerCandidate:
         """Check all arguments and return the settings of the training.
@@ -107,7 +80,7 @@ class NeuralGranger(Detector):
         Raises:
             ArgumentError: an argument is invalid.
         """
-        _Arguments(**{name: getattr(self, name) for name in _Arguments.model_fields})
+        super().check_arguments()
         self._resolve_device()
         names = PerCandidate.model_fields
         return PerCandidate(**{name: getattr(self, name) for name in names if getattr(self, name) is not None})
