@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -52,12 +52,19 @@ class FollowInputs:
         head_position: ``(n, T_0 + 1, 3)`` metres: p_{iL,t+1}, ..., p_{iL,t-T_0+1}. Equation (1) has the last of them
             only; the others follow from it and the velocities.
         parameters: ``(P,)``, the parameters of this episode from :meth:`FollowStrategy.draw`.
+        follower: ``(n,)`` int64, which follower a row is: its number among all followers of the swarm, from 0 in the
+            order of their indices. It stays the same when other UAVs are destroyed. By default 0, ..., n - 1.
     """
 
     own_position: Array
     head_velocity: Array
     head_position: Array
     parameters: Array
+    follower: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def __post_init__(self) -> None:
+        if not len(self.follower):
+            object.__setattr__(self, "follower", np.arange(len(self.own_position)))
 
 
 class FollowStrategy(ABC):
@@ -94,6 +101,7 @@ class FollowStrategy(ABC):
             position, velocity = trajectories.position[b], trajectories.velocity[b]
             followers = np.flatnonzero(trajectories.motion[b] == kernels.FOLLOWS)
             heads = trajectories.leader[b, followers]
+            numbers = np.cumsum(trajectories.leader[b] != np.arange(len(trajectories.leader[b])))[followers] - 1
             for s in range(trajectories.steps):
                 t = lags + s
                 past = slice(t - 1, t - 1 - lags if t > lags else None, -1)
@@ -103,6 +111,7 @@ class FollowStrategy(ABC):
                     head_velocity=velocity[past, heads].swapaxes(0, 1),
                     head_position=position[past_and_now, heads].swapaxes(0, 1),
                     parameters=trajectories.parameters[b],
+                    follower=numbers,
                 )
                 try:
                     direction = self.direction(inputs)
