@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from detectors.parameters import Parameters
 from usnet_env.config import optional_seed
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["Detector", "DetectorPolicy"]
@@ -27,10 +27,13 @@ class Detector(Parameters):
     is a ``cached_property``: :meth:`reset` clears it, and its first use makes it, also without a :meth:`reset`.
 
     Attributes:
+        tags: what the detector needs and uses; :func:`usnet_env.plugins.list_detectors` shows it and
+            :func:`detectors.checks.check_detector` chooses its windows by it.
         side_by_side: whether :meth:`detect_batch` trains on all windows together, so that an answer depends on the
             windows that it is given with. A table of results records the batch of such a detector.
     """
 
+    tags: ClassVar[Tags] = Tags()
     side_by_side: ClassVar[bool] = False
 
     @cached_property

@@ -15,7 +15,7 @@ from detectors.series.designs import check_pairs
 from detectors.series.evidence import Evidence, correlation_evidence, granger_evidence, regression_evidence
 from detectors.series.votes import detection_from_evidence, rank_uavs
 from usnet_env.config import ArgumentError
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["EvidenceDetector", "Granger", "LaggedCorrelation", "LaggedRegression", "OnePerRound"]
@@ -29,6 +29,8 @@ class EvidenceDetector(Detector):
     Args:
         clusters: M, or ``None`` if it is unknown.
     """
+
+    tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True)
 
     clusters: Count | None = None
 
@@ -149,6 +151,8 @@ class OnePerRound(Detector):
 
     With a perfect ranking an episode takes M rounds and has no redundant candidate, so J_m = M.
     """
+
+    tags = Tags(most_uavs=10_000, uses_positions=False)
 
     def detect(self, window: Window) -> Detection:
         """Name the UAV with the highest score of :class:`LaggedRegression`; scores and attention are from there."""

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 import usnet_env.envs
 from usnet_env import ArgumentError, Detection, plugins, registry
+from usnet_env.cli import main
+from usnet_env.detection import read_tags
 from usnet_env.multiagent import usnet_observers_v0
 from usnet_env.multiagent.sensors import PLACEMENTS, register_placement
 from usnet_env.plugins import (
@@ -126,17 +128,58 @@ def test_detectors_are_described_without_importing_any(fresh_process):
     fresh_process.run(code)
 
 
-def test_the_description_from_the_source_is_that_of_the_class():
+def test_the_description_and_the_tags_from_the_source_are_those_of_the_class():
     for entry in list_detectors():
         if not entry.missing:
-            assert entry.description == (make_detector(entry.name).__doc__ or "").partition("\n")[0]
+            detector = make_detector(entry.name)
+            assert entry.description == (detector.__doc__ or "").partition("\n")[0]
+            assert entry.tags == read_tags(detector)
+
+
+def test_detectors_that_do_not_declare_torch_do_not_import_it(fresh_process):
+    code = (
+        "import sys, usnet_env.plugins as p; "
+        "[p.make_detector(entry.name).reset(0) for entry in p.list_detectors() if not entry.needs]; "
+        "assert 'torch' not in sys.modules"
+    )
+    fresh_process.run(code)
+
+
+@pytest.mark.parametrize(
+    ("tags", "answer"),
+    [
+        ("Tags(most_uavs=20, takes_clusters=True)", "(at most 20 UAVs; takes M)"),
+        ("Tags(uses_positions=False, needs=('torch', 'no_such_package'))", "(needs torch, no_such_package: not"),
+        ("make_tags()", ""),
+        ("Tags(most_uavs=most)", ""),
+    ],
+)
+def test_declared_tags_are_listed_without_an_import(installed, tmp_path, monkeypatch, capsys, tags, answer):
+    source = f"class Tagged:\n    'Has tags.'\n    tags = {tags}\n"
+    (tmp_path / "tagged_stranger.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    installed(("tagged", "tagged_stranger:Tagged"))
+    assert main(["list", "detectors"]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("tagged ")]
+    assert f"Has tags. {answer}".rstrip() in line
+    assert "tagged_stranger" not in sys.modules
+
+
+def test_unknown_tags_are_refused(installed, tmp_path, monkeypatch):
+    (tmp_path / "odd_stranger.py").write_text("class Odd:\n    tags = Tags(colour=3)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    installed(("odd", "odd_stranger:Odd"))
+    with pytest.warns(UserWarning, match="detector 'odd' must declare known tags: .*colour"):
+        assert describe_detectors()["odd"].startswith("not available")
 
 
 PACKAGE = {
     "faraway/__init__.py": "from .middle import Near as Other\n",
     "faraway/middle.py": "import no_such_package_anywhere\nfrom faraway.inner.deep import Near\n",
     "faraway/inner/__init__.py": "import json\nimport scipy\n",
-    "faraway/inner/deep.py": '"""Not this."""\n\nclass Near:\n    """Found through three files.\n\n    M.\n    """\n',
+    "faraway/inner/base.py": "class Base:\n    tags = Tags(needs=('no_such_package_anywhere',), least_steps=7)\n",
+    "faraway/inner/deep.py": '"""Not this."""\nfrom .base import Base\n\n'
+    'class Near(Base):\n    """Found through three files.\n\n    M.\n    """\n',
 }
 
 
@@ -149,6 +192,7 @@ def test_a_class_is_found_where_its_package_imports_it_from(installed, tmp_path,
     (entry,) = [entry for entry in list_detectors() if entry.name == "reexported"]
     assert entry.description == "Found through three files."
     assert entry.needs == entry.missing == ("no_such_package_anywhere",)
+    assert entry.tags.least_steps == 7
     assert not [name for name in sys.modules if name.startswith("faraway")]
 
 

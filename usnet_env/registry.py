@@ -7,18 +7,20 @@ the group of its kind, such as ``usnet.follow_strategies``; or the program regis
 from __future__ import annotations
 
 import functools
+import inspect
 import os
 import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
 from usnet_env.config import ArgumentError, quote, unknown_name
 
-__all__ = ["OWN_DISTRIBUTION", "REGISTRIES", "Registry", "describe_error"]
+__all__ = ["OWN_DISTRIBUTION", "REGISTRIES", "Registry", "check_call", "describe_error", "named_parameters"]
 
 OWN_DISTRIBUTION = "usnet"
 
@@ -203,3 +205,38 @@ def describe_error(error: BaseException) -> str:
     """Describe an exception on one line."""
     text = " ".join(str(error).split()).rstrip(".")
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def named_parameters(factory: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return the parameters that can be given by name; an empty dictionary if the signature can't be read."""
+    try:
+        parameters = inspect.signature(factory).parameters
+    except (TypeError, ValueError):
+        return {}
+    by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    return {name: parameter for name, parameter in parameters.items() if parameter.kind in by_name}
+
+
+def check_call(subject: str, factory: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
+    """Refuse arguments that a class or function does not take, and a call without an argument that it needs.
+
+    Args:
+        subject: of the refusal: ``"detector 'random'"``.
+        factory: the class or function.
+        arguments: the keyword arguments of the call.
+    """
+    try:
+        parameter_kinds = {parameter.kind for parameter in inspect.signature(factory).parameters.values()}
+    except (TypeError, ValueError):  # a class written in C may have no signature: the call then reports wrong arguments
+        return
+    known = named_parameters(factory)
+    takes = f"it takes {', '.join(known)}" if known else "it takes no arguments"
+    if inspect.Parameter.VAR_KEYWORD not in parameter_kinds:
+        for argument in arguments:
+            if argument not in known:
+                near = get_close_matches(argument, known, n=1)
+                hint = f" (did you mean {near[0]!r}?)" if near else ""
+                raise ArgumentError(f"{subject} has no argument {argument!r}{hint}; {takes}.")
+    for argument, parameter in known.items():
+        if parameter.default is parameter.empty and argument not in arguments:
+            raise ArgumentError(f"{subject} needs the argument {argument!r}; {takes}.")

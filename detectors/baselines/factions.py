@@ -13,7 +13,7 @@ from detectors.parameters import Lags
 from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
 from detectors.series.regressions import correlate_over_lags
 from detectors.series.votes import rank_uavs
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["Factions", "build_following_network", "compute_pagerank"]
@@ -42,6 +42,8 @@ class Factions(Detector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused or a window has more than 10,000
             UAVs.
     """
+
+    tags = Tags(most_uavs=10_000, uses_positions=False)
 
     max_lag: Lags = 4
     threshold: Annotated[float, Field(ge=0, le=1)] = 0.4

@@ -10,7 +10,7 @@ import numpy as np
 
 from detectors.base import Detector
 from detectors.parameters import Count
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["DestroyAll", "NoCandidates", "RandomDetector"]
@@ -26,6 +26,8 @@ class RandomDetector(Detector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if ``count`` is not a whole number from 1.
     """
 
+    tags = Tags(uses_positions=False)
+
     count: Count = 1
 
     def detect(self, window: Window) -> Detection:
@@ -40,6 +42,8 @@ class RandomDetector(Detector):
 class DestroyAll(Detector):
     """Names every living UAV; its J_m is exactly 1 + (N - M) / N."""
 
+    tags = Tags(uses_positions=False)
+
     def detect(self, window: Window) -> Detection:
         """Name all living UAVs, each with score 1; a destroyed UAV has score 0."""
         return Detection(candidates=window.alive, scores=window.alive.astype(np.float64))
@@ -47,6 +51,8 @@ class DestroyAll(Detector):
 
 class NoCandidates(Detector):
     """Names no UAV, so that no head is ever destroyed."""
+
+    tags = Tags(uses_positions=False)
 
     def detect(self, window: Window) -> Detection:
         """Return a detection without candidates; every score is 0."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from detectors.clustering.base import Clusterer
 from detectors.clustering.partitions import Agglomerative, Hdbscan, KMeans, LeadVotes, Spectral, SymmetricNMF
 from usnet_env.config import ArgumentError, quote
-from usnet_env.registry import Registry
+from usnet_env.registry import Registry, check_call
 
 __all__ = ["CLUSTERERS", "check_clusterer", "clusterers", "make_clusterer", "register_clusterer"]
 
@@ -67,11 +66,7 @@ def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
         ArgumentError: there is no such clusterer, or it does not take such an argument.
     """
     factory = CLUSTERERS.find(name)
-    known = inspect.signature(factory).parameters
-    takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values())
-    for argument in arguments:
-        if argument not in known and not takes_any:
-            raise ArgumentError(f"clusterer {name!r} has no argument {argument!r}; it takes {', '.join(known)}.")
+    check_call(f"clusterer {name!r}", factory, arguments)
     return factory(**arguments)
 
 

@@ -14,7 +14,7 @@ from detectors.follow_mixture.fit import Fit, fit_motion
 from detectors.follow_mixture.motion import read_motion
 from detectors.policy import Policy, choose
 from usnet_env.config import ArgumentError
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["FollowMixture"]
@@ -54,6 +54,8 @@ class FollowMixture(Detector):
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
+
+    tags = Tags(takes_clusters=True)
 
     def __init__(
         self,

@@ -18,7 +18,7 @@ from detectors.parameters import Count
 from detectors.series.designs import check_window
 from detectors.series.votes import choose_heads, count_votes, select_top
 from usnet_env.config import ArgumentError
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["Gassl"]
@@ -53,6 +53,8 @@ class Gassl(Detector):
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the window has no more than
             T_0 velocities or more than 10,000 UAVs.
     """
+
+    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5)
 
     top_k: Count = 1
     rule: Literal["paper", "exclude-self"] = "paper"

@@ -19,7 +19,7 @@ from detectors.neural_granger.shared_network import Following, follow_by_shared_
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_pairs
 from usnet_env.config import ArgumentError, quote
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["LeadVotes"]
@@ -66,6 +66,8 @@ class LeadVotes(Detector):
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is invalid, or a window has no more than T_0
             velocities or more than 10,000 UAVs.
     """
+
+    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, takes_clusters=True)
 
     clusterer: Any = "lead-votes"
     features: Any = "velocities"

@@ -17,7 +17,7 @@ from detectors.policy import Policy, choose
 from detectors.series.designs import check_pairs
 from detectors.weights import packaged_arrays, read_arrays
 from usnet_env.config import ArgumentError
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["MOST_UAVS", "Learned", "load_network"]
@@ -57,6 +57,8 @@ class Learned(Detector):
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the weights file is missing,
             broken, or not what the JSON beside it says.
     """
+
+    tags = Tags(needs=("torch",), most_uavs=1500)
 
     policy: Literal["cost", "threshold", "map"] = "cost"
     threshold: Annotated[float, Field(ge=0, le=1)] = 0.5

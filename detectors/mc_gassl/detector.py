@@ -21,7 +21,7 @@ from detectors.mc_gassl.weights import load_meta_weights
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
 from usnet_env.config import ArgumentError, quote
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["McGassl"]
@@ -57,6 +57,8 @@ class McGassl(Detector):
         ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or a window has no more than T_0
             velocities or more than 10,000 UAVs.
     """
+
+    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, takes_clusters=True)
 
     clusterer: Any = "kmeans"
     features: Any = GRU

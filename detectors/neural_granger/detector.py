@@ -17,7 +17,7 @@ from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
 from detectors.series.votes import choose_heads, select_top
 from usnet_env.config import ArgumentError, quote
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["NeuralGranger"]
@@ -58,6 +58,7 @@ class NeuralGranger(Detector):
 
     side_by_side: ClassVar[bool] = True
 
+    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5)
     top_k: Count = 1
     gate: bool = False
     gate_threshold: Annotated[float, Field(ge=0)] = 0.5

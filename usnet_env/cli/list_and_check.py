@@ -125,7 +125,7 @@ def _describe_parts(part: str) -> list[tuple[str, str]]:
     if part == "detectors":
         from usnet_env.plugins import list_detectors
 
-        return [(entry.name, entry.description + _format_needs(entry)) for entry in list_detectors()]
+        return [(entry.name, f"{entry.description} {_format_tags(entry)}".rstrip()) for entry in list_detectors()]
     if part == "follow":
         from usnet_env.swarm import follow_strategies
 
@@ -140,6 +140,17 @@ def _describe_parts(part: str) -> list[tuple[str, str]]:
     return list(describe_environments().items())
 
 
-def _format_needs(entry: DetectorEntry) -> str:
-    needs = ", ".join(f"{name}: not installed" if name in entry.missing else name for name in entry.needs)
-    return f" (needs {needs})" if needs else ""
+def _format_tags(entry: DetectorEntry) -> str:
+    """The tags that differ from those of a detector that takes every window, in brackets."""
+    tags = entry.tags
+    texts = {
+        "needs " + ", ".join(f"{name}: not installed" if name in entry.missing else name for name in tags.needs): (
+            bool(tags.needs)
+        ),
+        f"at most {tags.most_uavs} UAVs": tags.most_uavs is not None,
+        f"at least {tags.least_steps} steps": tags.least_steps > 1,
+        "velocities only": not tags.uses_positions,
+        "takes M": tags.takes_clusters,
+    }
+    shown = "; ".join(text for text, holds in texts.items() if holds)
+    return f"({shown})" if shown else ""
