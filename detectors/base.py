@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.parameters import Parameters
+from usnet_env.arrays import Mask
 from usnet_env.config import optional_seed
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -94,7 +95,7 @@ class DetectorPolicy:
         self,
         observation: Any,
         state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.int8], tuple[NDArray[Any], ...] | None]:
         """Return the candidates for one observation as an action.

@@ -14,6 +14,7 @@ from detectors.parameters import Count, Lags
 from detectors.series.designs import check_pairs
 from detectors.series.evidence import Evidence, correlation_evidence, granger_evidence, regression_evidence
 from detectors.series.votes import detection_from_evidence, rank_uavs
+from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -35,7 +36,7 @@ class EvidenceDetector(Detector):
     clusters: Count | None = None
 
     @abstractmethod
-    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+    def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
         """Compute the evidence from ``velocity`` ``(T_ob, n, 3)`` and ``seen`` ``(T_ob, n)``; ``None``: no evidence."""
 
     def detect(self, window: Window) -> Detection:
@@ -84,7 +85,7 @@ class LaggedCorrelation(EvidenceDetector):
 
     max_lag: Lags = 4
 
-    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+    def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
         """Compute the net lead of every pair, see :func:`detectors.series.evidence.correlation_evidence`."""
         return correlation_evidence(velocity, seen, self.max_lag)
 
@@ -117,7 +118,7 @@ class LaggedRegression(EvidenceDetector):
     squares: bool = True
     ridge: Annotated[float, Field(ge=0)] = 1e-3
 
-    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+    def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
         """Compute the adjusted R² of every pair, see :func:`detectors.series.evidence.regression_evidence`."""
         return regression_evidence(velocity, seen, self.lags, self.squares, self.ridge)
 
@@ -141,7 +142,7 @@ class Granger(EvidenceDetector):
     lags: Lags = 3
     own_lags: Annotated[int, Field(ge=0, le=1000)] = 2
 
-    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+    def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
         """Compute the Granger causality of every pair, see :func:`detectors.series.evidence.granger_evidence`."""
         return granger_evidence(velocity, seen, self.lags, self.own_lags)
 

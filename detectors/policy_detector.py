@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.base import Detector
+from usnet_env.arrays import Floats, Mask, Observation
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
 __all__ = ["PolicyDetector", "observation_of"]
 
-Observation = dict[str, NDArray[Any]]
 
 _SCORES = ("logits", "probs", "probability", "loc", "scores")  # keys under which actors of TorchRL store scores
 
@@ -101,7 +101,7 @@ class PolicyDetector(Detector):
             candidates = scores > self.threshold
         return Detection(candidates=candidates & window.alive, scores=scores)
 
-    def _act_by_predict(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    def _act_by_predict(self, observation: Any, window: Window) -> tuple[Mask, Floats]:
         predict = self.policy.predict
         more: dict[str, Any] = {}
         if "action_masks" in inspect.signature(predict).parameters:
@@ -115,7 +115,7 @@ class PolicyDetector(Detector):
             scores = candidates.astype(np.float64)
         return candidates, scores
 
-    def _read_probabilities(self, observation: Any, uavs: int) -> NDArray[np.float64] | None:
+    def _read_probabilities(self, observation: Any, uavs: int) -> Floats | None:
         """Probability per UAV from Stable-Baselines3's action distribution; ``None`` if the policy offers none."""
         policy = self.policy
         ask = getattr(policy, "get_distribution", None)
@@ -138,7 +138,7 @@ class PolicyDetector(Detector):
             return None
         return _to_scores(probabilities, uavs)
 
-    def _act_by_tensordict(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    def _act_by_tensordict(self, observation: Any, window: Window) -> tuple[Mask, Floats]:
         tensordict = import_module("tensordict")  # installed wherever such a policy exists
         asked = tensordict.TensorDict(_to_tensors(observation, _find_device(self.policy)), batch_size=[1])
         with import_module("tensordict.nn").set_interaction_type("deterministic"):
@@ -203,7 +203,7 @@ def _to_tensors(observation: Any, device: Any) -> Any:
     return torch.as_tensor(np.asarray(observation), device=device)[None]
 
 
-def _to_scores(value: Any, uavs: int) -> NDArray[np.float64]:
+def _to_scores(value: Any, uavs: int) -> Floats:
     """Convert N numbers, possibly with axes of length 1, to an array ``(N,)``."""
     values = _to_array(value)
     if values.size != uavs or values.dtype.kind not in "biuf":
@@ -211,7 +211,7 @@ def _to_scores(value: Any, uavs: int) -> NDArray[np.float64]:
     return values.reshape(uavs).astype(np.float64)
 
 
-def _to_candidates(action: Any, uavs: int) -> NDArray[np.bool_]:
+def _to_candidates(action: Any, uavs: int) -> Mask:
     """Convert an action to candidates ``(N,)``: N zeros and ones, or the index of one UAV."""
     values = _to_array(action)
     if values.size == 1 and uavs > 1 and values.dtype.kind in "iu":

@@ -249,17 +249,26 @@ def takes_arguments(
     return decorate
 
 
-def list_arguments(described: ClassT) -> ClassT:
-    """Decorate a class whose constructor :func:`takes_arguments`: a table replaces ``{arguments}`` in its docstring."""
-    fields = vars(described)["__init__"].config.model_fields
-    rows = [
-        f"    | `{name}` | {_format_default(field.default)} | {field.description.replace('``', '`')} |"
-        for name, field in fields.items()
-    ]
-    table = "\n".join(["| name | default | meaning |", "    | --- | --- | --- |", *rows])
-    if described.__doc__:  # Python leaves docstrings out with -OO
-        described.__doc__ = described.__doc__.replace("{arguments}", table)
-    return described
+def list_arguments(**parts: str) -> Callable[[ClassT], ClassT]:
+    """Decorate a class whose constructor :func:`takes_arguments`, to complete its docstring.
+
+    Args:
+        parts: texts by name: each replaces its name in braces. A table of the arguments replaces ``{arguments}``.
+    """
+
+    def complete(described: ClassT) -> ClassT:
+        rows = [
+            f"    | `{name}` | {_format_default(field.default)} | {field.description.replace('``', '`')} |"
+            for name, field in vars(described)["__init__"].config.model_fields.items()
+        ]
+        table = "\n".join(["| name | default | meaning |", "    | --- | --- | --- |", *rows])
+        text = described.__doc__ or ""  # Python leaves docstrings out with -OO
+        for name, part in {**parts, "arguments": table}.items():
+            text = text.replace(f"{{{name}}}", part)
+        described.__doc__ = text
+        return described
+
+    return complete
 
 
 def _format_default(value: Any) -> str:

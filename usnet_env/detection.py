@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.window import frozen_array
 
@@ -50,11 +50,11 @@ class Detection:
         ArgumentError: an array has another shape, values that are not finite, or indices out of range.
     """
 
-    candidates: NDArray[np.bool_]
-    scores: NDArray[np.float64]
-    clusters: NDArray[np.int64] | None = None
-    leader: NDArray[np.int64] | None = None
-    attention: NDArray[np.float64] | None = None
+    candidates: Mask
+    scores: Floats
+    clusters: Indices | None = None
+    leader: Indices | None = None
+    attention: Floats | None = None
     extras: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

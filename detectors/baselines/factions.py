@@ -13,12 +13,12 @@ from detectors.parameters import Lags
 from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
 from detectors.series.regressions import correlate_over_lags
 from detectors.series.votes import rank_uavs
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["Factions", "build_following_network", "compute_pagerank"]
 
-Floats = NDArray[np.float64]
 
 _DAMPING = 0.85
 _ITERATIONS = 100
@@ -79,9 +79,7 @@ class Factions(Detector):
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader)
 
 
-def build_following_network(
-    velocity: NDArray[np.floating], seen: NDArray[np.bool_], max_lag: int, threshold: float
-) -> Floats:
+def build_following_network(velocity: NDArray[np.floating], seen: Mask, max_lag: int, threshold: float) -> Floats:
     """Build the network ``(n, n)``; entry (i, j) is the correlation with which i follows j, or 0.
 
     Args:
@@ -108,7 +106,7 @@ def compute_pagerank(network: Floats) -> Floats:
     return rank
 
 
-def _find_reachable_leaders(follows: NDArray[np.bool_], leads: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _find_reachable_leaders(follows: Mask, leads: Indices) -> Mask:
     """``(n, leaders)``: whether the network has a path from a UAV to a leader; a leader reaches itself."""
     reached = np.zeros((len(follows), len(leads)), bool)
     reached[leads, np.arange(len(leads))] = True

@@ -10,6 +10,7 @@ from scipy.stats import rankdata
 
 from detectors.checks.harness import SEED, compare_detections, copy_detector, play_windows, require, warn
 from detectors.checks.windows import draw_window, make_hovering_window, permute_uavs
+from usnet_env.arrays import Floats
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -101,7 +102,7 @@ def _are_close(one: Detection, other: Detection) -> bool:
     )
 
 
-def _summarise_detection(answer: Detection) -> NDArray[np.float64]:
+def _summarise_detection(answer: Detection) -> Floats:
     """``(2 N,)``: the candidates, and the ranks of the scores in (0, 1]."""
     uavs = len(answer.scores)
     # Scores that differ by rounding errors only must share a rank.
@@ -109,7 +110,7 @@ def _summarise_detection(answer: Detection) -> NDArray[np.float64]:
     return np.concatenate([answer.candidates, rankdata(np.round(answer.scores / scale, 4)) / uavs])
 
 
-def compute_p_value(here: NDArray[np.float64], there: NDArray[np.float64]) -> float:
+def compute_p_value(here: Floats, there: Floats) -> float:
     """p-value of a permutation test for equal means of two samples.
 
     Args:

@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Mask, Singles
 from usnet_env.detection import read_tags
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.window import Window
@@ -131,13 +132,7 @@ def set_heads(env: Any, heads: NDArray[np.intp]) -> None:
     env.unwrapped.set_state(state)
 
 
-def _mask_unseen_samples(
-    position: NDArray[np.float32],
-    velocity: NDArray[np.float32],
-    seen: NDArray[np.bool_],
-    alive: NDArray[np.bool_],
-    round: int,
-) -> Window:
+def _mask_unseen_samples(position: Singles, velocity: Singles, seen: Mask, alive: Mask, round: int) -> Window:
     """Make a window with zeros for unseen samples, as in the environments."""
     both = seen[1:] & seen[:-1]
     return Window(np.where(seen[..., None], position, 0), np.where(both[..., None], velocity, 0), seen, alive, round)

@@ -17,6 +17,7 @@ from detectors.clustering.eigengap import estimate_count_by_eigengap
 from detectors.clustering.features import FEATURES, Features, compute_features
 from detectors.clustering.gap_statistic import compute_gap_statistic
 from detectors.parameters import Count, Lags, Parameters
+from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.window import Window, frozen_array
 
@@ -26,8 +27,6 @@ __all__ = [
     "Living",
 ]
 
-Floats = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 COUNTS = ("gap", "gap-one-se", "eigengap")  # the values of count= that estimate the number of clusters beforehand
 OWN = "own"  # the value of count= with which a clusterer finds the number of clusters itself
@@ -50,7 +49,7 @@ class Clustering:
         ArgumentError: an array has another shape, or the labels of living UAVs are not 0 to ``count`` - 1, each used.
     """
 
-    labels: Labels
+    labels: Indices
     count: int
     features: Floats | None = None
     affinity: Floats | None = None

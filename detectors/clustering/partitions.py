@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from sklearn.cluster import HDBSCAN, AgglomerativeClustering, spectral_clustering
 
@@ -16,17 +15,16 @@ from detectors.clustering.snmf import factorise_affinity
 from detectors.parameters import Count, Lags
 from detectors.series.evidence import regression_evidence
 from detectors.series.votes import detection_from_evidence
+from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, quote
 
 __all__ = ["Agglomerative", "Hdbscan", "KMeans", "LeadVotes", "Spectral", "SymmetricNMF"]
-
-Labels = NDArray[np.int64]
 
 
 class KMeans(Clusterer):
     """K-Means on the features; a time series is flattened to one row per UAV."""
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn: the best of ten starts."""
         assert count is not None
         return assign_k_means_labels(living.flat, count, rng)
@@ -35,13 +33,13 @@ class KMeans(Clusterer):
 class Spectral(Clusterer):
     """Spectral clustering of :func:`detectors.clustering.affinity.regularise_affinity`."""
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn."""
         assert count is not None
         if count == 1 or count >= len(living.index):
             return np.zeros(len(living.index), np.int64) if count == 1 else np.arange(count)
         # K-Means on the embedding sometimes makes a cluster of one head that is similar to no UAV; cluster_qr does not.
-        labels: Labels = spectral_clustering(
+        labels: Indices = spectral_clustering(
             regularise_affinity(living.affinity),
             n_clusters=count,
             random_state=int(rng.integers(2**31)),
@@ -64,7 +62,7 @@ class SymmetricNMF(Clusterer):
     starts: Annotated[int, Field(ge=1, le=1_000_000)] = 5
     steps: Annotated[int, Field(ge=1, le=1_000_000)] = 300
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` of the best start."""
         assert count is not None
         matrix = normalise_affinity(living.affinity)
@@ -83,10 +81,10 @@ class Agglomerative(Clusterer):
 
     linkage: Literal["average", "complete", "single"] = "complete"
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
         model = AgglomerativeClustering(count, metric="precomputed", linkage=self.linkage)
-        labels: Labels = model.fit_predict(1.0 - living.affinity)
+        labels: Indices = model.fit_predict(1.0 - living.affinity)
         return labels
 
 
@@ -115,13 +113,13 @@ class Hdbscan(Clusterer):
             )
         return super().check_arguments()
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
         n = len(living.index)
         if n < self.least:
             return np.zeros(n, np.int64)
         model = HDBSCAN(min_cluster_size=self.least, min_samples=1, metric="precomputed", copy=True)
-        found: Labels = model.fit_predict(1.0 - living.affinity).astype(np.int64)
+        found: Indices = model.fit_predict(1.0 - living.affinity).astype(np.int64)
         clustered = found >= 0
         if not clustered.any():
             return np.zeros(n, np.int64)
@@ -150,7 +148,7 @@ class LeadVotes(Clusterer):
     squares: bool = True
     ridge: Annotated[float, Field(ge=0)] = 1e-3
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)``; ``rng`` breaks ties between leaders."""
         window, index = living.window, living.index
         evidence = regression_evidence(

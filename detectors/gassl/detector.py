@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from functools import partial
+from typing import Literal
 
 import numpy as np
 import torch
@@ -16,7 +17,8 @@ from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Fit, Training, prepare_inputs, train
 from detectors.parameters import Count
 from detectors.series.designs import check_window
-from detectors.series.votes import choose_heads, count_votes, select_top
+from detectors.series.votes import choose_heads, count_votes, name_at_random, select_top, spread
+from usnet_env.arrays import Singles
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -99,19 +101,18 @@ class Gassl(Detector):
         check_window(window, self.memory)
         members = np.flatnonzero(window.alive)
         if len(members) < _LEAST_UAVS or not window.velocity_seen.any():  # no evidence, decision (x)
-            candidates = np.zeros(window.uavs, bool)
-            candidates[self.rng.permutation(members)[: self.top_k]] = True
+            candidates = name_at_random(members, self.top_k, window.uavs, self.rng)
             return Detection(candidates=candidates, scores=np.zeros(window.uavs))
         fit = self.fit_cluster(window, members, None, self.rng)
         return answer(window, members, fit, self.rule, self.top_k, self.rng)
 
-    def draw_gamma(self, rng: np.random.Generator) -> NDArray[np.float32]:
+    def draw_gamma(self, rng: np.random.Generator) -> Singles:
         """An initial Γ, ``(parameters,)``."""
         agat, ifsn, _ = self.check_arguments()
         return draw_ifsn(ifsn, 6 * agat.attn_heads, rng)
 
     def fit_cluster(
-        self, window: Window, members: NDArray[np.intp], gamma: NDArray[np.float32] | None, rng: np.random.Generator
+        self, window: Window, members: NDArray[np.intp], gamma: Singles | None, rng: np.random.Generator
     ) -> Fit:
         """Lines 1 to 7 of Algorithm 1 for some UAVs of a window; the other UAVs are taken as absent.
 
@@ -135,26 +136,18 @@ def answer(
     window: Window, members: NDArray[np.intp], fit: Fit, rule: str, top_k: int, rng: np.random.Generator
 ) -> Detection:
     """Lines 6 to 8 of Algorithm 1: votes of the n UAVs of a cluster, written out for all N of the window."""
-    uavs = window.uavs
     attention = fit.attention.astype(np.float64)
     own = choose_heads(attention, True, rng)
     choice = choose_heads(attention, False, rng) if rule == "paper" else own
     c = count_votes(choice)
-    candidates, scores = np.zeros(uavs, bool), np.zeros(uavs)
-    scores[members] = c
-    candidates[members[select_top(c, top_k, rng)]] = True
-    leader, chosen = np.full(uavs, -1, np.int64), np.full(uavs, -1, np.int64)
-    leader[members], chosen[members] = members[own], members[choice]
-    whole = np.zeros((uavs, uavs))
-    whole[np.ix_(members, members)] = attention
-    attn_heads = np.zeros((fit.attn_heads.shape[1], uavs, uavs))
-    attn_heads[:, members[:, None], members] = fit.attn_heads.swapaxes(0, 1)
-    explained, loss = np.zeros(uavs), np.zeros((uavs, fit.loss.shape[1]))
-    explained[members], loss[members] = fit.explained, fit.loss
-    extras: dict[str, Any] = {
-        "choice": chosen,
-        "attention_heads": attn_heads,
-        "explained": explained,
-        "loss": loss,
+    named = np.zeros(len(members), bool)
+    named[select_top(c, top_k, rng)] = True
+    wide = partial(spread, members=members, uavs=window.uavs)
+    extras = {
+        "choice": wide(members[choice], fill=-1),
+        "attention_heads": wide(fit.attn_heads.swapaxes(0, 1), pairs=True),
+        "explained": wide(fit.explained),
+        "loss": wide(fit.loss),
     }
-    return Detection(candidates=candidates, scores=scores, leader=leader, attention=whole, extras=extras)
+    leader = wide(members[own], fill=-1)
+    return Detection(wide(named), wide(c), leader=leader, attention=wide(attention, pairs=True), extras=extras)

@@ -18,6 +18,8 @@ from detectors.neural_granger.per_candidate import PerCandidate
 from detectors.neural_granger.shared_network import Following, follow_by_shared_network
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_pairs
+from detectors.series.votes import name_at_random
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -124,8 +126,7 @@ class LeadVotes(Detector):
         living = np.flatnonzero(window.alive)
         followed = np.zeros(window.uavs)
         if len(living) < _LEAST_UAVS or not window.velocity_seen.any():  # no evidence, decision (x)
-            candidates = np.zeros(window.uavs, bool)
-            candidates[self.rng.permutation(living)[:1]] = True
+            candidates = name_at_random(living, 1, window.uavs, self.rng)
             few = {"count": min(1, len(living)), "proposed": candidates, "followed": followed}
             return Detection(candidates, followed, np.where(window.alive, 0, -1), extras=few)
         clustering = clusterer.cluster(window, self.rng)
@@ -141,9 +142,7 @@ class LeadVotes(Detector):
         extras = {"count": clustering.count, "proposed": proposed, "followed": followed}
         return Detection(candidates, score, clustering.labels, leader, attention, extras)
 
-    def _propose_heads(
-        self, window: Window, clustering: Clustering
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    def _propose_heads(self, window: Window, clustering: Clustering) -> tuple[Mask, Floats, Indices, Floats]:
         """Apply the head detector to every cluster.
 
         Returns:
@@ -176,18 +175,13 @@ class LeadVotes(Detector):
                     attention[np.ix_(members, members)] = found.attention[np.ix_(members, members)]
         return proposed, score, leader, attention
 
-    def _draw_one(self, members: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _draw_one(self, members: Mask) -> Mask:
         chosen = np.zeros(len(members), bool)
         chosen[self.rng.choice(np.flatnonzero(members))] = True
         return chosen
 
     def _find_leaders(
-        self,
-        window: Window,
-        clustering: Clustering,
-        proposed: NDArray[np.bool_],
-        score: NDArray[np.float64],
-        living: NDArray[np.intp],
+        self, window: Window, clustering: Clustering, proposed: Mask, score: Floats, living: NDArray[np.intp]
     ) -> Following:
         """Train the shared network on the whole swarm and find the leader of each living UAV."""
         samples = build_samples([window], [living], self.memory, torch.device("cpu"))
@@ -210,13 +204,7 @@ class LeadVotes(Detector):
             self.passes,
         )
 
-    def _keep_followed(
-        self,
-        proposed: NDArray[np.bool_],
-        followed: NDArray[np.float64],
-        score: NDArray[np.float64],
-        alive: NDArray[np.bool_],
-    ) -> NDArray[np.bool_]:
+    def _keep_followed(self, proposed: Mask, followed: Floats, score: Floats, alive: Mask) -> Mask:
         """Keep the proposed UAVs that have enough followers; the one with the highest score if there are none."""
         passed = proposed & (followed >= self.followers)
         if passed.any():

@@ -16,6 +16,7 @@ from detectors.learned.network import HeadNetwork, build_network
 from detectors.policy import Policy, choose
 from detectors.series.designs import check_pairs
 from detectors.weights import packaged_arrays, read_arrays
+from usnet_env.arrays import Floats, Mask
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -119,9 +120,7 @@ def load_network(weights: str = "shipped") -> HeadNetwork:
     return build_network(weights, read_arrays(weights))
 
 
-def _predict_probabilities(
-    network: HeadNetwork, window: Window, living: NDArray[np.intp]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _predict_probabilities(network: HeadNetwork, window: Window, living: NDArray[np.intp]) -> tuple[Floats, Floats]:
     """Probabilities ``(n,)`` of being a head, and ``(n, n)`` that UAV i follows UAV j; j = i means no UAV."""
     with torch.no_grad():
         answer = network(*make_inputs(window, living))
@@ -130,9 +129,7 @@ def _predict_probabilities(
     return head.numpy().round(_DECIMALS), following.numpy()
 
 
-def _choose_candidates(
-    probability: NDArray[np.float64], alive: NDArray[np.bool_], arguments: Any, tie: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _choose_candidates(probability: Floats, alive: Mask, arguments: Any, tie: Floats) -> Mask:
     """Choose the candidates ``(N,)`` among the living UAVs by the policy."""
     if arguments.policy == "cost":
         return choose(probability, alive, Policy(round_price=arguments.round_price), tie)

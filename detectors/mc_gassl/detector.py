@@ -20,6 +20,7 @@ from detectors.mc_gassl.triplet import Metric
 from detectors.mc_gassl.weights import load_meta_weights
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
+from detectors.series.votes import name_at_random
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -135,8 +136,7 @@ class McGassl(Detector):
 
     def _name_one(self, window: Window, living: np.ndarray[Any, np.dtype[np.intp]]) -> Detection:
         """One of the living UAVs, at random: nothing shows which is a head."""
-        candidates = np.zeros(window.uavs, bool)
-        candidates[self.rng.permutation(living)[:1]] = True
+        candidates = name_at_random(living, 1, window.uavs, self.rng)
         extras = {"count": min(1, len(living)), "followed": np.zeros(window.uavs), "online_loss": []}
         return Detection(candidates, np.zeros(window.uavs), np.where(window.alive, 0, -1), extras=extras)
 

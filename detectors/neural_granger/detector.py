@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -15,14 +16,14 @@ from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate, fit_per_candidate
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
-from detectors.series.votes import choose_heads, select_top
+from detectors.series.votes import choose_heads, name_at_random, select_top, spread
+from usnet_env.arrays import Floats, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["NeuralGranger"]
 
-Floats = NDArray[np.float64]
 
 _LEAST_UAVS = 3  # a head and two followers
 
@@ -110,7 +111,7 @@ class NeuralGranger(Detector):
         """
         return self.detect_batch([window])[0]
 
-    def detect_among(self, window: Window, members: NDArray[np.bool_]) -> Detection:
+    def detect_among(self, window: Window, members: Mask) -> Detection:
         """Name the candidates of a part of the swarm, as if the other UAVs were absent.
 
         Args:
@@ -135,7 +136,8 @@ class NeuralGranger(Detector):
         groups: dict[tuple[int, int, bool], list[int]] = {}
         members = []
         for number, window in enumerate(windows):
-            index = self._select_members(window)
+            check_window(window, self.memory)
+            index = np.flatnonzero(window.alive)
             members.append(index)
             shown = len(index) >= _LEAST_UAVS and bool(window.velocity_seen.any())
             groups.setdefault((len(index), window.observation_steps, shown), []).append(number)
@@ -144,25 +146,19 @@ class NeuralGranger(Detector):
             chosen = [windows[number] for number in numbers]
             among = [members[number] for number in numbers]
             if not shown:
+                count = 0 if self.gate else self.top_k
                 found = [
-                    self._answer_without_evidence(window, index, rng)
+                    Detection(
+                        name_at_random(index, count, window.uavs, rng),
+                        np.zeros(window.uavs),
+                        extras={"followed": False},
+                    )
                     for window, index in zip(chosen, among, strict=True)
                 ]
             else:
                 found = self._fit_group(chosen, among, settings, device, rng)
             answers.update(zip(numbers, found, strict=True))
         return [answers[number] for number in range(len(windows))]
-
-    def _select_members(self, window: Window) -> NDArray[np.intp]:
-        """Check the window and return the indices of its living UAVs."""
-        check_window(window, self.memory)
-        return np.flatnonzero(window.alive)
-
-    def _answer_without_evidence(self, window: Window, index: NDArray[np.intp], rng: np.random.Generator) -> Detection:
-        """One or two UAVs, or unseen ones, give no evidence: ``top_k`` of them are named at random, decision (x)."""
-        candidates = np.zeros(window.uavs, bool)
-        candidates[rng.permutation(index)[: self.top_k]] = not self.gate
-        return Detection(candidates=candidates, scores=np.zeros(window.uavs), extras={"followed": False})
 
     def _fit_group(
         self,
@@ -197,36 +193,19 @@ class NeuralGranger(Detector):
         rng: np.random.Generator,
     ) -> Detection:
         """Turn the attention ``(n, n)`` of the living UAVs into a detection for all N UAVs of the window."""
-        uavs = window.uavs
         choice, own = choose_heads(attention, False, rng), choose_heads(attention, True, rng)
         c = attention.copy()
         np.fill_diagonal(c, 0.0)
         c = c.sum(axis=0) / len(attention)
-        candidates, scores = np.zeros(uavs, bool), np.zeros(uavs)
-        scores[index] = c
+        named = np.zeros(len(index), bool)
         if not self.gate or extras["followed"]:
-            candidates[index[select_top(c, self.top_k, rng)]] = True
-        leader, chosen = np.full(uavs, -1, np.int64), np.full(uavs, -1, np.int64)
-        leader[index], chosen[index] = index[own], index[choice]
-        spread = {
-            name: _expand(value, index, uavs) if isinstance(value, np.ndarray) else value
-            for name, value in extras.items()
-        }
+            named[select_top(c, self.top_k, rng)] = True
+        wide = partial(spread, members=index, uavs=window.uavs)
+        more = {name: wide(value) if isinstance(value, np.ndarray) else value for name, value in extras.items()}
         return Detection(
-            candidates=candidates,
-            scores=scores,
-            leader=leader,
-            attention=_expand(attention, index, uavs),
-            extras={"choice": chosen, **spread},
+            wide(named),
+            wide(c),
+            leader=wide(index[own], fill=-1),
+            attention=wide(attention, pairs=True),
+            extras={"choice": wide(index[choice], fill=-1), **more},
         )
-
-
-def _expand(values: Floats, index: NDArray[np.intp], uavs: int) -> Floats:
-    """Expand ``(n,)`` or ``(..., n, n)`` from the living UAVs to all N UAVs, with 0 elsewhere."""
-    if values.ndim == 1:
-        wide = np.zeros(uavs)
-        wide[index] = values
-        return wide
-    wide = np.zeros((*values.shape[:-2], uavs, uavs))
-    wide[..., index[:, None], index] = values
-    return wide

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from detectors.series.designs import stack_past
 from detectors.series.gaps import fill_gaps
+from usnet_env.arrays import Singles
 from usnet_env.window import Window
 
 __all__ = ["Samples", "build_samples"]
@@ -62,7 +63,7 @@ def build_samples(
         memory: T_0.
         device: of the tensors.
     """
-    stacked: list[tuple[NDArray[np.float32], ...]] = []
+    stacked: list[tuple[Singles, ...]] = []
     for window, index in zip(windows, members, strict=True):
         whole = fill_gaps(window)
         velocity, seen = whole.velocity[:, index], window.velocity_seen[memory:, index]

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
@@ -33,10 +34,9 @@ __all__ = [
     "parse_candidates",
     "play_round",
     "start_games",
+    "to_array",
     "truth_info",
 ]
-
-Observation = dict[str, NDArray[Any]]
 
 
 class ShotArguments(Config):
@@ -97,10 +97,10 @@ class GameState:
     """
 
     swarm: SwarmState
-    rounds: NDArray[np.int64]
-    redundant: NDArray[np.int64]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
+    rounds: Indices
+    redundant: Indices
+    terminated: Mask
+    truncated: Mask
 
     def with_rows(self, episodes: NDArray[np.intp], other: GameState) -> Self:
         """A copy of this batch in which ``other`` replaces some games."""
@@ -115,7 +115,7 @@ class GameState:
 class StepResult:
     """The result of a round: ``reward`` ``(B,)`` float64, and the ``metrics`` of ``info`` by name, each ``(B,)``."""
 
-    reward: NDArray[np.float64]
+    reward: Floats
     metrics: dict[str, NDArray[Any]]
 
 
@@ -139,16 +139,21 @@ def action_space(config: SwarmConfig) -> spaces.MultiBinary:
     return spaces.MultiBinary(config.uavs)
 
 
-def parse_candidates(action: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def to_array(action: Any) -> NDArray[Any]:
+    """Convert an action to an array; one that can't be converted becomes an empty array of objects."""
+    try:
+        return np.asarray(action)
+    except Exception:  # a foreign class may raise anything when it is converted
+        return np.empty(0, object)
+
+
+def parse_candidates(action: Any, shape: tuple[int, ...]) -> Mask:
     """Convert an action (integers, booleans or floats) to booleans of the given shape.
 
     Raises:
         ArgumentError: the action has another shape or a value other than 0 and 1.
     """
-    try:
-        values = np.asarray(action)
-    except Exception:  # a foreign class may raise anything when it is converted
-        values = np.empty(0, object)
+    values = to_array(action)
     if values.shape != shape:
         raise ArgumentError(f"action must have shape {shape} (0 or 1 for each UAV), got {quote(action)}.")
     if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
@@ -184,7 +189,7 @@ def start_games(config: SwarmConfig, rngs: Sequence[np.random.Generator]) -> Gam
     return GameState(swarm, zeros, zeros.copy(), zeros.astype(bool), zeros.astype(bool))
 
 
-def play_round(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) -> tuple[GameState, StepResult]:
+def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameState, StepResult]:
     """Play one round: score and destroy the candidates; followers of a destroyed head re-merge.
 
     Args:

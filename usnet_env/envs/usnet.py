@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from usnet_env.arrays import Mask, Observation
 from usnet_env.config import ArgumentError, list_arguments, optional_seed, quote, takes_arguments
 from usnet_env.drawing import EpisodeFrames, describe_frame
 from usnet_env.envs import game
@@ -18,7 +19,28 @@ from usnet_env.swarm.config import MobilityArguments, SensorArguments, SwarmArgu
 
 __all__ = ["MultiClusterEnv", "SingleClusterEnv", "UsnetEnv"]
 
-Observation = dict[str, NDArray[Any]]
+
+# Parts of the docstrings of both environments.
+_OBSERVATION = """`Dict` of
+
+    | key | shape | dtype | unit | meaning |
+    | --- | --- | --- | --- | --- |
+    | `position` | `(T_ob + 1, N, 3)` | float32 | m | observed positions at the sampling instants; 0 if not detected |
+    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | velocity between two instants; 0 unless detected at both |
+    | `seen` | `(T_ob + 1, N)` | int8 | | 1 if the UAV was detected |
+    | `alive` | `(N,)` | int8 | | 1 unless destroyed; indices never change |
+    | `round` | `(1,)` | float32 | | number of the round, from 1 |"""
+_INFO = """`info` holds, at every step and all zero at reset:
+
+    | key | meaning |
+    | --- | --- |
+    | `hits` | candidates of the round that are heads |
+    | `redundant` | candidates of the round that are not living heads |
+    | `round` | rounds played |
+    | `success` | 1 if no head is left |
+    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
+    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
+    | `reward_redundancy` | the part of the reward for redundant candidates: their price |"""
 
 
 class OutputArguments(game.RenderArguments):
@@ -57,7 +79,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         self._game: game.GameState | None = None
         self._window: Observation = {}  # the present observation
         # The round before it: window, swarm, candidates, and title of its frame.
-        self._last_round: tuple[Observation, SwarmState, NDArray[np.bool_], str] | None = None
+        self._last_round: tuple[Observation, SwarmState, Mask, str] | None = None
         self._frames = EpisodeFrames()
 
     @property
@@ -137,7 +159,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             info |= {**truth, "heads_left": int(truth["heads_left"])}
         return info
 
-    def action_masks(self) -> NDArray[np.bool_]:
+    def action_masks(self) -> Mask:
         """``(2 N,)`` bool for maskable agents: for each UAV whether 0 and whether 1 is allowed (1 only if it lives)."""
         alive = self._require_game().swarm.alive[0]
         return np.stack([np.ones_like(alive), alive], axis=1).reshape(-1)
@@ -213,7 +235,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         )
 
 
-@list_arguments
+@list_arguments(observation=_OBSERVATION, info=_INFO)
 class SingleClusterEnv(UsnetEnv):
     """P1: find the head of one cluster in one round.
 
@@ -227,15 +249,7 @@ class SingleClusterEnv(UsnetEnv):
     they are 0 or 1.
 
     ## Observation Space
-    `Dict` of
-
-    | key | shape | dtype | unit | meaning |
-    | --- | --- | --- | --- | --- |
-    | `position` | `(T_ob + 1, N, 3)` | float32 | m | observed positions at the sampling instants; 0 if not detected |
-    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | velocity between two instants; 0 unless detected at both |
-    | `seen` | `(T_ob + 1, N)` | int8 | | 1 if the UAV was detected |
-    | `alive` | `(N,)` | int8 | | 1 unless destroyed |
-    | `round` | `(1,)` | float32 | | number of the round, from 1 |
+    {observation}
 
     ## Rewards
     J_s = 1{head hit} − |Ĥ_1|, where Ĥ_1 is the set of candidates: 0 for the head alone, −1 for one wrong candidate.
@@ -243,19 +257,9 @@ class SingleClusterEnv(UsnetEnv):
     1{hit} − 1 − `redundancy_price` · (|Ĥ_1| − 1), which is J_s at price 1. A set of more than `shot_budget` candidates
     destroys no UAV and counts as an empty set.
 
-    `info` holds, at every step and all zero at reset:
-
-    | key | meaning |
-    | --- | --- |
-    | `hits` | candidates of the round that are heads |
-    | `redundant` | candidates of the round that are not living heads |
-    | `round` | rounds played |
-    | `success` | 1 if no head is left |
-    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
+    {info}
     | `J` | J_s, at price 1 |
-    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
     | `reward_hit` | the part of the reward for the hit: 0 if the head is a candidate, else −1 |
-    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
     ## Starting State
     Roles have random indices; `formation` gives the initial positions. The first window starts after all followers
@@ -278,7 +282,7 @@ class SingleClusterEnv(UsnetEnv):
         super().__init__(config, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
 
 
-@list_arguments
+@list_arguments(observation=_OBSERVATION, info=_INFO)
 class MultiClusterEnv(UsnetEnv):
     """P2: find all heads of a swarm with unknown clusters, in few rounds and with few redundant candidates.
 
@@ -293,15 +297,7 @@ class MultiClusterEnv(UsnetEnv):
     booleans and floats are accepted if they are 0 or 1.
 
     ## Observation Space
-    `Dict` of
-
-    | key | shape | dtype | unit | meaning |
-    | --- | --- | --- | --- | --- |
-    | `position` | `(T_ob + 1, N, 3)` | float32 | m | observed positions at the sampling instants; 0 if not detected |
-    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | velocity between two instants; 0 unless detected at both |
-    | `seen` | `(T_ob + 1, N)` | int8 | | 1 if the UAV was detected |
-    | `alive` | `(N,)` | int8 | | 1 unless destroyed; indices never change |
-    | `round` | `(1,)` | float32 | | number of the round, from 1 |
+    {observation}
 
     ## Rewards
     −(1 + `redundancy_price` · redundant / N) per round, with redundant = |Ĥ_r ∖ H_{r−1}|, where Ĥ_r are the
@@ -312,19 +308,9 @@ class MultiClusterEnv(UsnetEnv):
     To destroy all UAVs in round 1 gives J_m = 1 + (N − M)/N < 2, which beats every answer that needs two rounds
     (decision l). So report J_m together with precision, recall and rounds.
 
-    `info` holds, at every step and all zero at reset:
-
-    | key | meaning |
-    | --- | --- |
-    | `hits` | candidates of the round that are heads |
-    | `redundant` | candidates of the round that are not living heads |
-    | `round` | rounds played |
-    | `success` | 1 if no head is left |
-    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
+    {info}
     | `J` | J_m of the rounds played so far, at price 1 |
-    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
     | `reward_round` | the part of the reward for the round, −1 |
-    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
     As long as heads are left, none of these values depends on M: `heads_left` needs `reveal_truth=True`.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -12,6 +12,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from pydantic import Field
 
+from usnet_env.arrays import Floats, Mask, Observation, Singles
 from usnet_env.config import ArgumentError, optional_seed, quote
 from usnet_env.drawing import EpisodeFrames, MissingExtraError, describe_frame
 from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules
@@ -31,16 +32,13 @@ __all__ = [
     "AECEnv",
     "BaseParallelWrapper",
     "GameArguments",
-    "Observation",
     "RoundRecord",
     "Step",
     "UsnetParallelEnv",
-    "to_aec",
-    "to_ordered_aec",
+    "make_aec_forms",
     "to_scalars",
 ]
 
-Observation = dict[str, NDArray[Any]]
 
 #: Keys of ``options`` that ``reset`` ignores: PettingZoo's own tests of an environment pass this one.
 IGNORED_OPTIONS = ("options",)
@@ -64,8 +62,8 @@ class RoundRecord:
 
     sighting: ObservationBatch
     truth: SwarmState
-    candidates: NDArray[np.bool_]
-    scores: NDArray[np.float64]
+    candidates: Mask
+    scores: Floats
     objective: float
     over_budget: bool
 
@@ -101,7 +99,7 @@ def to_scalars(metrics: Mapping[str, NDArray[Any]]) -> dict[str, int | float]:
 
 
 class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc]  # PettingZoo ships no types
-    """Base class of the games, in PettingZoo's Parallel form; :func:`to_aec` converts a game to AEC form.
+    """Base class of the games, in PettingZoo's Parallel form.
 
     Attributes:
         config: the configuration of the swarm.
@@ -178,7 +176,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             raise ArgumentError(f"actions must map each of {', '.join(self.agents)} to its action, got {quote(got)}.")
         return dict(actions)
 
-    def state(self) -> NDArray[np.float32]:
+    def state(self) -> Singles:
         """Return the true state for a centralised critic, ``(10 N + 1,)`` float32.
 
         For each UAV: position (m), velocity (m/step), 1 if it is alive, 1 if it is a head, 1 if it is a decoy, and the
@@ -251,7 +249,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             alive=self._current_game().swarm.alive[0].copy(),
         )
 
-    def _make_observation(self, sighting: ObservationBatch, legal: NDArray[np.bool_]) -> Observation:
+    def _make_observation(self, sighting: ObservationBatch, legal: Mask) -> Observation:
         """Return an observation with the arrays of a window and the mask ``legal``; all arrays are copies."""
         return {
             "position": sighting.position.copy(),
@@ -263,11 +261,19 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         }
 
 
-def to_aec(game: UsnetParallelEnv) -> AECEnv:
-    """Convert a game to AEC form: agents act in turn, and the step is made after the last one has acted."""
-    return parallel_to_aec_wrapper(game)
+def make_aec_forms(game: type[UsnetParallelEnv]) -> tuple[Callable[..., AECEnv], Callable[..., AECEnv]]:
+    """Make the functions ``raw_env`` and ``env`` of a game, which create its AEC form.
 
+    In AEC form agents act in turn, and the step is made after the last one has acted. ``env`` adds PettingZoo's wrapper
+    that refuses calls in a wrong order. Both take the arguments of the game.
+    """
 
-def to_ordered_aec(game: UsnetParallelEnv) -> AECEnv:
-    """Convert a game to AEC form, in PettingZoo's wrapper that refuses calls in a wrong order."""
-    return OrderEnforcingWrapper(to_aec(game))
+    def raw_env(**arguments: Any) -> AECEnv:
+        """Create the AEC form without the wrapper that enforces the order of calls."""
+        return parallel_to_aec_wrapper(game(**arguments))
+
+    def env(**arguments: Any) -> AECEnv:
+        """Create the AEC form."""
+        return OrderEnforcingWrapper(raw_env(**arguments))
+
+    return raw_env, env

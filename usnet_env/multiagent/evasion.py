@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.swarm import (
     FollowInputs,
@@ -82,7 +83,7 @@ class Manoeuvres(Config):
         return self
 
     @property
-    def choices(self) -> NDArray[np.int64]:
+    def choices(self) -> Indices:
         """``(4,)`` int64, sizes of the choices mobility, jitter, decoys and delay, as in ``MultiDiscrete``."""
         return np.array([len(self.mobilities), 2, self.most_decoys + 1, self.most_delay + 1])
 
@@ -98,13 +99,13 @@ class Plan:
         delay: delay of the followers, in steps.
     """
 
-    mobility: NDArray[np.int64]
-    jitter: NDArray[np.int64]
-    decoys: NDArray[np.int64]
-    delay: NDArray[np.int64]
+    mobility: Indices
+    jitter: Indices
+    decoys: Indices
+    delay: Indices
 
     @classmethod
-    def from_choices(cls, choices: NDArray[np.int64]) -> Plan:
+    def from_choices(cls, choices: Indices) -> Plan:
         """Create a plan from ``(M, 4)`` choices, one row for each head."""
         return cls(*np.asarray(choices, np.int64).T.copy())
 
@@ -121,11 +122,11 @@ class MixedMobility(Mobility):
     """
 
     laws: tuple[Mobility, ...]
-    which: NDArray[np.int64]
-    jitter: NDArray[np.bool_]
+    which: Indices
+    jitter: Mask
     noise: float
 
-    def start(self, rng: np.random.Generator, uavs: int) -> NDArray[np.float64]:
+    def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Draw the initial mobility states, each by its UAV's law."""
         state = np.zeros((uavs, kernels.MOBILITY_STATE))
         for number in np.unique(self.which):
@@ -133,9 +134,7 @@ class MixedMobility(Mobility):
             state[rows] = self.laws[number].start(rng, len(rows))
         return state
 
-    def fly(
-        self, state: NDArray[np.float64], position: NDArray[np.float32], steps: int, rng: np.random.Generator
-    ) -> NDArray[np.float32]:
+    def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Draw the directions of all UAVs, one law after another."""
         directions = np.empty((steps, len(position), 3), np.float32)
         for number in np.unique(self.which):
@@ -164,7 +163,7 @@ class DelayedFollow(FollowStrategy):
     """
 
     strategy: FollowStrategy
-    delay: NDArray[np.int64]
+    delay: Indices
 
     @property
     def lags(self) -> int:  # type: ignore[override]  # follows from the fields
@@ -176,11 +175,11 @@ class DelayedFollow(FollowStrategy):
         """The noise kappa_n of the strategy."""
         return self.strategy.noise
 
-    def draw(self, rng: np.random.Generator) -> NDArray[np.float32]:
+    def draw(self, rng: np.random.Generator) -> Singles:
         """Draw the parameters of the strategy."""
         return self.strategy.draw(rng)
 
-    def direction(self, inputs: FollowInputs) -> NDArray[np.float32]:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """Return the direction of the strategy, whose inputs are then those of the ghost."""
         return self.strategy.direction(inputs)
 
@@ -215,7 +214,7 @@ def _sort_followers(state: SwarmState, head: int) -> NDArray[np.intp]:
     return followers[np.argsort((gap * gap).sum(axis=1), kind="stable")]
 
 
-def count_followers(state: SwarmState) -> NDArray[np.int64]:
+def count_followers(state: SwarmState) -> Indices:
     """Count the living followers of each head.
 
     Args:
@@ -250,7 +249,7 @@ def select_decoys(state: SwarmState, plan: Plan) -> tuple[NDArray[np.intp], NDAr
     return np.concatenate(decoys), np.concatenate(rows)
 
 
-def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> NDArray[np.float64]:
+def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> Floats:
     """Compute the price of the plan for each head.
 
     A head pays for the loss of formation: for each choice, its price times the share of the swarm that flies
@@ -279,10 +278,10 @@ def fly_window(
     config: SwarmConfig,
     manoeuvres: Manoeuvres,
     state: SwarmState,
-    flown: NDArray[np.int64],
+    flown: Indices,
     plan: Plan,
     rngs: Sequence[np.random.Generator],
-) -> tuple[SwarmState, ObservationBatch, NDArray[np.int64]]:
+) -> tuple[SwarmState, ObservationBatch, Indices]:
     """Fly the next window as the heads planned it; otherwise the same as :func:`usnet_env.swarm.advance`.
 
     Args:

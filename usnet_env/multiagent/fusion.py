@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.registry import Registry
 
 __all__ = ["FUSIONS", "Fusion", "fusions", "register_fusion"]
-
-Votes = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -30,15 +27,15 @@ class Fusion:
     """
 
     vote: Literal["candidates", "scores"]
-    rule: Callable[[Votes, Mask], Mask]
+    rule: Callable[[Floats, Mask], Mask]
     description: str = ""
 
 
-def _combine_any(votes: Votes, _seen: Mask) -> Mask:
+def _combine_any(votes: Floats, _seen: Mask) -> Mask:
     return np.asarray((votes > 0.5).any(axis=0))
 
 
-def _combine_majority(votes: Votes, seen: Mask) -> Mask:
+def _combine_majority(votes: Floats, seen: Mask) -> Mask:
     return np.asarray(votes.sum(axis=0) > 0.5 * seen.sum(axis=0))
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from usnet_env.arrays import Floats, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.registry import Registry
 from usnet_env.swarm import ObservationBatch, SwarmConfig
@@ -77,7 +77,7 @@ class SensorConfig(Config):
             for noise, miss in zip(self.expand("position_noise"), self.expand("miss_rate"), strict=True)
         ]
 
-    def draw_positions(self, rng: np.random.Generator) -> NDArray[np.float64]:
+    def draw_positions(self, rng: np.random.Generator) -> Floats:
         """Draw the positions of the observers in an episode, ``(K, 3)`` in metres."""
         return check_place("placement", PLACEMENTS.find(self.placement)(rng, self.observers), self.observers)
 
@@ -93,15 +93,13 @@ class Observer:
         rng: the generator of the observer's noise.
     """
 
-    position: NDArray[np.float64]
+    position: Floats
     sensing_range: float
     sensor: SwarmConfig
     rng: np.random.Generator
 
 
-def sense_window(
-    observer: Observer, position: NDArray[np.float32], velocity: NDArray[np.float32], alive: NDArray[np.bool_]
-) -> ObservationBatch:
+def sense_window(observer: Observer, position: Singles, velocity: Singles, alive: Mask) -> ObservationBatch:
     """Observe a window with one observer: :func:`usnet_env.swarm.sensing.sense`, limited to the UAVs in range.
 
     Args:
@@ -145,7 +143,7 @@ def merge_sightings(sightings: Sequence[ObservationBatch]) -> ObservationBatch:
     return ObservationBatch(position, velocity, seen, first.alive.copy())
 
 
-def _grid(_rng: np.random.Generator, observers: int) -> NDArray[np.float64]:
+def _grid(_rng: np.random.Generator, observers: int) -> Floats:
     """Place the observers at the centres of K equal rectangles of the arena, at half its height."""
     rows = max(d for d in range(1, int(observers**0.5) + 1) if observers % d == 0)
     columns = observers // rows
@@ -155,12 +153,12 @@ def _grid(_rng: np.random.Generator, observers: int) -> NDArray[np.float64]:
     return np.stack([np.tile(x, rows), np.repeat(y, columns), middle], axis=1)
 
 
-def _uniform(rng: np.random.Generator, observers: int) -> NDArray[np.float64]:
+def _uniform(rng: np.random.Generator, observers: int) -> Floats:
     """Draw the positions uniformly in the arena, anew for each episode."""
     return rng.uniform(0.0, ARENA, (observers, 3))
 
 
-Placement = Callable[[np.random.Generator, int], NDArray[np.float64]]
+Placement = Callable[[np.random.Generator, int], Floats]
 
 
 def _check_placement(function: Any, subject: str = "function") -> Any:
@@ -180,15 +178,5 @@ def placements() -> Mapping[str, Placement]:
     return PLACEMENTS
 
 
-def register_placement(name: str, function: Placement, *, replace: bool = False) -> None:
-    """Register a placement of observers, so that ``placement=name`` selects it.
-
-    Args:
-        name: a new name.
-        function: ``(rng, K) -> (K, 3)``, the positions of K observers in metres, each coordinate from -1060 to 1060.
-        replace: replace another placement of this name; those of this package can't be replaced.
-
-    Raises:
-        ArgumentError: the name belongs to another placement or is empty, or ``function`` is not a function.
-    """
-    PLACEMENTS.register(name, function, replace=replace)
+#: Register a placement, so that ``placement=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+register_placement = PLACEMENTS.register

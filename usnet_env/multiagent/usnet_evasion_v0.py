@@ -9,18 +9,16 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field
 
+from usnet_env.arrays import Floats, Indices, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
     IGNORED_OPTIONS,
-    AECEnv,
     GameArguments,
-    Observation,
     RoundRecord,
     Step,
     UsnetParallelEnv,
-    to_aec,
-    to_ordered_aec,
+    make_aec_forms,
     to_scalars,
 )
 from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, count_followers, fly_window, select_decoys
@@ -40,7 +38,7 @@ class EvasionArguments(GameArguments, SensorArguments, Manoeuvres):
     )
 
 
-@list_arguments
+@list_arguments()
 class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     """One observer against M heads that choose how to fly in the next window (adversarial).
 
@@ -230,7 +228,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0]
         )
 
-    def _make_step(self, reward: float, metrics: dict[str, NDArray[Any]], prices: NDArray[np.float64]) -> Step:
+    def _make_step(self, reward: float, metrics: dict[str, NDArray[Any]], prices: Floats) -> Step:
         state = self._current_game()
         alive = state.swarm.alive[0, np.flatnonzero(state.swarm.head[0])]
         terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
@@ -256,15 +254,12 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         truth.leader[self._decoys] = self._decoys
         return truth
 
-    def _check_choice(self, agent: str, action: Any) -> NDArray[np.int64]:
+    def _check_choice(self, agent: str, action: Any) -> Indices:
         """Check the four choices of a head, and return them; zeros for a head that has left the game."""
         sizes = self.manoeuvres.choices
         if agent not in self.agents:
             return np.zeros(len(sizes), np.int64)
-        try:
-            values = np.asarray(action)
-        except Exception:  # a foreign class may raise anything when it is converted
-            values = np.empty(0, object)
+        values = game.to_array(action)
         if (
             values.shape != sizes.shape
             or values.dtype.kind not in "biuf"
@@ -307,11 +302,4 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         return np.concatenate(masks)
 
 
-def raw_env(**arguments: Any) -> AECEnv:
-    """Create the AEC form without the wrapper that enforces the order of calls; arguments of :class:`parallel_env`."""
-    return to_aec(parallel_env(**arguments))
-
-
-def env(**arguments: Any) -> AECEnv:
-    """Create the AEC form; arguments of :class:`parallel_env`."""
-    return to_ordered_aec(parallel_env(**arguments))
+raw_env, env = make_aec_forms(parallel_env)

@@ -6,21 +6,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 from pydantic import Field
 
+from usnet_env.arrays import Floats, Mask, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
     IGNORED_OPTIONS,
-    AECEnv,
     GameArguments,
-    Observation,
     RoundRecord,
     Step,
     UsnetParallelEnv,
-    to_aec,
-    to_ordered_aec,
+    make_aec_forms,
     to_scalars,
 )
 from usnet_env.multiagent.fusion import FUSIONS
@@ -37,7 +34,7 @@ class ObserversArguments(GameArguments, MobilityArguments, SensorConfig):
     fusion: str = Field("union", description="``union``, ``majority``, ``scores``, or a registered rule")
 
 
-@list_arguments
+@list_arguments()
 class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     """Several observers, each of which sees a part of the swarm, find its heads together (cooperative).
 
@@ -225,20 +222,17 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             observations[agent] = observation
         return observations
 
-    def _check_vote(self, agent: str, action: Any) -> NDArray[np.float64]:
+    def _check_vote(self, agent: str, action: Any) -> Floats:
         """Check an action and convert it to numbers from 0 to 1: one for each UAV, then the message."""
         length = self.config.uavs + self.sensor_config.message_size
         if self.fusion.vote == "candidates":
             return game.parse_candidates(action, (length,)).astype(np.float64)
-        try:
-            values = np.asarray(action)
-        except Exception:  # a foreign class may raise anything when it is converted
-            values = np.empty(0, object)
+        values = game.to_array(action)
         if values.shape != (length,) or values.dtype.kind not in "biuf" or not ((values >= 0) & (values <= 1)).all():
             raise ArgumentError(f"action of {agent} must hold {length} numbers from 0 to 1, got {quote(action)}.")
         return values.astype(np.float64)
 
-    def _fuse(self, votes: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _fuse(self, votes: Floats, seen: Mask) -> Mask:
         """Apply the fusion rule, and check the candidates that it returns."""
         candidates = np.asarray(self.fusion.rule(votes, seen))
         if candidates.shape != (self.config.uavs,) or candidates.dtype != bool:
@@ -246,11 +240,4 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         return candidates
 
 
-def raw_env(**arguments: Any) -> AECEnv:
-    """Create the AEC form without the wrapper that enforces the order of calls; arguments of :class:`parallel_env`."""
-    return to_aec(parallel_env(**arguments))
-
-
-def env(**arguments: Any) -> AECEnv:
-    """Create the AEC form; arguments of :class:`parallel_env`."""
-    return to_ordered_aec(parallel_env(**arguments))
+raw_env, env = make_aec_forms(parallel_env)

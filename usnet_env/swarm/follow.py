@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usnet_env.arrays import Indices, Singles
 from usnet_env.config import ArgumentError, plain_text, quote, real_number, whole_number
 from usnet_env.registry import Registry
 from usnet_env.swarm import kernels
@@ -32,7 +32,6 @@ __all__ = [
     "register_follow_strategy",
 ]
 
-Array = NDArray[np.float32]
 
 KAPPA = 1.0  # kappa_0, ..., kappa_3 and kappa_p of Table II
 KAPPA_NOISE = 0.05  # kappa_n
@@ -56,11 +55,11 @@ class FollowInputs:
             order of their indices. It stays the same when other UAVs are destroyed. By default 0, ..., n - 1.
     """
 
-    own_position: Array
-    head_velocity: Array
-    head_position: Array
-    parameters: Array
-    follower: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    own_position: Singles
+    head_velocity: Singles
+    head_position: Singles
+    parameters: Singles
+    follower: Indices = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __post_init__(self) -> None:
         if not len(self.follower):
@@ -83,12 +82,12 @@ class FollowStrategy(ABC):
     lags: int = 1
     noise: float = KAPPA_NOISE
 
-    def draw(self, rng: np.random.Generator) -> Array:
+    def draw(self, rng: np.random.Generator) -> Singles:
         """Draw the parameters ``(P,)`` float32 of one episode; P is fixed, and 0 for most strategies."""
         return np.empty(0, np.float32)
 
     @abstractmethod
-    def direction(self, inputs: FollowInputs) -> Array:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """Direction of flight ``(n, 3)`` before noise and normalisation; row i depends only on row i of the inputs."""
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
@@ -124,7 +123,7 @@ class FollowStrategy(ABC):
                 position[t + 1] = position[t] + velocity[t]
 
 
-def _norm(direction: Array, noise: Array) -> Array:
+def _norm(direction: Singles, noise: Singles) -> Singles:
     """norm(direction + noise) of Table II for rows of 3 components."""
     total = np.asarray(direction, np.float32) + noise
     length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
@@ -151,7 +150,7 @@ class Lags(FollowStrategy):
         combination = f"Σ_{{τ=0}}^{{{self.lags - 1}}} κ_τ {term}" if self.lags > 1 else f"κ_0 {term.replace('-τ', '')}"
         return f"v_{{i,t+1}} = norm({combination} + κ_n n)"
 
-    def direction(self, inputs: FollowInputs) -> Array:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """The sum over the lags."""
         past = inputs.head_velocity[:, : self.lags]
         return np.float32(self.kappa) * (past * past if self.square else past).sum(axis=1, dtype=np.float32)
@@ -162,10 +161,7 @@ class Lags(FollowStrategy):
             np.full(self.lags, self.kappa, np.float32),
             self.square,
             np.float32(self.noise),
-            trajectories.motion,
-            trajectories.leader,
-            trajectories.start,
-            trajectories.noise,
+            *trajectories.flight,
             trajectories.velocity,
         )
         kernels.integrate(trajectories.start, trajectories.position, trajectories.velocity)
@@ -184,7 +180,7 @@ class StayInRange(FollowStrategy):
     reach: float = KAPPA_RANGE
     noise: float = KAPPA_NOISE
 
-    def direction(self, inputs: FollowInputs) -> Array:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """Head velocity, plus ``pull`` times the unit vector towards the head if it is farther than ``reach``."""
         gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
         distance = np.sqrt((gap * gap).sum(axis=-1, keepdims=True, dtype=np.float32))
@@ -199,10 +195,7 @@ class StayInRange(FollowStrategy):
             np.float32(self.pull),
             np.float32(self.reach),
             np.float32(self.noise),
-            trajectories.motion,
-            trajectories.leader,
-            trajectories.start,
-            trajectories.noise,
+            *trajectories.flight,
             trajectories.position,
             trajectories.velocity,
         )
@@ -227,7 +220,7 @@ class Network(FollowStrategy):
     own_gain: float = 0.1
     position_gain: float = 0.15
 
-    def draw(self, rng: np.random.Generator) -> Array:
+    def draw(self, rng: np.random.Generator) -> Singles:
         """Draw the weights, biases and output weights of one network."""
         own, head = 3 * kernels.MLP_LAGS, 3 * kernels.MLP_LAGS
         gains = np.repeat([self.position_gain, self.own_gain, self.head_gain], [3, own, head])
@@ -236,7 +229,7 @@ class Network(FollowStrategy):
         readout = rng.standard_normal((kernels.MLP_HIDDEN, 3)) / np.sqrt(kernels.MLP_HIDDEN)
         return np.concatenate([weights.ravel(), bias, readout.ravel()]).astype(np.float32)
 
-    def direction(self, inputs: FollowInputs) -> Array:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """The output of the network."""
         n, lags, units = len(inputs.own_position), kernels.MLP_LAGS, kernels.MLP_HIDDEN
         inner = kernels.MLP_INPUTS * units
@@ -248,7 +241,7 @@ class Network(FollowStrategy):
         features = np.concatenate(
             [offset, own_velocity.reshape(n, -1), inputs.head_velocity[:, :lags].reshape(n, -1)], axis=1
         )
-        output: Array = np.tanh(features @ weights + bias) @ readout
+        output: Singles = np.tanh(features @ weights + bias) @ readout
         return output
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
@@ -257,10 +250,7 @@ class Network(FollowStrategy):
             trajectories.parameters,
             np.float32(self.position_scale),
             np.float32(self.noise),
-            trajectories.motion,
-            trajectories.leader,
-            trajectories.start,
-            trajectories.noise,
+            *trajectories.flight,
             trajectories.position,
             trajectories.velocity,
         )
@@ -270,12 +260,12 @@ class Network(FollowStrategy):
 class FollowFunction(FollowStrategy):
     """A follow strategy that calls a function; made by :func:`register_follow_strategy`."""
 
-    function: Callable[[FollowInputs], Array]
+    function: Callable[[FollowInputs], Singles]
     lags: int = 4
     noise: float = KAPPA_NOISE
     equation: str = ""
 
-    def direction(self, inputs: FollowInputs) -> Array:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """Call the function and check its result."""
         direction = np.asarray(self.function(inputs), np.float32)
         shape = (len(inputs.own_position), 3)
@@ -342,7 +332,7 @@ def follow_strategy(name: str) -> FollowStrategy:
 
 def register_follow_strategy(
     name: str,
-    strategy: FollowStrategy | Callable[[FollowInputs], Array],
+    strategy: FollowStrategy | Callable[[FollowInputs], Singles],
     *,
     lags: int = 4,
     noise: float = KAPPA_NOISE,

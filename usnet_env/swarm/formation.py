@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.registry import Registry
 
@@ -40,12 +40,12 @@ class Roles:
         leader: ``(N,)`` int64, the head of each follower; a head's and a decoy's own index.
     """
 
-    head: NDArray[np.bool_]
-    decoy: NDArray[np.bool_]
-    leader: NDArray[np.int64]
+    head: Mask
+    decoy: Mask
+    leader: Indices
 
 
-def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int) -> NDArray[np.int64]:
+def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int) -> Indices:
     """Draw the number of followers of each cluster, ``(clusters,)`` int64, each at least 2.
 
     The remaining ``followers - 2 * clusters`` are split at random; all splits are equally likely (stars and bars).
@@ -83,12 +83,12 @@ def draw_roles(
     return Roles(head, decoy, leader)
 
 
-def _uniform(rng: np.random.Generator, roles: Roles) -> NDArray[np.float64]:
+def _uniform(rng: np.random.Generator, roles: Roles) -> Floats:
     """All UAVs uniform in the arena."""
     return rng.uniform(0.0, ARENA, (len(roles.leader), 3))
 
 
-def _around(rng: np.random.Generator, roles: Roles) -> NDArray[np.float64]:
+def _around(rng: np.random.Generator, roles: Roles) -> Floats:
     """Heads and decoys uniform in the arena, followers uniform in a ball of 60 m around their head."""
     uavs = len(roles.leader)
     position = rng.uniform(0.0, ARENA, (uavs, 3))
@@ -99,10 +99,10 @@ def _around(rng: np.random.Generator, roles: Roles) -> NDArray[np.float64]:
     return np.where(followers[:, None], position[roles.leader] + offset, position)
 
 
-Formation = Callable[[np.random.Generator, Roles], NDArray[np.float64]]
+Formation = Callable[[np.random.Generator, Roles], Floats]
 
 
-def check_place(what: str, place: Any, count: int) -> NDArray[np.float64]:
+def check_place(what: str, place: Any, count: int) -> Floats:
     """Return the positions ``(count, 3)`` that a formation or placement has drawn.
 
     Raises:
@@ -138,15 +138,5 @@ def formations() -> Mapping[str, Formation]:
     return FORMATIONS
 
 
-def register_formation(name: str, function: Formation, *, replace: bool = False) -> None:
-    """Register a formation, so that ``formation=name`` selects it.
-
-    Args:
-        name: a new name.
-        function: ``(rng, roles) -> (N, 3)``, the initial positions in metres, each coordinate from -1060 to 1060.
-        replace: replace another formation of this name; those of this package can't be replaced.
-
-    Raises:
-        ArgumentError: the name belongs to another formation or is empty, or ``function`` is not a function.
-    """
-    FORMATIONS.register(name, function, replace=replace)
+#: Register a formation, so that ``formation=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+register_formation = FORMATIONS.register

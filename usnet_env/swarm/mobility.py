@@ -11,16 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Singles
 from usnet_env.config import ArgumentError, plain_text, quote
 from usnet_env.registry import Registry
 from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import ARENA
 
 __all__ = ["MOBILITIES", "CompiledMobility", "Mobility", "mobilities", "mobility", "register_mobility"]
-
-State = NDArray[np.float64]
 
 
 class Mobility(ABC):
@@ -33,13 +31,11 @@ class Mobility(ABC):
     description: str = ""
 
     @abstractmethod
-    def start(self, rng: np.random.Generator, uavs: int) -> State:
+    def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Draw the initial state ``(uavs, MOBILITY_STATE)`` float64 from the mobility's stationary distribution."""
 
     @abstractmethod
-    def fly(
-        self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
-    ) -> NDArray[np.float32]:
+    def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Directions of flight ``(steps, uavs, 3)``, which the simulator normalises; updates ``state`` in place.
 
         Args:
@@ -50,7 +46,7 @@ class Mobility(ABC):
         """
 
 
-def _unit_vectors(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+def _unit_vectors(rng: np.random.Generator, count: int) -> Floats:
     """``(count, 3)`` directions, uniform on the sphere."""
     vectors = rng.standard_normal((count, 3))
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -72,11 +68,11 @@ class CompiledMobility(Mobility):
     numbers: tuple[float, ...] = ()
     description: str = ""
 
-    def constants(self) -> NDArray[np.float64]:
+    def constants(self) -> Floats:
         """``(6,)`` float64, the constants for the kernel, padded with zeros."""
         return np.array([*self.numbers, *[0.0] * (6 - len(self.numbers))])
 
-    def start(self, rng: np.random.Generator, uavs: int) -> State:
+    def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Draw directions, waypoints and turns."""
         state = np.zeros((uavs, kernels.MOBILITY_STATE))
         if self.code == kernels.IID:
@@ -94,9 +90,7 @@ class CompiledMobility(Mobility):
             state[:, 3:6] = np.nan  # no waypoint yet: `fly` draws one relative to the UAV's position
         return state
 
-    def fly(
-        self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
-    ) -> NDArray[np.float32]:
+    def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Directions for one swarm; for a batch the simulator calls the kernel directly."""
         uavs = len(state)
         velocity = np.zeros((1, steps, uavs, 3), np.float32)
@@ -113,16 +107,14 @@ class CompiledMobility(Mobility):
 class MobilityFunction(Mobility):
     """A mobility that calls a function; made by :func:`register_mobility`."""
 
-    function: Callable[[np.random.Generator, NDArray[np.float32], int, State], NDArray[np.float32]]
+    function: Callable[[np.random.Generator, Singles, int, Floats], Singles]
     description: str = ""
 
-    def start(self, rng: np.random.Generator, uavs: int) -> State:
+    def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Zeros: the function sets its own state in its first call."""
         return np.zeros((uavs, kernels.MOBILITY_STATE))
 
-    def fly(
-        self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
-    ) -> NDArray[np.float32]:
+    def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Call the function and check its result."""
         directions = np.asarray(self.function(rng, position, steps, state), np.float32)
         shape = (steps, len(position), 3)
@@ -191,7 +183,7 @@ def mobility(name: str) -> Mobility:
 
 def register_mobility(
     name: str,
-    model: Mobility | Callable[[np.random.Generator, NDArray[np.float32], int, State], NDArray[np.float32]],
+    model: Mobility | Callable[[np.random.Generator, Singles, int, Floats], Singles],
     *,
     description: str = "",
     replace: bool = False,

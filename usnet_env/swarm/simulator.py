@@ -14,6 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
@@ -45,23 +46,23 @@ class SwarmState:
         parameters: ``(B, P)`` float32, parameters of the follow strategy.
     """
 
-    head: NDArray[np.bool_]
-    decoy: NDArray[np.bool_]
-    alive: NDArray[np.bool_]
-    leader: NDArray[np.int64]
-    past_position: NDArray[np.float32]
-    past_velocity: NDArray[np.float32]
-    free: NDArray[np.int64]
-    mobility_state: NDArray[np.float64]
-    parameters: NDArray[np.float32]
+    head: Mask
+    decoy: Mask
+    alive: Mask
+    leader: Indices
+    past_position: Singles
+    past_velocity: Singles
+    free: Indices
+    mobility_state: Floats
+    parameters: Singles
 
     @property
-    def position(self) -> NDArray[np.float32]:
+    def position(self) -> Singles:
         """``(B, N, 3)`` metres, the present positions."""
         return self.past_position[..., -1, :, :]
 
     @property
-    def heads_left(self) -> NDArray[np.int64]:
+    def heads_left(self) -> Indices:
         """``(B,)`` number of living heads, |H_r|."""
         return np.asarray((self.head & self.alive).sum(axis=-1))
 
@@ -147,7 +148,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     )
 
 
-def destroy(state: SwarmState, candidates: NDArray[np.bool_]) -> SwarmState:
+def destroy(state: SwarmState, candidates: Mask) -> SwarmState:
     """Destroy the candidates; followers of a destroyed head join the nearest remaining head (re-merge, paper §II-A).
 
     Args:
@@ -228,10 +229,10 @@ def _fly(
     config: SwarmConfig,
     state: SwarmState,
     motion: NDArray[np.int8],
-    mobility_state: NDArray[np.float64],
-    position: NDArray[np.float32],
-    velocity: NDArray[np.float32],
-    noise: NDArray[np.float32],
+    mobility_state: Floats,
+    position: Singles,
+    velocity: Singles,
+    noise: Singles,
     part: slice,
     rngs: Generators,
 ) -> None:
@@ -265,13 +266,13 @@ JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no fol
 
 def _fly_free(
     config: SwarmConfig,
-    free: NDArray[np.int64],
-    mobility_state: NDArray[np.float64],
-    position: NDArray[np.float32],
-    velocity: NDArray[np.float32],
+    free: Indices,
+    mobility_state: Floats,
+    position: Singles,
+    velocity: Singles,
     first: int,
     rngs: Generators,
-    jitter: NDArray[np.float32],
+    jitter: Singles,
 ) -> None:
     """Write the velocities of the free UAVs from step ``first`` to the end of ``velocity`` in place."""
     mobility_model = config.head_mobility
