@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from detectors.series.designs import check_window, stack_past
 from detectors.series.gaps import fill_gaps
-from usnet_env.arrays import Singles
+from usnet_env.arrays import AxisLength, Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.window import Window
 
@@ -36,20 +36,9 @@ class Batch:
     target: Singles
     weight: Singles
 
-    @property
-    def times(self) -> int:
-        """R."""
-        return len(self.position)
-
-    @property
-    def uavs(self) -> int:
-        """The number n of UAVs."""
-        return self.position.shape[1]
-
-    @property
-    def memory(self) -> int:
-        """T_0."""
-        return self.velocity.shape[2]
+    times = AxisLength("position", 0)  #: R
+    uavs = AxisLength("position", 1)  #: n
+    memory = AxisLength("velocity", 2)  #: T_0
 
 
 def build_batch(window: Window, members: NDArray[np.intp] | None = None, memory: int = 4) -> Batch:

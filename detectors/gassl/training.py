@@ -11,7 +11,7 @@ from pydantic import Field
 from detectors.gassl.agat import AgatSizes, attend, attend_backward
 from detectors.gassl.ifsn import predict, predict_backward, standardise
 from detectors.gassl.topology_matrix import Batch
-from usnet_env.arrays import Singles
+from usnet_env.arrays import AxisLength, Singles
 from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
@@ -52,10 +52,7 @@ class Inputs:
     target: Singles
     weight: Singles
 
-    @property
-    def uavs(self) -> int:
-        """The number n of UAVs."""
-        return len(self.history)
+    uavs = AxisLength("history", 0)  #: n
 
     @property
     def entries(self) -> int:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from detectors.series.designs import stack_past
 from detectors.series.gaps import fill_gaps
-from usnet_env.arrays import Singles
+from usnet_env.arrays import AxisLength, Singles
 from usnet_env.window import Window
 
 __all__ = ["Samples", "build_samples"]
@@ -36,20 +36,9 @@ class Samples:
     target: Tensor
     weight: Tensor
 
-    @property
-    def windows(self) -> int:
-        """E."""
-        return int(self.target.shape[0])
-
-    @property
-    def uavs(self) -> int:
-        """n, living UAVs."""
-        return int(self.target.shape[1])
-
-    @property
-    def times(self) -> int:
-        """R."""
-        return int(self.target.shape[2])
+    windows = AxisLength("target", 0)  #: E
+    uavs = AxisLength("target", 1)  #: n, living UAVs
+    times = AxisLength("target", 2)  #: R
 
 
 def build_samples(

@@ -222,16 +222,9 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         window, swarm, candidates, title = self._last_round or (
             self._window, state.swarm, None, f"round {int(self._window['round'][0])}: observed, no answer yet"
         )  # fmt: skip
-        truth = swarm.episode()
+        seen = window["seen"].astype(bool)
         return self._frames.render(
-            position=window["position"],
-            seen=window["seen"].astype(bool),
-            alive=truth.alive,
-            head=truth.head,
-            leader=truth.leader,
-            decoy=truth.decoy,
-            candidates=candidates,
-            title=title,
+            position=window["position"], seen=seen, candidates=candidates, title=title, **swarm.episode().roles()
         )
 
 

@@ -214,14 +214,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             title = f"round {int(game.rounds[0]) + 1}: observed, no answer yet"
         self._frames.watch(sighting.position, sighting.seen)
         return self._frames.render(
-            position=sighting.position,
-            seen=sighting.seen,
-            alive=truth.alive,
-            head=truth.head,
-            leader=truth.leader,
-            decoy=truth.decoy,
-            candidates=candidates,
-            title=title,
+            position=sighting.position, seen=sighting.seen, candidates=candidates, title=title, **truth.roles()
         )
 
     def close(self) -> None:

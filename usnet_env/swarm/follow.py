@@ -321,13 +321,8 @@ def follow_strategies() -> Mapping[str, FollowStrategy]:
     return FOLLOW_STRATEGIES
 
 
-def follow_strategy(name: str) -> FollowStrategy:
-    """The follow strategy of this name.
-
-    Raises:
-        ArgumentError: there is none.
-    """
-    return FOLLOW_STRATEGIES.find(name)
+#: The follow strategy of a name; see :meth:`usnet_env.registry.Registry.find`.
+follow_strategy = FOLLOW_STRATEGIES.find
 
 
 def register_follow_strategy(

@@ -172,13 +172,8 @@ def mobilities() -> Mapping[str, Mobility]:
     return MOBILITIES
 
 
-def mobility(name: str) -> Mobility:
-    """The mobility of this name.
-
-    Raises:
-        ArgumentError: there is none.
-    """
-    return MOBILITIES.find(name)
+#: The mobility of a name; see :meth:`usnet_env.registry.Registry.find`.
+mobility = MOBILITIES.find
 
 
 def register_mobility(

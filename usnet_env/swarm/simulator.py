@@ -66,6 +66,10 @@ class SwarmState:
         """``(B,)`` number of living heads, |H_r|."""
         return np.asarray((self.head & self.alive).sum(axis=-1))
 
+    def roles(self) -> dict[str, NDArray[Any]]:
+        """``alive``, ``head``, ``decoy`` and ``leader`` by name, as pictures take them."""
+        return {name: getattr(self, name) for name in ("alive", "head", "decoy", "leader")}
+
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Copies of all arrays by name; ``SwarmState(**arrays)`` restores the state."""
         return {field.name: getattr(self, field.name).copy() for field in fields(self)}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Indices, Singles
+from usnet_env.arrays import AxisLength, Indices, Singles
 
 __all__ = ["TrajectoryBatch"]
 
@@ -38,15 +38,8 @@ class TrajectoryBatch:
         """Who flies how, behind which head, from which step on, and with which noise: for the compiled loops."""
         return self.motion, self.leader, self.start, self.noise
 
-    @property
-    def episodes(self) -> int:
-        """B."""
-        return int(self.noise.shape[0])
-
-    @property
-    def steps(self) -> int:
-        """S, the number of steps to simulate."""
-        return int(self.noise.shape[1])
+    episodes = AxisLength("noise", 0)  #: B
+    steps = AxisLength("noise", 1)  #: S, the number of steps to simulate
 
     @property
     def start(self) -> int:
