@@ -31,7 +31,10 @@ class KMeans(Clusterer):
 
 
 class Spectral(Clusterer):
-    """Spectral clustering of :func:`detectors.clustering.affinity.regularise_affinity`."""
+    """Spectral clustering of the regularised affinity.
+
+    :func:`detectors.clustering.affinity.regularise_affinity` defines it.
+    """
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn."""
