@@ -28,5 +28,7 @@ class AxisLength:
         self.array, self.axis = array, axis
 
     def __get__(self, owner: Any, kind: type) -> int:
-        """The length."""
+        """The length; of the class, which has no array, the attribute itself."""
+        if owner is None:
+            return self  # type: ignore[return-value]
         return int(getattr(owner, self.array).shape[self.axis])
