@@ -70,7 +70,7 @@ def check_truth_nearby_changes_nothing(detector: Any) -> None:
 
 def _detect_beside_two_truths(detector: Any) -> list[Detection]:
     """Call ``detect`` twice; the environment is gone afterwards, so that no later check can find it."""
-    environment, window = start_environment()
+    environment, window = start_environment(detector)
     ends = np.array([0, 1]), np.array([window.uavs - 2, window.uavs - 1])
     return [_detect_beside_environment(detector, environment, window, heads) for heads in ends]
 

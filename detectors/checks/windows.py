@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Mask, Singles
-from usnet_env.detection import read_tags
+from usnet_env.detection import Tags, read_tags
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.window import Window
 
@@ -68,7 +68,7 @@ def draw_window(detector: Any, uavs: int = 14, *, observation_steps: int = STEPS
         more: as for :func:`simulate_window`.
     """
     tags = read_tags(detector)
-    most = uavs if tags.most_uavs is None else min(uavs, tags.most_uavs)
+    most = _limit(uavs, tags)
     more["clusters"] = min(more.get("clusters", 3), most // 3)
     return simulate_window(uavs=most, observation_steps=max(observation_steps, tags.least_steps), **more)
 
@@ -92,7 +92,7 @@ def make_hovering_window(detector: Any = None, uavs: int = 8, *, together: bool 
         seed: seed of the positions.
     """
     tags = read_tags(detector)
-    steps, uavs = max(STEPS, tags.least_steps), uavs if tags.most_uavs is None else min(uavs, tags.most_uavs)
+    steps, uavs = max(STEPS, tags.least_steps), _limit(uavs, tags)
     place = np.random.default_rng(seed).uniform(0, 100, (1 if together else uavs, 3))
     position = np.broadcast_to(place.astype(np.float32), (steps + 1, uavs, 3))
     return Window(
@@ -107,16 +107,19 @@ def permute_uavs(window: Window, order: NDArray[np.intp]) -> Window:
     )
 
 
-def start_environment(seed: int = 0, **arguments: Any) -> tuple[gym.Env[Any, Any], Window]:
+def start_environment(detector: Any = None, seed: int = 0, **arguments: Any) -> tuple[gym.Env[Any, Any], Window]:
     """Start an episode of an environment; returns the environment, with its wrappers, and the first window.
 
     Args:
+        detector: the detector that is checked; its tags limit the window as in :func:`draw_window`.
         seed: seed of the episode.
         arguments: of the environment ``USNET/MultiCluster-v0``; by default it has 15 UAVs, which no other window of
             the checks has, in 3 clusters.
     """
     # As in an evaluation: without Gymnasium's checker, which compares an environment with its specification.
-    arguments = {"clusters": 3, "uavs": 15, "observation_steps": STEPS, **arguments}
+    tags = read_tags(detector)
+    most, steps = _limit(15, tags), max(STEPS, tags.least_steps)
+    arguments = {"clusters": min(3, most // 3), "uavs": most, "observation_steps": steps, **arguments}
     env: gym.Env[Any, Any] = gym.make("USNET/MultiCluster-v0", disable_env_checker=True, **arguments)
     observation, _ = env.reset(seed=seed)
     return env, Window.from_observation(observation)
@@ -130,6 +133,10 @@ def set_heads(env: Any, heads: NDArray[np.intp]) -> None:
     leader = np.where(head, np.arange(head.shape[1]), heads[0])
     state["swarm"] |= {"head": head, "leader": leader}
     env.unwrapped.set_state(state)
+
+
+def _limit(uavs: int, tags: Tags) -> int:
+    return uavs if tags.most_uavs is None else min(uavs, tags.most_uavs)
 
 
 def _mask_unseen_samples(position: Singles, velocity: Singles, seen: Mask, alive: Mask, round: int) -> Window:
