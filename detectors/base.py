@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.parameters import Parameters
-from usnet_env.config import Config, optional_seed
-from usnet_env.detection import Detection
+from usnet_env.arrays import Mask
+from usnet_env.config import optional_seed
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["Detector", "DetectorPolicy"]
@@ -20,23 +21,21 @@ __all__ = ["Detector", "DetectorPolicy"]
 class Detector(Parameters):
     """Base class of detectors: :meth:`detect` takes a window and returns a detection.
 
-    A subclass defines :meth:`detect`. A class without this base works as well if it has the methods ``reset`` and
-    ``detect``. The constructor stores its keyword arguments and does nothing else (scikit-learn's rule); so
+    A subclass defines :meth:`detect`, and declares the arguments of its constructor as in
+    :class:`detectors.parameters.Parameters`. A class without this base works as well if it has the methods ``reset``
+    and ``detect``. The constructor stores its keyword arguments and does nothing else (scikit-learn's rule); so
     ``get_params``, ``set_params`` and ``sklearn.base.clone`` work. State that is kept between the rounds of an episode
-    is created in :meth:`reset`.
+    is a ``cached_property``: :meth:`reset` clears it, and its first use makes it, also without a :meth:`reset`.
 
     Attributes:
+        tags: what the detector needs and uses; :func:`usnet_env.plugins.list_detectors` shows it and
+            :func:`detectors.checks.check_detector` chooses its windows by it.
         side_by_side: whether :meth:`detect_batch` trains on all windows together, so that an answer depends on the
             windows that it is given with. A table of results records the batch of such a detector.
-        Arguments: the config that checks the arguments of the constructor, if there is one.
     """
 
+    tags: ClassVar[Tags] = Tags()
     side_by_side: ClassVar[bool] = False
-    Arguments: ClassVar[type[Config] | None] = None
-
-    def check_arguments(self) -> Any:
-        """Check the arguments of the constructor by ``Arguments`` and return them; raises ``ArgumentError``."""
-        return None if self.Arguments is None else self.Arguments(**self.get_params(deep=False))
 
     @cached_property
     def rng(self) -> np.random.Generator:
@@ -44,7 +43,7 @@ class Detector(Parameters):
         return np.random.default_rng()
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode: clear the state of the previous episode and create the generator :attr:`rng`.
+        """Start an episode: check the arguments, clear the state of the previous episode, and create :attr:`rng`.
 
         Args:
             seed: seed of ``self.rng``, never that of the environment; ``None`` takes one from the operating system.
@@ -53,6 +52,10 @@ class Detector(Parameters):
             ArgumentError: an argument of the constructor is refused, or the seed is not a whole number from 0.
         """
         self.check_arguments()
+        for kind in type(self).__mro__:
+            for name, value in vars(kind).items():
+                if isinstance(value, cached_property):
+                    vars(self).pop(name, None)
         self.rng = np.random.default_rng(optional_seed("seed", seed))
 
     def detect(self, window: Window) -> Detection:
@@ -92,7 +95,7 @@ class DetectorPolicy:
         self,
         observation: Any,
         state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Mask | None = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.int8], tuple[NDArray[Any], ...] | None]:
         """Return the candidates for one observation as an action.

@@ -10,32 +10,33 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
+from detectors.parameters import Count, Lags
 from detectors.series.designs import check_pairs
 from detectors.series.evidence import Evidence, correlation_evidence, granger_evidence, regression_evidence
 from detectors.series.votes import detection_from_evidence, rank_uavs
-from usnet_env.config import ArgumentError, Config
-from usnet_env.detection import Detection
+from usnet_env.arrays import Mask
+from usnet_env.config import ArgumentError
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["EvidenceDetector", "Granger", "LaggedCorrelation", "LaggedRegression", "OnePerRound"]
 
 
-class _Arguments(Config):
-    """The checked arguments that all these detectors share."""
-
-    clusters: Annotated[int, Field(ge=1, le=100_000)] | None
-
-
 class EvidenceDetector(Detector):
     """Base class of detectors that measure pairwise evidence; it derives votes, heads and clusters from the evidence.
 
-    A subclass stores its arguments, including ``clusters``, and defines ``Arguments`` and :meth:`evidence`.
+    A subclass declares its further arguments and defines :meth:`evidence`.
+
+    Args:
+        clusters: M, or ``None`` if it is unknown.
     """
 
-    clusters: int | None
+    tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True)
+
+    clusters: Count | None = None
 
     @abstractmethod
-    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+    def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
         """Compute the evidence from ``velocity`` ``(T_ob, n, 3)`` and ``seen`` ``(T_ob, n)``; ``None``: no evidence."""
 
     def detect(self, window: Window) -> Detection:
@@ -62,10 +63,6 @@ class EvidenceDetector(Detector):
         return detection_from_evidence(evidence, window.alive, self.clusters, window.round == 1, self.rng)
 
 
-class _CorrelationArguments(_Arguments):
-    max_lag: Annotated[int, Field(ge=1, le=1000)]
-
-
 class LaggedCorrelation(EvidenceDetector):
     """Votes for heads by net lead in lagged velocity correlation, for strategies that copy the head's direction.
 
@@ -86,21 +83,11 @@ class LaggedCorrelation(EvidenceDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    Arguments = _CorrelationArguments
+    max_lag: Lags = 4
 
-    def __init__(self, clusters: int | None = None, max_lag: int = 4) -> None:
-        self.clusters = clusters
-        self.max_lag = max_lag
-
-    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+    def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
         """Compute the net lead of every pair, see :func:`detectors.series.evidence.correlation_evidence`."""
         return correlation_evidence(velocity, seen, self.max_lag)
-
-
-class _RegressionArguments(_Arguments):
-    lags: Annotated[int, Field(ge=1, le=1000)]
-    squares: bool
-    ridge: Annotated[float, Field(ge=0)]
 
 
 class LaggedRegression(EvidenceDetector):
@@ -127,22 +114,13 @@ class LaggedRegression(EvidenceDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    Arguments = _RegressionArguments
+    lags: Lags = 4
+    squares: bool = True
+    ridge: Annotated[float, Field(ge=0)] = 1e-3
 
-    def __init__(self, clusters: int | None = None, lags: int = 4, squares: bool = True, ridge: float = 1e-3) -> None:
-        self.clusters = clusters
-        self.lags = lags
-        self.squares = squares
-        self.ridge = ridge
-
-    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+    def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
         """Compute the adjusted R² of every pair, see :func:`detectors.series.evidence.regression_evidence`."""
         return regression_evidence(velocity, seen, self.lags, self.squares, self.ridge)
-
-
-class _GrangerArguments(_Arguments):
-    lags: Annotated[int, Field(ge=1, le=1000)]
-    own_lags: Annotated[int, Field(ge=0, le=1000)]
 
 
 class Granger(EvidenceDetector):
@@ -161,14 +139,10 @@ class Granger(EvidenceDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    Arguments = _GrangerArguments
+    lags: Lags = 3
+    own_lags: Annotated[int, Field(ge=0, le=1000)] = 2
 
-    def __init__(self, clusters: int | None = None, lags: int = 3, own_lags: int = 2) -> None:
-        self.clusters = clusters
-        self.lags = lags
-        self.own_lags = own_lags
-
-    def evidence(self, velocity: NDArray[np.floating], seen: NDArray[np.bool_]) -> Evidence | None:
+    def evidence(self, velocity: NDArray[np.floating], seen: Mask) -> Evidence | None:
         """Compute the Granger causality of every pair, see :func:`detectors.series.evidence.granger_evidence`."""
         return granger_evidence(velocity, seen, self.lags, self.own_lags)
 
@@ -178,6 +152,8 @@ class OnePerRound(Detector):
 
     With a perfect ranking an episode takes M rounds and has no redundant candidate, so J_m = M.
     """
+
+    tags = Tags(most_uavs=10_000, uses_positions=False)
 
     def detect(self, window: Window) -> Detection:
         """Name the UAV with the highest score of :class:`LaggedRegression`; scores and attention are from there."""

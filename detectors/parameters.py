@@ -1,23 +1,65 @@
-"""The constructor's arguments of an object as parameters that can be read, changed and shown."""
+"""Constructors from declared arguments: each argument has its name, type, limits and default in one place."""
 
 from __future__ import annotations
 
 import inspect
+import typing
+import warnings
 from collections import defaultdict
-from typing import Any, TypeVar
+from collections.abc import Callable
+from functools import cache
+from typing import Annotated, Any, TypeVar, dataclass_transform
 
-__all__ = ["Parameters"]
+from pydantic import Field, create_model
+
+from usnet_env.config import Config
+
+__all__ = ["Count", "Lags", "Parameters"]
 
 Self = TypeVar("Self", bound="Parameters")
 
+Count = Annotated[int, Field(ge=1, le=100_000)]  # a number of UAVs, clusters or steps
+Lags = Annotated[int, Field(ge=1, le=1000)]  # a number of samples of the past
 
+
+@dataclass_transform(eq_default=False)
 class Parameters:
     """Base of classes whose constructor stores its keyword arguments under their names and does nothing else.
+
+    A subclass declares its arguments like the fields of a dataclass, and the constructor follows from them::
+
+        class MostCopied(Detector):
+            clusters: Annotated[int, Field(ge=1)] = 5
+
+    The arguments of a base class come first. Attributes whose names begin with an underscore, and those of type
+    ``ClassVar``, are not arguments. :meth:`check_arguments` checks the values against types and limits. A subclass may
+    define ``__init__`` instead; then nothing is checked.
 
     ``get_params``, ``set_params`` and ``repr`` are those of scikit-learn's ``BaseEstimator``, and
     ``sklearn.base.clone`` works. Scikit-learn itself is not imported: that takes three seconds, in each worker process
     of an evaluation too.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        inherited = getattr(cls.__init__, "arguments", () if cls.__init__ is object.__init__ else None)
+        if "__init__" not in vars(cls) and inherited is not None:
+            declared = [
+                name
+                for name, text in inspect.get_annotations(cls).items()
+                if not name.startswith("_") and "ClassVar" not in str(text)
+            ]
+            setattr(cls, "__init__", _make_constructor(cls, tuple(dict.fromkeys([*inherited, *declared]))))  # noqa: B010  # mypy refuses to assign a method
+
+    def check_arguments(self) -> Any:
+        """Check the arguments by their declarations, and return them as a :class:`usnet_env.config.Config`.
+
+        Raises:
+            ArgumentError: an argument has another type or is out of its limits.
+        """
+        kind: Any = type(self)
+        config = _make_config(kind)
+        return config(**{name: getattr(self, name) for name in config.model_fields})
 
     @classmethod
     def _signature(cls) -> dict[str, inspect.Parameter]:
@@ -82,3 +124,49 @@ class Parameters:
             if parameter.default is parameter.empty or given[name] != repr(parameter.default)
         ]
         return f"{type(self).__name__}({', '.join(changed)})"
+
+
+def _make_constructor(owner: type, names: tuple[str, ...]) -> Callable[..., None]:
+    """Make the constructor of a class with these arguments."""
+    try:
+        types = typing.get_type_hints(owner)
+    except NameError:  # a name that is imported for type checkers only
+        types = {}
+    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    parameters = [
+        inspect.Parameter(
+            name, kind, default=getattr(owner, name, inspect.Parameter.empty), annotation=types.get(name, Any)
+        )
+        for name in names
+    ]
+    taken = inspect.Signature(parameters)
+
+    def __init__(self: Any, *values: Any, **arguments: Any) -> None:
+        try:
+            bound = taken.bind(*values, **arguments)
+        except TypeError as error:
+            raise TypeError(f"{type(self).__name__}() {error}") from None
+        bound.apply_defaults()
+        for name, value in bound.arguments.items():
+            setattr(self, name, value)
+
+    __init__.__qualname__, __init__.__module__ = f"{owner.__qualname__}.__init__", owner.__module__
+    __init__.arguments = names  # type: ignore[attr-defined]
+    first = inspect.Parameter("self", kind)
+    __init__.__signature__ = taken.replace(parameters=[first, *parameters], return_annotation=None)  # type: ignore[attr-defined]
+    return __init__
+
+
+@cache
+def _make_config(owner: Any) -> type[Config]:
+    """The config that checks the arguments of a class."""
+    try:
+        types = typing.get_type_hints(owner, include_extras=True)
+    except NameError:
+        types = {}
+    fields: dict[str, Any] = {
+        name: (types.get(name, Any), getattr(owner, name, ...)) for name in getattr(owner.__init__, "arguments", ())
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # an argument may have the name of a method of pydantic's
+        return create_model(owner.__name__, __base__=Config, **fields)

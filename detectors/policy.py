@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from usnet_env.arrays import Floats, Mask
 from usnet_env.config import Config
 
 __all__ = ["Policy", "choose"]
-
-Floats = NDArray[np.float64]
 
 
 _GUESS = 0.2  # if no probability reaches this value, heads can only be guessed
@@ -38,9 +36,7 @@ class Policy(Config):
     round_price: Annotated[float, Field(gt=0)] | None = None
 
 
-def choose(
-    probability: Floats, alive: NDArray[np.bool_], policy: Policy, tie: Floats, doubt: float = 0.0
-) -> NDArray[np.bool_]:
+def choose(probability: Floats, alive: Mask, policy: Policy, tie: Floats, doubt: float = 0.0) -> Mask:
     """Choose the candidates.
 
     P2: another round costs ``round_price`` and a redundant candidate ``redundancy_price`` / N. Another round is needed

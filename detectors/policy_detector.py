@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from functools import cached_property
 from importlib import import_module
 from typing import Any
 
@@ -14,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.base import Detector
+from usnet_env.arrays import Floats, Mask, Observation
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
 __all__ = ["PolicyDetector", "observation_of"]
 
-Observation = dict[str, NDArray[Any]]
 
 _SCORES = ("logits", "probs", "probability", "loc", "scores")  # keys under which actors of TorchRL store scores
 
@@ -73,22 +74,23 @@ class PolicyDetector(Detector):
             environment, or returns a number of values other than N.
     """
 
-    def __init__(self, policy: Any, observe: Callable[[Window], Any] | None = None, threshold: float = 0.0) -> None:
-        self.policy = policy
-        self.observe = observe
-        self.threshold = threshold
+    policy: Any
+    observe: Callable[[Window], Any] | None = None
+    threshold: float = 0.0
 
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode and clear the state of a recurrent policy."""
-        self._check_arguments()
-        super().reset(seed)
-        self._state: Any = None
-        self._start = True
+    @cached_property
+    def _state(self) -> Any:
+        """What the policy remembers within an episode; ``None`` at its start."""
+        return None
+
+    @cached_property
+    def _start(self) -> bool:
+        """Whether the next window is the first of an episode."""
+        return True
 
     def detect(self, window: Window) -> Detection:
         """Return the policy's deterministic action on the window as a detection."""
-        if not hasattr(self, "_start"):
-            self.reset()
+        self.check_arguments()
         observation = (self.observe or observation_of)(window)
         if callable(getattr(self.policy, "predict", None)):
             candidates, scores = self._act_by_predict(observation, window)
@@ -99,7 +101,7 @@ class PolicyDetector(Detector):
             candidates = scores > self.threshold
         return Detection(candidates=candidates & window.alive, scores=scores)
 
-    def _act_by_predict(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    def _act_by_predict(self, observation: Any, window: Window) -> tuple[Mask, Floats]:
         predict = self.policy.predict
         more: dict[str, Any] = {}
         if "action_masks" in inspect.signature(predict).parameters:
@@ -113,7 +115,7 @@ class PolicyDetector(Detector):
             scores = candidates.astype(np.float64)
         return candidates, scores
 
-    def _read_probabilities(self, observation: Any, uavs: int) -> NDArray[np.float64] | None:
+    def _read_probabilities(self, observation: Any, uavs: int) -> Floats | None:
         """Probability per UAV from Stable-Baselines3's action distribution; ``None`` if the policy offers none."""
         policy = self.policy
         ask = getattr(policy, "get_distribution", None)
@@ -136,7 +138,7 @@ class PolicyDetector(Detector):
             return None
         return _to_scores(probabilities, uavs)
 
-    def _act_by_tensordict(self, observation: Any, window: Window) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    def _act_by_tensordict(self, observation: Any, window: Window) -> tuple[Mask, Floats]:
         tensordict = import_module("tensordict")  # installed wherever such a policy exists
         asked = tensordict.TensorDict(_to_tensors(observation, _find_device(self.policy)), batch_size=[1])
         with import_module("tensordict.nn").set_interaction_type("deterministic"):
@@ -162,7 +164,8 @@ class PolicyDetector(Detector):
             for module in training:
                 module.training = True
 
-    def _check_arguments(self) -> None:
+    def check_arguments(self) -> None:
+        """Check the policy and the other arguments."""
         policy = self.policy
         if isinstance(policy, type) or not (callable(policy) or callable(getattr(policy, "predict", None))):
             raise ArgumentError(
@@ -200,7 +203,7 @@ def _to_tensors(observation: Any, device: Any) -> Any:
     return torch.as_tensor(np.asarray(observation), device=device)[None]
 
 
-def _to_scores(value: Any, uavs: int) -> NDArray[np.float64]:
+def _to_scores(value: Any, uavs: int) -> Floats:
     """Convert N numbers, possibly with axes of length 1, to an array ``(N,)``."""
     values = _to_array(value)
     if values.size != uavs or values.dtype.kind not in "biuf":
@@ -208,7 +211,7 @@ def _to_scores(value: Any, uavs: int) -> NDArray[np.float64]:
     return values.reshape(uavs).astype(np.float64)
 
 
-def _to_candidates(action: Any, uavs: int) -> NDArray[np.bool_]:
+def _to_candidates(action: Any, uavs: int) -> Mask:
     """Convert an action to candidates ``(N,)``: N zeros and ones, or the index of one UAV."""
     values = _to_array(action)
     if values.size == 1 and uavs > 1 and values.dtype.kind in "iu":

@@ -10,22 +10,10 @@ from contextlib import contextmanager
 import pytest
 from argument_doors import KINDS, make_doors
 
-import usnet_env.plugins
-from detectors.clustering import base as clusterers
 from usnet_env import ArgumentError
-from usnet_env.multiagent import fusion
-from usnet_env.swarm import follow, mobility
+from usnet_env.registry import REGISTRIES
 
 LONGEST_SENTENCE = 1200  # it may list all arguments or names
-
-
-REGISTRIES = (
-    follow._STRATEGIES,
-    mobility._MOBILITIES,
-    fusion._FUSIONS,
-    usnet_env.plugins._registered,
-    clusterers._CLUSTERERS,
-)
 
 
 @pytest.fixture(autouse=True)
@@ -36,13 +24,12 @@ def own_folder(monkeypatch, tmp_path):
 
 @contextmanager
 def registrations_undone():
-    before = [dict(registry) for registry in REGISTRIES]
+    before = {kind: dict(registry.registered) for kind, registry in REGISTRIES.items()}
     try:
         yield
     finally:
-        for registry, content in zip(REGISTRIES, before, strict=True):
-            registry.clear()
-            registry.update(content)
+        for kind, content in before.items():
+            REGISTRIES[kind]._registered = content
 
 
 @pytest.fixture(scope="module")

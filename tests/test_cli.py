@@ -196,6 +196,10 @@ def test_arguments_of_a_detector_and_two_workers(run):
         ("detectors", ["random", "none", "destroy-all", "one-per-round", "lagged-correlation", "lagged-regression"]),
         ("follow", [*(f"f{number}" for number in range(1, 8)), "none"]),
         ("mobility", ["iid", "gauss_markov", "smooth_turn", "waypoint", "straight"]),
+        ("formation", ["uniform", "around"]),
+        ("placement", ["grid", "uniform"]),
+        ("fusion", ["union", "majority", "scores"]),
+        ("clusterer", ["kmeans", "spectral", "lead-votes"]),
     ],
 )
 def test_list_names_all(run, what, names):

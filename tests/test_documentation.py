@@ -208,7 +208,7 @@ def test_a_docstring_lists_the_arguments_with_their_defaults(name):
     defaults = {
         parameter.name: parameter.default
         for parameter in inspect.signature(kind).parameters.values()
-        if parameter.kind is parameter.POSITIONAL_OR_KEYWORD
+        if parameter.kind is parameter.KEYWORD_ONLY
     }
     assert rows == {
         name: f"{value:g}" if type(value) in (int, float) else str(value) for name, value in defaults.items()

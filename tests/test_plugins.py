@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from usnet_env import ArgumentError, Detection, plugins
+import usnet_env.envs
+from usnet_env import ArgumentError, Detection, plugins, registry
+from usnet_env.cli import main
+from usnet_env.detection import read_tags
+from usnet_env.multiagent import usnet_observers_v0
+from usnet_env.multiagent.sensors import PLACEMENTS, register_placement
 from usnet_env.plugins import (
     DetectorLike,
     describe_detectors,
@@ -17,6 +22,7 @@ from usnet_env.plugins import (
     make_detector,
     register_detector,
 )
+from usnet_env.swarm.formation import FORMATIONS, register_formation
 
 BUILT_IN = ["destroy-all", "lagged-correlation", "lagged-regression", "none", "one-per-round", "random"]
 
@@ -72,7 +78,7 @@ class Unhashable(Mine):
 
 @pytest.fixture(autouse=True)
 def own_registry(monkeypatch):
-    monkeypatch.setattr(plugins, "_registered", {})
+    monkeypatch.setattr(plugins.DETECTORS, "_registered", {})
 
 
 @pytest.fixture
@@ -81,8 +87,8 @@ def installed(monkeypatch):
 
     def add(*points):
         real = importlib.metadata.entry_points
-        extra = [importlib.metadata.EntryPoint(name, value, plugins.GROUP) for name, value in points]
-        monkeypatch.setattr(plugins, "entry_points", lambda group: [*extra, *real(group=group)])
+        extra = [importlib.metadata.EntryPoint(name, value, plugins.DETECTORS.group) for name, value in points]
+        monkeypatch.setattr(registry, "entry_points", lambda group: [*extra, *real(group=group)])
 
     return add
 
@@ -122,17 +128,58 @@ def test_detectors_are_described_without_importing_any(fresh_process):
     fresh_process.run(code)
 
 
-def test_the_description_from_the_source_is_that_of_the_class():
+def test_the_description_and_the_tags_from_the_source_are_those_of_the_class():
     for entry in list_detectors():
         if not entry.missing:
-            assert entry.description == (make_detector(entry.name).__doc__ or "").partition("\n")[0]
+            detector = make_detector(entry.name)
+            assert entry.description == (detector.__doc__ or "").partition("\n")[0]
+            assert entry.tags == read_tags(detector)
+
+
+def test_detectors_that_do_not_declare_torch_do_not_import_it(fresh_process):
+    code = (
+        "import sys, usnet_env.plugins as p; "
+        "[p.make_detector(entry.name).reset(0) for entry in p.list_detectors() if not entry.needs]; "
+        "assert 'torch' not in sys.modules"
+    )
+    fresh_process.run(code)
+
+
+@pytest.mark.parametrize(
+    ("tags", "answer"),
+    [
+        ("Tags(most_uavs=20, takes_clusters=True)", "(at most 20 UAVs; takes M)"),
+        ("Tags(uses_positions=False, needs=('torch', 'no_such_package'))", "(needs torch, no_such_package: not"),
+        ("make_tags()", ""),
+        ("Tags(most_uavs=most)", ""),
+    ],
+)
+def test_declared_tags_are_listed_without_an_import(installed, tmp_path, monkeypatch, capsys, tags, answer):
+    source = f"class Tagged:\n    'Has tags.'\n    tags = {tags}\n"
+    (tmp_path / "tagged_stranger.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    installed(("tagged", "tagged_stranger:Tagged"))
+    assert main(["list", "detectors"]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("tagged ")]
+    assert f"Has tags. {answer}".rstrip() in line
+    assert "tagged_stranger" not in sys.modules
+
+
+def test_unknown_tags_are_refused(installed, tmp_path, monkeypatch):
+    (tmp_path / "odd_stranger.py").write_text("class Odd:\n    tags = Tags(colour=3)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    installed(("odd", "odd_stranger:Odd"))
+    with pytest.warns(UserWarning, match="detector 'odd' must declare known tags: .*colour"):
+        assert describe_detectors()["odd"].startswith("not available")
 
 
 PACKAGE = {
     "faraway/__init__.py": "from .middle import Near as Other\n",
     "faraway/middle.py": "import no_such_package_anywhere\nfrom faraway.inner.deep import Near\n",
     "faraway/inner/__init__.py": "import json\nimport scipy\n",
-    "faraway/inner/deep.py": '"""Not this."""\n\nclass Near:\n    """Found through three files.\n\n    M.\n    """\n',
+    "faraway/inner/base.py": "class Base:\n    tags = Tags(needs=('no_such_package_anywhere',), least_steps=7)\n",
+    "faraway/inner/deep.py": '"""Not this."""\nfrom .base import Base\n\n'
+    'class Near(Base):\n    """Found through three files.\n\n    M.\n    """\n',
 }
 
 
@@ -145,6 +192,7 @@ def test_a_class_is_found_where_its_package_imports_it_from(installed, tmp_path,
     (entry,) = [entry for entry in list_detectors() if entry.name == "reexported"]
     assert entry.description == "Found through three files."
     assert entry.needs == entry.missing == ("no_such_package_anywhere",)
+    assert entry.tags.least_steps == 7
     assert not [name for name in sys.modules if name.startswith("faraway")]
 
 
@@ -384,13 +432,13 @@ def test_distributions_without_metadata_are_accepted(monkeypatch):
     class Nameless:
         name = None
 
-    real = list(importlib.metadata.entry_points(group=plugins.GROUP))
+    real = list(importlib.metadata.entry_points(group=plugins.DETECTORS.group))
     extra = []
     for number, distribution in enumerate((Half(), Nameless())):
-        point = importlib.metadata.EntryPoint(f"half-{number}", f"{__name__}:Mine", plugins.GROUP)
+        point = importlib.metadata.EntryPoint(f"half-{number}", f"{__name__}:Mine", plugins.DETECTORS.group)
         vars(point).update(dist=distribution)
         extra.append(point)
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [*extra, *real])
+    monkeypatch.setattr(registry, "entry_points", lambda group: [*extra, *real])
     assert {"half-0", "half-1", *BUILT_IN} <= set(detector_names())
     assert make_detector("half-1(count=3)").count == 3
 
@@ -405,3 +453,75 @@ def test_all_three_ways_end_in_one_registry(installed):
         "by-hand(count=3)",
         "by-entry-point(count=3)",
     ]
+
+
+def test_an_installed_package_declares_parts_of_every_kind(monkeypatch, tmp_path):
+    source = """
+import numpy as np
+from detectors.clustering import KMeans as Groups
+from usnet_env.multiagent import Fusion
+from usnet_env.swarm.follow import Lags
+from usnet_env.swarm.mobility import CompiledMobility
+
+class Backwards(Lags):
+    kappa = -1.0
+
+onwards = CompiledMobility(5, 1)
+corner = lambda rng, roles: np.zeros((len(roles.leader), 3))
+middle = lambda rng, observers: np.full((observers, 3), 500.0)
+both = Fusion("candidates", lambda votes, seen: votes.all(axis=0))
+"""
+    (tmp_path / "strangers_parts.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    names = {
+        "follow strategy": "Backwards",
+        "mobility": "onwards",
+        "formation": "corner",
+        "placement": "middle",
+        "fusion rule": "both",
+        "clusterer": "Groups",
+    }
+    groups = {registry.REGISTRIES[kind].group: f"strangers_parts:{name}" for kind, name in names.items()}
+
+    def entry_points(group):
+        value = groups.get(group)
+        return [importlib.metadata.EntryPoint("strange", value, group)] if value else []
+
+    monkeypatch.setattr(registry, "entry_points", entry_points)
+    for kind in names:
+        parts = registry.REGISTRIES[kind]
+        assert "strange" in parts
+        assert parts.find("strange") is parts["strange"]
+        with pytest.raises(ArgumentError, match=f"the name of an installed {kind}"):
+            parts.register("strange", next(iter(parts.values())))
+        parts._loaded.clear()
+    env = usnet_env.envs.MultiClusterEnv(follow="strange", mobility="strange", formation="strange")
+    env.reset(seed=0)
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: [importlib.metadata.EntryPoint("odd", "math:pi", group)]
+    )
+    for kind in names:
+        with pytest.raises(ArgumentError, match=rf"^{kind} 'odd' must be a .*, got 3\.14"):
+            registry.REGISTRIES[kind].find("odd")
+
+
+def test_a_formation_and_a_placement_can_be_registered(monkeypatch):
+    monkeypatch.setattr(FORMATIONS, "_registered", {})
+    monkeypatch.setattr(PLACEMENTS, "_registered", {})
+    register_formation("line", lambda rng, roles: np.arange(len(roles.leader))[:, None] * np.ones(3))
+    register_placement("origin", lambda rng, observers: np.zeros((observers, 3)))
+    env = usnet_env.envs.MultiClusterEnv(formation="line", clusters=2, uavs=9)
+    env.reset(seed=0)
+    game = usnet_observers_v0.parallel_env(placement="origin", clusters=2, uavs=9)
+    observations, _ = game.reset(seed=0)
+    assert not observations["observer_3"]["place"].any()
+    for place, sentence in (
+        (np.zeros(3), "return an array of shape"),
+        (np.full((9, 3), np.nan), "return coordinates from"),
+    ):
+        register_formation("bad", lambda rng, roles, place=place: place, replace=True)
+        with pytest.raises(ArgumentError, match=f"formation function must {sentence}"):
+            usnet_env.envs.MultiClusterEnv(formation="bad", clusters=2, uavs=9).reset(seed=0)
+    for register in (register_formation, register_placement):
+        with pytest.raises(ArgumentError, match="function must be a function"):
+            register("worse", 3)

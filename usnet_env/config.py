@@ -7,11 +7,12 @@ argument takes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable
+import re
+from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
-from functools import wraps
-from inspect import signature
-from typing import Any, ParamSpec, TypeVar
+from functools import update_wrapper
+from inspect import Parameter, Signature
+from typing import Any, Concatenate, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
@@ -19,13 +20,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 __all__ = [
     "ArgumentError",
     "Config",
-    "add_to_registry",
     "is_whole_number",
+    "list_arguments",
     "optional_seed",
     "plain_text",
     "quote",
     "real_number",
-    "refuse_unknown_arguments",
+    "takes_arguments",
     "unknown_argument",
     "unknown_name",
     "whole_number",
@@ -34,7 +35,9 @@ __all__ = [
 _LONGEST_VALUE = 80
 
 P = ParamSpec("P")
-T = TypeVar("T")
+OwnerT = TypeVar("OwnerT")
+ConfigT = TypeVar("ConfigT", bound="Config")
+ClassT = TypeVar("ClassT", bound=type)
 
 _EXPECTED = {  # texts for pydantic's error types
     "int_type": "a whole number",
@@ -43,6 +46,8 @@ _EXPECTED = {  # texts for pydantic's error types
     "string_type": "a name",
     "tuple_type": "a list",
     "finite_number": "a finite number",
+    "missing": "longer",
+    "too_long": "shorter",
 }
 
 
@@ -154,65 +159,25 @@ def unknown_argument(name: str, owner: str, known: Iterable[str]) -> ArgumentErr
     return ArgumentError(f"{name} is not an argument of {owner}{hint}; it takes {', '.join(takes)}.")
 
 
-def refuse_unknown_arguments(init: Callable[P, None]) -> Callable[P, None]:
-    """Decorate a constructor, so that an unknown keyword raises :class:`ArgumentError` with a suggestion."""
-    known = [name for name in signature(init).parameters if name != "self"]
-
-    @wraps(init)
-    def checked(*values: P.args, **arguments: P.kwargs) -> None:
-        for name in arguments:
-            if name not in known:
-                raise unknown_argument(name, type(values[0]).__name__, known)
-        init(*values, **arguments)
-
-    return checked
-
-
-def add_to_registry(registry: dict[str, T], name: str, value: T, replace: Any, own: Collection[str]) -> None:
-    """Store ``value`` under ``name`` in a registry.
-
-    Args:
-        registry: what is registered, by name; changed in place.
-        name: the name; the caller has checked its form.
-        value: what to register.
-        replace: whether to replace another value of the same name.
-        own: names of this package, which can't be replaced: results refer to them.
-
-    Raises:
-        ArgumentError: another value has the name, and ``replace`` is false or the name is one of ``own``.
-    """
-    if not isinstance(replace, bool):
-        raise ArgumentError(f"replace must be true or false, got {quote(replace)}.")
-    if name in registry and not _is_same(registry[name], value):
-        if name in own:
-            raise ArgumentError(f"name must be a new one, got {quote(name)}, which is a name of this package.")
-        if not replace:
-            raise ArgumentError(
-                f"name must be a new one, got {quote(name)}, which is registered already (replace=True replaces it)."
-            )
-    registry[name] = value
-
-
-def _is_same(one: object, other: object) -> bool:
-    """Compare two registered values; values whose comparison raises are different."""
-    try:
-        return one is other or bool(one == other)
-    except Exception:  # the comparison of a foreign class may raise anything
-        return False
-
-
 def _to_sentence(error: ValidationError) -> str:
     """The first error that pydantic found, as one sentence."""
     first = error.errors()[0]
     name = str(first["loc"][0]) if first["loc"] else "configuration"
     if first["type"] == "value_error":  # raised by a validator of this project: its text is the sentence
         return str(first["ctx"]["error"])
+    if first["type"] == "literal_error":
+        return str(unknown_name(name, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"])))
     takes = _EXPECTED.get(first["type"], first["msg"].removeprefix("Input should be ").rstrip("."))
+    if "Sequence" in takes:
+        takes = _EXPECTED["tuple_type"]
     return f"{name} must be {takes}, got {quote(first['input'])}."
 
 
 class Config(BaseModel):
-    """A frozen, strictly typed configuration; an invalid value raises :class:`ArgumentError`."""
+    """A frozen, strictly typed configuration; an invalid value raises :class:`ArgumentError`.
+
+    The descriptions of the fields, if they have any, become the section ``Args`` of the docstring.
+    """
 
     model_config = ConfigDict(
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True
@@ -233,3 +198,80 @@ class Config(BaseModel):
         if isinstance(values, dict):
             return {name: _to_python(value) for name, value in values.items()}
         return values
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **values: Any) -> None:
+        super().__pydantic_init_subclass__(**values)
+        described = {name: field.description for name, field in cls.model_fields.items() if field.description}
+        if described and cls.__doc__ and "Args:" not in cls.__doc__:
+            lines = "".join(f"        {name}: {text}.\n" for name, text in described.items())
+            summary, raises, errors = cls.__doc__.rstrip().partition("    Raises:")
+            cls.__doc__ = f"{summary.rstrip()}\n\n    Args:\n{lines}\n{raises}{errors}"
+
+    def part(self, kind: type[ConfigT], **changes: Any) -> ConfigT:
+        """The values of those fields that another config has too, with changes, as this config."""
+        shared = [name for name in kind.model_fields if name in type(self).model_fields and name not in changes]
+        return kind(**{name: getattr(self, name) for name in shared}, **changes)
+
+
+def takes_arguments(
+    config: Callable[P, ConfigT],
+) -> Callable[[Callable[[OwnerT, ConfigT], None]], Callable[Concatenate[OwnerT, P], None]]:
+    """Decorate a constructor that takes a config, so that it takes the fields of the config as keyword arguments.
+
+    The signature and the types of the arguments are those of the config. An unknown keyword raises
+    :class:`ArgumentError` with a suggestion.
+
+    Args:
+        config: a subclass of :class:`Config`.
+    """
+    fields: Mapping[str, Any] = config.model_fields  # type: ignore[attr-defined]  # a class, typed by its constructor
+
+    def decorate(init: Callable[[OwnerT, ConfigT], None]) -> Callable[Concatenate[OwnerT, P], None]:
+        def checked(self: OwnerT, /, *none: P.args, **values: P.kwargs) -> None:
+            for name in values:
+                if name not in fields:
+                    raise unknown_argument(name, type(self).__name__, fields)
+            init(self, config(*none, **values))
+
+        types = get_type_hints(config)
+        keywords = [
+            Parameter(name, Parameter.KEYWORD_ONLY, default=field.default, annotation=types[name])
+            for name, field in fields.items()
+        ]
+        update_wrapper(checked, init)
+        checked.__signature__ = Signature(  # type: ignore[attr-defined]
+            [Parameter("self", Parameter.POSITIONAL_OR_KEYWORD), *keywords], return_annotation=None
+        )
+        checked.config = config  # type: ignore[attr-defined]
+        return checked
+
+    return decorate
+
+
+def list_arguments(**parts: str) -> Callable[[ClassT], ClassT]:
+    """Decorate a class whose constructor :func:`takes_arguments`, to complete its docstring.
+
+    Args:
+        parts: texts by name: each replaces its name in braces. A table of the arguments replaces ``{arguments}``.
+    """
+
+    def complete(described: ClassT) -> ClassT:
+        rows = [
+            f"    | `{name}` | {_format_default(field.default)} | {field.description.replace('``', '`')} |"
+            for name, field in vars(described)["__init__"].config.model_fields.items()
+        ]
+        table = "\n".join(["| name | default | meaning |", "    | --- | --- | --- |", *rows])
+        text = described.__doc__ or ""  # Python leaves docstrings out with -OO
+        for name, part in {**parts, "arguments": table}.items():
+            text = text.replace(f"{{{name}}}", part)
+        described.__doc__ = text
+        return described
+
+    return complete
+
+
+def _format_default(value: Any) -> str:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return f"{value:g}"
+    return f"`{value!r}`".replace("'", '"')

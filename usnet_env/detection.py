@@ -7,12 +7,31 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.window import frozen_array
 
-__all__ = ["Detection"]
+__all__ = ["Detection", "Tags", "read_tags"]
+
+
+@dataclass(frozen=True)
+class Tags:
+    """What a detector needs and uses. Declare them with literal values, because they are read without an import.
+
+    Args:
+        needs: the packages that it needs beyond an installation of USNET without extras, such as ``("torch",)``.
+        most_uavs: the largest number of UAVs in a window; ``None`` for no limit.
+        least_steps: the smallest number of velocities T_ob in a window, with the default arguments.
+        uses_positions: whether an answer depends on positions where no sample is missing.
+        takes_clusters: whether an argument gives the number of clusters M.
+    """
+
+    needs: tuple[str, ...] = ()
+    most_uavs: int | None = None
+    least_steps: int = 1
+    uses_positions: bool = True
+    takes_clusters: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +50,11 @@ class Detection:
         ArgumentError: an array has another shape, values that are not finite, or indices out of range.
     """
 
-    candidates: NDArray[np.bool_]
-    scores: NDArray[np.float64]
-    clusters: NDArray[np.int64] | None = None
-    leader: NDArray[np.int64] | None = None
-    attention: NDArray[np.float64] | None = None
+    candidates: Mask
+    scores: Floats
+    clusters: Indices | None = None
+    leader: Indices | None = None
+    attention: Floats | None = None
     extras: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -54,3 +73,9 @@ class Detection:
         if not isinstance(self.extras, Mapping):
             raise ArgumentError(f"extras must be a mapping of names to values, got {quote(self.extras)}.")
         put(self, "extras", dict(self.extras))
+
+
+def read_tags(detector: Any) -> Tags:
+    """The tags of a detector or of its class; the default ones if it declares none."""
+    tags = getattr(detector, "tags", None)
+    return tags if isinstance(tags, Tags) else Tags()

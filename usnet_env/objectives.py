@@ -7,8 +7,9 @@ a batch. An undefined ratio is 0: the precision of an empty set, and recall, F1 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.window import as_array
 
@@ -29,9 +30,8 @@ __all__ = [
     "single_cluster_objective",
 ]
 
-Mask = NDArray[np.bool_]
-Counts = NDArray[np.int64]
-Ratios = NDArray[np.float64]
+Counts = Indices
+Ratios = Floats
 
 
 def _mask(name: str, value: ArrayLike) -> Mask:
@@ -56,7 +56,7 @@ def _pair(first_name: str, first: ArrayLike, name: str, value: ArrayLike) -> tup
     return reference, mask
 
 
-def _labels(name: str, value: ArrayLike, uavs: int | None = None) -> NDArray[np.int64]:
+def _labels(name: str, value: ArrayLike, uavs: int | None = None) -> Indices:
     """Convert ``(N,)`` labels to int64, with ``None`` for any N; -1 means no label."""
     labels = as_array(name, value)
     if uavs is None:
@@ -78,7 +78,7 @@ def _heads_and_rounds(head: ArrayLike, candidates_per_round: ArrayLike) -> tuple
     return heads, candidates
 
 
-def _ratio(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Ratios:
+def _ratio(part: Indices, whole: Indices) -> Ratios:
     """``part / whole``, 0 where ``whole`` is 0."""
     return np.asarray(np.where(whole > 0, part / np.maximum(whole, 1), 0.0))
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from usnet_env.arrays import Mask, Singles
 from usnet_env.config import ArgumentError, quote, whole_number
 
 __all__ = ["Window", "as_array", "frozen_array"]
@@ -94,10 +95,10 @@ class Window:
         ArgumentError: an array has another shape or non-finite values, or a mask has values other than 0 and 1.
     """
 
-    position: NDArray[np.float32]
-    velocity: NDArray[np.float32]
-    seen: NDArray[np.bool_]
-    alive: NDArray[np.bool_]
+    position: Singles
+    velocity: Singles
+    seen: Mask
+    alive: Mask
     round: int = 1
 
     def __post_init__(self) -> None:
@@ -125,7 +126,7 @@ class Window:
         return int(self.velocity.shape[0])
 
     @property
-    def velocity_seen(self) -> NDArray[np.bool_]:
+    def velocity_seen(self) -> Mask:
         """``(T_ob, N)`` bool: the UAV is alive and was detected at both ends of the step."""
         return self.seen[:-1] & self.seen[1:] & self.alive
 

@@ -9,24 +9,19 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
+from detectors.parameters import Lags
 from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
 from detectors.series.regressions import correlate_over_lags
 from detectors.series.votes import rank_uavs
-from usnet_env.config import Config
-from usnet_env.detection import Detection
+from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["Factions", "build_following_network", "compute_pagerank"]
 
-Floats = NDArray[np.float64]
 
 _DAMPING = 0.85
 _ITERATIONS = 100
-
-
-class _Arguments(Config):
-    max_lag: Annotated[int, Field(ge=1, le=1000)]
-    threshold: Annotated[float, Field(ge=0, le=1)]
 
 
 class Factions(Detector):
@@ -48,11 +43,10 @@ class Factions(Detector):
             UAVs.
     """
 
-    Arguments = _Arguments
+    tags = Tags(most_uavs=10_000, uses_positions=False)
 
-    def __init__(self, max_lag: int = 4, threshold: float = 0.4) -> None:
-        self.max_lag = max_lag
-        self.threshold = threshold
+    max_lag: Lags = 4
+    threshold: Annotated[float, Field(ge=0, le=1)] = 0.4
 
     def detect(self, window: Window) -> Detection:
         """Name the leaders of all factions, or the UAV with the highest PageRank if there is no leader.
@@ -85,9 +79,7 @@ class Factions(Detector):
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader)
 
 
-def build_following_network(
-    velocity: NDArray[np.floating], seen: NDArray[np.bool_], max_lag: int, threshold: float
-) -> Floats:
+def build_following_network(velocity: NDArray[np.floating], seen: Mask, max_lag: int, threshold: float) -> Floats:
     """Build the network ``(n, n)``; entry (i, j) is the correlation with which i follows j, or 0.
 
     Args:
@@ -114,7 +106,7 @@ def compute_pagerank(network: Floats) -> Floats:
     return rank
 
 
-def _find_reachable_leaders(follows: NDArray[np.bool_], leads: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _find_reachable_leaders(follows: Mask, leads: Indices) -> Mask:
     """``(n, leaders)``: whether the network has a path from a UAV to a leader; a leader reaches itself."""
     reached = np.zeros((len(follows), len(leads)), bool)
     reached[leads, np.arange(len(leads))] = True

@@ -6,21 +6,14 @@ rounds (decision (l) in docs/game.md).
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from pydantic import Field
 
 from detectors.base import Detector
-from usnet_env.config import Config
-from usnet_env.detection import Detection
+from detectors.parameters import Count
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["DestroyAll", "NoCandidates", "RandomDetector"]
-
-
-class _RandomArguments(Config):
-    count: Annotated[int, Field(ge=1, le=100_000)]
 
 
 class RandomDetector(Detector):
@@ -33,10 +26,9 @@ class RandomDetector(Detector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if ``count`` is not a whole number from 1.
     """
 
-    Arguments = _RandomArguments
+    tags = Tags(uses_positions=False)
 
-    def __init__(self, count: int = 1) -> None:
-        self.count = count
+    count: Count = 1
 
     def detect(self, window: Window) -> Detection:
         """Name the living UAVs with the ``count`` highest of N random scores in (0, 1]; a destroyed UAV has score 0."""
@@ -50,6 +42,8 @@ class RandomDetector(Detector):
 class DestroyAll(Detector):
     """Names every living UAV; its J_m is exactly 1 + (N - M) / N."""
 
+    tags = Tags(uses_positions=False)
+
     def detect(self, window: Window) -> Detection:
         """Name all living UAVs, each with score 1; a destroyed UAV has score 0."""
         return Detection(candidates=window.alive, scores=window.alive.astype(np.float64))
@@ -57,6 +51,8 @@ class DestroyAll(Detector):
 
 class NoCandidates(Detector):
     """Names no UAV, so that no head is ever destroyed."""
+
+    tags = Tags(uses_positions=False)
 
     def detect(self, window: Window) -> Detection:
         """Return a detection without candidates; every score is 0."""

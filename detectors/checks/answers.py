@@ -16,7 +16,7 @@ from detectors.checks.harness import (
     require,
     validate_detection,
 )
-from detectors.checks.windows import make_hovering_window, simulate_missing_samples, simulate_window
+from detectors.checks.windows import draw_window, make_hovering_window, simulate_missing_samples
 from usnet_env.config import quote
 from usnet_env.window import Window
 
@@ -37,8 +37,8 @@ LARGE_STEPS = 20  # T_ob for the large swarm: memory and time that grow with N s
 
 def check_answers_with_a_detection(detector: Any) -> None:
     """``detect`` returns a ``Detection`` for all N UAVs after ``reset(seed)``, ``reset(None)`` and ``reset()``."""
-    own, window = copy_detector(detector), simulate_window()
-    play_windows(own, [window, simulate_window(seed=1, destroyed=3, round=2)])
+    own, window = copy_detector(detector), draw_window(detector)
+    play_windows(own, [window, draw_window(detector, seed=1, destroyed=3, round=2)])
     play_windows(own, [window], seed=None)
     with calling("reset"):
         own.reset()
@@ -47,23 +47,25 @@ def check_answers_with_a_detection(detector: Any) -> None:
 
 def check_smallest_swarm(detector: Any) -> None:
     """``detect`` works for N = 3: a head and two followers."""
-    play_windows(copy_detector(detector), [simulate_window(clusters=1, uavs=SMALLEST)])
+    play_windows(copy_detector(detector), [draw_window(detector, clusters=1, uavs=SMALLEST)])
 
 
 def check_large_swarm(detector: Any) -> None:
     """``detect`` works for N = 237 in 11 clusters of unequal size."""
-    play_windows(copy_detector(detector), [simulate_window(clusters=11, uavs=LARGE, observation_steps=LARGE_STEPS)])
+    play_windows(
+        copy_detector(detector), [draw_window(detector, clusters=11, uavs=LARGE, observation_steps=LARGE_STEPS)]
+    )
 
 
 def check_single_cluster(detector: Any) -> None:
     """``detect`` works for M = 1, also if the detector was constructed for another M."""
-    play_windows(copy_detector(detector), [simulate_window(clusters=1, uavs=16)])
+    play_windows(copy_detector(detector), [draw_window(detector, clusters=1, uavs=16)])
 
 
 def check_masked_uavs_are_never_candidates(detector: Any) -> None:
     """A destroyed UAV is never a candidate, whether a few or nearly all UAVs are destroyed."""
     for destroyed in (4, 17):
-        window = simulate_window(uavs=20, destroyed=destroyed, round=2)
+        window = draw_window(detector, uavs=20, destroyed=destroyed, round=2)
         for seed in (SEED, SEED + 1, SEED + 2):
             _require_living_candidates(copy_detector(detector), window, seed)
 
@@ -76,13 +78,13 @@ def _require_living_candidates(detector: Any, window: Window, seed: int) -> None
 
 def check_missing_samples(detector: Any) -> None:
     """``detect`` works where samples are missing: 30 %, all of one UAV, and all UAVs at some steps."""
-    window = simulate_missing_samples()
+    window = simulate_missing_samples(detector)
     _require_living_candidates(copy_detector(detector), window, SEED)
 
 
 def check_scores_are_finite(detector: Any) -> None:
     """Scores are finite, and ``extras["probability"]`` lies in [0, 1], for moving and for hovering UAVs."""
-    for window in (simulate_window(), make_hovering_window(), simulate_missing_samples(seed=1)):
+    for window in (draw_window(detector), make_hovering_window(detector), simulate_missing_samples(detector, seed=1)):
         (answer,) = play_windows(copy_detector(detector), [window])
         require(bool(np.isfinite(answer.scores).all()), "scores must be finite, got NaN or infinity.")
         if "probability" in answer.extras:
@@ -98,7 +100,7 @@ def check_batch(detector: Any) -> None:
     own = copy_detector(detector)
     if not callable(getattr(own, "detect_batch", None)):
         raise SkipTest("it has no method detect_batch.")
-    windows = [simulate_window(uavs=uavs, seed=uavs) for uavs in (14, 11, 14, 9)]
+    windows = [draw_window(detector, uavs=uavs, seed=uavs) for uavs in (14, 11, 14, 9)]
     given = list(windows)
     with calling("reset"):
         own.reset(SEED)

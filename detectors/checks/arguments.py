@@ -18,7 +18,7 @@ from detectors.checks.harness import (
     request_detection,
     require,
 )
-from detectors.checks.windows import simulate_window
+from detectors.checks.windows import draw_window
 from usnet_env.config import quote
 
 __all__ = ["check_constructor_only_stores", "check_parameters_and_clone", "check_pickling"]
@@ -56,7 +56,7 @@ def check_parameters_and_clone(detector: Any) -> None:
     with calling("set_params"):
         returned = own.set_params(**params)
     require(returned is own, "set_params must return the detector.")
-    play_windows(own, [simulate_window(), simulate_window(seed=1, destroyed=3, round=2)])
+    play_windows(own, [draw_window(detector), draw_window(detector, seed=1, destroyed=3, round=2)])
     for name, (value, text) in before.items():
         now = own.get_params(deep=False)[name]
         require(
@@ -74,7 +74,7 @@ def check_pickling(detector: Any) -> None:
     own = copy_detector(detector)
     there = _pickle_and_unpickle(own)
     require(type(there) is type(own), f"unpickling must return a {type(own).__name__}, got a {type(there).__name__}.")
-    (here,), (same,) = (play_windows(one, [simulate_window()]) for one in (own, there))
+    (here,), (same,) = (play_windows(one, [draw_window(detector)]) for one in (own, there))
     different = compare_detections(here, same)
     require(
         not different,
@@ -82,7 +82,7 @@ def check_pickling(detector: Any) -> None:
     )
     both = own, _pickle_and_unpickle(own)
     different = compare_detections(
-        *(request_detection(one, simulate_window(seed=1, destroyed=3, round=2)) for one in both)
+        *(request_detection(one, draw_window(detector, seed=1, destroyed=3, round=2)) for one in both)
     )
     require(not different, f"a detector that is pickled within an episode must continue it, got another {different}.")
 

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
 from detectors.checks.harness import SEED, calling, copy_detector, play_windows, require, warn
 from detectors.checks.process import Same, list_files, list_functions, list_processes, list_threads
-from detectors.checks.windows import simulate_window
+from detectors.checks.windows import draw_window
 from usnet_env.window import Window
 
 __all__ = [
@@ -36,7 +36,7 @@ SECONDS = 10.0  # for a window of the paper's size: N = 82, T_ob = 100
 
 def check_input_unchanged(detector: Any) -> None:
     """After ``detect`` the window holds the same arrays with the same values, and they are still read-only."""
-    window = simulate_window(miss_rate=0.1, destroyed=2, round=2)
+    window = draw_window(detector, miss_rate=0.1, destroyed=2, round=2)
     arrays = {name: (value, value.tobytes()) for name, value in vars(window).items() if isinstance(value, np.ndarray)}
     play_windows(copy_detector(detector), [window])
     for name, (array, content) in arrays.items():
@@ -107,7 +107,7 @@ def check_time_budget(detector: Any, seconds: float = SECONDS) -> None:
 
     The fastest of three calls counts: the first may compile or load something, and another process may slow down one.
     """
-    own, window = copy_detector(detector), simulate_window(clusters=5, uavs=82, observation_steps=100)
+    own, window = copy_detector(detector), draw_window(detector, clusters=5, uavs=82, observation_steps=100)
     best = np.inf
     for _ in range(3):
         begin = time.perf_counter()
@@ -121,7 +121,7 @@ def check_time_budget(detector: Any, seconds: float = SECONDS) -> None:
 def _find_changes(detector: Any, state: Callable[[], dict[str, Any]], new: str | None = None) -> str:
     """Names of the entries of ``state()`` that the detector changes, and new ones if their names start with ``new``."""
     before = state()
-    _exercise_detector(detector, [simulate_window(), simulate_window(seed=1, destroyed=3, round=2)])
+    _exercise_detector(detector, [draw_window(detector), draw_window(detector, seed=1, destroyed=3, round=2)])
     after = state()
     names = [*before, *(name for name in after if new and name not in before and name.startswith(new))]
     return ", ".join(

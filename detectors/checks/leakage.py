@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.checks.harness import compare_detections, copy_detector, play_windows, require
-from detectors.checks.windows import set_heads, simulate_window, start_environment
+from detectors.checks.windows import draw_window, set_heads, start_environment
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -37,7 +37,7 @@ def check_no_reach_for_truth(detector: Any) -> None:
     The search follows attributes, containers, closures and class attributes. A generator is shared if two copies of the
     detector hold it, or if it is a global one.
     """
-    window, later = simulate_window(), simulate_window(seed=1, destroyed=3, round=2)
+    window, later = draw_window(detector), draw_window(detector, seed=1, destroyed=3, round=2)
     own, other = copy_detector(detector), copy_detector(detector)
     given = play_windows(own, [window, later])
     play_windows(other, [window, later])
@@ -70,7 +70,7 @@ def check_truth_nearby_changes_nothing(detector: Any) -> None:
 
 def _detect_beside_two_truths(detector: Any) -> list[Detection]:
     """Call ``detect`` twice; the environment is gone afterwards, so that no later check can find it."""
-    environment, window = start_environment()
+    environment, window = start_environment(detector)
     ends = np.array([0, 1]), np.array([window.uavs - 2, window.uavs - 1])
     return [_detect_beside_environment(detector, environment, window, heads) for heads in ends]
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 from detectors.checks.harness import SEED, compare_detections, copy_detector, play_windows, require, warn
-from detectors.checks.windows import make_hovering_window, permute_uavs, simulate_window
+from detectors.checks.windows import draw_window, make_hovering_window, permute_uavs
+from usnet_env.arrays import Floats
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -24,7 +25,7 @@ LEVEL = 0.002
 
 def check_same_seed_same_answer(detector: Any) -> None:
     """Two copies that are reset with the same seed return bitwise equal detections over an episode."""
-    first, second = (play_windows(copy_detector(detector), _make_windows()) for _ in range(2))
+    first, second = (play_windows(copy_detector(detector), _make_windows(detector)) for _ in range(2))
     for one, other in zip(first, second, strict=True):
         different = compare_detections(one, other)
         require(not different, f"the same seed must give the same detection, got different {different}.")
@@ -33,9 +34,9 @@ def check_same_seed_same_answer(detector: Any) -> None:
 def check_episodes_start_afresh(detector: Any) -> None:
     """``reset`` removes all state of the previous episode."""
     own = copy_detector(detector)
-    first = play_windows(own, _make_windows())
-    play_windows(own, [simulate_window(clusters=1, uavs=20, seed=7)], seed=SEED + 1)
-    for one, other in zip(first, play_windows(own, _make_windows()), strict=True):
+    first = play_windows(own, _make_windows(detector))
+    play_windows(own, [draw_window(detector, clusters=1, uavs=20, seed=7)], seed=SEED + 1)
+    for one, other in zip(first, play_windows(own, _make_windows(detector)), strict=True):
         different = compare_detections(one, other)
         require(not different, f"reset must clear the previous episode, got different {different}.")
 
@@ -49,12 +50,12 @@ def check_permuting_uavs_permutes_the_answer(detector: Any) -> None:
     A second window shows UAVs that don't move and differ in their indices only. A detector that decides by the index
     there gets a warning: it breaks ties by the index, which no data can make right or wrong.
     """
-    p = _compare_orders(detector, simulate_window())
+    p = _compare_orders(detector, draw_window(detector))
     require(
         p >= LEVEL,
         f"permuting the UAVs must permute the detection (in distribution), got another in a swarm (p = {p:.4f}).",
     )
-    if _compare_orders(detector, make_hovering_window(together=True)) < LEVEL:
+    if _compare_orders(detector, make_hovering_window(detector, together=True)) < LEVEL:
         warn(
             "ties are broken by the index where nothing distinguishes the UAVs; to break them at random, rank the UAVs "
             "in the order self.rng.permutation(window.uavs)."
@@ -75,12 +76,12 @@ def _compare_orders(detector: Any, window: Window) -> float:
     return compute_p_value(np.array(here), np.array(there))
 
 
-def _make_windows() -> list[Window]:
+def _make_windows(detector: Any) -> list[Window]:
     """Make the windows of two rounds.
 
     Each call makes new ones, so that a detector that writes into windows fails :func:`check_input_unchanged` only.
     """
-    return [simulate_window(), simulate_window(seed=1, destroyed=3, round=2)]
+    return [draw_window(detector), draw_window(detector, seed=1, destroyed=3, round=2)]
 
 
 def _detect_once(detector: Any, window: Window, seed: int) -> Detection:
@@ -101,7 +102,7 @@ def _are_close(one: Detection, other: Detection) -> bool:
     )
 
 
-def _summarise_detection(answer: Detection) -> NDArray[np.float64]:
+def _summarise_detection(answer: Detection) -> Floats:
     """``(2 N,)``: the candidates, and the ranks of the scores in (0, 1]."""
     uavs = len(answer.scores)
     # Scores that differ by rounding errors only must share a rank.
@@ -109,7 +110,7 @@ def _summarise_detection(answer: Detection) -> NDArray[np.float64]:
     return np.concatenate([answer.candidates, rankdata(np.round(answer.scores / scale, 4)) / uavs])
 
 
-def compute_p_value(here: NDArray[np.float64], there: NDArray[np.float64]) -> float:
+def compute_p_value(here: Floats, there: Floats) -> float:
     """p-value of a permutation test for equal means of two samples.
 
     Args:

@@ -40,11 +40,11 @@ def check_seeds_reveal_no_heads(detector: Any) -> None:
 def _names_heads_only(detector: Any, seed: int, episode: int) -> bool:
     """Whether the detector names at least one UAV of a swarm and all UAVs that it names are heads."""
     swarm_seed, detector_seed = episode_seeds(seed, episode)
-    _, window = start_environment(swarm_seed, **SWARM)
+    _, window = start_environment(seed=swarm_seed, **SWARM)
     try:
         (answer,) = play_windows(copy_detector(detector), [window], detector_seed)
     except Exception:  # a detector may refuse so short a window
         return False
-    env, _ = start_environment(swarm_seed, **SWARM)  # again, because no truth is within reach while it answers
+    env, _ = start_environment(seed=swarm_seed, **SWARM)  # again, because no truth is within reach while it answers
     head = env.unwrapped.swarm.head  # type: ignore[attr-defined]  # all environments of USNET have it
     return bool(answer.candidates.any()) and not bool(np.any(answer.candidates & ~head))

@@ -8,10 +8,13 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Mask, Singles
+from usnet_env.detection import Tags, read_tags
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.window import Window
 
 __all__ = [
+    "draw_window",
     "make_hovering_window",
     "permute_uavs",
     "set_heads",
@@ -55,24 +58,41 @@ def simulate_window(
     return Window(sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0], round)
 
 
-def simulate_missing_samples(seed: int = 0) -> Window:
+def draw_window(detector: Any, uavs: int = 14, *, observation_steps: int = STEPS, **more: Any) -> Window:
+    """Simulate a window that the detector takes by its tags, with at most ``uavs`` UAVs and at least T_ob steps.
+
+    Args:
+        detector: the detector that is checked.
+        uavs: N, lowered to the most UAVs that the detector takes.
+        observation_steps: T_ob, raised to the least steps that it takes.
+        more: as for :func:`simulate_window`.
+    """
+    tags = read_tags(detector)
+    most = _limit(uavs, tags)
+    more["clusters"] = min(more.get("clusters", 3), most // 3)
+    return simulate_window(uavs=most, observation_steps=max(observation_steps, tags.least_steps), **more)
+
+
+def simulate_missing_samples(detector: Any = None, seed: int = 0) -> Window:
     """Simulate a noisy window with missing samples: single ones, all of one UAV, and all UAVs at some steps."""
-    window = simulate_window(seed=seed, miss_rate=0.3, position_noise=0.2, destroyed=2, round=2)
+    window = draw_window(detector, seed=seed, miss_rate=0.3, position_noise=0.2, destroyed=2, round=2)
     seen = window.seen.copy()
     seen[:, np.flatnonzero(window.alive)[0]] = False
     seen[[0, 20, 21]] = False
     return _mask_unseen_samples(window.position, window.velocity, seen, window.alive, window.round)
 
 
-def make_hovering_window(uavs: int = 8, steps: int = STEPS, *, together: bool = False, seed: int = 0) -> Window:
+def make_hovering_window(detector: Any = None, uavs: int = 8, *, together: bool = False, seed: int = 0) -> Window:
     """Make a window in which no UAV moves, so that every spread is 0 and no UAV looks like a head.
 
     Args:
+        detector: the detector that is checked; its tags limit the window as in :func:`draw_window`.
         uavs: N.
-        steps: T_ob.
         together: whether all UAVs are at one point and differ in their indices only.
         seed: seed of the positions.
     """
+    tags = read_tags(detector)
+    steps, uavs = max(STEPS, tags.least_steps), _limit(uavs, tags)
     place = np.random.default_rng(seed).uniform(0, 100, (1 if together else uavs, 3))
     position = np.broadcast_to(place.astype(np.float32), (steps + 1, uavs, 3))
     return Window(
@@ -87,16 +107,19 @@ def permute_uavs(window: Window, order: NDArray[np.intp]) -> Window:
     )
 
 
-def start_environment(seed: int = 0, **arguments: Any) -> tuple[gym.Env[Any, Any], Window]:
+def start_environment(detector: Any = None, seed: int = 0, **arguments: Any) -> tuple[gym.Env[Any, Any], Window]:
     """Start an episode of an environment; returns the environment, with its wrappers, and the first window.
 
     Args:
+        detector: the detector that is checked; its tags limit the window as in :func:`draw_window`.
         seed: seed of the episode.
         arguments: of the environment ``USNET/MultiCluster-v0``; by default it has 15 UAVs, which no other window of
             the checks has, in 3 clusters.
     """
     # As in an evaluation: without Gymnasium's checker, which compares an environment with its specification.
-    arguments = {"clusters": 3, "uavs": 15, "observation_steps": STEPS, **arguments}
+    tags = read_tags(detector)
+    most, steps = _limit(15, tags), max(STEPS, tags.least_steps)
+    arguments = {"clusters": min(3, most // 3), "uavs": most, "observation_steps": steps, **arguments}
     env: gym.Env[Any, Any] = gym.make("USNET/MultiCluster-v0", disable_env_checker=True, **arguments)
     observation, _ = env.reset(seed=seed)
     return env, Window.from_observation(observation)
@@ -112,13 +135,11 @@ def set_heads(env: Any, heads: NDArray[np.intp]) -> None:
     env.unwrapped.set_state(state)
 
 
-def _mask_unseen_samples(
-    position: NDArray[np.float32],
-    velocity: NDArray[np.float32],
-    seen: NDArray[np.bool_],
-    alive: NDArray[np.bool_],
-    round: int,
-) -> Window:
+def _limit(uavs: int, tags: Tags) -> int:
+    return uavs if tags.most_uavs is None else min(uavs, tags.most_uavs)
+
+
+def _mask_unseen_samples(position: Singles, velocity: Singles, seen: Mask, alive: Mask, round: int) -> Window:
     """Make a window with zeros for unseen samples, as in the environments."""
     both = seen[1:] & seen[:-1]
     return Window(np.where(seen[..., None], position, 0), np.where(both[..., None], velocity, 0), seen, alive, round)

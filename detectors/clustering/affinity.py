@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from detectors.series.designs import centre_columns, scale_to_unit
 from detectors.series.regressions import correlate_at_lag, correlate_over_lags
 from detectors.series.surrogates import compute_chance, shift_in_time
+from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError
 from usnet_env.window import frozen_array
 
@@ -24,7 +25,6 @@ __all__ = [
     "regularise_affinity",
 ]
 
-Floats = NDArray[np.float64]
 _NEIGHBOURS = 7
 _REGULARISATION = 0.25  # sum of the weights that regularisation adds to each UAV
 #: A function from features ``(n, d)`` or ``(n, T, d)`` to an affinity ``(n, n)``.

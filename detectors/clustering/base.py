@@ -2,38 +2,31 @@
 
 from __future__ import annotations
 
-import inspect
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from sklearn.base import BaseEstimator
 
 from detectors.clustering.affinity import AFFINITIES, Affinity, compute_affinity
 from detectors.clustering.eigengap import estimate_count_by_eigengap
 from detectors.clustering.features import FEATURES, Features, compute_features
 from detectors.clustering.gap_statistic import compute_gap_statistic
-from usnet_env.config import ArgumentError, Config, add_to_registry, quote, unknown_name
+from detectors.parameters import Count, Lags, Parameters
+from usnet_env.arrays import Floats, Indices
+from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.window import Window, frozen_array
 
 __all__ = [
     "Clusterer",
-    "ClustererArguments",
     "Clustering",
     "Living",
-    "clusterers",
-    "make_clusterer",
-    "register_clusterer",
 ]
 
-Floats = NDArray[np.float64]
-Labels = NDArray[np.int64]
 
 COUNTS = ("gap", "gap-one-se", "eigengap")  # the values of count= that estimate the number of clusters beforehand
 OWN = "own"  # the value of count= with which a clusterer finds the number of clusters itself
@@ -56,7 +49,7 @@ class Clustering:
         ArgumentError: an array has another shape, or the labels of living UAVs are not 0 to ``count`` - 1, each used.
     """
 
-    labels: Labels
+    labels: Indices
     count: int
     features: Floats | None = None
     affinity: Floats | None = None
@@ -81,27 +74,17 @@ class Clustering:
         put(self, "extras", dict(self.extras))
 
 
-class ClustererArguments(Config):
-    """The arguments that all clusterers take, checked."""
-
-    count: Annotated[int, Field(ge=1, le=100_000)] | str
-    features: str | Features
-    affinity: str | Affinity | None
-    max_lag: Annotated[int, Field(ge=0, le=1000)]
-    memory: Annotated[int, Field(ge=1, le=1000)]
-
-
 @dataclass(frozen=True, eq=False)
 class Living:
     """Features and affinity of the n living UAVs of a window, computed at first use.
 
     Args:
         window: the whole window, with all N UAVs.
-        arguments: the arguments of the clusterer.
+        arguments: the checked arguments of the clusterer.
     """
 
     window: Window
-    arguments: ClustererArguments
+    arguments: Any
 
     @cached_property
     def index(self) -> NDArray[np.intp]:
@@ -124,7 +107,7 @@ class Living:
         return compute_affinity(self.arguments.affinity, self.features, self.arguments.max_lag)
 
 
-class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no types
+class Clusterer(Parameters):
     """Base class: clusters the living UAVs of one window. A subclass implements :meth:`partition`.
 
     The constructor only stores its keyword arguments. A window without living UAVs has no cluster; with one living UAV
@@ -147,26 +130,17 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
         ArgumentError: raised by :meth:`cluster` for an invalid argument.
     """
 
-    arguments: ClassVar[type[ClustererArguments]] = ClustererArguments  #: what checks the constructor's arguments
-    counts: tuple[str, ...] = COUNTS  #: the strings that ``count`` accepts
+    counts: ClassVar[tuple[str, ...]] = COUNTS  #: the strings that ``count`` accepts
 
-    def __init__(
-        self,
-        count: int | str = "eigengap",
-        features: str | Features = "velocities",
-        affinity: str | Affinity | None = None,
-        max_lag: int = 4,
-        memory: int = 4,
-    ) -> None:
-        self.count = count
-        self.features = features
-        self.affinity = affinity
-        self.max_lag = max_lag
-        self.memory = memory
+    count: Count | str = "eigengap"
+    features: str | Features = "velocities"
+    affinity: str | Affinity | None = None
+    max_lag: Annotated[int, Field(ge=0, le=1000)] = 4
+    memory: Lags = 4
 
-    def check_arguments(self) -> ClustererArguments:
-        """Check all arguments and return those of :attr:`arguments`."""
-        common = self.arguments(**{name: getattr(self, name) for name in self.arguments.model_fields})
+    def check_arguments(self) -> Any:
+        """Check all arguments and return them."""
+        common = super().check_arguments()
         if isinstance(common.count, str) and common.count not in self.counts:
             raise unknown_name("count", common.count, (*self.counts, "a whole number"))
         if isinstance(common.features, str) and common.features not in FEATURES:
@@ -226,53 +200,3 @@ class Clusterer(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no t
             count: the number of clusters, 1 to n; ``None`` if the clusterer finds it itself (``count="own"``).
             rng: generator of all random numbers.
         """
-
-
-_CLUSTERERS: dict[str, Callable[..., Clusterer]] = {}
-
-
-def clusterers() -> Mapping[str, Callable[..., Clusterer]]:
-    """Return all registered clusterers by name (a read-only view)."""
-    return MappingProxyType(_CLUSTERERS)
-
-
-def register_clusterer(name: str, factory: Callable[..., Clusterer], *, replace: bool = False) -> None:
-    """Register a clusterer under ``name``.
-
-    Args:
-        name: a new name.
-        factory: a class or a function that takes keyword arguments and returns an object with
-            ``cluster(window, rng)``.
-        replace: replace another clusterer of this name, for example to run a notebook cell again. The clusterers of
-            this package can't be replaced.
-
-    Raises:
-        ArgumentError: the name belongs to another clusterer or is not a string, or the factory is not callable.
-    """
-    if not isinstance(name, str) or not name.strip():
-        raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
-    if not callable(factory):
-        raise ArgumentError(f"factory must be a class or a function that returns a clusterer, got {quote(factory)}.")
-    own = [known for known, each in _CLUSTERERS.items() if getattr(each, "__module__", "").startswith("detectors.")]
-    add_to_registry(_CLUSTERERS, name, factory, replace, own)
-
-
-def make_clusterer(name: str, /, **arguments: Any) -> Clusterer:
-    """Create the clusterer that is registered under ``name``: ``make_clusterer("spectral", count="eigengap")``.
-
-    Args:
-        name: a name of :func:`clusterers`.
-        arguments: keyword arguments of its constructor.
-
-    Raises:
-        ArgumentError: there is no such clusterer, or it does not take such an argument.
-    """
-    if not isinstance(name, str) or name not in _CLUSTERERS:
-        raise unknown_name("clusterer", name, _CLUSTERERS)
-    factory = _CLUSTERERS[name]
-    known = inspect.signature(factory).parameters
-    takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in known.values())
-    for argument in arguments:
-        if argument not in known and not takes_any:
-            raise ArgumentError(f"clusterer {name!r} has no argument {argument!r}; it takes {', '.join(known)}.")
-    return factory(**arguments)

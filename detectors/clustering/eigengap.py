@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.linalg import eigsh
 
 from detectors.clustering.affinity import normalise_affinity
 from detectors.clustering.gap_statistic import compute_max_count
+from usnet_env.arrays import Floats
 
 __all__ = ["compute_largest_eigenvalues", "estimate_count_by_eigengap"]
 
-Floats = NDArray[np.float64]
 
 _FIRST_EIGENVALUES = 16  # computed at first; more are computed only if the largest gap may be among later ones
 _DENSE = 200  # up to this size all eigenvalues take less time than a few of them by Lanczos iterations

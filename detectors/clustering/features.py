@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from detectors.series.gaps import fill_gaps
+from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError
 from usnet_env.window import Window, frozen_array
 
@@ -24,7 +25,6 @@ __all__ = [
     "compute_scaled_features",
 ]
 
-Floats = NDArray[np.float64]
 #: A function from a window to features ``(N, d)`` or a time series ``(N, T, d)``; rows of destroyed UAVs are ignored.
 Features = Callable[[Window], ArrayLike]
 

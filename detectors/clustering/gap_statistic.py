@@ -19,13 +19,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from detectors.clustering.k_means import compute_dispersions
+from usnet_env.arrays import Floats
 
 __all__ = ["GapStatistic", "compute_gap_statistic", "compute_max_count"]
 
-Floats = NDArray[np.float64]
 
 REFERENCES = 15  # B
 # Margin, in s, by which a later gap must be higher. Measured: at least 40 on blobs, at most 8 on uniform clouds.

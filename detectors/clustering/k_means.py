@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.cluster import KMeans as SklearnKMeans
 
+from usnet_env.arrays import Floats, Indices, Singles
+
 __all__ = ["assign_k_means_labels", "compute_dispersions"]
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Labels = NDArray[np.int64]
 
 STARTS = 10  # of scikit-learn's K-Means; the start with the lowest W_k is used
 CHAINS = 3  # independent sequences of K-Means for each data set; the lowest W_k of them is used
@@ -21,7 +20,7 @@ _MAX_STEPS = 100  # of K-Means with one number of clusters
 _TOLERANCE = 3e-4  # K-Means has converged when no W_k falls by more than this share in a step: far below s_k
 
 
-def assign_k_means_labels(features: Floats, count: int, rng: np.random.Generator) -> Labels:
+def assign_k_means_labels(features: Floats, count: int, rng: np.random.Generator) -> Indices:
     """Cluster the rows of one data set by K-Means with K-Means++ and ten starts.
 
     Args:
@@ -33,7 +32,7 @@ def assign_k_means_labels(features: Floats, count: int, rng: np.random.Generator
         Labels ``(n,)`` from 0.
     """
     count = min(count, len(np.unique(features, axis=0)))
-    labels: Labels = SklearnKMeans(count, n_init=STARTS, random_state=int(rng.integers(2**31))).fit_predict(features)
+    labels: Indices = SklearnKMeans(count, n_init=STARTS, random_state=int(rng.integers(2**31))).fit_predict(features)
     return labels
 
 

@@ -2,57 +2,53 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from sklearn.cluster import HDBSCAN, AgglomerativeClustering, spectral_clustering
 
-from detectors.clustering.affinity import Affinity, normalise_affinity, regularise_affinity
-from detectors.clustering.base import COUNTS, OWN, Clusterer, ClustererArguments, Living, register_clusterer
-from detectors.clustering.features import Features
+from detectors.clustering.affinity import normalise_affinity, regularise_affinity
+from detectors.clustering.base import COUNTS, OWN, Clusterer, Living
 from detectors.clustering.k_means import assign_k_means_labels
 from detectors.clustering.snmf import factorise_affinity
+from detectors.parameters import Count, Lags
 from detectors.series.evidence import regression_evidence
 from detectors.series.votes import detection_from_evidence
-from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.arrays import Indices
+from usnet_env.config import ArgumentError, quote
 
 __all__ = ["Agglomerative", "Hdbscan", "KMeans", "LeadVotes", "Spectral", "SymmetricNMF"]
-
-Labels = NDArray[np.int64]
 
 
 class KMeans(Clusterer):
     """K-Means on the features; a time series is flattened to one row per UAV."""
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn: the best of ten starts."""
         assert count is not None
         return assign_k_means_labels(living.flat, count, rng)
 
 
 class Spectral(Clusterer):
-    """Spectral clustering of :func:`detectors.clustering.affinity.regularise_affinity`."""
+    """Spectral clustering of the regularised affinity.
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    :func:`detectors.clustering.affinity.regularise_affinity` defines it.
+    """
+
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn."""
         assert count is not None
         if count == 1 or count >= len(living.index):
             return np.zeros(len(living.index), np.int64) if count == 1 else np.arange(count)
         # K-Means on the embedding sometimes makes a cluster of one head that is similar to no UAV; cluster_qr does not.
-        labels: Labels = spectral_clustering(
+        labels: Indices = spectral_clustering(
             regularise_affinity(living.affinity),
             n_clusters=count,
             random_state=int(rng.integers(2**31)),
             assign_labels="cluster_qr",
         )
         return labels
-
-
-class _SymmetricNMFArguments(ClustererArguments):
-    starts: Annotated[int, Field(ge=1, le=1_000_000)]
-    steps: Annotated[int, Field(ge=1, le=1_000_000)]
 
 
 class SymmetricNMF(Clusterer):
@@ -66,32 +62,16 @@ class SymmetricNMF(Clusterer):
         steps: the largest number of updates of each start.
     """
 
-    arguments = _SymmetricNMFArguments
+    starts: Annotated[int, Field(ge=1, le=1_000_000)] = 5
+    steps: Annotated[int, Field(ge=1, le=1_000_000)] = 300
 
-    def __init__(
-        self,
-        count: int | str = "eigengap",
-        features: str | Features = "velocities",
-        affinity: str | Affinity | None = None,
-        max_lag: int = 4,
-        memory: int = 4,
-        starts: int = 5,
-        steps: int = 300,
-    ) -> None:
-        super().__init__(count, features, affinity, max_lag, memory)
-        self.starts = starts
-        self.steps = steps
-
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` of the best start."""
         assert count is not None
         matrix = normalise_affinity(living.affinity)
         fits = [factorise_affinity(matrix, count, rng, self.steps) for _ in range(self.starts)]
         best = min(fits, key=lambda fit: float(fit[1][-1]))
         return best[0].argmax(axis=1).astype(np.int64)
-
-
-LINKAGES = ("average", "complete", "single")
 
 
 class Agglomerative(Clusterer):
@@ -102,33 +82,13 @@ class Agglomerative(Clusterer):
         linkage: ``"average"``, ``"complete"`` or ``"single"``.
     """
 
-    def __init__(
-        self,
-        count: int | str = "eigengap",
-        features: str | Features = "velocities",
-        affinity: str | Affinity | None = None,
-        max_lag: int = 4,
-        memory: int = 4,
-        linkage: str = "complete",
-    ) -> None:
-        super().__init__(count, features, affinity, max_lag, memory)
-        self.linkage = linkage
+    linkage: Literal["average", "complete", "single"] = "complete"
 
-    def check_arguments(self) -> ClustererArguments:
-        """Check all arguments and return those of :attr:`arguments`."""
-        if not isinstance(self.linkage, str) or self.linkage not in LINKAGES:
-            raise unknown_name("linkage", self.linkage, LINKAGES)
-        return super().check_arguments()
-
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
         model = AgglomerativeClustering(count, metric="precomputed", linkage=self.linkage)
-        labels: Labels = model.fit_predict(1.0 - living.affinity)
+        labels: Indices = model.fit_predict(1.0 - living.affinity)
         return labels
-
-
-class _HdbscanArguments(ClustererArguments):
-    least: Annotated[int, Field(ge=2, le=100_000)]
 
 
 class Hdbscan(Clusterer):
@@ -143,47 +103,31 @@ class Hdbscan(Clusterer):
         least: the smallest number of members of a cluster, at least 2.
     """
 
-    arguments = _HdbscanArguments
-    counts = (OWN,)
+    counts: ClassVar[tuple[str, ...]] = (OWN,)
 
-    def __init__(
-        self,
-        count: int | str = OWN,
-        features: str | Features = "velocities",
-        affinity: str | Affinity | None = None,
-        max_lag: int = 4,
-        memory: int = 4,
-        least: int = 3,
-    ) -> None:
-        super().__init__(count, features, affinity, max_lag, memory)
-        self.least = least
+    count: Count | str = OWN
+    least: Annotated[int, Field(ge=2, le=100_000)] = 3
 
-    def check_arguments(self) -> ClustererArguments:
-        """Check all arguments and return those of :attr:`arguments`."""
+    def check_arguments(self) -> Any:
+        """Check all arguments and return them."""
         if not isinstance(self.count, str) or self.count != OWN:
             raise ArgumentError(
                 f"count must be {OWN!r} for HDBSCAN, which estimates the number of clusters, got {quote(self.count)}."
             )
         return super().check_arguments()
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
         n = len(living.index)
         if n < self.least:
             return np.zeros(n, np.int64)
         model = HDBSCAN(min_cluster_size=self.least, min_samples=1, metric="precomputed", copy=True)
-        found: Labels = model.fit_predict(1.0 - living.affinity).astype(np.int64)
+        found: Indices = model.fit_predict(1.0 - living.affinity).astype(np.int64)
         clustered = found >= 0
         if not clustered.any():
             return np.zeros(n, np.int64)
         found[~clustered] = found[clustered][living.affinity[~clustered][:, clustered].argmax(axis=1)]
         return found
-
-
-class _LeadVotesArguments(ClustererArguments):
-    lags: Annotated[int, Field(ge=1, le=1000)]
-    squares: bool
-    ridge: Annotated[float, Field(ge=0)]
 
 
 class LeadVotes(Clusterer):
@@ -200,26 +144,14 @@ class LeadVotes(Clusterer):
         lags, squares, ridge: as in :class:`detectors.lagged.LaggedRegression`.
     """
 
-    arguments = _LeadVotesArguments
-    counts = (*COUNTS, OWN)
+    counts: ClassVar[tuple[str, ...]] = (*COUNTS, OWN)
 
-    def __init__(
-        self,
-        count: int | str = OWN,
-        features: str | Features = "velocities",
-        affinity: str | Affinity | None = None,
-        max_lag: int = 4,
-        memory: int = 4,
-        lags: int = 4,
-        squares: bool = True,
-        ridge: float = 1e-3,
-    ) -> None:
-        super().__init__(count, features, affinity, max_lag, memory)
-        self.lags = lags
-        self.squares = squares
-        self.ridge = ridge
+    count: Count | str = OWN
+    lags: Lags = 4
+    squares: bool = True
+    ridge: Annotated[float, Field(ge=0)] = 1e-3
 
-    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Labels:
+    def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)``; ``rng`` breaks ties between leaders."""
         window, index = living.window, living.index
         evidence = regression_evidence(
@@ -229,14 +161,3 @@ class LeadVotes(Clusterer):
         clusters = detection_from_evidence(evidence, candidates, count, first_round=True, rng=rng).clusters
         assert clusters is not None
         return clusters
-
-
-for _name, _class in {
-    "kmeans": KMeans,
-    "spectral": Spectral,
-    "snmf": SymmetricNMF,
-    "agglomerative": Agglomerative,
-    "hdbscan": Hdbscan,
-    "lead-votes": LeadVotes,
-}.items():
-    register_clusterer(_name, _class)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from usnet_env.arrays import Floats
 
 __all__ = ["factorise_affinity"]
 
-Floats = NDArray[np.float64]
 
 _LEAST = 1e-12  # lower bound of an entry: the multiplicative update would keep an entry of 0 forever
 

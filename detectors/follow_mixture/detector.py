@@ -14,7 +14,7 @@ from detectors.follow_mixture.fit import Fit, fit_motion
 from detectors.follow_mixture.motion import read_motion
 from detectors.policy import Policy, choose
 from usnet_env.config import ArgumentError
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["FollowMixture"]
@@ -54,6 +54,8 @@ class FollowMixture(Detector):
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
+
+    tags = Tags(takes_clusters=True)
 
     def __init__(
         self,
@@ -104,7 +106,7 @@ class FollowMixture(Detector):
             raise ArgumentError(
                 f"clusters must be at most the number of UAVs in the window ({window.uavs}), got {arguments.clusters}."
             )
-        rng = getattr(self, "rng", None) or np.random.default_rng()
+        rng = self.rng
         living = np.flatnonzero(window.alive)
         most = 1 if arguments.objective == "P1" else arguments.clusters
         motion = read_motion(window, living)

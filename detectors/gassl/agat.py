@@ -15,10 +15,10 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.gassl.layers import affine, affine_backward, exp_in_place, products, tanh_backward, tanh_in_place
+from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
@@ -91,7 +91,7 @@ class AgatSizes(Config):
         )
 
 
-def draw_agat(sizes: AgatSizes, uavs: int, rng: np.random.Generator) -> NDArray[np.float32]:
+def draw_agat(sizes: AgatSizes, uavs: int, rng: np.random.Generator) -> Singles:
     """Initial Φ of n UAVs, ``(n, parameters)``: uniform in ±scale / sqrt(inputs), see :class:`AgatSizes`."""
     first, second = sizes.similarity_hidden
     inputs = {"query_in": 3 * sizes.attn_heads, "query_out": sizes.query_hidden}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from functools import partial
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 
 from detectors.base import Detector
 from detectors.gassl.agat import AgatSizes, draw_agat
@@ -15,25 +15,17 @@ from detectors.gassl.algorithm_1 import algorithm_1
 from detectors.gassl.ifsn import IfsnSizes, draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Fit, Training, prepare_inputs, train
+from detectors.parameters import Count
 from detectors.series.designs import check_window
-from detectors.series.votes import choose_heads, count_votes, select_top
-from usnet_env.config import ArgumentError, Config, unknown_name
-from usnet_env.detection import Detection
+from detectors.series.votes import choose_heads, count_votes, name_at_random, select_top, spread
+from usnet_env.arrays import Singles
+from usnet_env.config import ArgumentError
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["Gassl"]
 
-RULES = ("paper", "exclude-self")
-IMPLEMENTATIONS = ("compiled", "printed")
 _LEAST_UAVS = 3  # a head and two followers
-
-
-class _Arguments(Config):
-    """The arguments that no other config checks."""
-
-    top_k: Annotated[int, Field(ge=1, le=100_000)]
-    rule: str
-    implementation: str
 
 
 class Gassl(Detector):
@@ -64,45 +56,28 @@ class Gassl(Detector):
             T_0 velocities or more than 10,000 UAVs.
     """
 
-    def __init__(
-        self,
-        top_k: int = 1,
-        rule: str = "paper",
-        steps: int = 100,
-        learning_rate: float = 3e-3,
-        query_hidden: int = 16,
-        query: int = 8,
-        key: int = 8,
-        similarity_hidden: tuple[int, int] = (16, 8),
-        ifsn_hidden: int = 8,
-        gain: float = 3.0,
-        memory: int = 4,
-        implementation: str = "compiled",
-    ) -> None:
-        self.top_k = top_k
-        self.rule = rule
-        self.steps = steps
-        self.learning_rate = learning_rate
-        self.query_hidden = query_hidden
-        self.query = query
-        self.key = key
-        self.similarity_hidden = similarity_hidden
-        self.ifsn_hidden = ifsn_hidden
-        self.gain = gain
-        self.memory = memory
-        self.implementation = implementation
+    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5)
 
-    def settings(self) -> tuple[AgatSizes, IfsnSizes, Training]:
-        """Widths of both networks, and Ω and β; checks every argument.
+    top_k: Count = 1
+    rule: Literal["paper", "exclude-self"] = "paper"
+    steps: int = 100
+    learning_rate: float = 3e-3
+    query_hidden: int = 16
+    query: int = 8
+    key: int = 8
+    similarity_hidden: tuple[int, int] = (16, 8)
+    ifsn_hidden: int = 8
+    gain: float = 3.0
+    memory: int = 4
+    implementation: Literal["compiled", "printed"] = "compiled"
+
+    def check_arguments(self) -> tuple[AgatSizes, IfsnSizes, Training]:
+        """Check every argument; return the widths of both networks, and Ω and β.
 
         Raises:
             ArgumentError: an argument is refused.
         """
-        plain = _Arguments(top_k=self.top_k, rule=self.rule, implementation=self.implementation)
-        if plain.rule not in RULES:
-            raise unknown_name("rule", plain.rule, RULES)
-        if plain.implementation not in IMPLEMENTATIONS:
-            raise unknown_name("implementation", plain.implementation, IMPLEMENTATIONS)
+        super().check_arguments()
         names = ("memory", "query_hidden", "query", "key", "similarity_hidden", "gain")
         agat = AgatSizes(**{name: getattr(self, name) for name in names})
         try:
@@ -110,8 +85,6 @@ class Gassl(Detector):
         except ArgumentError as error:
             raise ArgumentError(f"ifsn_{error}") from None
         return agat, ifsn, Training(steps=self.steps, learning_rate=self.learning_rate)
-
-    check_arguments = settings
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
@@ -124,23 +97,22 @@ class Gassl(Detector):
             3 living UAVs, or where no velocity was seen, nothing can be learned: then ``top_k`` living UAVs are named
             at random and all scores are 0.
         """
-        self.settings()
+        self.check_arguments()
         check_window(window, self.memory)
         members = np.flatnonzero(window.alive)
         if len(members) < _LEAST_UAVS or not window.velocity_seen.any():  # no evidence, decision (x)
-            candidates = np.zeros(window.uavs, bool)
-            candidates[self.rng.permutation(members)[: self.top_k]] = True
+            candidates = name_at_random(members, self.top_k, window.uavs, self.rng)
             return Detection(candidates=candidates, scores=np.zeros(window.uavs))
         fit = self.fit_cluster(window, members, None, self.rng)
         return answer(window, members, fit, self.rule, self.top_k, self.rng)
 
-    def draw_gamma(self, rng: np.random.Generator) -> NDArray[np.float32]:
+    def draw_gamma(self, rng: np.random.Generator) -> Singles:
         """An initial Γ, ``(parameters,)``."""
-        agat, ifsn, _ = self.settings()
+        agat, ifsn, _ = self.check_arguments()
         return draw_ifsn(ifsn, 6 * agat.attn_heads, rng)
 
     def fit_cluster(
-        self, window: Window, members: NDArray[np.intp], gamma: NDArray[np.float32] | None, rng: np.random.Generator
+        self, window: Window, members: NDArray[np.intp], gamma: Singles | None, rng: np.random.Generator
     ) -> Fit:
         """Lines 1 to 7 of Algorithm 1 for some UAVs of a window; the other UAVs are taken as absent.
 
@@ -150,7 +122,7 @@ class Gassl(Detector):
             gamma: Γ to begin with, ``(parameters,)``, such as the one that another cluster left; drawn for ``None``.
             rng: where initial values come from.
         """
-        agat, ifsn, training = self.settings()
+        agat, ifsn, training = self.check_arguments()
         inputs = prepare_inputs(build_batch(window, members, self.memory))
         phi = draw_agat(agat, len(members), rng)
         if gamma is None:
@@ -164,26 +136,18 @@ def answer(
     window: Window, members: NDArray[np.intp], fit: Fit, rule: str, top_k: int, rng: np.random.Generator
 ) -> Detection:
     """Lines 6 to 8 of Algorithm 1: votes of the n UAVs of a cluster, written out for all N of the window."""
-    uavs = window.uavs
     attention = fit.attention.astype(np.float64)
     own = choose_heads(attention, True, rng)
     choice = choose_heads(attention, False, rng) if rule == "paper" else own
     c = count_votes(choice)
-    candidates, scores = np.zeros(uavs, bool), np.zeros(uavs)
-    scores[members] = c
-    candidates[members[select_top(c, top_k, rng)]] = True
-    leader, chosen = np.full(uavs, -1, np.int64), np.full(uavs, -1, np.int64)
-    leader[members], chosen[members] = members[own], members[choice]
-    whole = np.zeros((uavs, uavs))
-    whole[np.ix_(members, members)] = attention
-    attn_heads = np.zeros((fit.attn_heads.shape[1], uavs, uavs))
-    attn_heads[:, members[:, None], members] = fit.attn_heads.swapaxes(0, 1)
-    explained, loss = np.zeros(uavs), np.zeros((uavs, fit.loss.shape[1]))
-    explained[members], loss[members] = fit.explained, fit.loss
-    extras: dict[str, Any] = {
-        "choice": chosen,
-        "attention_heads": attn_heads,
-        "explained": explained,
-        "loss": loss,
+    named = np.zeros(len(members), bool)
+    named[select_top(c, top_k, rng)] = True
+    wide = partial(spread, members=members, uavs=window.uavs)
+    extras = {
+        "choice": wide(members[choice], fill=-1),
+        "attention_heads": wide(fit.attn_heads.swapaxes(0, 1), pairs=True),
+        "explained": wide(fit.explained),
+        "loss": wide(fit.loss),
     }
-    return Detection(candidates=candidates, scores=scores, leader=leader, attention=whole, extras=extras)
+    leader = wide(members[own], fill=-1)
+    return Detection(wide(named), wide(c), leader=leader, attention=wide(attention, pairs=True), extras=extras)

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.gassl.layers import affine, affine_backward, tanh_backward, tanh_in_place
+from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
@@ -48,7 +48,7 @@ class IfsnSizes(Config):
         }  # fmt: skip
 
 
-def draw_ifsn(sizes: IfsnSizes, inputs: int, rng: np.random.Generator) -> NDArray[np.float32]:
+def draw_ifsn(sizes: IfsnSizes, inputs: int, rng: np.random.Generator) -> Singles:
     """Initial Γ, ``(parameters,)``: uniform in ±1 / sqrt(inputs of the layer)."""
     parts = []
     for name, shape in sizes.shapes(inputs).items():

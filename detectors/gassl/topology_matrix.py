@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from detectors.series.designs import check_window, stack_past
 from detectors.series.gaps import fill_gaps
+from usnet_env.arrays import AxisLength, Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.window import Window
 
 __all__ = ["Batch", "build_batch", "topology_matrix"]
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,26 +30,15 @@ class Batch:
     What was not seen is filled in (:func:`detectors.series.gaps.fill_gaps`, decision (y)), but a target is 0 then.
     """
 
-    position: Floats
-    velocity: Floats
-    own: Floats
-    target: Floats
-    weight: Floats
+    position: Singles
+    velocity: Singles
+    own: Singles
+    target: Singles
+    weight: Singles
 
-    @property
-    def times(self) -> int:
-        """R."""
-        return len(self.position)
-
-    @property
-    def uavs(self) -> int:
-        """The number n of UAVs."""
-        return self.position.shape[1]
-
-    @property
-    def memory(self) -> int:
-        """T_0."""
-        return self.velocity.shape[2]
+    times = AxisLength("position", 0)  #: R
+    uavs = AxisLength("position", 1)  #: n
+    memory = AxisLength("velocity", 2)  #: T_0
 
 
 def build_batch(window: Window, members: NDArray[np.intp] | None = None, memory: int = 4) -> Batch:
@@ -77,14 +65,12 @@ def build_batch(window: Window, members: NDArray[np.intp] | None = None, memory:
     )
 
 
-def _stack_columns(values: Floats, columns: int) -> Floats:
+def _stack_columns(values: Singles, columns: int) -> Singles:
     """``(R, n, columns, 3)``, oldest first, of ``values`` ``(R + columns, n, 3)``."""
     return np.ascontiguousarray(stack_past(values, columns)[:, :, ::-1].transpose(1, 2, 0, 3)).swapaxes(1, 2)
 
 
-def topology_matrix(
-    window: Window, time: int, members: NDArray[np.intp] | None = None, memory: int = 4
-) -> NDArray[np.float32]:
+def topology_matrix(window: Window, time: int, members: NDArray[np.intp] | None = None, memory: int = 4) -> Singles:
     """X_t of equation (5), ``(3 n, T_0 + 1)``: three rows for each UAV.
 
     The columns are p_{i,t-T_0+1} in metres, and v_{i,t-T_0+1}, ..., v_{i,t} in metres per step. The head is a UAV of

@@ -6,18 +6,17 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.gassl.agat import AgatSizes, attend, attend_backward
 from detectors.gassl.ifsn import predict, predict_backward, standardise
 from detectors.gassl.topology_matrix import Batch
+from usnet_env.arrays import AxisLength, Singles
 from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
 __all__ = ["Fit", "Inputs", "Training", "loss_and_gradient", "prepare_inputs", "train"]
 
-Floats = NDArray[np.float32]
 
 _ZERO = np.float32(0.0)
 _TWO = np.float32(2.0)
@@ -47,16 +46,13 @@ class Inputs:
         weight: ``(n, R)``.
     """
 
-    history: Floats
-    value: Floats
-    own: Floats
-    target: Floats
-    weight: Floats
+    history: Singles
+    value: Singles
+    own: Singles
+    target: Singles
+    weight: Singles
 
-    @property
-    def uavs(self) -> int:
-        """The number n of UAVs."""
-        return len(self.history)
+    uavs = AxisLength("history", 0)  #: n
 
     @property
     def entries(self) -> int:
@@ -94,15 +90,15 @@ class Fit:
         explained: ``(n,)`` share of the squared velocity that UAV i's last prediction explains, on the training times.
     """
 
-    attn_heads: Floats
-    gamma: Floats
-    loss: Floats
-    explained: Floats
+    attn_heads: Singles
+    gamma: Singles
+    loss: Singles
+    explained: Singles
 
     @property
-    def attention(self) -> Floats:
+    def attention(self) -> Singles:
         """``(n, n)`` alpha_{i,i'}, the mean over the attention heads, equation (12)."""
-        mean: Floats = self.attn_heads.mean(axis=1)
+        mean: Singles = self.attn_heads.mean(axis=1)
         return mean
 
 
@@ -179,8 +175,8 @@ def _train_uav(  # type: ignore[no-untyped-def]
 
 
 def loss_and_gradient(
-    inputs: Inputs, uav: int, phi: Floats, gamma: Floats, sizes: AgatSizes
-) -> tuple[float, Floats, Floats]:
+    inputs: Inputs, uav: int, phi: Singles, gamma: Singles, sizes: AgatSizes
+) -> tuple[float, Singles, Singles]:
     """L_B(Θ_i) of equation (23) and its gradients with respect to Φ_i and Γ, as flat vectors.
 
     Args:
@@ -201,7 +197,7 @@ def loss_and_gradient(
     return float(loss), d_phi, d_gamma
 
 
-def train(inputs: Inputs, phi: Floats, gamma: Floats, sizes: AgatSizes, training: Training) -> Fit:
+def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, training: Training) -> Fit:
     """Lines 1 to 7 of Algorithm 1: one UAV after another, all times in every step, Γ handed on.
 
     Args:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -10,14 +11,17 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.clustering import Clustering, make_clusterer
+from detectors.clustering import Clustering, check_clusterer, make_clusterer
 from detectors.neural_granger import NeuralGranger
 from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate
 from detectors.neural_granger.shared_network import Following, follow_by_shared_network
+from detectors.parameters import Count, Lags
 from detectors.series.designs import check_pairs
-from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.detection import Detection
+from detectors.series.votes import name_at_random
+from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.config import ArgumentError, quote
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["LeadVotes"]
@@ -25,20 +29,6 @@ __all__ = ["LeadVotes"]
 _LEAST_UAVS = 3  # of a cluster in which a head can be found
 _BATCH_UAVS = 256  # UAVs of the clusters that are trained side by side
 _ALL_SOURCES = 256  # up to this number of UAVs, each can be a leader; in larger swarms, only the candidates can
-
-
-class _Arguments(Config):
-    """The arguments that no other config checks."""
-
-    clusterer: str | Any
-    features: str | Any
-    count: Annotated[int, Field(ge=1, le=100_000)] | str | None
-    gate: bool
-    followers: Annotated[int, Field(ge=1, le=100_000)]
-    gate_threshold: float
-    passes: Annotated[int, Field(ge=1, le=100)]
-    gate_steps: Annotated[int, Field(ge=1, le=100_000)]
-    memory: Annotated[int, Field(ge=1, le=1000)]
 
 
 class LeadVotes(Detector):
@@ -79,46 +69,39 @@ class LeadVotes(Detector):
             velocities or more than 10,000 UAVs.
     """
 
-    def __init__(
-        self,
-        clusterer: Any = "lead-votes",
-        features: Any = "velocities",
-        count: int | str | None = None,
-        head_detector: Any = None,
-        gate: bool = True,
-        followers: int = 2,
-        gate_threshold: float = 0.25,
-        passes: int = 2,
-        gate_steps: int = 200,
-        memory: int = 4,
-    ) -> None:
-        self.clusterer = clusterer
-        self.features = features
-        self.count = count
-        self.head_detector = head_detector
-        self.gate = gate
-        self.followers = followers
-        self.gate_threshold = gate_threshold
-        self.passes = passes
-        self.gate_steps = gate_steps
-        self.memory = memory
+    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, takes_clusters=True)
 
-    def _make_clusterer(self) -> Any:
+    clusterer: Any = "lead-votes"
+    features: Any = "velocities"
+    count: Count | str | None = None
+    head_detector: Any = None
+    gate: bool = True
+    followers: Count = 2
+    gate_threshold: float = 0.25
+    passes: Annotated[int, Field(ge=1, le=100)] = 2
+    gate_steps: Count = 200
+    memory: Lags = 4
+
+    def check_arguments(self) -> Any:
         """Check all arguments and return the clusterer."""
-        plain = _Arguments(**{name: getattr(self, name) for name in _Arguments.model_fields})
+        plain = super().check_arguments()
         if self.head_detector is not None and not callable(getattr(self.head_detector, "detect_batch", None)):
             raise ArgumentError(
                 f"head_detector must have reset(seed) and detect_batch(windows), got {quote(self.head_detector)}."
             )
+        check_clusterer(plain.clusterer)
         if not isinstance(plain.clusterer, str):
-            if not callable(getattr(plain.clusterer, "cluster", None)):
-                raise ArgumentError(
-                    f"clusterer must be a name or have cluster(window, rng), got {quote(plain.clusterer)}."
-                )
             return plain.clusterer
         own = plain.clusterer in ("lead-votes", "hdbscan")
         count = plain.count if plain.count is not None else ("own" if own else "eigengap")
         return make_clusterer(plain.clusterer, features=plain.features, count=count, memory=plain.memory)
+
+    @cached_property
+    def _heads(self) -> Any:
+        """The detector for one cluster in this episode."""
+        heads = self.head_detector or NeuralGranger(memory=self.memory)
+        heads.reset(int(self.rng.integers(2**31)))
+        return heads
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode.
@@ -126,10 +109,8 @@ class LeadVotes(Detector):
         Raises:
             ArgumentError: an argument of the constructor is invalid.
         """
-        self._make_clusterer()
         super().reset(seed)
-        self._heads = self.head_detector or NeuralGranger(memory=self.memory)
-        self._heads.reset(int(self.rng.integers(2**31)))
+        self._heads  # noqa: B018  # the first random number of an episode is its seed
 
     def detect(self, window: Window) -> Detection:
         """Answer one round.
@@ -140,15 +121,12 @@ class LeadVotes(Detector):
             within the clusters; in ``extras``: ``count`` (M̂), ``proposed`` ``(N,)`` bool, the candidates before the
             gate, and ``followed`` ``(N,)``, the number of followers of each UAV (0 without the gate).
         """
-        clusterer = self._make_clusterer()
+        clusterer = self.check_arguments()
         check_pairs(window.uavs)
-        if not hasattr(self, "_heads"):
-            self.reset()
         living = np.flatnonzero(window.alive)
         followed = np.zeros(window.uavs)
         if len(living) < _LEAST_UAVS or not window.velocity_seen.any():  # no evidence, decision (x)
-            candidates = np.zeros(window.uavs, bool)
-            candidates[self.rng.permutation(living)[:1]] = True
+            candidates = name_at_random(living, 1, window.uavs, self.rng)
             few = {"count": min(1, len(living)), "proposed": candidates, "followed": followed}
             return Detection(candidates, followed, np.where(window.alive, 0, -1), extras=few)
         clustering = clusterer.cluster(window, self.rng)
@@ -164,9 +142,7 @@ class LeadVotes(Detector):
         extras = {"count": clustering.count, "proposed": proposed, "followed": followed}
         return Detection(candidates, score, clustering.labels, leader, attention, extras)
 
-    def _propose_heads(
-        self, window: Window, clustering: Clustering
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    def _propose_heads(self, window: Window, clustering: Clustering) -> tuple[Mask, Floats, Indices, Floats]:
         """Apply the head detector to every cluster.
 
         Returns:
@@ -199,18 +175,13 @@ class LeadVotes(Detector):
                     attention[np.ix_(members, members)] = found.attention[np.ix_(members, members)]
         return proposed, score, leader, attention
 
-    def _draw_one(self, members: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _draw_one(self, members: Mask) -> Mask:
         chosen = np.zeros(len(members), bool)
         chosen[self.rng.choice(np.flatnonzero(members))] = True
         return chosen
 
     def _find_leaders(
-        self,
-        window: Window,
-        clustering: Clustering,
-        proposed: NDArray[np.bool_],
-        score: NDArray[np.float64],
-        living: NDArray[np.intp],
+        self, window: Window, clustering: Clustering, proposed: Mask, score: Floats, living: NDArray[np.intp]
     ) -> Following:
         """Train the shared network on the whole swarm and find the leader of each living UAV."""
         samples = build_samples([window], [living], self.memory, torch.device("cpu"))
@@ -233,13 +204,7 @@ class LeadVotes(Detector):
             self.passes,
         )
 
-    def _keep_followed(
-        self,
-        proposed: NDArray[np.bool_],
-        followed: NDArray[np.float64],
-        score: NDArray[np.float64],
-        alive: NDArray[np.bool_],
-    ) -> NDArray[np.bool_]:
+    def _keep_followed(self, proposed: Mask, followed: Floats, score: Floats, alive: Mask) -> Mask:
         """Keep the proposed UAVs that have enough followers; the one with the highest score if there are none."""
         passed = proposed & (followed >= self.followers)
         if passed.any():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from functools import cached_property
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -15,24 +16,15 @@ from detectors.learned.network import HeadNetwork, build_network
 from detectors.policy import Policy, choose
 from detectors.series.designs import check_pairs
 from detectors.weights import packaged_arrays, read_arrays
-from usnet_env.config import ArgumentError, Config, unknown_name
-from usnet_env.detection import Detection
+from usnet_env.arrays import Floats, Mask
+from usnet_env.config import ArgumentError
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["MOST_UAVS", "POLICIES", "Learned", "load_network"]
+__all__ = ["MOST_UAVS", "Learned", "load_network"]
 
 MOST_UAVS = 1500  # memory grows with the square: 3.5 GB and half a minute at this number
 _DECIMALS = 6  # of a probability: smaller differences are rounding errors, and count as ties
-
-
-POLICIES = ("cost", "threshold", "map")
-
-
-class _Arguments(Config):
-    policy: str
-    threshold: Annotated[float, Field(ge=0, le=1)]
-    round_price: Annotated[float, Field(gt=0)]
-    weights: str
 
 
 class Learned(Detector):
@@ -67,20 +59,16 @@ class Learned(Detector):
             broken, or not what the JSON beside it says.
     """
 
-    def __init__(
-        self, policy: str = "cost", threshold: float = 0.5, round_price: float = 1.0, weights: str = "shipped"
-    ) -> None:
-        self.policy = policy
-        self.threshold = threshold
-        self.round_price = round_price
-        self.weights = weights
+    tags = Tags(needs=("torch",), most_uavs=1500)
 
-    def check_arguments(self) -> _Arguments:
-        """Check all arguments and return them."""
-        arguments = _Arguments(**self.get_params())
-        if arguments.policy not in POLICIES:
-            raise unknown_name("policy", arguments.policy, POLICIES)
-        return arguments
+    policy: Literal["cost", "threshold", "map"] = "cost"
+    threshold: Annotated[float, Field(ge=0, le=1)] = 0.5
+    round_price: Annotated[float, Field(gt=0)] = 1.0
+    weights: str = "shipped"
+
+    @cached_property
+    def _network(self) -> HeadNetwork:
+        return load_network(self.check_arguments().weights)
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode and load the network; the generator only breaks ties.
@@ -88,8 +76,8 @@ class Learned(Detector):
         Raises:
             ArgumentError: an argument of the constructor is refused.
         """
-        self._network = load_network(self.check_arguments().weights)
         super().reset(seed)
+        self._network  # noqa: B018  # a broken file is refused here
 
     def detect(self, window: Window) -> Detection:
         """Name the heads of one window.
@@ -103,8 +91,6 @@ class Learned(Detector):
             ArgumentError: an argument of the constructor is refused, or more than ``MOST_UAVS`` UAVs are alive.
         """
         arguments = self.check_arguments()
-        if not hasattr(self, "_network"):
-            self.reset()
         check_pairs(window.uavs)
         living = np.flatnonzero(window.alive)
         if len(living) > MOST_UAVS:
@@ -134,9 +120,7 @@ def load_network(weights: str = "shipped") -> HeadNetwork:
     return build_network(weights, read_arrays(weights))
 
 
-def _predict_probabilities(
-    network: HeadNetwork, window: Window, living: NDArray[np.intp]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _predict_probabilities(network: HeadNetwork, window: Window, living: NDArray[np.intp]) -> tuple[Floats, Floats]:
     """Probabilities ``(n,)`` of being a head, and ``(n, n)`` that UAV i follows UAV j; j = i means no UAV."""
     with torch.no_grad():
         answer = network(*make_inputs(window, living))
@@ -145,9 +129,7 @@ def _predict_probabilities(
     return head.numpy().round(_DECIMALS), following.numpy()
 
 
-def _choose_candidates(
-    probability: NDArray[np.float64], alive: NDArray[np.bool_], arguments: _Arguments, tie: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _choose_candidates(probability: Floats, alive: Mask, arguments: Any, tie: Floats) -> Mask:
     """Choose the candidates ``(N,)`` among the living UAVs by the policy."""
     if arguments.policy == "cost":
         return choose(probability, alive, Policy(round_price=arguments.round_price), tie)

@@ -16,11 +16,11 @@ from detectors.series.designs import centre_columns, count_lags, scale_to_unit, 
 from detectors.series.null_models import compute_innovations
 from detectors.series.regressions import correlate_at_lag, explain_pairs
 from detectors.series.surrogates import shift_in_time
+from usnet_env.arrays import Mask, Singles
 from usnet_env.window import Window
 
 __all__ = ["LAGS", "PAIR_FEATURES", "pair_features"]
 
-Floats = NDArray[np.float32]
 
 LAGS = 5  # number of single lags; f1 to f7 use at most 4 past steps
 _JOINT_LAGS = 4  # lags of the regressions on several lags together
@@ -35,7 +35,7 @@ _STATISTICS = 2 * (2 * LAGS + 1 + _PRODUCT_LAGS + 1) + 2 * (LAGS + 1) + 4 + 1
 PAIR_FEATURES = 2 * _STATISTICS
 
 
-def pair_features(window: Window, living: NDArray[np.intp]) -> Floats:
+def pair_features(window: Window, living: NDArray[np.intp]) -> Singles:
     """Compute the statistics of all ordered pairs of living UAVs.
 
     The first statistics are computed for the velocities v and again for their innovations e, the residuals of a
@@ -68,7 +68,7 @@ def pair_features(window: Window, living: NDArray[np.intp]) -> Floats:
     return np.concatenate([values, _standardise_rows(values)]).transpose(1, 2, 0)
 
 
-def _compute_flight_statistics(velocity: Floats, seen: NDArray[np.bool_]) -> Iterator[Floats]:
+def _compute_flight_statistics(velocity: Singles, seen: Mask) -> Iterator[Singles]:
     steps = len(velocity)
     linear = centre_columns(velocity, seen)
     quadratic = centre_columns(_make_quadratic_features(velocity), seen)
@@ -92,27 +92,27 @@ def _compute_flight_statistics(velocity: Floats, seen: NDArray[np.bool_]) -> Ite
     yield from _explain_jointly(linear, quadratic, surprise)
 
 
-def _scale_velocity(velocity: Floats, seen: NDArray[np.bool_]) -> Floats:
+def _scale_velocity(velocity: Singles, seen: Mask) -> Singles:
     """Divide ``velocity`` ``(T, n, 3)`` by the swarm's root mean square speed; 0 where unseen."""
     squared = (velocity**2).sum(axis=2) * seen
     speed = np.sqrt(squared.sum(dtype=np.float64) / max(int(seen.sum()), 1))
     return np.asarray(velocity * seen[..., None] / (speed if speed > 0 else np.inf), np.float32)
 
 
-def _make_quadratic_features(velocity: Floats) -> Floats:
+def _make_quadratic_features(velocity: Singles) -> Singles:
     """``(T, n, 6)``: the products of the axes, weighted so that a rotation of the axes rotates this vector."""
     x, y, z = np.moveaxis(velocity, 2, 0)
     mixed = np.float32(np.sqrt(2.0))
     return np.stack([x * x, y * y, z * z, mixed * x * y, mixed * y * z, mixed * z * x], axis=2)
 
 
-def _make_product_features(velocity: Floats) -> Floats:
+def _make_product_features(velocity: Singles) -> Singles:
     """``(T - 1, n, 9)``: the products of each axis of a velocity with each axis of the previous velocity."""
     mixed = velocity[1:, :, :, None] * velocity[:-1, :, None, :]
     return mixed.reshape(len(mixed), velocity.shape[1], 9)
 
 
-def _explain_shares(features: Floats, targets: list[Floats]) -> list[Floats]:
+def _explain_shares(features: Singles, targets: list[Singles]) -> list[Singles]:
     """Shares of ``targets`` ``(rows, n, 3)`` that ``features`` ``(n, rows, p)`` explain, corrected for chance."""
     uavs, rows, count = features.shape
     if rows < _ROWS_PER_FEATURE * count:
@@ -121,14 +121,14 @@ def _explain_shares(features: Floats, targets: list[Floats]) -> list[Floats]:
     return [np.asarray((share - chance) / (1.0 - chance), np.float32) for share in explain_pairs(features, targets)[0]]
 
 
-def _explain_at_lag(features: Floats, target: Floats, lag: int) -> Floats:
+def _explain_at_lag(features: Singles, target: Singles, lag: int) -> Singles:
     """Share of ``target``, ``lag`` steps later, that ``features`` explain; both series end at the same time."""
     steps = min(len(features), len(target))
     features, target = features[len(features) - steps :], target[len(target) - steps :]
     return _explain_shares(features[: steps - lag].transpose(1, 0, 2), [target[lag:]])[0]
 
 
-def _compute_mean_cosine(direction: Floats, seen: NDArray[np.bool_], lag: int) -> Floats:
+def _compute_mean_cosine(direction: Singles, seen: Mask, lag: int) -> Singles:
     """Mean cosine between UAV i's direction and UAV j's, ``lag`` steps earlier; ``direction`` is 0 where unseen."""
     steps, uavs = seen.shape
     if steps - lag < 2:
@@ -137,7 +137,7 @@ def _compute_mean_cosine(direction: Floats, seen: NDArray[np.bool_], lag: int) -
     return np.asarray(correlate_at_lag(direction, direction, lag) / np.maximum(times, 1.0), np.float32)
 
 
-def _explain_jointly(linear: Floats, quadratic: Floats, surprise: Floats) -> Iterator[Floats]:
+def _explain_jointly(linear: Singles, quadratic: Singles, surprise: Singles) -> Iterator[Singles]:
     """Yield the shares by several lags together: of v_i and of e_i, each also shifted by half a window."""
     lags = max(1, count_lags(len(linear), _JOINT_LAGS, _LINEAR + _QUADRATIC, _ROWS_PER_FEATURE))
     past = stack_past(np.concatenate([linear, quadratic], axis=2), lags)
@@ -148,7 +148,7 @@ def _explain_jointly(linear: Floats, quadratic: Floats, surprise: Floats) -> Ite
         yield from _explain_shares(past[:, past.shape[1] - rows :], [recent, shift_in_time(recent)])
 
 
-def _compute_direction_cosine(window: Window, living: NDArray[np.intp]) -> Floats:
+def _compute_direction_cosine(window: Window, living: NDArray[np.intp]) -> Singles:
     """Cosine between i's mean velocity and the direction from i to j, times |i's mean velocity| / i's rms speed."""
     seen = window.seen[:, living].astype(np.float32)[..., None]
     place = (window.position[:, living] * seen).sum(axis=0) / np.maximum(seen.sum(axis=0), 1.0)
@@ -163,7 +163,7 @@ def _compute_direction_cosine(window: Window, living: NDArray[np.intp]) -> Float
     return np.asarray((direction * straight[:, None]).sum(axis=2), np.float32)
 
 
-def _standardise_rows(values: Floats) -> Floats:
+def _standardise_rows(values: Singles) -> Singles:
     """Standardise ``values`` ``(K, n, n)`` within each row, without the diagonal."""
     uavs = values.shape[1]
     others = np.float32(max(uavs - 1, 1))

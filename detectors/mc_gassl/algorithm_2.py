@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from detectors.clustering import Clustering
 from detectors.gassl import Gassl
@@ -22,6 +21,7 @@ from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import GruParameters
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
 from detectors.mc_gassl.reclustering import best_heads, count_scores, recluster
+from usnet_env.arrays import Floats, Singles
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -47,7 +47,7 @@ class Round:
 
     heads: Detection
     clustering: Clustering
-    followed: NDArray[np.float64]
+    followed: Floats
     parameters: GruParameters
     loss: list[float]
 
@@ -78,7 +78,7 @@ def run_round(
 
 def detect_heads(
     window: Window, clustering: Clustering, gassl: Gassl, rng: np.random.Generator
-) -> tuple[Detection, NDArray[np.float32]]:
+) -> tuple[Detection, Singles]:
     """Line 4: Algorithm 1 in every cluster; one Γ is handed through all UAVs of all clusters (decision (z)).
 
     Returns:
@@ -109,11 +109,11 @@ def update_gru(
     window: Window,
     parameters: GruParameters,
     count: int,
-    gamma: NDArray[np.float32],
+    gamma: Singles,
     gassl: Gassl,
     online: OnlineTraining,
     rng: np.random.Generator,
-) -> tuple[NDArray[np.float64], GruParameters, list[float]]:
+) -> tuple[Floats, GruParameters, list[float]]:
     """Line 5: the swarm is re-clustered by the trained IFSN, and the GRU network learns from the clusters.
 
     Args:

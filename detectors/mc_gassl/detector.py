@@ -3,43 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
-from typing import Annotated, Any
+from functools import cached_property, partial
+from typing import Any, Literal
 
 import numpy as np
 import torch
-from pydantic import Field
 
 from detectors.base import Detector
-from detectors.clustering import Clustering, make_clusterer
+from detectors.clustering import Clustering, check_clusterer, make_clusterer
 from detectors.gassl import Gassl
 from detectors.mc_gassl.algorithm_2 import LEAST_UAVS, run_round
-from detectors.mc_gassl.features import MODES, gru_features
+from detectors.mc_gassl.features import gru_features
 from detectors.mc_gassl.gru import GruParameters, GruSizes, draw_parameters
 from detectors.mc_gassl.online_training import OnlineTraining
 from detectors.mc_gassl.triplet import Metric
 from detectors.mc_gassl.weights import load_meta_weights
+from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
-from usnet_env.config import ArgumentError, Config, quote, unknown_name
-from usnet_env.detection import Detection
+from detectors.series.votes import name_at_random
+from usnet_env.config import ArgumentError, quote
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["McGassl"]
 
 GRU = "gru"  # features= that belong to this detector and not to detectors.clustering
-STARTS = ("meta", "random")
-
-
-class _Arguments(Config):
-    """The plain arguments, checked."""
-
-    clusterer: str | Any
-    features: str | Any
-    gru_mode: str
-    count: Annotated[int, Field(ge=1, le=100_000)] | str
-    gassl: dict[str, Any]
-    start: str
-    memory: Annotated[int, Field(ge=1, le=1000)]
 
 
 class McGassl(Detector):
@@ -71,62 +59,50 @@ class McGassl(Detector):
             velocities or more than 10,000 UAVs.
     """
 
-    def __init__(
-        self,
-        clusterer: Any = "kmeans",
-        features: Any = GRU,
-        gru_mode: str = "single",
-        count: int | str = "gap-one-se",
-        gassl: Mapping[str, Any] | None = None,
-        online_steps: int = 1,
-        online_rate: float = 1.0,
-        sampling: str = "hard",
-        start: str = "meta",
-        memory: int = 4,
-    ) -> None:
-        self.clusterer = clusterer
-        self.features = features
-        self.gru_mode = gru_mode
-        self.count = count
-        self.gassl = gassl
-        self.online_steps = online_steps
-        self.online_rate = online_rate
-        self.sampling = sampling
-        self.start = start
-        self.memory = memory
+    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, takes_clusters=True)
 
-    def settings(self) -> tuple[Gassl, OnlineTraining]:
-        """The settings of GASSL and of on-line training; checks every argument.
+    clusterer: Any = "kmeans"
+    features: Any = GRU
+    gru_mode: Literal["single", "mean", "series"] = "single"
+    count: Count | str = "gap-one-se"
+    gassl: Mapping[str, Any] | None = None
+    online_steps: int = 1
+    online_rate: float = 1.0
+    sampling: Literal["hard", "semi-hard", "random"] = "hard"
+    start: Literal["meta", "random"] = "meta"
+    memory: Lags = 4
+
+    def check_arguments(self) -> tuple[Gassl, OnlineTraining]:
+        """Check every argument; return the settings of GASSL and of on-line training.
 
         Raises:
             ArgumentError: an argument is refused.
         """
-        names = [name for name in _Arguments.model_fields if name != "gassl"]
         if not isinstance(self.gassl, Mapping | None):
             raise ArgumentError(f"gassl must be a mapping of argument names to values, got {quote(self.gassl)}.")
-        plain = _Arguments(gassl=dict(self.gassl or {}), **{name: getattr(self, name) for name in names})
-        if plain.gru_mode not in MODES:
-            raise unknown_name("gru_mode", plain.gru_mode, MODES)
-        if plain.start not in STARTS:
-            raise unknown_name("start", plain.start, STARTS)
-        if isinstance(plain.clusterer, str):
-            make_clusterer(plain.clusterer)
-        elif not callable(getattr(plain.clusterer, "cluster", None)):
-            raise ArgumentError(f"clusterer must be a name or have cluster(window, rng), got {quote(plain.clusterer)}.")
-        metric = Metric(sampling=self.sampling)  # type: ignore[arg-type]  # checked there
+        plain = super().check_arguments()
+        check_clusterer(plain.clusterer)
+        metric = Metric(sampling=self.sampling)
         try:
             online = OnlineTraining(steps=self.online_steps, rate=self.online_rate, metric=metric)
         except ArgumentError as error:
             raise ArgumentError(f"online_{error}") from None
         known = Gassl().get_params()
-        for name in plain.gassl:
+        given = plain.gassl or {}
+        for name in given:
             if name not in known or name == "memory":
                 raise ArgumentError(f"gassl must hold arguments of Gassl other than memory, got {quote(name)}.")
-        gassl = Gassl(memory=plain.memory, **plain.gassl)
-        gassl.settings()
+        gassl = Gassl(memory=plain.memory, **given)
+        gassl.check_arguments()
         return gassl, online
 
-    check_arguments = settings
+    @cached_property
+    def _parameters(self) -> GruParameters:
+        """The parameters of the GRU network in this episode; off-line ones before round 1."""
+        if self.start == "meta":
+            return load_meta_weights()
+        generator = torch.Generator().manual_seed(int(self.rng.integers(2**63)))
+        return draw_parameters(GruSizes(), generator)
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode: the GRU network is what it was off line.
@@ -135,11 +111,7 @@ class McGassl(Detector):
             ArgumentError: an argument of the constructor is refused.
         """
         super().reset(seed)
-        if self.start == "meta":
-            self._parameters = load_meta_weights()
-        else:
-            generator = torch.Generator().manual_seed(int(self.rng.integers(2**63)))
-            self._parameters = draw_parameters(GruSizes(), generator)
+        self._parameters  # noqa: B018  # the first random numbers of an episode are for the network
 
     def detect(self, window: Window) -> Detection:
         """One round of Algorithm 2.
@@ -149,9 +121,7 @@ class McGassl(Detector):
             attends to most within its cluster; attention, alpha within the clusters; in ``extras``: ``count`` (M̂),
             ``followed`` ``(N,)``, c_{i'} of equation (38), and ``online_loss``, the losses of on-line training.
         """
-        gassl, online = self.settings()
-        if not hasattr(self, "_parameters"):
-            self.reset()
+        gassl, online = self.check_arguments()
         living = np.flatnonzero(window.alive)
         if len(living) < LEAST_UAVS:
             return self._name_one(window, living)
@@ -166,8 +136,7 @@ class McGassl(Detector):
 
     def _name_one(self, window: Window, living: np.ndarray[Any, np.dtype[np.intp]]) -> Detection:
         """One of the living UAVs, at random: nothing shows which is a head."""
-        candidates = np.zeros(window.uavs, bool)
-        candidates[self.rng.permutation(living)[:1]] = True
+        candidates = name_at_random(living, 1, window.uavs, self.rng)
         extras = {"count": min(1, len(living)), "followed": np.zeros(window.uavs), "online_loss": []}
         return Detection(candidates, np.zeros(window.uavs), np.where(window.alive, 0, -1), extras=extras)
 

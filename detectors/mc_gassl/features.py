@@ -7,11 +7,11 @@ from typing import Annotated
 import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, embed
 from detectors.series.gaps import fill_gaps
+from usnet_env.arrays import Floats, Singles
 from usnet_env.config import Config, unknown_name
 from usnet_env.window import Window
 
@@ -48,17 +48,13 @@ def inputs_of(window: Window, memory: int = 4) -> GruInputs:
     return GruInputs(_single(position), _single(velocity), torch.from_numpy(seen))
 
 
-def _single(values: NDArray[np.float32]) -> torch.Tensor:
+def _single(values: Singles) -> torch.Tensor:
     return torch.from_numpy(np.array(values))
 
 
 def gru_features(
-    window: Window,
-    parameters: GruParameters,
-    mode: str = "single",
-    memory: int = 4,
-    scale: Scale = ARENA_SCALE,
-) -> NDArray[np.float64]:
+    window: Window, parameters: GruParameters, mode: str = "single", memory: int = 4, scale: Scale = ARENA_SCALE
+) -> Floats:
     """The GRU network's features of all N UAVs; destroyed UAVs are 0.
 
     As ``features=`` of a clusterer: ``functools.partial(gru_features, parameters=parameters, mode="series")``.
@@ -88,6 +84,6 @@ def gru_features(
     if mode == "mean":
         seen = inputs.seen | ~inputs.seen.any(dim=0)
         embedding = (embedding * seen[..., None]).sum(dim=0, keepdim=True) / seen.sum(dim=0)[:, None]
-    values: NDArray[np.float64] = embedding.numpy().swapaxes(0, 1).copy()
+    values: Floats = embedding.numpy().swapaxes(0, 1).copy()
     values[~window.alive] = 0.0
     return values if mode == "series" else values[:, 0]

@@ -14,6 +14,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from usnet_env.arrays import AxisLength
 from usnet_env.config import ArgumentError, Config, quote
 
 __all__ = ["ARENA_SCALE", "GruInputs", "GruParameters", "GruSizes", "Scale", "draw_parameters", "embed", "gru"]
@@ -92,15 +93,8 @@ class GruInputs:
     velocity: Tensor
     seen: Tensor
 
-    @property
-    def times(self) -> int:
-        """R."""
-        return int(self.position.shape[0])
-
-    @property
-    def uavs(self) -> int:
-        """How many UAVs, n."""
-        return int(self.position.shape[1])
+    times = AxisLength("position", 0)  #: R
+    uavs = AxisLength("position", 1)  #: n
 
     def at(self, times: Tensor) -> GruInputs:
         """The inputs of some times, ``(r,)`` indices."""

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from detectors.gassl.ifsn import pair_losses, standardise
 from detectors.gassl.training import Inputs
 from detectors.series.votes import select_top
+from usnet_env.arrays import Floats, Indices, Singles
 
 __all__ = ["best_heads", "count_scores", "recluster"]
 
 
-def best_heads(inputs: Inputs, gamma: NDArray[np.float32]) -> NDArray[np.int64]:
+def best_heads(inputs: Inputs, gamma: Singles) -> Indices:
     """i_H of every UAV, ``(n,)``: the other UAV from which the trained IFSN predicts it best, equation (37).
 
     Args:
@@ -30,12 +30,12 @@ def best_heads(inputs: Inputs, gamma: NDArray[np.float32]) -> NDArray[np.int64]:
     return np.asarray(np.nan_to_num(loss, nan=np.inf).argmin(axis=1).astype(np.int64))
 
 
-def count_scores(chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+def count_scores(chosen: Indices) -> Floats:
     """c_{i'} of every UAV, ``(n,)``: how many UAVs have i' as their i_H, equation (38)."""
     return np.bincount(chosen, minlength=len(chosen)).astype(np.float64)
 
 
-def recluster(chosen: NDArray[np.int64], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def recluster(chosen: Indices, count: int, rng: np.random.Generator) -> Indices:
     """The clusters of the dataset D_r, ``(n,)``: the M̂ UAVs with the highest scores, each with the UAVs that chose it.
 
     Args:

@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field
 from safetensors.torch import load, save
 
@@ -25,6 +24,7 @@ from detectors.mc_gassl.meta import Clustered, OfflineTraining, Task, train_offl
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
 from detectors.mc_gassl.weights import NAMES, parameters_of, save_weights
+from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.files import atomic_write
 from usnet_env.swarm import SwarmConfig, advance, start
@@ -133,7 +133,7 @@ def trained(training: MetaTraining) -> tuple[GruParameters, list[float]]:
 
 
 def online_losses(
-    parameters: GruParameters, window: Window, labels: NDArray[np.int64], steps: int, training: MetaTraining
+    parameters: GruParameters, window: Window, labels: Indices, steps: int, training: MetaTraining
 ) -> tuple[GruParameters, list[float]]:
     """On-line training on one window whose clusters are known.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -13,27 +14,18 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate, fit_per_candidate
+from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
-from detectors.series.votes import choose_heads, select_top
-from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.detection import Detection
+from detectors.series.votes import choose_heads, name_at_random, select_top, spread
+from usnet_env.arrays import Floats, Mask
+from usnet_env.config import ArgumentError, quote
+from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
 __all__ = ["NeuralGranger"]
 
-Floats = NDArray[np.float64]
 
 _LEAST_UAVS = 3  # a head and two followers
-
-
-class _Arguments(Config):
-    """The arguments that :class:`PerCandidate` does not check."""
-
-    top_k: Annotated[int, Field(ge=1, le=100_000)]
-    gate: bool
-    gate_threshold: Annotated[float, Field(ge=0)]
-    device: str
-    memory: Annotated[int, Field(ge=1, le=1000)]
 
 
 class NeuralGranger(Detector):
@@ -67,39 +59,22 @@ class NeuralGranger(Detector):
 
     side_by_side: ClassVar[bool] = True
 
-    def __init__(
-        self,
-        top_k: int = 1,
-        gate: bool = False,
-        gate_threshold: float = 0.5,
-        device: str = "cpu",
-        memory: int = 4,
-        steps: int | None = None,
-        times: int | None = None,
-        voters: int | None = None,
-        units: int | None = None,
-        learning_rate: float | None = None,
-        weight_decay: float | None = None,
-        input_noise: float | None = None,
-        blocks: int | None = None,
-        ridge: float | None = None,
-        floor: float | None = None,
-    ) -> None:
-        self.top_k = top_k
-        self.gate = gate
-        self.gate_threshold = gate_threshold
-        self.device = device
-        self.memory = memory
-        self.steps = steps
-        self.times = times
-        self.voters = voters
-        self.units = units
-        self.learning_rate = learning_rate
-        self.weight_decay = weight_decay
-        self.input_noise = input_noise
-        self.blocks = blocks
-        self.ridge = ridge
-        self.floor = floor
+    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5)
+    top_k: Count = 1
+    gate: bool = False
+    gate_threshold: Annotated[float, Field(ge=0)] = 0.5
+    device: str = "cpu"
+    memory: Lags = 4
+    steps: int | None = None
+    times: int | None = None
+    voters: int | None = None
+    units: int | None = None
+    learning_rate: float | None = None
+    weight_decay: float | None = None
+    input_noise: float | None = None
+    blocks: int | None = None
+    ridge: float | None = None
+    floor: float | None = None
 
     def check_arguments(self) -> PerCandidate:
         """Check all arguments and return the settings of the training.
@@ -107,7 +82,7 @@ class NeuralGranger(Detector):
         Raises:
             ArgumentError: an argument is invalid.
         """
-        _Arguments(**{name: getattr(self, name) for name in _Arguments.model_fields})
+        super().check_arguments()
         self._resolve_device()
         names = PerCandidate.model_fields
         return PerCandidate(**{name: getattr(self, name) for name in names if getattr(self, name) is not None})
@@ -136,7 +111,7 @@ class NeuralGranger(Detector):
         """
         return self.detect_batch([window])[0]
 
-    def detect_among(self, window: Window, members: NDArray[np.bool_]) -> Detection:
+    def detect_among(self, window: Window, members: Mask) -> Detection:
         """Name the candidates of a part of the swarm, as if the other UAVs were absent.
 
         Args:
@@ -161,7 +136,8 @@ class NeuralGranger(Detector):
         groups: dict[tuple[int, int, bool], list[int]] = {}
         members = []
         for number, window in enumerate(windows):
-            index = self._select_members(window)
+            check_window(window, self.memory)
+            index = np.flatnonzero(window.alive)
             members.append(index)
             shown = len(index) >= _LEAST_UAVS and bool(window.velocity_seen.any())
             groups.setdefault((len(index), window.observation_steps, shown), []).append(number)
@@ -170,25 +146,19 @@ class NeuralGranger(Detector):
             chosen = [windows[number] for number in numbers]
             among = [members[number] for number in numbers]
             if not shown:
+                count = 0 if self.gate else self.top_k
                 found = [
-                    self._answer_without_evidence(window, index, rng)
+                    Detection(
+                        name_at_random(index, count, window.uavs, rng),
+                        np.zeros(window.uavs),
+                        extras={"followed": False},
+                    )
                     for window, index in zip(chosen, among, strict=True)
                 ]
             else:
                 found = self._fit_group(chosen, among, settings, device, rng)
             answers.update(zip(numbers, found, strict=True))
         return [answers[number] for number in range(len(windows))]
-
-    def _select_members(self, window: Window) -> NDArray[np.intp]:
-        """Check the window and return the indices of its living UAVs."""
-        check_window(window, self.memory)
-        return np.flatnonzero(window.alive)
-
-    def _answer_without_evidence(self, window: Window, index: NDArray[np.intp], rng: np.random.Generator) -> Detection:
-        """One or two UAVs, or unseen ones, give no evidence: ``top_k`` of them are named at random, decision (x)."""
-        candidates = np.zeros(window.uavs, bool)
-        candidates[rng.permutation(index)[: self.top_k]] = not self.gate
-        return Detection(candidates=candidates, scores=np.zeros(window.uavs), extras={"followed": False})
 
     def _fit_group(
         self,
@@ -223,36 +193,19 @@ class NeuralGranger(Detector):
         rng: np.random.Generator,
     ) -> Detection:
         """Turn the attention ``(n, n)`` of the living UAVs into a detection for all N UAVs of the window."""
-        uavs = window.uavs
         choice, own = choose_heads(attention, False, rng), choose_heads(attention, True, rng)
         c = attention.copy()
         np.fill_diagonal(c, 0.0)
         c = c.sum(axis=0) / len(attention)
-        candidates, scores = np.zeros(uavs, bool), np.zeros(uavs)
-        scores[index] = c
+        named = np.zeros(len(index), bool)
         if not self.gate or extras["followed"]:
-            candidates[index[select_top(c, self.top_k, rng)]] = True
-        leader, chosen = np.full(uavs, -1, np.int64), np.full(uavs, -1, np.int64)
-        leader[index], chosen[index] = index[own], index[choice]
-        spread = {
-            name: _expand(value, index, uavs) if isinstance(value, np.ndarray) else value
-            for name, value in extras.items()
-        }
+            named[select_top(c, self.top_k, rng)] = True
+        wide = partial(spread, members=index, uavs=window.uavs)
+        more = {name: wide(value) if isinstance(value, np.ndarray) else value for name, value in extras.items()}
         return Detection(
-            candidates=candidates,
-            scores=scores,
-            leader=leader,
-            attention=_expand(attention, index, uavs),
-            extras={"choice": chosen, **spread},
+            wide(named),
+            wide(c),
+            leader=wide(index[own], fill=-1),
+            attention=wide(attention, pairs=True),
+            extras={"choice": wide(index[choice], fill=-1), **more},
         )
-
-
-def _expand(values: Floats, index: NDArray[np.intp], uavs: int) -> Floats:
-    """Expand ``(n,)`` or ``(..., n, n)`` from the living UAVs to all N UAVs, with 0 elsewhere."""
-    if values.ndim == 1:
-        wide = np.zeros(uavs)
-        wide[index] = values
-        return wide
-    wide = np.zeros((*values.shape[:-2], uavs, uavs))
-    wide[..., index[:, None], index] = values
-    return wide

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from detectors.series.designs import stack_past
 from detectors.series.gaps import fill_gaps
+from usnet_env.arrays import AxisLength, Singles
 from usnet_env.window import Window
 
 __all__ = ["Samples", "build_samples"]
@@ -35,20 +36,9 @@ class Samples:
     target: Tensor
     weight: Tensor
 
-    @property
-    def windows(self) -> int:
-        """E."""
-        return int(self.target.shape[0])
-
-    @property
-    def uavs(self) -> int:
-        """n, living UAVs."""
-        return int(self.target.shape[1])
-
-    @property
-    def times(self) -> int:
-        """R."""
-        return int(self.target.shape[2])
+    windows = AxisLength("target", 0)  #: E
+    uavs = AxisLength("target", 1)  #: n, living UAVs
+    times = AxisLength("target", 2)  #: R
 
 
 def build_samples(
@@ -62,7 +52,7 @@ def build_samples(
         memory: T_0.
         device: of the tensors.
     """
-    stacked: list[tuple[NDArray[np.float32], ...]] = []
+    stacked: list[tuple[Singles, ...]] = []
     for window, index in zip(windows, members, strict=True):
         whole = fill_gaps(window)
         velocity, seen = whole.velocity[:, index], window.velocity_seen[memory:, index]

@@ -7,6 +7,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError
 from usnet_env.window import Window
 
@@ -62,14 +63,14 @@ def stack_past(values: NDArray[AnyT], lags: int) -> NDArray[AnyT]:
     return values[at].transpose(2, 0, 1, 3)
 
 
-def centre_columns(values: NDArray[RealT], seen: NDArray[np.bool_]) -> NDArray[RealT]:
+def centre_columns(values: NDArray[RealT], seen: Mask) -> NDArray[RealT]:
     """Subtract the mean over the ``seen`` rows ``(R, ...)`` from ``values`` ``(R, ..., d)``; unseen rows become 0."""
     weight = seen[..., None].astype(np.float64)
     mean = (values * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0)
     return np.asarray((values - mean) * weight, values.dtype)
 
 
-def centre_past(values: NDArray[RealT], seen: NDArray[np.bool_], lags: int) -> NDArray[RealT]:
+def centre_past(values: NDArray[RealT], seen: Mask, lags: int) -> NDArray[RealT]:
     """Stack the past and centre each column over its seen rows, ``(n, T - lags, lags d)``.
 
     Args:

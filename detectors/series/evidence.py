@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from detectors.series.designs import centre_columns, centre_past, count_lags, scale_to_unit
 from detectors.series.regressions import correlate_over_lags, explain_beyond_own_past, explain_pairs, whiten
 from detectors.series.surrogates import compute_chance, shift_in_time
+from usnet_env.arrays import Floats, Mask
 
 __all__ = ["Evidence", "correlation_evidence", "granger_evidence", "regression_evidence"]
 
-Floats = NDArray[np.float64]
 
 LEAST_ROWS = 6
 ROWS_PER_FEATURE = 1.5  # measured: down to this ratio, more lags help more than more samples per feature
@@ -62,7 +62,7 @@ class Evidence:
 
 
 def regression_evidence(
-    velocity: NDArray[np.floating], seen: NDArray[np.bool_], lags: int, squares: bool, ridge: float
+    velocity: NDArray[np.floating], seen: Mask, lags: int, squares: bool, ridge: float
 ) -> Evidence | None:
     """Compute the adjusted R² of a ridge regression of i's velocity on j's past, for every pair.
 
@@ -86,9 +86,7 @@ def regression_evidence(
     return _adjust_shares(shares, rows, freedom)
 
 
-def granger_evidence(
-    velocity: NDArray[np.floating], seen: NDArray[np.bool_], lags: int, own_lags: int
-) -> Evidence | None:
+def granger_evidence(velocity: NDArray[np.floating], seen: Mask, lags: int, own_lags: int) -> Evidence | None:
     """Compute Granger causality: the adjusted share of i's residual on its own past that j's past explains.
 
     Args:
@@ -131,7 +129,7 @@ def _without_diagonal(pairs: Floats, surrogate: Floats, spread: float) -> Eviden
     return Evidence(pairs, surrogate, spread)
 
 
-def correlation_evidence(velocity: NDArray[np.floating], seen: NDArray[np.bool_], max_lag: int) -> Evidence | None:
+def correlation_evidence(velocity: NDArray[np.floating], seen: Mask, max_lag: int) -> Evidence | None:
     """Compute the net lead of j over i: max_τ C_ij(τ) - max_τ C_ji(τ) for every pair.
 
     C_ij(τ) = mean_t v_i(t + τ) · v_j(t) with centred and normalised velocities (Nagy et al., Nature 464, 2010);

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.series.designs import LEAST_MOTION, scale_to_unit
+from usnet_env.arrays import Floats
 
 __all__ = [
     "RIDGE",
@@ -23,7 +24,6 @@ __all__ = [
     "whiten",
 ]
 
-Floats = NDArray[np.float64]
 RealT = TypeVar("RealT", np.float32, np.float64)
 
 RIDGE = 1e-3  # in units of the mean squared singular value of the features

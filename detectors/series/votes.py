@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detectors.series.evidence import Evidence
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection
 
 __all__ = [
@@ -16,12 +17,12 @@ __all__ = [
     "count_votes",
     "cover_voters",
     "detection_from_evidence",
+    "name_at_random",
     "rank_uavs",
     "select_top",
+    "spread",
 ]
 
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 LEAST_VOTERS = 1.5  # voters that a head must add: m_j >= 2 followers, of which a noisy one may count for half
 
@@ -57,13 +58,38 @@ def select_top(scores: Floats, count: int | None, rng: np.random.Generator) -> N
     return np.lexsort((rng.random(len(scores)), -scores))[:count]
 
 
-def rank_uavs(scores: Floats, alive: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.intp]:
+def rank_uavs(scores: Floats, alive: Mask, rng: np.random.Generator) -> NDArray[np.intp]:
     """Sort the indices of the living UAVs by decreasing score ``(N,)``; ``rng`` breaks ties."""
     living = np.flatnonzero(alive)
     return living[select_top(scores[living], None, rng)]
 
 
-def compute_votes(evidence: Evidence) -> tuple[NDArray[np.int64], Floats]:
+def name_at_random(members: NDArray[np.intp], count: int, uavs: int, rng: np.random.Generator) -> Mask:
+    """Candidates ``(N,)``: ``count`` of the members, for a window that shows no evidence (decision (x))."""
+    candidates = np.zeros(uavs, bool)
+    candidates[rng.permutation(members)[:count]] = True
+    return candidates
+
+
+def spread(
+    values: NDArray[Any], members: NDArray[np.intp], uavs: int, fill: float = 0, pairs: bool = False
+) -> NDArray[Any]:
+    """What holds for n members of a swarm, for all of its N UAVs; floats become float64.
+
+    Args:
+        values: ``(n, ...)``, or ``(..., n, n)`` for pairs.
+        members: ``(n,)`` indices of the members.
+        uavs: N.
+        fill: the value of the other UAVs.
+        pairs: whether the last two axes are UAVs.
+    """
+    shape = (*values.shape[:-2], uavs, uavs) if pairs else (uavs, *values.shape[1:])
+    wide = np.full(shape, fill, np.float64 if values.dtype.kind == "f" else values.dtype)
+    wide[(..., members[:, None], members) if pairs else members] = values
+    return wide
+
+
+def compute_votes(evidence: Evidence) -> tuple[Indices, Floats]:
     """Compute the vote of each UAV and its weight.
 
     A UAV votes for the UAV with the highest evidence in its row. The weight is the difference between this evidence and
@@ -110,11 +136,7 @@ def cover_voters(evidence: Evidence, most: int | None = None) -> list[int]:
 
 
 def detection_from_evidence(
-    evidence: Evidence | None,
-    alive: NDArray[np.bool_],
-    clusters: int | None,
-    first_round: bool,
-    rng: np.random.Generator,
+    evidence: Evidence | None, alive: Mask, clusters: int | None, first_round: bool, rng: np.random.Generator
 ) -> Detection:
     """Derive a detection from pairwise evidence.
 

@@ -1,9 +1,13 @@
 """A custom detector: it names the UAVs whose velocity other UAVs copy one step later."""
 
+from typing import Annotated
+
 import numpy as np
+from pydantic import Field
 
 from detectors import Detector
 from usnet_env import Detection, Window
+from usnet_env.detection import Tags
 
 
 class MostCopied(Detector):
@@ -13,8 +17,9 @@ class MostCopied(Detector):
         clusters: the number of UAVs to name in each round.
     """
 
-    def __init__(self, clusters: int = 5) -> None:
-        self.clusters = clusters
+    tags = Tags(uses_positions=False, takes_clusters=True)
+
+    clusters: Annotated[int, Field(ge=1)] = 5
 
     def detect(self, window: Window) -> Detection:
         """Count the votes. Destroyed UAVs do not vote and get no votes."""

@@ -7,9 +7,9 @@ import pytest
 from head_dependence import head_dependence
 
 from usnet_env import ArgumentError, register_follow_strategy
-from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, follow_strategies, start
+from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, destroy, follow_strategies, start
 from usnet_env.swarm import follow as follow_module
-from usnet_env.swarm.follow import FollowInputs, Lags, Network, StayInRange, follow_strategy
+from usnet_env.swarm.follow import FOLLOW_STRATEGIES, FollowInputs, Lags, Network, StayInRange, follow_strategy
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
@@ -23,7 +23,7 @@ def generators(count, seed=0):
 @pytest.fixture
 def registry(monkeypatch):
     """A registry of its own, so that a test's strategies do not outlive it."""
-    monkeypatch.setattr(follow_module, "_STRATEGIES", dict(follow_module._STRATEGIES))
+    monkeypatch.setattr(FOLLOW_STRATEGIES, "_registered", {})
 
 
 def fly(follow, **arguments):
@@ -272,3 +272,28 @@ def test_a_random_strategy_is_fixed_once_drawn():
     inputs = random_inputs(np.random.default_rng(1))
     np.testing.assert_array_equal(one.direction(inputs), other.direction(inputs))
     assert one.equation == other.equation
+
+
+@pytest.mark.parametrize("gone", ["follower", "head"])
+def test_a_follower_keeps_its_number_when_others_are_destroyed(gone):
+    class OwnDelays(FollowStrategy):
+        lags = 3
+        noise = 0.0
+
+        def direction(self, inputs):
+            return inputs.head_velocity[np.arange(len(inputs.follower)), inputs.follower % 3]
+
+    config = SwarmConfig(follow=OwnDelays(), clusters=2, uavs=14, decoys=1, observation_steps=20)
+    rngs = generators(1)
+    state = start(config, rngs)
+    first = np.flatnonzero(~(state.head | state.decoy)[0])
+    candidates = np.zeros((1, 14), bool)
+    candidates[0, first[0] if gone == "follower" else np.flatnonzero(state.head[0])[0]] = True
+    state = destroy(state, candidates)
+    _, window = advance(config, state, rngs)
+    velocity = window.velocity[0]
+    for number, i in enumerate(first):
+        if state.alive[0, i]:
+            late = number % 3
+            copied = velocity[2 - late : -1 - late, state.leader[0, i]]
+            np.testing.assert_allclose(velocity[3:, i], copied, atol=1e-5)

@@ -5,15 +5,14 @@ import pytest
 
 from usnet_env import ArgumentError, register_mobility
 from usnet_env.swarm import SwarmConfig, advance, mobilities, start
-from usnet_env.swarm import mobility as mobility_module
-from usnet_env.swarm.mobility import mobility
+from usnet_env.swarm.mobility import MOBILITIES, mobility
 
 NAMES = ["iid", "gauss_markov", "smooth_turn", "waypoint", "local_waypoint", "straight"]
 
 
 @pytest.fixture
 def registry(monkeypatch):
-    monkeypatch.setattr(mobility_module, "_MOBILITIES", dict(mobility_module._MOBILITIES))
+    monkeypatch.setattr(MOBILITIES, "_registered", {})
 
 
 def tracks(name, uavs=60, steps=1000, seed=0):

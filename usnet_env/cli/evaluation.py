@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, parse_pairs
+from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, describe_keys, parse_pairs
 from usnet_env.cli.output import PIPE_WIDTH, print_message, show
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["demo", "evaluate"]
 
 
-_EXAMPLES = """
+_EXAMPLES = f"""
 \b
 Examples:
   usnet evaluate --detector lagged-regression --trivial --episodes 20
@@ -31,11 +31,7 @@ Examples:
 
 \b
 Arguments for --set:
-  swarm     follow, mobility, formation, clusters, uavs, cluster_sizes,
-            decoys, head_jitter, memory, follow_seed; SingleCluster takes
-            followers instead of clusters, uavs and cluster_sizes
-  observer  observation_steps, sample_every, position_noise, miss_rate
-  game      max_rounds, shot_budget, redundancy_price, reveal_truth
+{describe_keys()}
 """  # click reads the control characters: they keep the lines
 
 

@@ -1,28 +1,35 @@
-"""``usnet list``: list the available parts."""
+"""``usnet list`` and ``usnet check-detector``: list the available parts, and test a detector."""
 
 from __future__ import annotations
 
+import inspect
 import shutil
 import sys
 import textwrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
     from usnet_env.plugins import DetectorEntry
+    from usnet_env.registry import Registry
 
 __all__ = ["list_"]
 
 _NARROWEST = 30  # columns of a description
 
 
-@click.command(name="list", short_help="List envs, detectors, follow strategies, mobilities.")
-@click.argument("part", type=click.Choice(["envs", "detectors", "follow", "mobility"]))
-def list_(part: str) -> None:
-    """List the available environments, detectors, follow strategies or mobilities, with one line about each.
+_PARTS = ("envs", "detectors", "follow", "mobility", "formation", "placement", "fusion", "clusterer")
 
-    The list of detectors also names the packages that a detector needs beyond those that USNET always installs.
+
+@click.command(name="list", short_help="List envs, detectors, follow strategies and other parts.")
+@click.argument("part", type=click.Choice(_PARTS))
+def list_(part: str) -> None:
+    """List the available environments, detectors or other parts, with one line about each.
+
+    The list of detectors also shows what a detector needs and uses: packages beyond those that USNET always installs,
+    the most UAVs and the least steps of a window, whether it uses positions, and whether it takes the number of
+    clusters M.
     """
     rows = _describe_parts(part)
     width = max(len(name) for name, _ in rows) + 2
@@ -45,21 +52,49 @@ def _describe_parts(part: str) -> list[tuple[str, str]]:
     if part == "detectors":
         from usnet_env.plugins import list_detectors
 
-        return [(entry.name, entry.description + _format_needs(entry)) for entry in list_detectors()]
-    if part == "follow":
-        from usnet_env.swarm import follow_strategies
-
+        return [(entry.name, f"{entry.description} {_format_tags(entry)}".rstrip()) for entry in list_detectors()]
+    if part != "envs":
+        rows = [(name, _describe_part(registry, name)) for registry in [_find_registry(part)] for name in registry]
         control = ("none", "no UAV follows: followers fly like heads (a control)")
-        return [*((name, strategy.equation) for name, strategy in follow_strategies().items()), control]
-    if part == "mobility":
-        from usnet_env.swarm import mobilities
-
-        return [(name, law.description) for name, law in mobilities().items()]
+        return [*rows, control] if part == "follow" else rows
     from usnet_env.evaluation.environments import describe_environments
 
     return list(describe_environments().items())
 
 
-def _format_needs(entry: DetectorEntry) -> str:
-    needs = ", ".join(f"{name}: not installed" if name in entry.missing else name for name in entry.needs)
-    return f" (needs {needs})" if needs else ""
+def _find_registry(part: str) -> Registry[Any]:
+    """Return the registry of the parts that an argument of this name selects."""
+    from usnet_env import swarm  # noqa: F401  # these modules create the registries
+    from usnet_env.multiagent import fusion, sensors  # noqa: F401
+    from usnet_env.registry import REGISTRIES
+
+    if part == "clusterer":
+        import detectors.clustering  # noqa: F401
+    (found,) = [registry for registry in REGISTRIES.values() if registry.argument == part]
+    return found
+
+
+def _describe_part(registry: Registry[Any], name: str) -> str:
+    """Return the equation, the description or the first line of the docstring of a part."""
+    try:
+        part = registry[name]
+    except ArgumentError as error:
+        return f"not available: {error}"
+    text = getattr(part, "equation", "") or getattr(part, "description", "") or inspect.getdoc(part) or ""
+    return str(text).partition("\n")[0]
+
+
+def _format_tags(entry: DetectorEntry) -> str:
+    """The tags that differ from those of a detector that takes every window, in brackets."""
+    tags = entry.tags
+    texts = {
+        "needs " + ", ".join(f"{name}: not installed" if name in entry.missing else name for name in tags.needs): (
+            bool(tags.needs)
+        ),
+        f"at most {tags.most_uavs} UAVs": tags.most_uavs is not None,
+        f"at least {tags.least_steps} steps": tags.least_steps > 1,
+        "velocities only": not tags.uses_positions,
+        "takes M": tags.takes_clusters,
+    }
+    shown = "; ".join(text for text, holds in texts.items() if holds)
+    return f"({shown})" if shown else ""

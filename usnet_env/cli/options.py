@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
@@ -12,7 +13,7 @@ import click
 
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["PairsCommand", "PositiveNumber", "WholeNumber", "parse_pairs"]
+__all__ = ["PairsCommand", "PositiveNumber", "WholeNumber", "describe_keys", "parse_pairs"]
 
 _WHOLE = re.compile(r"[-+]?[0-9]+\Z")
 _REAL = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
@@ -110,6 +111,20 @@ def _parse_yaml(key: str, text: str) -> Any:
         if item is not None and not isinstance(item, str | int | float):
             raise ArgumentError(f"{key} must be a number, a name or a list of these, got {quote(text)}.")
     return value
+
+
+def describe_keys() -> str:
+    """The keys of ``--set``: the arguments of the environments, in lines for a help page."""
+    from usnet_env.envs.usnet import MultiClusterArguments, SingleClusterArguments
+
+    several, one = (
+        [name for name in kind.model_fields if name != "render_mode"]
+        for kind in (MultiClusterArguments, SingleClusterArguments)
+    )
+    added, missing = ([name for name in here if name not in there] for here, there in ((one, several), (several, one)))
+    lines = textwrap.wrap(", ".join(several), 68)
+    lines += textwrap.wrap(f"SingleCluster takes {', '.join(added)} instead of {', '.join(missing)}", 68)
+    return "\n".join(f"  {line}" for line in lines)
 
 
 def parse_pairs(words: Sequence[str]) -> dict[str, Any]:

@@ -9,8 +9,9 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
+from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
@@ -20,7 +21,10 @@ COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 __all__ = [
     "COUNTERS",
     "GameState",
+    "RenderArguments",
+    "RoundArguments",
     "Rules",
+    "ShotArguments",
     "StepResult",
     "action_space",
     "check_options",
@@ -30,29 +34,54 @@ __all__ = [
     "parse_candidates",
     "play_round",
     "start_games",
+    "to_array",
     "truth_info",
 ]
 
-Observation = dict[str, NDArray[Any]]
+
+class ShotArguments(Config):
+    """The arguments about candidates, which both problems have."""
+
+    shot_budget: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
+        None, description="largest number of candidates in a round; a larger set destroys no UAV"
+    )
+    redundancy_price: Annotated[float, Field(ge=0, le=1e6)] = Field(
+        1.0, description="price of a redundant candidate; 1 gives the paper's objective"
+    )
 
 
-class Rules(Config):
+class RoundArguments(ShotArguments):
+    """The arguments of P2."""
+
+    max_rounds: Annotated[int, Field(ge=1, le=10_000)] = Field(
+        20, description="R_m, number of rounds after which the game is truncated"
+    )
+
+
+class Rules(RoundArguments):
     """The rules: the problem, its limits and its prices.
-
-    Args:
-        problem: ``"P1"`` (one cluster, one round) or ``"P2"`` (several clusters, rounds until no head is left).
-        max_rounds: R_m, the number of rounds after which P2 is truncated.
-        shot_budget: maximum number of candidates in a round; a larger set destroys no UAV. ``None``: no limit.
-        redundancy_price: price of a redundant candidate; 1 gives the paper's objective.
 
     Raises:
         ArgumentError: a value has the wrong type or is out of range.
     """
 
-    problem: Literal["P1", "P2"] = "P2"
-    max_rounds: Annotated[int, Field(ge=1, le=10_000)] = 20
-    shot_budget: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    redundancy_price: Annotated[float, Field(ge=0, le=1e6)] = 1.0
+    problem: Literal["P1", "P2"] = Field(
+        "P2",
+        description='``"P1"`` (one cluster, one round) or ``"P2"`` (several clusters, rounds until no head is left)',
+    )
+
+
+class RenderArguments(Config):
+    """The argument about pictures."""
+
+    render_mode: str | None = Field(None, description='``"rgb_array"`` to draw pictures')
+
+    @field_validator("render_mode", mode="before")
+    @classmethod
+    def _check_mode(cls, mode: Any) -> Any:
+        if mode is None or (isinstance(mode, str) and mode == "rgb_array"):
+            return mode
+        raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(mode)}.")
 
 
 @dataclass(frozen=True)
@@ -68,10 +97,10 @@ class GameState:
     """
 
     swarm: SwarmState
-    rounds: NDArray[np.int64]
-    redundant: NDArray[np.int64]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
+    rounds: Indices
+    redundant: Indices
+    terminated: Mask
+    truncated: Mask
 
     def with_rows(self, episodes: NDArray[np.intp], other: GameState) -> Self:
         """A copy of this batch in which ``other`` replaces some games."""
@@ -86,7 +115,7 @@ class GameState:
 class StepResult:
     """The result of a round: ``reward`` ``(B,)`` float64, and the ``metrics`` of ``info`` by name, each ``(B,)``."""
 
-    reward: NDArray[np.float64]
+    reward: Floats
     metrics: dict[str, NDArray[Any]]
 
 
@@ -110,16 +139,21 @@ def action_space(config: SwarmConfig) -> spaces.MultiBinary:
     return spaces.MultiBinary(config.uavs)
 
 
-def parse_candidates(action: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def to_array(action: Any) -> NDArray[Any]:
+    """Convert an action to an array; one that can't be converted becomes an empty array of objects."""
+    try:
+        return np.asarray(action)
+    except Exception:  # a foreign class may raise anything when it is converted
+        return np.empty(0, object)
+
+
+def parse_candidates(action: Any, shape: tuple[int, ...]) -> Mask:
     """Convert an action (integers, booleans or floats) to booleans of the given shape.
 
     Raises:
         ArgumentError: the action has another shape or a value other than 0 and 1.
     """
-    try:
-        values = np.asarray(action)
-    except Exception:  # a foreign class may raise anything when it is converted
-        values = np.empty(0, object)
+    values = to_array(action)
     if values.shape != shape:
         raise ArgumentError(f"action must have shape {shape} (0 or 1 for each UAV), got {quote(action)}.")
     if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
@@ -155,7 +189,7 @@ def start_games(config: SwarmConfig, rngs: Sequence[np.random.Generator]) -> Gam
     return GameState(swarm, zeros, zeros.copy(), zeros.astype(bool), zeros.astype(bool))
 
 
-def play_round(rules: Rules, state: GameState, candidates: NDArray[np.bool_]) -> tuple[GameState, StepResult]:
+def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameState, StepResult]:
     """Play one round: score and destroy the candidates; followers of a destroyed head re-merge.
 
     Args:

@@ -8,8 +8,8 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
+from usnet_env.arrays import Mask
 from usnet_env.swarm import SwarmState
 
 __all__ = ["PlayedRound", "play_rounds"]
@@ -17,7 +17,7 @@ __all__ = ["PlayedRound", "play_rounds"]
 
 class _Answer(Protocol):
     @property
-    def candidates(self) -> NDArray[np.bool_]: ...
+    def candidates(self) -> Mask: ...
 
 
 AnswerT = TypeVar("AnswerT", bound=_Answer)

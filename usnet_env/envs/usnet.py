@@ -10,28 +10,53 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from usnet_env.config import ArgumentError, Config, optional_seed, quote, refuse_unknown_arguments
+from usnet_env.arrays import Mask, Observation
+from usnet_env.config import ArgumentError, list_arguments, optional_seed, quote, takes_arguments
 from usnet_env.drawing import EpisodeFrames, describe_frame
 from usnet_env.envs import game
 from usnet_env.swarm import SwarmConfig, SwarmState
+from usnet_env.swarm.config import MobilityArguments, SensorArguments, SwarmArguments
 
 __all__ = ["MultiClusterEnv", "SingleClusterEnv", "UsnetEnv"]
 
-Observation = dict[str, NDArray[Any]]
+
+# Parts of the docstrings of both environments.
+_OBSERVATION = """`Dict` of
+
+    | key | shape | dtype | unit | meaning |
+    | --- | --- | --- | --- | --- |
+    | `position` | `(T_ob + 1, N, 3)` | float32 | m | observed positions at the sampling instants; 0 if not detected |
+    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | velocity between two instants; 0 unless detected at both |
+    | `seen` | `(T_ob + 1, N)` | int8 | | 1 if the UAV was detected |
+    | `alive` | `(N,)` | int8 | | 1 unless destroyed; indices never change |
+    | `round` | `(1,)` | float32 | | number of the round, from 1 |"""
+_INFO = """`info` holds, at every step and all zero at reset:
+
+    | key | meaning |
+    | --- | --- |
+    | `hits` | candidates of the round that are heads |
+    | `redundant` | candidates of the round that are not living heads |
+    | `round` | rounds played |
+    | `success` | 1 if no head is left |
+    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
+    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
+    | `reward_redundancy` | the part of the reward for redundant candidates: their price |"""
 
 
-class _OutputOptions(Config):
-    """The arguments about the output of the environment: ``info`` and rendering."""
+class OutputArguments(game.RenderArguments):
+    """The arguments about the output of an environment: ``info`` and pictures."""
 
-    reveal_truth: bool = False
-    render_mode: str | None = None
+    reveal_truth: bool = Field(False, description="``info`` also holds ``head``, ``decoy``, ``leader``, ``heads_left``")
 
 
-class _ClusterSize(Config):
-    """The size of the single cluster of :class:`SingleClusterEnv`."""
+class SingleClusterArguments(OutputArguments, game.ShotArguments, SensorArguments, MobilityArguments, SwarmArguments):
+    """The arguments of :class:`SingleClusterEnv`."""
 
-    followers: Annotated[int, Field(ge=2, le=90_000)]
-    decoys: Annotated[int, Field(ge=0, le=9_000)]
+    followers: Annotated[int, Field(ge=2, le=90_000)] = Field(15, description="m, number of followers, at least 2")
+
+
+class MultiClusterArguments(OutputArguments, game.RoundArguments, SwarmConfig):
+    """The arguments of :class:`MultiClusterEnv`."""
 
 
 class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
@@ -44,10 +69,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}  # type: ignore[misc]
 
-    def __init__(self, config: SwarmConfig, rules: game.Rules, reveal_truth: bool, render_mode: str | None) -> None:
-        output = _OutputOptions(reveal_truth=reveal_truth, render_mode=render_mode)
-        if output.render_mode not in (None, *self.metadata["render_modes"]):
-            raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(render_mode)}.")
+    def __init__(self, config: SwarmConfig, rules: game.Rules, output: OutputArguments) -> None:
         self.config = config
         self.rules = rules
         self.reveal_truth = output.reveal_truth
@@ -57,7 +79,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         self._game: game.GameState | None = None
         self._window: Observation = {}  # the present observation
         # The round before it: window, swarm, candidates, and title of its frame.
-        self._last_round: tuple[Observation, SwarmState, NDArray[np.bool_], str] | None = None
+        self._last_round: tuple[Observation, SwarmState, Mask, str] | None = None
         self._frames = EpisodeFrames()
 
     @property
@@ -137,7 +159,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             info |= {**truth, "heads_left": int(truth["heads_left"])}
         return info
 
-    def action_masks(self) -> NDArray[np.bool_]:
+    def action_masks(self) -> Mask:
         """``(2 N,)`` bool for maskable agents: for each UAV whether 0 and whether 1 is allowed (1 only if it lives)."""
         alive = self._require_game().swarm.alive[0]
         return np.stack([np.ones_like(alive), alive], axis=1).reshape(-1)
@@ -200,19 +222,13 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         window, swarm, candidates, title = self._last_round or (
             self._window, state.swarm, None, f"round {int(self._window['round'][0])}: observed, no answer yet"
         )  # fmt: skip
-        truth = swarm.episode()
+        seen = window["seen"].astype(bool)
         return self._frames.render(
-            position=window["position"],
-            seen=window["seen"].astype(bool),
-            alive=truth.alive,
-            head=truth.head,
-            leader=truth.leader,
-            decoy=truth.decoy,
-            candidates=candidates,
-            title=title,
+            position=window["position"], seen=seen, candidates=candidates, title=title, **swarm.episode().roles()
         )
 
 
+@list_arguments(observation=_OBSERVATION, info=_INFO)
 class SingleClusterEnv(UsnetEnv):
     """P1: find the head of one cluster in one round.
 
@@ -226,15 +242,7 @@ class SingleClusterEnv(UsnetEnv):
     they are 0 or 1.
 
     ## Observation Space
-    `Dict` of
-
-    | key | shape | dtype | unit | meaning |
-    | --- | --- | --- | --- | --- |
-    | `position` | `(T_ob + 1, N, 3)` | float32 | m | observed positions at the sampling instants; 0 if not detected |
-    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | velocity between two instants; 0 unless detected at both |
-    | `seen` | `(T_ob + 1, N)` | int8 | | 1 if the UAV was detected |
-    | `alive` | `(N,)` | int8 | | 1 unless destroyed |
-    | `round` | `(1,)` | float32 | | number of the round, from 1 |
+    {observation}
 
     ## Rewards
     J_s = 1{head hit} − |Ĥ_1|, where Ĥ_1 is the set of candidates: 0 for the head alone, −1 for one wrong candidate.
@@ -242,19 +250,9 @@ class SingleClusterEnv(UsnetEnv):
     1{hit} − 1 − `redundancy_price` · (|Ĥ_1| − 1), which is J_s at price 1. A set of more than `shot_budget` candidates
     destroys no UAV and counts as an empty set.
 
-    `info` holds, at every step and all zero at reset:
-
-    | key | meaning |
-    | --- | --- |
-    | `hits` | candidates of the round that are heads |
-    | `redundant` | candidates of the round that are not living heads |
-    | `round` | rounds played |
-    | `success` | 1 if no head is left |
-    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
+    {info}
     | `J` | J_s, at price 1 |
-    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
     | `reward_hit` | the part of the reward for the hit: 0 if the head is a candidate, else −1 |
-    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
     ## Starting State
     Roles have random indices; `formation` gives the initial positions. The first window starts after all followers
@@ -264,69 +262,20 @@ class SingleClusterEnv(UsnetEnv):
     The episode terminates after one round. It is never truncated.
 
     ## Arguments
-    | name | default | meaning |
-    | --- | --- | --- |
-    | `follow` | `"f1"` | follow strategy: `"f1"` to `"f7"`, a registered name, or `"none"` (control: no UAV follows) |
-    | `mobility` | `"iid"` | how heads and decoys move: `iid`, `gauss_markov`, `smooth_turn`, `waypoint`, … |
-    | `formation` | `"uniform"` | initial positions: `uniform` in 1000 × 1000 × 100 m, or `around` the head |
-    | `followers` | 15 | m, number of followers, at least 2 |
-    | `observation_steps` | 100 | T_ob, number of velocity samples |
-    | `memory` | 4 | T_0, number of past steps that a follow strategy may use |
-    | `sample_every` | 1 | the observer samples every k-th step |
-    | `position_noise` | 0 | standard deviation of the observed positions, m |
-    | `miss_rate` | 0 | probability of a missed detection |
-    | `decoys` | 0 | UAVs that move like heads but have no followers |
-    | `head_jitter` | `False` | add the followers' noise to heads and decoys |
-    | `follow_seed` | `None` | seed of f7's network; `None`: a new network in each episode |
-    | `shot_budget` | `None` | maximum number of candidates |
-    | `redundancy_price` | 1 | price of a redundant candidate |
-    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader`, `heads_left` |
-    | `render_mode` | `None` | `"rgb_array"` |
+    {arguments}
 
     ## Version History
     * v0: first version
     """
 
-    @refuse_unknown_arguments
-    def __init__(
-        self,
-        follow: str = "f1",
-        mobility: str = "iid",
-        formation: str = "uniform",
-        followers: int = 15,
-        observation_steps: int = 100,
-        memory: int = 4,
-        sample_every: int = 1,
-        position_noise: float = 0.0,
-        miss_rate: float = 0.0,
-        decoys: int = 0,
-        head_jitter: bool = False,
-        follow_seed: int | None = None,
-        shot_budget: int | None = None,
-        redundancy_price: float = 1.0,
-        reveal_truth: bool = False,
-        render_mode: str | None = None,
-    ) -> None:
-        size = _ClusterSize(followers=followers, decoys=decoys)
-        config = SwarmConfig(
-            follow=follow,
-            mobility=mobility,
-            formation=formation,
-            clusters=1,
-            uavs=size.followers + 1 + size.decoys,
-            observation_steps=observation_steps,
-            memory=memory,
-            sample_every=sample_every,
-            position_noise=position_noise,
-            miss_rate=miss_rate,
-            decoys=decoys,
-            head_jitter=head_jitter,
-            follow_seed=follow_seed,
-        )
-        rules = game.Rules(problem="P1", max_rounds=1, shot_budget=shot_budget, redundancy_price=redundancy_price)
-        super().__init__(config, rules, reveal_truth, render_mode)
+    @takes_arguments(SingleClusterArguments)
+    def __init__(self, arguments: SingleClusterArguments) -> None:
+        uavs = arguments.followers + 1 + arguments.decoys
+        config = arguments.part(SwarmConfig, clusters=1, uavs=uavs)
+        super().__init__(config, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
 
 
+@list_arguments(observation=_OBSERVATION, info=_INFO)
 class MultiClusterEnv(UsnetEnv):
     """P2: find all heads of a swarm with unknown clusters, in few rounds and with few redundant candidates.
 
@@ -341,15 +290,7 @@ class MultiClusterEnv(UsnetEnv):
     booleans and floats are accepted if they are 0 or 1.
 
     ## Observation Space
-    `Dict` of
-
-    | key | shape | dtype | unit | meaning |
-    | --- | --- | --- | --- | --- |
-    | `position` | `(T_ob + 1, N, 3)` | float32 | m | observed positions at the sampling instants; 0 if not detected |
-    | `velocity` | `(T_ob, N, 3)` | float32 | m/step | velocity between two instants; 0 unless detected at both |
-    | `seen` | `(T_ob + 1, N)` | int8 | | 1 if the UAV was detected |
-    | `alive` | `(N,)` | int8 | | 1 unless destroyed; indices never change |
-    | `round` | `(1,)` | float32 | | number of the round, from 1 |
+    {observation}
 
     ## Rewards
     −(1 + `redundancy_price` · redundant / N) per round, with redundant = |Ĥ_r ∖ H_{r−1}|, where Ĥ_r are the
@@ -360,19 +301,9 @@ class MultiClusterEnv(UsnetEnv):
     To destroy all UAVs in round 1 gives J_m = 1 + (N − M)/N < 2, which beats every answer that needs two rounds
     (decision l). So report J_m together with precision, recall and rounds.
 
-    `info` holds, at every step and all zero at reset:
-
-    | key | meaning |
-    | --- | --- |
-    | `hits` | candidates of the round that are heads |
-    | `redundant` | candidates of the round that are not living heads |
-    | `round` | rounds played |
-    | `success` | 1 if no head is left |
-    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
+    {info}
     | `J` | J_m of the rounds played so far, at price 1 |
-    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
     | `reward_round` | the part of the reward for the round, −1 |
-    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
     As long as heads are left, none of these values depends on M: `heads_left` needs `reveal_truth=True`.
 
@@ -385,72 +316,12 @@ class MultiClusterEnv(UsnetEnv):
     then empty. The episode is truncated after `max_rounds` rounds if a head is left (decision n).
 
     ## Arguments
-    | name | default | meaning |
-    | --- | --- | --- |
-    | `follow` | `"f1"` | follow strategy: `"f1"` to `"f7"`, a registered name, or `"none"` (control: no UAV follows) |
-    | `mobility` | `"iid"` | how heads and decoys move: `iid`, `gauss_markov`, `smooth_turn`, `waypoint`, … |
-    | `formation` | `"uniform"` | initial positions: `uniform` in 1000 × 1000 × 100 m, or `around` the heads |
-    | `clusters` | 5 | M, number of clusters |
-    | `uavs` | 82 | N, number of UAVs, decoys included |
-    | `cluster_sizes` | `None` | followers of each cluster; their sum is `uavs` − `clusters` − `decoys` |
-    | `observation_steps` | 100 | T_ob, number of velocity samples in a window |
-    | `memory` | 4 | T_0, number of past steps that a follow strategy may use |
-    | `sample_every` | 1 | the observer samples every k-th step |
-    | `position_noise` | 0 | standard deviation of the observed positions, m |
-    | `miss_rate` | 0 | probability of a missed detection |
-    | `decoys` | 0 | UAVs that move like heads but have no followers |
-    | `head_jitter` | `False` | add the followers' noise to heads and decoys |
-    | `follow_seed` | `None` | seed of f7's network; `None`: a new network in each episode |
-    | `max_rounds` | 20 | R_m, maximum number of rounds |
-    | `shot_budget` | `None` | maximum number of candidates in a round |
-    | `redundancy_price` | 1 | price of a redundant candidate |
-    | `reveal_truth` | `False` | `info` also holds `head`, `decoy`, `leader`, `heads_left` |
-    | `render_mode` | `None` | `"rgb_array"` |
+    {arguments}
 
     ## Version History
     * v0: first version
     """
 
-    @refuse_unknown_arguments
-    def __init__(
-        self,
-        follow: str = "f1",
-        mobility: str = "iid",
-        formation: str = "uniform",
-        clusters: int = 5,
-        uavs: int = 82,
-        cluster_sizes: tuple[int, ...] | list[int] | None = None,
-        observation_steps: int = 100,
-        memory: int = 4,
-        sample_every: int = 1,
-        position_noise: float = 0.0,
-        miss_rate: float = 0.0,
-        decoys: int = 0,
-        head_jitter: bool = False,
-        follow_seed: int | None = None,
-        max_rounds: int = 20,
-        shot_budget: int | None = None,
-        redundancy_price: float = 1.0,
-        reveal_truth: bool = False,
-        render_mode: str | None = None,
-    ) -> None:
-        config = SwarmConfig(
-            follow=follow,
-            mobility=mobility,
-            formation=formation,
-            clusters=clusters,
-            uavs=uavs,
-            cluster_sizes=cluster_sizes,  # type: ignore[arg-type]  # a list is converted to a tuple
-            observation_steps=observation_steps,
-            memory=memory,
-            sample_every=sample_every,
-            position_noise=position_noise,
-            miss_rate=miss_rate,
-            decoys=decoys,
-            head_jitter=head_jitter,
-            follow_seed=follow_seed,
-        )
-        rules = game.Rules(
-            problem="P2", max_rounds=max_rounds, shot_budget=shot_budget, redundancy_price=redundancy_price
-        )
-        super().__init__(config, rules, reveal_truth, render_mode)
+    @takes_arguments(MultiClusterArguments)
+    def __init__(self, arguments: MultiClusterArguments) -> None:
+        super().__init__(arguments.part(SwarmConfig), arguments.part(game.Rules, problem="P2"), arguments)

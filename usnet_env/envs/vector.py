@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Mask, Observation
 from usnet_env.config import ArgumentError, optional_seed, whole_number
 from usnet_env.envs import game
 from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
@@ -18,7 +19,6 @@ from usnet_env.swarm import SwarmState
 
 __all__ = ["MultiClusterVectorEnv", "SingleClusterVectorEnv", "UsnetVectorEnv"]
 
-Observation = dict[str, NDArray[Any]]
 
 MOST_ENVS = 1_000_000
 
@@ -102,9 +102,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
             raise ArgumentError(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seed)}.")
         return [optional_seed("seed", one) for one in seed]
 
-    def step(
-        self, actions: Any
-    ) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Observation, Floats, Mask, Mask, dict[str, Any]]:
         """Play one round of every running game; a game that had ended is reset instead.
 
         Args:
@@ -143,7 +141,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
             for key, value in ((name, array), (f"_{name}", all_games.copy()))
         }
 
-    def action_masks(self) -> NDArray[np.bool_]:
+    def action_masks(self) -> Mask:
         """``(B, 2 N)`` bool, the masks of :meth:`UsnetEnv.action_masks` of each game."""
         alive = self._require_game().swarm.alive
         return np.stack([np.ones_like(alive), alive], axis=2).reshape(self.num_envs, -1)

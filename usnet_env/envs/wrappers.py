@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError, quote
 
 __all__ = ["BoxMasks", "MultiDiscreteCandidates", "box_masks"]
@@ -75,7 +76,7 @@ class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any]):
         """Return the action unchanged."""
         return action
 
-    def action_masks(self) -> NDArray[np.bool_]:
+    def action_masks(self) -> Mask:
         """The masks of the wrapped environment: MultiBinary and MultiDiscrete masks have the same form."""
-        masks: NDArray[np.bool_] = self.env.get_wrapper_attr("action_masks")()
+        masks: Mask = self.env.get_wrapper_attr("action_masks")()
         return masks

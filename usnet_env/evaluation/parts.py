@@ -11,62 +11,53 @@ from typing import Any
 
 from gymnasium.vector.utils import CloudpickleWrapper
 
-from usnet_env.plugins import register_detector, registered_detectors
-from usnet_env.swarm import register_follow_strategy, register_mobility
-from usnet_env.swarm.follow import FollowFunction, follow_strategies
-from usnet_env.swarm.mobility import MobilityFunction, mobilities
+from usnet_env.registry import REGISTRIES
 
 __all__ = ["Part", "register_parts", "registered_parts"]
-
-_REGISTER = {"follow": register_follow_strategy, "mobility": register_mobility, "detector": register_detector}
 
 
 @dataclass(frozen=True)
 class Part:
-    """A follow strategy, mobility or detector that the program has registered itself.
+    """A part that the program has registered itself, such as a follow strategy or a detector.
 
     Args:
         kind, name: what it is, and its name.
-        module: where it is defined.
+        home: the module of the registry.
+        module: where the part is defined.
         part: the object, to be pickled by value.
     """
 
     kind: str
     name: str
+    home: str
     module: str
     part: CloudpickleWrapper[Any]
 
 
-def registered_parts(kinds: Collection[str] = tuple(_REGISTER)) -> list[Part]:
+def registered_parts(kinds: Collection[str] | None = None) -> list[Part]:
     """What this program has registered itself.
 
     What cannot be pickled is left out; a worker process that needs it then refuses its name.
 
     Args:
-        kinds: which kinds of parts; by default all.
+        kinds: which kinds of parts, as in :data:`usnet_env.registry.REGISTRIES`; ``None`` for all.
     """
-    found: list[tuple[str, str, Any, Any]] = [
-        (kind, name, part, part.function if isinstance(part, FollowFunction | MobilityFunction) else type(part))
-        for kind, parts in (("follow", follow_strategies()), ("mobility", mobilities()))
-        for name, part in parts.items()
-    ]
-    found += [("detector", name, factory, factory) for name, factory in registered_detectors().items()]
     parts = []
-    for kind, name, part, origin in found:
-        module = str(getattr(origin, "__module__", ""))
-        if kind in kinds and not module.startswith("usnet_env."):
+    for kind, registry in REGISTRIES.items():
+        for name, part in registry.registered.items() if kinds is None or kind in kinds else ():
+            origin = getattr(part, "function", None) or getattr(part, "rule", None) or part
             with suppress(Exception):
                 pickle.dumps(wrapper := CloudpickleWrapper(part))
-                parts.append(Part(kind, name, module, wrapper))
+                parts.append(Part(kind, name, registry.home, str(getattr(origin, "__module__", "")), wrapper))
     return parts
 
 
 def register_parts(parts: Iterable[Part]) -> None:
     """Register parts in this process, unless the main script or their module has registered them here too."""
-    known = {"follow": follow_strategies(), "mobility": mobilities(), "detector": registered_detectors()}
     for part in parts:
         with suppress(Exception):  # its module cannot be imported here: its name is refused if it is used
+            import_module(part.home)
             if part.module != "__main__":
                 import_module(part.module)
-            if part.name not in known[part.kind]:
-                _REGISTER[part.kind](part.name, part.part.fn)  # type: ignore[operator]
+            if part.name not in REGISTRIES[part.kind].registered:
+                REGISTRIES[part.kind].register(part.name, part.part.fn)

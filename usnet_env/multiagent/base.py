@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -10,12 +10,15 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
+from pydantic import Field
 
-from usnet_env.config import ArgumentError, is_whole_number, optional_seed, quote
+from usnet_env.arrays import Floats, Mask, Observation, Singles
+from usnet_env.config import ArgumentError, optional_seed, quote
 from usnet_env.drawing import EpisodeFrames, MissingExtraError, describe_frame
-from usnet_env.envs.game import GameState, Rules
+from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
+from usnet_env.swarm.config import SizeArguments, SwarmArguments
 
 try:
     from pettingzoo import AECEnv, ParallelEnv
@@ -28,17 +31,14 @@ __all__ = [
     "IGNORED_OPTIONS",
     "AECEnv",
     "BaseParallelWrapper",
-    "Observation",
+    "GameArguments",
     "RoundRecord",
     "Step",
     "UsnetParallelEnv",
-    "make_rules",
-    "to_aec",
-    "to_ordered_aec",
+    "make_aec_forms",
     "to_scalars",
 ]
 
-Observation = dict[str, NDArray[Any]]
 
 #: Keys of ``options`` that ``reset`` ignores: PettingZoo's own tests of an environment pass this one.
 IGNORED_OPTIONS = ("options",)
@@ -62,35 +62,35 @@ class RoundRecord:
 
     sighting: ObservationBatch
     truth: SwarmState
-    candidates: NDArray[np.bool_]
-    scores: NDArray[np.float64]
+    candidates: Mask
+    scores: Floats
     objective: float
     over_budget: bool
 
 
-def make_rules(
-    max_rounds: int, max_cycles: int | None, extra_steps: int, shot_budget: int | None, redundancy_price: float
-) -> Rules:
-    """Create the rules of P2.
+class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArguments):
+    """The arguments that both games take."""
 
-    Args:
-        max_rounds: R_m, the largest number of rounds.
-        max_cycles: PettingZoo's name for the largest number of steps; ``None`` for no limit besides ``max_rounds``.
-        extra_steps: number of steps before the first round.
-        shot_budget: largest number of candidates in a round; ``None`` for no limit.
-        redundancy_price: price of a redundant candidate.
+    max_cycles: int | None = Field(
+        None, description="largest number of steps, of which the game with an opening has one more than rounds"
+    )
 
-    Raises:
-        ArgumentError: a number is out of its range.
-    """
-    rules = Rules(problem="P2", max_rounds=max_rounds, shot_budget=shot_budget, redundancy_price=redundancy_price)
-    if max_cycles is None:
-        return rules
-    if not is_whole_number(max_cycles) or max_cycles < 1 + extra_steps:
-        raise ArgumentError(
-            f"max_cycles must be None or a whole number from {1 + extra_steps}, got {quote(max_cycles)}."
-        )
-    return rules.model_copy(update={"max_rounds": min(rules.max_rounds, int(max_cycles) - extra_steps)})
+    def make_rules(self, opening: int = 0) -> Rules:
+        """Create the rules of P2.
+
+        Args:
+            opening: number of steps before the first round.
+
+        Raises:
+            ArgumentError: ``max_cycles`` leaves no round.
+        """
+        if self.max_cycles is None:
+            return self.part(Rules)
+        if self.max_cycles < 1 + opening:
+            raise ArgumentError(
+                f"max_cycles must be None or a whole number from {1 + opening}, got {quote(self.max_cycles)}."
+            )
+        return self.part(Rules, max_rounds=min(self.max_rounds, self.max_cycles - opening))
 
 
 def to_scalars(metrics: Mapping[str, NDArray[Any]]) -> dict[str, int | float]:
@@ -99,7 +99,7 @@ def to_scalars(metrics: Mapping[str, NDArray[Any]]) -> dict[str, int | float]:
 
 
 class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc]  # PettingZoo ships no types
-    """Base class of the games, in PettingZoo's Parallel form; :func:`to_aec` converts a game to AEC form.
+    """Base class of the games, in PettingZoo's Parallel form.
 
     Attributes:
         config: the configuration of the swarm.
@@ -119,8 +119,6 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         observation_spaces: dict[str, spaces.Dict],
         action_spaces: dict[str, spaces.Space[Any]],
     ) -> None:
-        if not (render_mode is None or (isinstance(render_mode, str) and render_mode in self.metadata["render_modes"])):
-            raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(render_mode)}.")
         self.config = config
         self.rules = rules
         self.render_mode = render_mode
@@ -178,7 +176,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             raise ArgumentError(f"actions must map each of {', '.join(self.agents)} to its action, got {quote(got)}.")
         return dict(actions)
 
-    def state(self) -> NDArray[np.float32]:
+    def state(self) -> Singles:
         """Return the true state for a centralised critic, ``(10 N + 1,)`` float32.
 
         For each UAV: position (m), velocity (m/step), 1 if it is alive, 1 if it is a head, 1 if it is a decoy, and the
@@ -216,14 +214,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             title = f"round {int(game.rounds[0]) + 1}: observed, no answer yet"
         self._frames.watch(sighting.position, sighting.seen)
         return self._frames.render(
-            position=sighting.position,
-            seen=sighting.seen,
-            alive=truth.alive,
-            head=truth.head,
-            leader=truth.leader,
-            decoy=truth.decoy,
-            candidates=candidates,
-            title=title,
+            position=sighting.position, seen=sighting.seen, candidates=candidates, title=title, **truth.roles()
         )
 
     def close(self) -> None:
@@ -251,7 +242,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             alive=self._current_game().swarm.alive[0].copy(),
         )
 
-    def _make_observation(self, sighting: ObservationBatch, legal: NDArray[np.bool_]) -> Observation:
+    def _make_observation(self, sighting: ObservationBatch, legal: Mask) -> Observation:
         """Return an observation with the arrays of a window and the mask ``legal``; all arrays are copies."""
         return {
             "position": sighting.position.copy(),
@@ -263,11 +254,19 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         }
 
 
-def to_aec(game: UsnetParallelEnv) -> AECEnv:
-    """Convert a game to AEC form: agents act in turn, and the step is made after the last one has acted."""
-    return parallel_to_aec_wrapper(game)
+def make_aec_forms(game: type[UsnetParallelEnv]) -> tuple[Callable[..., AECEnv], Callable[..., AECEnv]]:
+    """Make the functions ``raw_env`` and ``env`` of a game, which create its AEC form.
 
+    In AEC form agents act in turn, and the step is made after the last one has acted. ``env`` adds PettingZoo's wrapper
+    that refuses calls in a wrong order. Both take the arguments of the game.
+    """
 
-def to_ordered_aec(game: UsnetParallelEnv) -> AECEnv:
-    """Convert a game to AEC form, in PettingZoo's wrapper that refuses calls in a wrong order."""
-    return OrderEnforcingWrapper(to_aec(game))
+    def raw_env(**arguments: Any) -> AECEnv:
+        """Create the AEC form without the wrapper that enforces the order of calls."""
+        return parallel_to_aec_wrapper(game(**arguments))
+
+    def env(**arguments: Any) -> AECEnv:
+        """Create the AEC form."""
+        return OrderEnforcingWrapper(raw_env(**arguments))
+
+    return raw_env, env

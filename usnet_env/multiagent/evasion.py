@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.swarm import (
     FollowInputs,
@@ -25,7 +26,7 @@ from usnet_env.swarm import (
     advance,
     kernels,
 )
-from usnet_env.swarm.mobility import mobilities, mobility
+from usnet_env.swarm.mobility import MOBILITIES
 from usnet_env.swarm.simulator import JITTER
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
@@ -46,30 +47,35 @@ Price = Annotated[float, Field(ge=0, le=1e6)]
 class Manoeuvres(Config):
     """What a head may choose for the next window, and the price in rounds (the unit of J_m).
 
-    Args:
-        mobilities: names of the available mobilities; the first is the swarm's own and costs nothing.
-        most_decoys: largest number of followers that a head may turn into decoys, its nearest followers first. A decoy
-            flies freely by its head's mobility for one window. At least one follower keeps following.
-        most_delay: largest delay in steps; the followers then use the head's motion of that many steps before.
-        mobility_price: price of a mobility other than the first, times the share of the swarm in the head's cluster.
-        jitter_price: price of flying with the followers' noise, times the same share.
-        decoy_price: price of each decoy, times 1/N; at 1 it equals the cost of a redundant candidate in J_m.
-        delay_price: price of each step of delay, times the share of the swarm that follows the head.
+    A decoy flies freely by its head's mobility for one window.
     """
 
-    mobilities: tuple[str, ...] = ("iid", "gauss_markov", "smooth_turn")
-    most_decoys: Annotated[int, Field(ge=0, le=1000)] = 2
-    most_delay: Annotated[int, Field(ge=0, le=1000)] = 4
-    mobility_price: Price = 0.1
-    jitter_price: Price = 0.05
-    decoy_price: Price = 1.0
-    delay_price: Price = 0.05
+    mobilities: Sequence[str] = Field(
+        ("iid", "gauss_markov", "smooth_turn"),
+        description="the mobilities to choose from; the first is the swarm's own and free",
+    )
+    most_decoys: Annotated[int, Field(ge=0, le=1000)] = Field(
+        2, description="largest number of followers that a head may turn into decoys, the nearest first"
+    )
+    most_delay: Annotated[int, Field(ge=0, le=1000)] = Field(
+        4, description="largest delay in steps; the followers then use the head's motion of that many steps before"
+    )
+    mobility_price: Price = Field(
+        0.1, description="of a mobility other than the first, times the share of the swarm in the head's cluster"
+    )
+    jitter_price: Price = Field(0.05, description="of flying with the followers' noise, times the same share")
+    decoy_price: Price = Field(
+        1.0, description="of each decoy, times 1/N; at 1 it equals the cost of a redundant candidate in J_m"
+    )
+    delay_price: Price = Field(
+        0.05, description="of each step of delay, times the share of the swarm that follows the head"
+    )
 
     @model_validator(mode="after")
     def _known(self) -> Self:
         for name in self.mobilities:
-            if name not in mobilities():
-                raise unknown_name("mobilities", name, mobilities())
+            if name not in MOBILITIES:
+                raise unknown_name("mobilities", name, MOBILITIES)
         if not self.mobilities or len(set(self.mobilities)) != len(self.mobilities):
             raise ArgumentError(
                 f"mobilities must hold one or more different names, got {quote(list(self.mobilities))}."
@@ -77,7 +83,7 @@ class Manoeuvres(Config):
         return self
 
     @property
-    def choices(self) -> NDArray[np.int64]:
+    def choices(self) -> Indices:
         """``(4,)`` int64, sizes of the choices mobility, jitter, decoys and delay, as in ``MultiDiscrete``."""
         return np.array([len(self.mobilities), 2, self.most_decoys + 1, self.most_delay + 1])
 
@@ -93,13 +99,13 @@ class Plan:
         delay: delay of the followers, in steps.
     """
 
-    mobility: NDArray[np.int64]
-    jitter: NDArray[np.int64]
-    decoys: NDArray[np.int64]
-    delay: NDArray[np.int64]
+    mobility: Indices
+    jitter: Indices
+    decoys: Indices
+    delay: Indices
 
     @classmethod
-    def from_choices(cls, choices: NDArray[np.int64]) -> Plan:
+    def from_choices(cls, choices: Indices) -> Plan:
         """Create a plan from ``(M, 4)`` choices, one row for each head."""
         return cls(*np.asarray(choices, np.int64).T.copy())
 
@@ -116,11 +122,11 @@ class MixedMobility(Mobility):
     """
 
     laws: tuple[Mobility, ...]
-    which: NDArray[np.int64]
-    jitter: NDArray[np.bool_]
+    which: Indices
+    jitter: Mask
     noise: float
 
-    def start(self, rng: np.random.Generator, uavs: int) -> NDArray[np.float64]:
+    def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Draw the initial mobility states, each by its UAV's law."""
         state = np.zeros((uavs, kernels.MOBILITY_STATE))
         for number in np.unique(self.which):
@@ -128,9 +134,7 @@ class MixedMobility(Mobility):
             state[rows] = self.laws[number].start(rng, len(rows))
         return state
 
-    def fly(
-        self, state: NDArray[np.float64], position: NDArray[np.float32], steps: int, rng: np.random.Generator
-    ) -> NDArray[np.float32]:
+    def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Draw the directions of all UAVs, one law after another."""
         directions = np.empty((steps, len(position), 3), np.float32)
         for number in np.unique(self.which):
@@ -159,7 +163,7 @@ class DelayedFollow(FollowStrategy):
     """
 
     strategy: FollowStrategy
-    delay: NDArray[np.int64]
+    delay: Indices
 
     @property
     def lags(self) -> int:  # type: ignore[override]  # follows from the fields
@@ -171,11 +175,11 @@ class DelayedFollow(FollowStrategy):
         """The noise kappa_n of the strategy."""
         return self.strategy.noise
 
-    def draw(self, rng: np.random.Generator) -> NDArray[np.float32]:
+    def draw(self, rng: np.random.Generator) -> Singles:
         """Draw the parameters of the strategy."""
         return self.strategy.draw(rng)
 
-    def direction(self, inputs: FollowInputs) -> NDArray[np.float32]:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """Return the direction of the strategy, whose inputs are then those of the ghost."""
         return self.strategy.direction(inputs)
 
@@ -210,7 +214,7 @@ def _sort_followers(state: SwarmState, head: int) -> NDArray[np.intp]:
     return followers[np.argsort((gap * gap).sum(axis=1), kind="stable")]
 
 
-def count_followers(state: SwarmState) -> NDArray[np.int64]:
+def count_followers(state: SwarmState) -> Indices:
     """Count the living followers of each head.
 
     Args:
@@ -245,7 +249,7 @@ def select_decoys(state: SwarmState, plan: Plan) -> tuple[NDArray[np.intp], NDAr
     return np.concatenate(decoys), np.concatenate(rows)
 
 
-def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> NDArray[np.float64]:
+def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> Floats:
     """Compute the price of the plan for each head.
 
     A head pays for the loss of formation: for each choice, its price times the share of the swarm that flies
@@ -274,10 +278,10 @@ def fly_window(
     config: SwarmConfig,
     manoeuvres: Manoeuvres,
     state: SwarmState,
-    flown: NDArray[np.int64],
+    flown: Indices,
     plan: Plan,
     rngs: Sequence[np.random.Generator],
-) -> tuple[SwarmState, ObservationBatch, NDArray[np.int64]]:
+) -> tuple[SwarmState, ObservationBatch, Indices]:
     """Fly the next window as the heads planned it; otherwise the same as :func:`usnet_env.swarm.advance`.
 
     Args:
@@ -291,7 +295,7 @@ def fly_window(
     Returns:
         The state at the end of the window, the window, and the mobility ``(M,)`` of each head in it.
     """
-    laws = tuple(mobility(name) for name in manoeuvres.mobilities)
+    laws = tuple(MOBILITIES.find(name) for name in manoeuvres.mobilities)
     heads = np.flatnonzero(state.head[0])
     free = state.free[0]
     row_of = {int(head): row for row, head in enumerate(heads)}

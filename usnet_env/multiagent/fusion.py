@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, add_to_registry, quote, unknown_name
+from usnet_env.arrays import Floats, Mask
+from usnet_env.config import ArgumentError, quote
+from usnet_env.registry import Registry
 
-__all__ = ["Fusion", "fusion", "fusions", "register_fusion"]
-
-Votes = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+__all__ = ["FUSIONS", "Fusion", "fusions", "register_fusion"]
 
 
 @dataclass(frozen=True)
@@ -30,42 +27,37 @@ class Fusion:
     """
 
     vote: Literal["candidates", "scores"]
-    rule: Callable[[Votes, Mask], Mask]
+    rule: Callable[[Floats, Mask], Mask]
     description: str = ""
 
 
-def _combine_any(votes: Votes, _seen: Mask) -> Mask:
+def _combine_any(votes: Floats, _seen: Mask) -> Mask:
     return np.asarray((votes > 0.5).any(axis=0))
 
 
-def _combine_majority(votes: Votes, seen: Mask) -> Mask:
+def _combine_majority(votes: Floats, seen: Mask) -> Mask:
     return np.asarray(votes.sum(axis=0) > 0.5 * seen.sum(axis=0))
 
 
-_FUSIONS: dict[str, Fusion] = {
+def _check_fusion(rule: Any, subject: str = "rule") -> Fusion:
+    if not isinstance(rule, Fusion) or rule.vote not in ("candidates", "scores") or not callable(rule.rule):
+        raise ArgumentError(f"{subject} must be a Fusion with a vote of 'candidates' or 'scores', got {quote(rule)}.")
+    return rule
+
+
+_OWN = {
     "union": Fusion("candidates", _combine_any, "UAVs that at least one observer names"),
     "majority": Fusion("candidates", _combine_majority, "UAVs that more than half of the observers that saw them name"),
     "scores": Fusion("scores", _combine_majority, "UAVs whose mean score over the observers that saw them exceeds 0.5"),
 }
 
-
-_OWN_NAMES = frozenset(_FUSIONS)
+#: All fusion rules by name.
+FUSIONS = Registry("fusion rule", "fusion", "usnet.fusions", __name__, _check_fusion, _OWN)
 
 
 def fusions() -> Mapping[str, Fusion]:
     """Return all fusion rules by name, as a read-only view."""
-    return MappingProxyType(_FUSIONS)
-
-
-def fusion(name: str) -> Fusion:
-    """Return the fusion rule with this name.
-
-    Raises:
-        ArgumentError: no rule has this name.
-    """
-    if not isinstance(name, str) or name not in _FUSIONS:
-        raise unknown_name("fusion", name, _FUSIONS)
-    return _FUSIONS[name]
+    return FUSIONS
 
 
 def register_fusion(name: str, rule: Fusion, *, replace: bool = False) -> None:
@@ -80,8 +72,4 @@ def register_fusion(name: str, rule: Fusion, *, replace: bool = False) -> None:
     Raises:
         ArgumentError: another rule has this name, the name is empty, or the rule is not a :class:`Fusion`.
     """
-    if not isinstance(name, str) or not name.strip():
-        raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
-    if not isinstance(rule, Fusion) or rule.vote not in ("candidates", "scores") or not callable(rule.rule):
-        raise ArgumentError(f"rule must be a Fusion with a vote of 'candidates' or 'scores', got {quote(rule)}.")
-    add_to_registry(_FUSIONS, name, rule, replace, _OWN_NAMES)
+    FUSIONS.register(name, rule, replace=replace)

@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, optional_seed, quote, whole_number
 from usnet_env.detection import Detection
 from usnet_env.plugins import DetectorLike
@@ -148,7 +149,7 @@ class DetectorObserver(Policy):
         return _pad_vote(_scale_scores(detection, named) if as_scores else named, self.action_space)
 
 
-def _scale_scores(detection: Detection, named: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _scale_scores(detection: Detection, named: Mask) -> Floats:
     """Convert a detector's scores to numbers from 0 to 1."""
     if "probability" in detection.extras:
         return np.clip(np.asarray(detection.extras["probability"], np.float64), 0.0, 1.0)
@@ -167,7 +168,7 @@ def _pad_vote(vote: Array, space: spaces.Space[Any]) -> Array:
     return action
 
 
-def _choice_sizes(space: spaces.Space[Any]) -> NDArray[np.int64]:
+def _choice_sizes(space: spaces.Space[Any]) -> Indices:
     """Return the number of values of each choice of a head."""
     if not isinstance(space, spaces.MultiDiscrete):
         raise ArgumentError(f"action_space must be MultiDiscrete for a head, got {quote(space)}.")

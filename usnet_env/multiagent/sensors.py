@@ -4,21 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from usnet_env.config import ArgumentError, Config, quote, unknown_name
+from usnet_env.arrays import Floats, Mask, Singles
+from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.registry import Registry
 from usnet_env.swarm import ObservationBatch, SwarmConfig
-from usnet_env.swarm.formation import ARENA
+from usnet_env.swarm.formation import ARENA, check_place
 from usnet_env.swarm.sensing import sense
 
-__all__ = ["Observer", "SensorConfig", "merge_sightings", "placements", "sense_window"]
+__all__ = [
+    "PLACEMENTS",
+    "Observer",
+    "SensorConfig",
+    "merge_sightings",
+    "placements",
+    "register_placement",
+    "sense_window",
+]
 
 Number = Annotated[float, Field(ge=0, le=1e6)]
+Noise = Annotated[float, Field(ge=0, le=1000)]
 Share = Annotated[float, Field(ge=0, lt=1)]
 Generators = Sequence[np.random.Generator]
 
@@ -26,26 +35,24 @@ Generators = Sequence[np.random.Generator]
 class SensorConfig(Config):
     """The number of observers of a swarm, and their sensors. Lengths in metres.
 
-    Args:
-        observers: K.
-        sensing_range: largest distance at which an observer sees a UAV; one number, or one for each observer.
-        position_noise: standard deviation of the observed positions per axis, drawn independently for each observer;
-            one number, or one for each observer.
-        miss_rate: probability that a UAV in range is not detected at a sampling instant; one number, or one for each
-            observer.
-        placement: name of the placement of the observers: ``"grid"`` or ``"uniform"``.
-        message_size: how many numbers each observer sends to all others in a round; 0 for no messages.
-
     Raises:
         ArgumentError: a value has a wrong type or is out of its range, or a list does not have K values.
     """
 
-    observers: Annotated[int, Field(ge=1, le=1000)] = 4
-    sensing_range: Number | tuple[Number, ...] = 500.0
-    position_noise: Annotated[float, Field(ge=0, le=1000)] | tuple[Annotated[float, Field(ge=0, le=1000)], ...] = 0.0
-    miss_rate: Share | tuple[Share, ...] = 0.0
-    placement: str = "grid"
-    message_size: Annotated[int, Field(ge=0, le=100_000)] = 0
+    observers: Annotated[int, Field(ge=1, le=1000)] = Field(4, description="K")
+    sensing_range: Number | Sequence[Number] = Field(
+        500.0, description="largest distance at which an observer sees a UAV, m; one number, or one for each observer"
+    )
+    position_noise: Noise | Sequence[Noise] = Field(
+        0.0, description="standard deviation of the observed positions, m; one number, or one for each observer"
+    )
+    miss_rate: Share | Sequence[Share] = Field(
+        0.0, description="probability of a missed detection in range; one number, or one for each observer"
+    )
+    placement: str = Field("grid", description="places of the observers: ``grid``, ``uniform``, or a registered name")
+    message_size: Annotated[int, Field(ge=0, le=100_000)] = Field(
+        0, description="B, how many numbers each observer sends to all others in a round"
+    )
 
     @model_validator(mode="after")
     def _check_lengths(self) -> Self:
@@ -55,8 +62,7 @@ class SensorConfig(Config):
                 raise ArgumentError(
                     f"{name} must be one number, or one for each of {self.observers} observers, got {quote(value)}."
                 )
-        if self.placement not in _PLACEMENTS:
-            raise unknown_name("placement", self.placement, _PLACEMENTS)
+        PLACEMENTS.find(self.placement)
         return self
 
     def expand(self, name: str) -> tuple[float, ...]:
@@ -66,15 +72,14 @@ class SensorConfig(Config):
 
     def sensor_configs(self, config: SwarmConfig) -> list[SwarmConfig]:
         """Return the swarm's configuration once for each observer, with that observer's noise and miss rate."""
-        parts = {name: getattr(config, name) for name in SwarmConfig.model_fields}
         return [
-            SwarmConfig(**(parts | {"position_noise": noise, "miss_rate": miss}))
+            config.part(SwarmConfig, position_noise=noise, miss_rate=miss)
             for noise, miss in zip(self.expand("position_noise"), self.expand("miss_rate"), strict=True)
         ]
 
-    def draw_positions(self, rng: np.random.Generator) -> NDArray[np.float64]:
+    def draw_positions(self, rng: np.random.Generator) -> Floats:
         """Draw the positions of the observers in an episode, ``(K, 3)`` in metres."""
-        return _PLACEMENTS[self.placement](rng, self.observers)
+        return check_place("placement", PLACEMENTS.find(self.placement)(rng, self.observers), self.observers)
 
 
 @dataclass(frozen=True)
@@ -88,15 +93,13 @@ class Observer:
         rng: the generator of the observer's noise.
     """
 
-    position: NDArray[np.float64]
+    position: Floats
     sensing_range: float
     sensor: SwarmConfig
     rng: np.random.Generator
 
 
-def sense_window(
-    observer: Observer, position: NDArray[np.float32], velocity: NDArray[np.float32], alive: NDArray[np.bool_]
-) -> ObservationBatch:
+def sense_window(observer: Observer, position: Singles, velocity: Singles, alive: Mask) -> ObservationBatch:
     """Observe a window with one observer: :func:`usnet_env.swarm.sensing.sense`, limited to the UAVs in range.
 
     Args:
@@ -140,7 +143,7 @@ def merge_sightings(sightings: Sequence[ObservationBatch]) -> ObservationBatch:
     return ObservationBatch(position, velocity, seen, first.alive.copy())
 
 
-def _grid(_rng: np.random.Generator, observers: int) -> NDArray[np.float64]:
+def _grid(_rng: np.random.Generator, observers: int) -> Floats:
     """Place the observers at the centres of K equal rectangles of the arena, at half its height."""
     rows = max(d for d in range(1, int(observers**0.5) + 1) if observers % d == 0)
     columns = observers // rows
@@ -150,17 +153,30 @@ def _grid(_rng: np.random.Generator, observers: int) -> NDArray[np.float64]:
     return np.stack([np.tile(x, rows), np.repeat(y, columns), middle], axis=1)
 
 
-def _uniform(rng: np.random.Generator, observers: int) -> NDArray[np.float64]:
+def _uniform(rng: np.random.Generator, observers: int) -> Floats:
     """Draw the positions uniformly in the arena, anew for each episode."""
     return rng.uniform(0.0, ARENA, (observers, 3))
 
 
-_PLACEMENTS: dict[str, Callable[[np.random.Generator, int], NDArray[np.float64]]] = {
-    "grid": _grid,
-    "uniform": _uniform,
-}
+Placement = Callable[[np.random.Generator, int], Floats]
 
 
-def placements() -> Mapping[str, Callable[[np.random.Generator, int], NDArray[Any]]]:
+def _check_placement(function: Any, subject: str = "function") -> Any:
+    if not callable(function) or isinstance(function, type):
+        raise ArgumentError(f"{subject} must be a function (rng, K) -> (K, 3), got {quote(function)}.")
+    return function
+
+
+#: All placements by name.
+PLACEMENTS = Registry[Placement](
+    "placement", "placement", "usnet.placements", __name__, _check_placement, {"grid": _grid, "uniform": _uniform}
+)
+
+
+def placements() -> Mapping[str, Placement]:
     """Return all placements ``(rng, K) -> (K, 3)`` in metres by name, as a read-only view."""
-    return MappingProxyType(_PLACEMENTS)
+    return PLACEMENTS
+
+
+#: Register a placement, so that ``placement=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+register_placement = PLACEMENTS.register

@@ -2,34 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+from pydantic import Field
 
-from usnet_env.config import ArgumentError, quote, refuse_unknown_arguments
+from usnet_env.arrays import Floats, Indices, Observation
+from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
     IGNORED_OPTIONS,
-    AECEnv,
-    Observation,
+    GameArguments,
     RoundRecord,
     Step,
     UsnetParallelEnv,
-    make_rules,
-    to_aec,
-    to_ordered_aec,
+    make_aec_forms,
     to_scalars,
 )
 from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, count_followers, fly_window, select_decoys
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
+from usnet_env.swarm.config import SensorArguments
 
 __all__ = ["env", "parallel_env", "raw_env"]
 
 OBSERVER = "observer_0"
 
 
+class EvasionArguments(GameArguments, SensorArguments, Manoeuvres):
+    """The arguments of :class:`parallel_env`."""
+
+    memory: Annotated[int, Field(ge=1, le=1000)] = Field(
+        8, description="T_0; at least the lags of the follow strategy + ``most_delay``"
+    )
+
+
+@list_arguments()
 class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     """One observer against M heads that choose how to fly in the next window (adversarial).
 
@@ -101,21 +110,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     `max_rounds` rounds all remaining agents are truncated.
 
     ## Arguments
-    | name | default | meaning |
-    | --- | --- | --- |
-    | `mobilities` | `("iid", "gauss_markov", "smooth_turn")` | the choices; the first is the swarm's own and free |
-    | `most_decoys` | 2 | largest number of decoys of a head |
-    | `most_delay` | 4 | largest delay of the followers, in steps |
-    | `mobility_price` | 0.1 | see Rewards |
-    | `jitter_price` | 0.05 | see Rewards |
-    | `decoy_price` | 1 | see Rewards |
-    | `delay_price` | 0.05 | see Rewards |
-    | `memory` | 8 | T_0; at least the lags of the follow strategy + `most_delay` |
-    | `max_cycles` | `None` | largest number of steps including the opening, if less than `max_rounds` + 1 |
-
-    and of `USNET/MultiCluster-v0`: `follow` (not `"none"`), `formation`, `clusters`, `uavs`, `cluster_sizes`,
-    `observation_steps`, `sample_every`, `position_noise`, `miss_rate`, `decoys`, `follow_seed`, `max_rounds`,
-    `shot_budget`, `redundancy_price`, `render_mode`.
+    {arguments}
 
     ## Version History
     * v0: first version
@@ -123,68 +118,19 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
 
     metadata: ClassVar[dict[str, Any]] = {**UsnetParallelEnv.metadata, "name": "usnet_evasion_v0"}
 
-    @refuse_unknown_arguments
-    def __init__(
-        self,
-        mobilities: tuple[str, ...] | list[str] = ("iid", "gauss_markov", "smooth_turn"),
-        most_decoys: int = 2,
-        most_delay: int = 4,
-        mobility_price: float = 0.1,
-        jitter_price: float = 0.05,
-        decoy_price: float = 1.0,
-        delay_price: float = 0.05,
-        follow: str = "f1",
-        formation: str = "uniform",
-        clusters: int = 5,
-        uavs: int = 82,
-        cluster_sizes: tuple[int, ...] | list[int] | None = None,
-        observation_steps: int = 100,
-        memory: int = 8,
-        sample_every: int = 1,
-        position_noise: float = 0.0,
-        miss_rate: float = 0.0,
-        decoys: int = 0,
-        follow_seed: int | None = None,
-        max_rounds: int = 20,
-        shot_budget: int | None = None,
-        redundancy_price: float = 1.0,
-        max_cycles: int | None = None,
-        render_mode: str | None = None,
-    ) -> None:
-        self.manoeuvres = Manoeuvres(
-            mobilities=mobilities,  # type: ignore[arg-type]  # a list is converted to a tuple
-            most_decoys=most_decoys,
-            most_delay=most_delay,
-            mobility_price=mobility_price,
-            jitter_price=jitter_price,
-            decoy_price=decoy_price,
-            delay_price=delay_price,
-        )
-        rules = make_rules(max_rounds, max_cycles, 1, shot_budget, redundancy_price)
-        config = SwarmConfig(
-            follow=follow,
-            mobility=self.manoeuvres.mobilities[0],
-            formation=formation,
-            clusters=clusters,
-            uavs=uavs,
-            cluster_sizes=cluster_sizes,  # type: ignore[arg-type]
-            observation_steps=observation_steps,
-            memory=memory,
-            sample_every=sample_every,
-            position_noise=position_noise,
-            miss_rate=miss_rate,
-            decoys=decoys,
-            follow_seed=follow_seed,
-        )
-        clusters, uavs, memory = config.clusters, config.uavs, config.memory  # checked, as plain numbers
-        most_delay = self.manoeuvres.most_delay
+    @takes_arguments(EvasionArguments)
+    def __init__(self, arguments: EvasionArguments) -> None:
+        self.manoeuvres = arguments.part(Manoeuvres)
+        rules = arguments.make_rules(opening=1)
+        config = arguments.part(SwarmConfig, mobility=arguments.mobilities[0])
+        clusters, uavs, most_delay = config.clusters, config.uavs, arguments.most_delay
         strategy = config.follow_strategy
         if strategy is None:
             raise ArgumentError("follow must be a follow strategy other than 'none', got 'none'.")
-        if strategy.lags + most_delay > memory:
+        if strategy.lags + most_delay > config.memory:
             raise ArgumentError(
-                f"memory must be at least {strategy.lags + most_delay} for follow={quote(follow)} and "
-                f"most_delay={most_delay}, got {memory}."
+                f"memory must be at least {strategy.lags + most_delay} for follow={quote(config.follow)} and "
+                f"most_delay={most_delay}, got {config.memory}."
             )
         self.heads = [f"head_{j}" for j in range(clusters)]
         window_spaces = game.observation_space(config, rules).spaces
@@ -202,7 +148,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         observations |= {name: spaces.Dict(head_spaces) for name in self.heads}
         actions: dict[str, spaces.Space[Any]] = {OBSERVER: game.action_space(config)}
         actions |= {name: spaces.MultiDiscrete(choices) for name in self.heads}
-        super().__init__(config, rules, render_mode, observations, actions)
+        super().__init__(config, rules, arguments.render_mode, observations, actions)
         self._flown = np.zeros(clusters, np.int64)  # the mobility of each head in the window before
         self._decoys = np.empty(0, np.intp)  # the followers that are decoys in the current window
 
@@ -282,7 +228,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0]
         )
 
-    def _make_step(self, reward: float, metrics: dict[str, NDArray[Any]], prices: NDArray[np.float64]) -> Step:
+    def _make_step(self, reward: float, metrics: dict[str, NDArray[Any]], prices: Floats) -> Step:
         state = self._current_game()
         alive = state.swarm.alive[0, np.flatnonzero(state.swarm.head[0])]
         terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
@@ -308,15 +254,12 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         truth.leader[self._decoys] = self._decoys
         return truth
 
-    def _check_choice(self, agent: str, action: Any) -> NDArray[np.int64]:
+    def _check_choice(self, agent: str, action: Any) -> Indices:
         """Check the four choices of a head, and return them; zeros for a head that has left the game."""
         sizes = self.manoeuvres.choices
         if agent not in self.agents:
             return np.zeros(len(sizes), np.int64)
-        try:
-            values = np.asarray(action)
-        except Exception:  # a foreign class may raise anything when it is converted
-            values = np.empty(0, object)
+        values = game.to_array(action)
         if (
             values.shape != sizes.shape
             or values.dtype.kind not in "biuf"
@@ -359,11 +302,4 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         return np.concatenate(masks)
 
 
-def raw_env(**arguments: Any) -> AECEnv:
-    """Create the AEC form without the wrapper that enforces the order of calls; arguments of :class:`parallel_env`."""
-    return to_aec(parallel_env(**arguments))
-
-
-def env(**arguments: Any) -> AECEnv:
-    """Create the AEC form; arguments of :class:`parallel_env`."""
-    return to_ordered_aec(parallel_env(**arguments))
+raw_env, env = make_aec_forms(parallel_env)

@@ -6,29 +6,35 @@ from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
+from pydantic import Field
 
-from usnet_env.config import ArgumentError, quote, refuse_unknown_arguments
+from usnet_env.arrays import Floats, Mask, Observation
+from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
     IGNORED_OPTIONS,
-    AECEnv,
-    Observation,
+    GameArguments,
     RoundRecord,
     Step,
     UsnetParallelEnv,
-    make_rules,
-    to_aec,
-    to_ordered_aec,
+    make_aec_forms,
     to_scalars,
 )
-from usnet_env.multiagent.fusion import fusion as fusion_rule
+from usnet_env.multiagent.fusion import FUSIONS
 from usnet_env.multiagent.sensors import Observer, SensorConfig, merge_sightings, sense_window
 from usnet_env.swarm import ObservationBatch, SwarmConfig
+from usnet_env.swarm.config import MobilityArguments
 
 __all__ = ["env", "parallel_env", "raw_env"]
 
 
+class ObserversArguments(GameArguments, MobilityArguments, SensorConfig):
+    """The arguments of :class:`parallel_env`."""
+
+    fusion: str = Field("union", description="``union``, ``majority``, ``scores``, or a registered rule")
+
+
+@list_arguments()
 class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     """Several observers, each of which sees a part of the swarm, find its heads together (cooperative).
 
@@ -78,20 +84,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     `max_rounds` rounds.
 
     ## Arguments
-    | name | default | meaning |
-    | --- | --- | --- |
-    | `observers` | 4 | K |
-    | `sensing_range` | 500 | m; one number, or one for each observer |
-    | `position_noise` | 0 | standard deviation of observed positions, m; one number, or one for each |
-    | `miss_rate` | 0 | probability of a missed detection in range; one number, or one for each |
-    | `placement` | `"grid"` | `grid` or `uniform` |
-    | `message_size` | 0 | B, how many numbers each observer sends in a round |
-    | `fusion` | `"union"` | `union`, `majority`, `scores`, or a registered rule |
-    | `max_cycles` | `None` | largest number of steps, if less than `max_rounds` |
-
-    and of `USNET/MultiCluster-v0`: `follow`, `mobility`, `formation`, `clusters`, `uavs`, `cluster_sizes`,
-    `observation_steps`, `memory`, `sample_every`, `decoys`, `head_jitter`, `follow_seed`, `max_rounds`,
-    `shot_budget`, `redundancy_price`, `render_mode`.
+    {arguments}
 
     ## Version History
     * v0: first version
@@ -99,59 +92,13 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
 
     metadata: ClassVar[dict[str, Any]] = {**UsnetParallelEnv.metadata, "name": "usnet_observers_v0"}
 
-    @refuse_unknown_arguments
-    def __init__(
-        self,
-        observers: int = 4,
-        sensing_range: float | tuple[float, ...] | list[float] = 500.0,
-        position_noise: float | tuple[float, ...] | list[float] = 0.0,
-        miss_rate: float | tuple[float, ...] | list[float] = 0.0,
-        placement: str = "grid",
-        message_size: int = 0,
-        fusion: str = "union",
-        follow: str = "f1",
-        mobility: str = "iid",
-        formation: str = "uniform",
-        clusters: int = 5,
-        uavs: int = 82,
-        cluster_sizes: tuple[int, ...] | list[int] | None = None,
-        observation_steps: int = 100,
-        memory: int = 4,
-        sample_every: int = 1,
-        decoys: int = 0,
-        head_jitter: bool = False,
-        follow_seed: int | None = None,
-        max_rounds: int = 20,
-        shot_budget: int | None = None,
-        redundancy_price: float = 1.0,
-        max_cycles: int | None = None,
-        render_mode: str | None = None,
-    ) -> None:
-        self.fusion = fusion_rule(fusion)
-        self.sensor_config = SensorConfig(
-            observers=observers,
-            sensing_range=sensing_range,  # type: ignore[arg-type]  # a list is converted to a tuple
-            position_noise=position_noise,  # type: ignore[arg-type]
-            miss_rate=miss_rate,  # type: ignore[arg-type]
-            placement=placement,
-            message_size=message_size,
-        )
-        rules = make_rules(max_rounds, max_cycles, 0, shot_budget, redundancy_price)
-        config = SwarmConfig(
-            follow=follow,
-            mobility=mobility,
-            formation=formation,
-            clusters=clusters,
-            uavs=uavs,
-            cluster_sizes=cluster_sizes,  # type: ignore[arg-type]
-            observation_steps=observation_steps,
-            memory=memory,
-            sample_every=sample_every,
-            decoys=decoys,
-            head_jitter=head_jitter,
-            follow_seed=follow_seed,
-        )
-        observers, uavs = self.sensor_config.observers, config.uavs  # checked, as plain numbers
+    @takes_arguments(ObserversArguments)
+    def __init__(self, arguments: ObserversArguments) -> None:
+        self.fusion = FUSIONS.find(arguments.fusion)
+        self.sensor_config = arguments.part(SensorConfig)
+        rules = arguments.make_rules()
+        config = arguments.part(SwarmConfig, position_noise=0.0, miss_rate=0.0)  # the observers have their own
+        observers, uavs = arguments.observers, arguments.uavs
         self._sensors = self.sensor_config.sensor_configs(config)
         # The swarm flies once, with every step and without noise; then each observer samples this flight.
         every_step = {"sample_every": 1, "observation_steps": config.observation_steps * config.sample_every}
@@ -167,7 +114,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         super().__init__(
             config,
             rules,
-            render_mode,
+            arguments.render_mode,
             {name: spaces.Dict(shape) for name in names},
             {
                 name: spaces.MultiBinary(uavs + size)
@@ -275,20 +222,17 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             observations[agent] = observation
         return observations
 
-    def _check_vote(self, agent: str, action: Any) -> NDArray[np.float64]:
+    def _check_vote(self, agent: str, action: Any) -> Floats:
         """Check an action and convert it to numbers from 0 to 1: one for each UAV, then the message."""
         length = self.config.uavs + self.sensor_config.message_size
         if self.fusion.vote == "candidates":
             return game.parse_candidates(action, (length,)).astype(np.float64)
-        try:
-            values = np.asarray(action)
-        except Exception:  # a foreign class may raise anything when it is converted
-            values = np.empty(0, object)
+        values = game.to_array(action)
         if values.shape != (length,) or values.dtype.kind not in "biuf" or not ((values >= 0) & (values <= 1)).all():
             raise ArgumentError(f"action of {agent} must hold {length} numbers from 0 to 1, got {quote(action)}.")
         return values.astype(np.float64)
 
-    def _fuse(self, votes: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _fuse(self, votes: Floats, seen: Mask) -> Mask:
         """Apply the fusion rule, and check the candidates that it returns."""
         candidates = np.asarray(self.fusion.rule(votes, seen))
         if candidates.shape != (self.config.uavs,) or candidates.dtype != bool:
@@ -296,11 +240,4 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         return candidates
 
 
-def raw_env(**arguments: Any) -> AECEnv:
-    """Create the AEC form without the wrapper that enforces the order of calls; arguments of :class:`parallel_env`."""
-    return to_aec(parallel_env(**arguments))
-
-
-def env(**arguments: Any) -> AECEnv:
-    """Create the AEC form; arguments of :class:`parallel_env`."""
-    return to_ordered_aec(parallel_env(**arguments))
+raw_env, env = make_aec_forms(parallel_env)

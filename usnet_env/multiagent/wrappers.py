@@ -8,9 +8,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Observation
 from usnet_env.config import ArgumentError, quote
 from usnet_env.envs.wrappers import box_masks
-from usnet_env.multiagent.base import BaseParallelWrapper, Observation, Step, UsnetParallelEnv
+from usnet_env.multiagent.base import BaseParallelWrapper, Step, UsnetParallelEnv
 
 __all__ = ["DiscreteActions", "MultiDiscreteVotes", "ParallelBoxMasks"]
 

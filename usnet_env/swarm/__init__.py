@@ -2,6 +2,7 @@
 
 from usnet_env.swarm.config import SwarmConfig
 from usnet_env.swarm.follow import FollowInputs, FollowStrategy, follow_strategies, register_follow_strategy
+from usnet_env.swarm.formation import formations, register_formation
 from usnet_env.swarm.mobility import Mobility, mobilities, register_mobility
 from usnet_env.swarm.sensing import ObservationBatch
 from usnet_env.swarm.simulator import SwarmState, advance, destroy, start
@@ -16,8 +17,10 @@ __all__ = [
     "advance",
     "destroy",
     "follow_strategies",
+    "formations",
     "mobilities",
     "register_follow_strategy",
+    "register_formation",
     "register_mobility",
     "start",
 ]

@@ -2,69 +2,92 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm.follow import FollowStrategy, check_strategy, follow_strategy
-from usnet_env.swarm.formation import ARENA, AROUND_RADIUS, formation
+from usnet_env.swarm.formation import FARTHEST, FORMATIONS
 from usnet_env.swarm.mobility import Mobility, mobility
 
-__all__ = ["SwarmConfig"]
+__all__ = ["MobilityArguments", "SensorArguments", "SizeArguments", "SwarmArguments", "SwarmConfig"]
 
 _MAX_SAMPLES = 100_000_000  # limit of (T_ob * sample_every + memory) * N: 2.4 GB of positions and velocities
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
 
 
-class SwarmConfig(Config):
+class SwarmArguments(Config):
+    """The arguments of the swarm that all environments and games take."""
+
+    follow: str | FollowStrategy = Field(
+        "f1", description='follow strategy: ``"f1"`` to ``"f7"``, a registered name, or ``"none"`` (no UAV follows)'
+    )
+    formation: str = Field(
+        "uniform", description="initial positions: ``uniform`` in 1000 × 1000 × 100 m, or ``around`` the heads"
+    )
+    memory: Annotated[int, Field(ge=1, le=1000)] = Field(
+        4, description="T_0, number of past steps that a follow strategy may use, and of unobserved steps in a round"
+    )
+    decoys: Annotated[int, Field(ge=0, le=100_000)] = Field(
+        0, description="number of UAVs that move like heads but have no followers"
+    )
+    follow_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
+        None, description="seed of the parameters of f7's network; ``None``: a new network in each episode"
+    )
+    observation_steps: Count = Field(100, description="T_ob, number of velocity samples in a window")
+    sample_every: Annotated[int, Field(ge=1, le=1000)] = Field(1, description="the observer samples every k-th step")
+
+
+class MobilityArguments(Config):
+    """How heads and decoys move."""
+
+    mobility: str | Mobility = Field(
+        "iid", description="how heads and decoys move: ``iid``, ``gauss_markov``, ``smooth_turn``, ``waypoint``, …"
+    )
+    head_jitter: bool = Field(False, description="add the followers' noise κ_n n to heads and decoys")
+
+
+class SizeArguments(Config):
+    """The size of a swarm with several clusters."""
+
+    clusters: Count = Field(5, description="M, number of clusters")
+    uavs: Count = Field(82, description="N, number of UAVs, decoys included")
+    cluster_sizes: Sequence[Annotated[int, Field(ge=2, le=100_000)]] | None = Field(
+        None,
+        description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys``; "
+        "``None``: drawn for each episode",
+    )
+
+
+class SensorArguments(Config):
+    """The sensor of a single observer."""
+
+    position_noise: Annotated[float, Field(ge=0, le=1000)] = Field(
+        0.0, description="standard deviation of the observed positions on each axis, m"
+    )
+    miss_rate: Annotated[float, Field(ge=0, lt=1)] = Field(
+        0.0, description="probability that a UAV is not detected at a sampling instant"
+    )
+
+
+class SwarmConfig(SensorArguments, SizeArguments, MobilityArguments, SwarmArguments):
     """A swarm of M clusters with N UAVs, and its observer. Lengths in metres, times in steps.
 
-    Args:
-        follow: follow strategy of all followers: a registered name, a :class:`FollowStrategy`, or ``"none"`` (a
-            control: all UAVs move independently, like heads).
-        mobility: how heads and decoys move: a registered name or a :class:`Mobility`.
-        formation: initial positions: ``"uniform"`` or ``"around"``.
-        clusters: M.
-        uavs: N, decoys included.
-        cluster_sizes: m_j, number of followers of each cluster, at least 2; ``None``: drawn for each episode.
-        observation_steps: T_ob, number of velocity samples in a window.
-        memory: T_0, number of past steps that a follow strategy may use; also the number of unobserved steps between a
-            re-merge and the next window.
-        sample_every: the observer samples every k-th step.
-        position_noise: standard deviation of the observed positions, per axis.
-        miss_rate: probability that a UAV is not detected at a sampling instant.
-        decoys: number of UAVs that move like heads but have no followers.
-        head_jitter: add the followers' noise kappa_n n to the motion of heads and decoys.
-        follow_seed: seed of the follow strategy's random parameters (the network of f7); ``None``: drawn for each
-            episode.
+    ``follow`` and ``mobility`` may also be objects.
 
     Raises:
         ArgumentError: an argument has the wrong type or is out of range.
     """
-
-    follow: str | FollowStrategy = "f1"
-    mobility: str | Mobility = "iid"
-    formation: str = "uniform"
-    clusters: Count = 5
-    uavs: Count = 82
-    cluster_sizes: tuple[Annotated[int, Field(ge=2, le=100_000)], ...] | None = None
-    observation_steps: Count = 100
-    memory: Annotated[int, Field(ge=1, le=1000)] = 4
-    sample_every: Annotated[int, Field(ge=1, le=1000)] = 1
-    position_noise: Annotated[float, Field(ge=0, le=1000)] = 0.0
-    miss_rate: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    decoys: Annotated[int, Field(ge=0, le=100_000)] = 0
-    head_jitter: bool = False
-    follow_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         strategy = self.follow_strategy
         if not isinstance(self.mobility, Mobility):
             mobility(self.mobility)
-        formation(self.formation)
+        FORMATIONS.find(self.formation)
         if strategy is not None and check_strategy(strategy).lags > self.memory:
             raise ArgumentError(
                 f"memory must be at least {strategy.lags} for follow={quote(self.follow)}, got {self.memory}."
@@ -114,7 +137,7 @@ class SwarmConfig(Config):
     def position_bound(self, rounds: int) -> float:
         """An upper bound in metres of all observed coordinates within ``rounds`` rounds."""
         travelled = self.memory + rounds * self.steps
-        return max(ARENA) + AROUND_RADIUS + travelled + NOISE_BOUND * self.position_noise
+        return FARTHEST + travelled + NOISE_BOUND * self.position_noise
 
     def velocity_bound(self) -> float:
         """An upper bound in metres per step of all observed velocity coordinates."""

@@ -9,25 +9,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usnet_env.config import (
-    ArgumentError,
-    add_to_registry,
-    plain_text,
-    quote,
-    real_number,
-    unknown_name,
-    whole_number,
-)
+from usnet_env.arrays import Indices, Singles
+from usnet_env.config import ArgumentError, plain_text, quote, real_number, whole_number
+from usnet_env.registry import Registry
 from usnet_env.swarm import kernels
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
 __all__ = [
+    "FOLLOW_STRATEGIES",
     "FollowInputs",
     "FollowStrategy",
     "Lags",
@@ -38,7 +32,6 @@ __all__ = [
     "register_follow_strategy",
 ]
 
-Array = NDArray[np.float32]
 
 KAPPA = 1.0  # kappa_0, ..., kappa_3 and kappa_p of Table II
 KAPPA_NOISE = 0.05  # kappa_n
@@ -58,12 +51,19 @@ class FollowInputs:
         head_position: ``(n, T_0 + 1, 3)`` metres: p_{iL,t+1}, ..., p_{iL,t-T_0+1}. Equation (1) has the last of them
             only; the others follow from it and the velocities.
         parameters: ``(P,)``, the parameters of this episode from :meth:`FollowStrategy.draw`.
+        follower: ``(n,)`` int64, which follower a row is: its number among all followers of the swarm, from 0 in the
+            order of their indices. It stays the same when other UAVs are destroyed. By default 0, ..., n - 1.
     """
 
-    own_position: Array
-    head_velocity: Array
-    head_position: Array
-    parameters: Array
+    own_position: Singles
+    head_velocity: Singles
+    head_position: Singles
+    parameters: Singles
+    follower: Indices = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def __post_init__(self) -> None:
+        if not len(self.follower):
+            object.__setattr__(self, "follower", np.arange(len(self.own_position)))
 
 
 class FollowStrategy(ABC):
@@ -82,12 +82,12 @@ class FollowStrategy(ABC):
     lags: int = 1
     noise: float = KAPPA_NOISE
 
-    def draw(self, rng: np.random.Generator) -> Array:
+    def draw(self, rng: np.random.Generator) -> Singles:
         """Draw the parameters ``(P,)`` float32 of one episode; P is fixed, and 0 for most strategies."""
         return np.empty(0, np.float32)
 
     @abstractmethod
-    def direction(self, inputs: FollowInputs) -> Array:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """Direction of flight ``(n, 3)`` before noise and normalisation; row i depends only on row i of the inputs."""
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
@@ -100,6 +100,7 @@ class FollowStrategy(ABC):
             position, velocity = trajectories.position[b], trajectories.velocity[b]
             followers = np.flatnonzero(trajectories.motion[b] == kernels.FOLLOWS)
             heads = trajectories.leader[b, followers]
+            numbers = np.cumsum(trajectories.leader[b] != np.arange(len(trajectories.leader[b])))[followers] - 1
             for s in range(trajectories.steps):
                 t = lags + s
                 past = slice(t - 1, t - 1 - lags if t > lags else None, -1)
@@ -109,6 +110,7 @@ class FollowStrategy(ABC):
                     head_velocity=velocity[past, heads].swapaxes(0, 1),
                     head_position=position[past_and_now, heads].swapaxes(0, 1),
                     parameters=trajectories.parameters[b],
+                    follower=numbers,
                 )
                 try:
                     direction = self.direction(inputs)
@@ -121,7 +123,7 @@ class FollowStrategy(ABC):
                 position[t + 1] = position[t] + velocity[t]
 
 
-def _norm(direction: Array, noise: Array) -> Array:
+def _norm(direction: Singles, noise: Singles) -> Singles:
     """norm(direction + noise) of Table II for rows of 3 components."""
     total = np.asarray(direction, np.float32) + noise
     length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
@@ -148,7 +150,7 @@ class Lags(FollowStrategy):
         combination = f"Σ_{{τ=0}}^{{{self.lags - 1}}} κ_τ {term}" if self.lags > 1 else f"κ_0 {term.replace('-τ', '')}"
         return f"v_{{i,t+1}} = norm({combination} + κ_n n)"
 
-    def direction(self, inputs: FollowInputs) -> Array:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """The sum over the lags."""
         past = inputs.head_velocity[:, : self.lags]
         return np.float32(self.kappa) * (past * past if self.square else past).sum(axis=1, dtype=np.float32)
@@ -159,10 +161,7 @@ class Lags(FollowStrategy):
             np.full(self.lags, self.kappa, np.float32),
             self.square,
             np.float32(self.noise),
-            trajectories.motion,
-            trajectories.leader,
-            trajectories.start,
-            trajectories.noise,
+            *trajectories.flight,
             trajectories.velocity,
         )
         kernels.integrate(trajectories.start, trajectories.position, trajectories.velocity)
@@ -181,7 +180,7 @@ class StayInRange(FollowStrategy):
     reach: float = KAPPA_RANGE
     noise: float = KAPPA_NOISE
 
-    def direction(self, inputs: FollowInputs) -> Array:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """Head velocity, plus ``pull`` times the unit vector towards the head if it is farther than ``reach``."""
         gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
         distance = np.sqrt((gap * gap).sum(axis=-1, keepdims=True, dtype=np.float32))
@@ -196,10 +195,7 @@ class StayInRange(FollowStrategy):
             np.float32(self.pull),
             np.float32(self.reach),
             np.float32(self.noise),
-            trajectories.motion,
-            trajectories.leader,
-            trajectories.start,
-            trajectories.noise,
+            *trajectories.flight,
             trajectories.position,
             trajectories.velocity,
         )
@@ -224,7 +220,7 @@ class Network(FollowStrategy):
     own_gain: float = 0.1
     position_gain: float = 0.15
 
-    def draw(self, rng: np.random.Generator) -> Array:
+    def draw(self, rng: np.random.Generator) -> Singles:
         """Draw the weights, biases and output weights of one network."""
         own, head = 3 * kernels.MLP_LAGS, 3 * kernels.MLP_LAGS
         gains = np.repeat([self.position_gain, self.own_gain, self.head_gain], [3, own, head])
@@ -233,7 +229,7 @@ class Network(FollowStrategy):
         readout = rng.standard_normal((kernels.MLP_HIDDEN, 3)) / np.sqrt(kernels.MLP_HIDDEN)
         return np.concatenate([weights.ravel(), bias, readout.ravel()]).astype(np.float32)
 
-    def direction(self, inputs: FollowInputs) -> Array:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """The output of the network."""
         n, lags, units = len(inputs.own_position), kernels.MLP_LAGS, kernels.MLP_HIDDEN
         inner = kernels.MLP_INPUTS * units
@@ -245,7 +241,7 @@ class Network(FollowStrategy):
         features = np.concatenate(
             [offset, own_velocity.reshape(n, -1), inputs.head_velocity[:, :lags].reshape(n, -1)], axis=1
         )
-        output: Array = np.tanh(features @ weights + bias) @ readout
+        output: Singles = np.tanh(features @ weights + bias) @ readout
         return output
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
@@ -254,10 +250,7 @@ class Network(FollowStrategy):
             trajectories.parameters,
             np.float32(self.position_scale),
             np.float32(self.noise),
-            trajectories.motion,
-            trajectories.leader,
-            trajectories.start,
-            trajectories.noise,
+            *trajectories.flight,
             trajectories.position,
             trajectories.velocity,
         )
@@ -267,12 +260,12 @@ class Network(FollowStrategy):
 class FollowFunction(FollowStrategy):
     """A follow strategy that calls a function; made by :func:`register_follow_strategy`."""
 
-    function: Callable[[FollowInputs], Array]
+    function: Callable[[FollowInputs], Singles]
     lags: int = 4
     noise: float = KAPPA_NOISE
     equation: str = ""
 
-    def direction(self, inputs: FollowInputs) -> Array:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """Call the function and check its result."""
         direction = np.asarray(self.function(inputs), np.float32)
         shape = (len(inputs.own_position), 3)
@@ -283,52 +276,58 @@ class FollowFunction(FollowStrategy):
         return direction
 
 
-_STRATEGIES: dict[str, FollowStrategy] = {
-    "f1": Lags(1),
-    "f2": Lags(2),
-    "f3": Lags(3),
-    "f4": Lags(2, square=True),
-    "f5": Lags(3, square=True),
-    "f6": StayInRange(),
-    "f7": Network(),
-}
+def check_strategy(strategy: Any, subject: str = "strategy") -> FollowStrategy:
+    """Return a strategy, made of a function if it is one.
 
-
-_OWN_NAMES = frozenset(_STRATEGIES)
-
-
-def _registered_name(strategy: FollowStrategy) -> str:
-    """The name under which a strategy is registered, or else the name of its class."""
-    names = (name for name, registered in _STRATEGIES.items() if registered is strategy)
-    return next(names, type(strategy).__name__)
-
-
-def check_strategy(strategy: FollowStrategy) -> FollowStrategy:
-    """Return the strategy; raise :class:`ArgumentError` if its ``lags`` or ``noise`` is invalid."""
+    Raises:
+        ArgumentError: it is neither, or its ``lags`` or ``noise`` is out of range.
+    """
+    if not isinstance(strategy, FollowStrategy):
+        if not callable(strategy) or isinstance(strategy, type):
+            raise ArgumentError(f"{subject} must be a FollowStrategy or a function, got {quote(strategy)}.")
+        strategy = FollowFunction(strategy)
     whole_number("lags", strategy.lags, 1, MOST_LAGS)
     real_number("noise", strategy.noise, 0, MOST_NOISE)
     return strategy
 
 
+#: All follow strategies by name; ``"none"`` selects the control without followers.
+FOLLOW_STRATEGIES = Registry(
+    "follow strategy",
+    "follow",
+    "usnet.follow_strategies",
+    __name__,
+    check_strategy,
+    {
+        "f1": Lags(1),
+        "f2": Lags(2),
+        "f3": Lags(3),
+        "f4": Lags(2, square=True),
+        "f5": Lags(3, square=True),
+        "f6": StayInRange(),
+        "f7": Network(),
+    },
+    reserved=("none",),
+)
+
+
+def _registered_name(strategy: FollowStrategy) -> str:
+    """The name under which a strategy is registered, or else the name of its class."""
+    return next((name for name in FOLLOW_STRATEGIES if FOLLOW_STRATEGIES[name] is strategy), type(strategy).__name__)
+
+
 def follow_strategies() -> Mapping[str, FollowStrategy]:
-    """All registered follow strategies by name (a read-only view)."""
-    return MappingProxyType(_STRATEGIES)
+    """All follow strategies by name (a read-only view)."""
+    return FOLLOW_STRATEGIES
 
 
-def follow_strategy(name: str) -> FollowStrategy:
-    """The follow strategy registered under ``name``.
-
-    Raises:
-        ArgumentError: no strategy has this name.
-    """
-    if not isinstance(name, str) or name not in _STRATEGIES:
-        raise unknown_name("follow", name, [*_STRATEGIES, "none"])
-    return _STRATEGIES[name]
+#: The follow strategy of a name; see :meth:`usnet_env.registry.Registry.find`.
+follow_strategy = FOLLOW_STRATEGIES.find
 
 
 def register_follow_strategy(
     name: str,
-    strategy: FollowStrategy | Callable[[FollowInputs], Array],
+    strategy: FollowStrategy | Callable[[FollowInputs], Singles],
     *,
     lags: int = 4,
     noise: float = KAPPA_NOISE,
@@ -351,15 +350,11 @@ def register_follow_strategy(
         ArgumentError: ``name`` is empty or already registered for another strategy, or another argument has the wrong
             type or is out of range.
     """
-    if not isinstance(name, str) or not name.strip() or name == "none":
-        raise ArgumentError(f"name must be a non-empty name other than 'none', got {quote(name)}.")
-    if not isinstance(strategy, FollowStrategy):
-        if not callable(strategy) or isinstance(strategy, type):
-            raise ArgumentError(f"strategy must be a FollowStrategy or a function, got {quote(strategy)}.")
+    if callable(strategy) and not isinstance(strategy, FollowStrategy | type):
         strategy = FollowFunction(
             strategy,
             whole_number("lags", lags, 1, MOST_LAGS),
             real_number("noise", noise, 0, MOST_NOISE),
             plain_text("equation", equation),
         )
-    add_to_registry(_STRATEGIES, name, check_strategy(strategy), replace, _OWN_NAMES)
+    FOLLOW_STRATEGIES.register(name, strategy, replace=replace)

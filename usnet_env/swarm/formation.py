@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usnet_env.config import unknown_name
+from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.config import ArgumentError, quote
+from usnet_env.registry import Registry
 
-__all__ = ["ARENA", "AROUND_RADIUS", "Roles", "draw_roles", "formation", "formations", "random_cluster_sizes"]
+__all__ = [
+    "ARENA",
+    "AROUND_RADIUS",
+    "FORMATIONS",
+    "Formation",
+    "Roles",
+    "check_place",
+    "draw_roles",
+    "formations",
+    "random_cluster_sizes",
+    "register_formation",
+]
 
 ARENA = (1000.0, 1000.0, 100.0)  # metres, the box of the paper's simulations
 AROUND_RADIUS = 60.0  # metres; equals kappa_r of f6, so that `around` followers start within the range of their head
+FARTHEST = max(ARENA) + AROUND_RADIUS  # metres, the largest initial coordinate
 
 
 @dataclass(frozen=True)
@@ -27,12 +40,12 @@ class Roles:
         leader: ``(N,)`` int64, the head of each follower; a head's and a decoy's own index.
     """
 
-    head: NDArray[np.bool_]
-    decoy: NDArray[np.bool_]
-    leader: NDArray[np.int64]
+    head: Mask
+    decoy: Mask
+    leader: Indices
 
 
-def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int) -> NDArray[np.int64]:
+def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int) -> Indices:
     """Draw the number of followers of each cluster, ``(clusters,)`` int64, each at least 2.
 
     The remaining ``followers - 2 * clusters`` are split at random; all splits are equally likely (stars and bars).
@@ -44,7 +57,7 @@ def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int
 
 
 def draw_roles(
-    rng: np.random.Generator, clusters: int, uavs: int, decoys: int, cluster_sizes: tuple[int, ...] | None
+    rng: np.random.Generator, clusters: int, uavs: int, decoys: int, cluster_sizes: Sequence[int] | None
 ) -> Roles:
     """Draw the roles. Indices are permuted at random, so an index carries no information about the role.
 
@@ -70,12 +83,12 @@ def draw_roles(
     return Roles(head, decoy, leader)
 
 
-def _uniform(rng: np.random.Generator, roles: Roles) -> NDArray[np.float64]:
+def _uniform(rng: np.random.Generator, roles: Roles) -> Floats:
     """All UAVs uniform in the arena."""
     return rng.uniform(0.0, ARENA, (len(roles.leader), 3))
 
 
-def _around(rng: np.random.Generator, roles: Roles) -> NDArray[np.float64]:
+def _around(rng: np.random.Generator, roles: Roles) -> Floats:
     """Heads and decoys uniform in the arena, followers uniform in a ball of 60 m around their head."""
     uavs = len(roles.leader)
     position = rng.uniform(0.0, ARENA, (uavs, 3))
@@ -86,23 +99,44 @@ def _around(rng: np.random.Generator, roles: Roles) -> NDArray[np.float64]:
     return np.where(followers[:, None], position[roles.leader] + offset, position)
 
 
-_FORMATIONS: dict[str, Callable[[np.random.Generator, Roles], NDArray[np.float64]]] = {
-    "uniform": _uniform,
-    "around": _around,
-}
+Formation = Callable[[np.random.Generator, Roles], Floats]
 
 
-def formations() -> Mapping[str, Callable[[np.random.Generator, Roles], NDArray[np.float64]]]:
-    """All formations by name (a read-only view)."""
-    return MappingProxyType(_FORMATIONS)
-
-
-def formation(name: str) -> Callable[[np.random.Generator, Roles], NDArray[np.float64]]:
-    """The formation called ``name``: a function ``(rng, roles) -> (N, 3)`` positions in metres.
+def check_place(what: str, place: Any, count: int) -> Floats:
+    """Return the positions ``(count, 3)`` that a formation or placement has drawn.
 
     Raises:
-        ArgumentError: there is no formation of this name.
+        ArgumentError: another shape, or a coordinate that is not finite or is beyond the bounds of observations.
     """
-    if not isinstance(name, str) or name not in _FORMATIONS:
-        raise unknown_name("formation", name, _FORMATIONS)
-    return _FORMATIONS[name]
+    values = np.asarray(place, np.float64)
+    if values.shape != (count, 3):
+        raise ArgumentError(f"{what} function must return an array of shape {(count, 3)}, got {values.shape}.")
+    if not (np.abs(values) <= FARTHEST).all():
+        raise ArgumentError(f"{what} function must return coordinates from -{FARTHEST:g} to {FARTHEST:g} m.")
+    return values
+
+
+def _check_formation(function: Any, subject: str = "function") -> Any:
+    if not callable(function) or isinstance(function, type):
+        raise ArgumentError(f"{subject} must be a function (rng, roles) -> (N, 3), got {quote(function)}.")
+    return function
+
+
+#: All formations by name: functions ``(rng, roles) -> (N, 3)``, positions in metres.
+FORMATIONS = Registry[Formation](
+    "formation",
+    "formation",
+    "usnet.formations",
+    __name__,
+    _check_formation,
+    {"uniform": _uniform, "around": _around},
+)
+
+
+def formations() -> Mapping[str, Formation]:
+    """All formations by name (a read-only view)."""
+    return FORMATIONS
+
+
+#: Register a formation, so that ``formation=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+register_formation = FORMATIONS.register

@@ -8,18 +8,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, add_to_registry, plain_text, quote, unknown_name
+from usnet_env.arrays import Floats, Singles
+from usnet_env.config import ArgumentError, plain_text, quote
+from usnet_env.registry import Registry
 from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import ARENA
 
-__all__ = ["CompiledMobility", "Mobility", "mobilities", "mobility", "register_mobility"]
-
-State = NDArray[np.float64]
+__all__ = ["MOBILITIES", "CompiledMobility", "Mobility", "mobilities", "mobility", "register_mobility"]
 
 
 class Mobility(ABC):
@@ -32,13 +31,11 @@ class Mobility(ABC):
     description: str = ""
 
     @abstractmethod
-    def start(self, rng: np.random.Generator, uavs: int) -> State:
+    def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Draw the initial state ``(uavs, MOBILITY_STATE)`` float64 from the mobility's stationary distribution."""
 
     @abstractmethod
-    def fly(
-        self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
-    ) -> NDArray[np.float32]:
+    def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Directions of flight ``(steps, uavs, 3)``, which the simulator normalises; updates ``state`` in place.
 
         Args:
@@ -49,7 +46,7 @@ class Mobility(ABC):
         """
 
 
-def _unit_vectors(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+def _unit_vectors(rng: np.random.Generator, count: int) -> Floats:
     """``(count, 3)`` directions, uniform on the sphere."""
     vectors = rng.standard_normal((count, 3))
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -71,11 +68,11 @@ class CompiledMobility(Mobility):
     numbers: tuple[float, ...] = ()
     description: str = ""
 
-    def constants(self) -> NDArray[np.float64]:
+    def constants(self) -> Floats:
         """``(6,)`` float64, the constants for the kernel, padded with zeros."""
         return np.array([*self.numbers, *[0.0] * (6 - len(self.numbers))])
 
-    def start(self, rng: np.random.Generator, uavs: int) -> State:
+    def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Draw directions, waypoints and turns."""
         state = np.zeros((uavs, kernels.MOBILITY_STATE))
         if self.code == kernels.IID:
@@ -93,9 +90,7 @@ class CompiledMobility(Mobility):
             state[:, 3:6] = np.nan  # no waypoint yet: `fly` draws one relative to the UAV's position
         return state
 
-    def fly(
-        self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
-    ) -> NDArray[np.float32]:
+    def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Directions for one swarm; for a batch the simulator calls the kernel directly."""
         uavs = len(state)
         velocity = np.zeros((1, steps, uavs, 3), np.float32)
@@ -112,16 +107,14 @@ class CompiledMobility(Mobility):
 class MobilityFunction(Mobility):
     """A mobility that calls a function; made by :func:`register_mobility`."""
 
-    function: Callable[[np.random.Generator, NDArray[np.float32], int, State], NDArray[np.float32]]
+    function: Callable[[np.random.Generator, Singles, int, Floats], Singles]
     description: str = ""
 
-    def start(self, rng: np.random.Generator, uavs: int) -> State:
+    def start(self, rng: np.random.Generator, uavs: int) -> Floats:
         """Zeros: the function sets its own state in its first call."""
         return np.zeros((uavs, kernels.MOBILITY_STATE))
 
-    def fly(
-        self, state: State, position: NDArray[np.float32], steps: int, rng: np.random.Generator
-    ) -> NDArray[np.float32]:
+    def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Call the function and check its result."""
         directions = np.asarray(self.function(rng, position, steps, state), np.float32)
         shape = (steps, len(position), 3)
@@ -132,7 +125,16 @@ class MobilityFunction(Mobility):
         return directions
 
 
-_MOBILITIES: dict[str, Mobility] = {
+def _check_mobility(model: Any, subject: str = "model") -> Mobility:
+    """Return a mobility, made of a function if it is one."""
+    if isinstance(model, Mobility):
+        return model
+    if not callable(model) or isinstance(model, type):
+        raise ArgumentError(f"{subject} must be a Mobility or a function, got {quote(model)}.")
+    return MobilityFunction(model)
+
+
+_OWN: dict[str, Mobility] = {
     "iid": CompiledMobility(kernels.IID, 3, description="a new random direction at each step (the paper's setting)"),
     "gauss_markov": CompiledMobility(
         kernels.GAUSS_MARKOV,
@@ -161,29 +163,22 @@ _MOBILITIES: dict[str, Mobility] = {
     "straight": CompiledMobility(kernels.STRAIGHT, 1, description="a straight line in a random direction"),
 }
 
-
-_OWN_NAMES = frozenset(_MOBILITIES)
+#: All mobilities by name.
+MOBILITIES = Registry("mobility", "mobility", "usnet.mobilities", __name__, _check_mobility, _OWN)
 
 
 def mobilities() -> Mapping[str, Mobility]:
-    """All registered mobilities by name (a read-only view)."""
-    return MappingProxyType(_MOBILITIES)
+    """All mobilities by name (a read-only view)."""
+    return MOBILITIES
 
 
-def mobility(name: str) -> Mobility:
-    """The mobility registered under ``name``.
-
-    Raises:
-        ArgumentError: no mobility has this name.
-    """
-    if not isinstance(name, str) or name not in _MOBILITIES:
-        raise unknown_name("mobility", name, _MOBILITIES)
-    return _MOBILITIES[name]
+#: The mobility of a name; see :meth:`usnet_env.registry.Registry.find`.
+mobility = MOBILITIES.find
 
 
 def register_mobility(
     name: str,
-    model: Mobility | Callable[[np.random.Generator, NDArray[np.float32], int, State], NDArray[np.float32]],
+    model: Mobility | Callable[[np.random.Generator, Singles, int, Floats], Singles],
     *,
     description: str = "",
     replace: bool = False,
@@ -202,10 +197,6 @@ def register_mobility(
     Raises:
         ArgumentError: ``name`` is empty or already registered for another mobility, or an argument has another type.
     """
-    if not isinstance(name, str) or not name.strip():
-        raise ArgumentError(f"name must be a non-empty name, got {quote(name)}.")
-    if not isinstance(model, Mobility):
-        if not callable(model) or isinstance(model, type):
-            raise ArgumentError(f"model must be a Mobility or a function, got {quote(model)}.")
+    if callable(model) and not isinstance(model, Mobility | type):
         model = MobilityFunction(model, plain_text("description", description))
-    add_to_registry(_MOBILITIES, name, model, replace, _OWN_NAMES)
+    MOBILITIES.register(name, model, replace=replace)

@@ -10,13 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usnet_env.arrays import Singles
 from usnet_env.swarm.follow import KAPPA_NOISE, FollowInputs, FollowStrategy
 
 __all__ = ["RandomFollowStrategy", "Term", "random_follow_strategy"]
 
-Array = NDArray[np.float32]
 
 TERM_KINDS = ("linear", "cube", "root", "product", "network")
 OUTPUT_MAPS = ("none", "rotate", "saturate", "rotate+saturate")
@@ -38,9 +37,9 @@ class Term:
     kind: str
     lag: int
     weight: float
-    layer: tuple[Array, Array] | None = None
+    layer: tuple[Singles, Singles] | None = None
 
-    def __call__(self, head_velocity: Array) -> Array:
+    def __call__(self, head_velocity: Singles) -> Singles:
         """The summand ``(n, 3)`` for ``head_velocity (n, T_0, 3)``, newest first."""
         v = head_velocity[:, self.lag]
         if self.kind == "cube":
@@ -70,9 +69,9 @@ class RandomFollowStrategy(FollowStrategy):
     """
 
     terms: tuple[Term, ...]
-    rotation: Array | None = None
+    rotation: Singles | None = None
     saturation: float | None = None
-    offset: Array | None = None
+    offset: Singles | None = None
     pull: float = 0.0
     lags: int = 4
     noise: float = KAPPA_NOISE
@@ -88,7 +87,7 @@ class RandomFollowStrategy(FollowStrategy):
         ]
         return f"v_{{i,t+1}} = norm({terms} + κ_n n)" + (f", with {', '.join(maps)}" if maps else "")
 
-    def direction(self, inputs: FollowInputs) -> Array:
+    def direction(self, inputs: FollowInputs) -> Singles:
         """The sum of the terms, saturated and rotated, plus the pull."""
         total = sum((term(inputs.head_velocity) for term in self.terms), np.zeros_like(inputs.own_position[:, 0]))
         if self.saturation is not None:
@@ -102,7 +101,7 @@ class RandomFollowStrategy(FollowStrategy):
         return total
 
 
-def _draw_rotation(rng: np.random.Generator) -> Array:
+def _draw_rotation(rng: np.random.Generator) -> Singles:
     """Draw a rotation ``(3, 3)`` by 30 to 150 degrees about a random axis (Rodrigues' formula)."""
     axis = rng.standard_normal(3)
     x, y, z = axis / np.linalg.norm(axis)

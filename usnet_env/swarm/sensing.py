@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usnet_env.arrays import Mask, Singles
 from usnet_env.swarm.config import NOISE_BOUND, SwarmConfig
 
 __all__ = ["ObservationBatch", "sense"]
@@ -24,18 +24,14 @@ class ObservationBatch:
         alive: ``(B, N)`` bool, false for destroyed UAVs.
     """
 
-    position: NDArray[np.float32]
-    velocity: NDArray[np.float32]
-    seen: NDArray[np.bool_]
-    alive: NDArray[np.bool_]
+    position: Singles
+    velocity: Singles
+    seen: Mask
+    alive: Mask
 
 
 def sense(
-    config: SwarmConfig,
-    position: NDArray[np.float32],
-    velocity: NDArray[np.float32],
-    alive: NDArray[np.bool_],
-    rngs: Sequence[np.random.Generator],
+    config: SwarmConfig, position: Singles, velocity: Singles, alive: Mask, rngs: Sequence[np.random.Generator]
 ) -> ObservationBatch:
     """Observe B swarms.
 

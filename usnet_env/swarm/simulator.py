@@ -14,10 +14,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
-from usnet_env.swarm.formation import draw_roles, formation
+from usnet_env.swarm.formation import FORMATIONS, check_place, draw_roles
 from usnet_env.swarm.mobility import CompiledMobility
 from usnet_env.swarm.sensing import ObservationBatch, sense
 from usnet_env.swarm.trajectory import TrajectoryBatch
@@ -45,25 +46,29 @@ class SwarmState:
         parameters: ``(B, P)`` float32, parameters of the follow strategy.
     """
 
-    head: NDArray[np.bool_]
-    decoy: NDArray[np.bool_]
-    alive: NDArray[np.bool_]
-    leader: NDArray[np.int64]
-    past_position: NDArray[np.float32]
-    past_velocity: NDArray[np.float32]
-    free: NDArray[np.int64]
-    mobility_state: NDArray[np.float64]
-    parameters: NDArray[np.float32]
+    head: Mask
+    decoy: Mask
+    alive: Mask
+    leader: Indices
+    past_position: Singles
+    past_velocity: Singles
+    free: Indices
+    mobility_state: Floats
+    parameters: Singles
 
     @property
-    def position(self) -> NDArray[np.float32]:
+    def position(self) -> Singles:
         """``(B, N, 3)`` metres, the present positions."""
         return self.past_position[..., -1, :, :]
 
     @property
-    def heads_left(self) -> NDArray[np.int64]:
+    def heads_left(self) -> Indices:
         """``(B,)`` number of living heads, |H_r|."""
         return np.asarray((self.head & self.alive).sum(axis=-1))
+
+    def roles(self) -> dict[str, NDArray[Any]]:
+        """``alive``, ``head``, ``decoy`` and ``leader`` by name, as pictures take them."""
+        return {name: getattr(self, name) for name in ("alive", "head", "decoy", "leader")}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Copies of all arrays by name; ``SwarmState(**arrays)`` restores the state."""
@@ -112,7 +117,8 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     """
     _check_types(config, None, rngs)
     episodes, uavs, memory = len(rngs), config.uavs, config.memory
-    strategy, mobility_model, place = config.follow_strategy, config.head_mobility, formation(config.formation)
+    strategy, mobility_model = config.follow_strategy, config.head_mobility
+    formation = FORMATIONS.find(config.formation)
     count = uavs if strategy is None else config.clusters + config.decoys
     head, decoy = np.empty((episodes, uavs), bool), np.empty((episodes, uavs), bool)
     leader, free = np.empty((episodes, uavs), np.int64), np.empty((episodes, count), np.int64)
@@ -124,7 +130,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
         roles = draw_roles(rng, config.clusters, uavs, config.decoys, config.cluster_sizes)
         head[b], decoy[b], leader[b] = roles.head, roles.decoy, roles.leader
         free[b] = np.arange(uavs) if strategy is None else np.flatnonzero(roles.head | roles.decoy)
-        position[b, 0] = place(rng, roles)
+        position[b, 0] = check_place("formation", formation(rng, roles), uavs)
         mobility_state[b] = mobility_model.start(rng, count)
         rng.standard_normal(out=velocity[b], dtype=np.float32)
         if strategy is not None:
@@ -146,7 +152,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     )
 
 
-def destroy(state: SwarmState, candidates: NDArray[np.bool_]) -> SwarmState:
+def destroy(state: SwarmState, candidates: Mask) -> SwarmState:
     """Destroy the candidates; followers of a destroyed head join the nearest remaining head (re-merge, paper §II-A).
 
     Args:
@@ -227,10 +233,10 @@ def _fly(
     config: SwarmConfig,
     state: SwarmState,
     motion: NDArray[np.int8],
-    mobility_state: NDArray[np.float64],
-    position: NDArray[np.float32],
-    velocity: NDArray[np.float32],
-    noise: NDArray[np.float32],
+    mobility_state: Floats,
+    position: Singles,
+    velocity: Singles,
+    noise: Singles,
     part: slice,
     rngs: Generators,
 ) -> None:
@@ -264,13 +270,13 @@ JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no fol
 
 def _fly_free(
     config: SwarmConfig,
-    free: NDArray[np.int64],
-    mobility_state: NDArray[np.float64],
-    position: NDArray[np.float32],
-    velocity: NDArray[np.float32],
+    free: Indices,
+    mobility_state: Floats,
+    position: Singles,
+    velocity: Singles,
     first: int,
     rngs: Generators,
-    jitter: NDArray[np.float32],
+    jitter: Singles,
 ) -> None:
     """Write the velocities of the free UAVs from step ``first`` to the end of ``velocity`` in place."""
     mobility_model = config.head_mobility

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.arrays import AxisLength, Indices, Singles
+
 __all__ = ["TrajectoryBatch"]
 
 
@@ -24,22 +26,20 @@ class TrajectoryBatch:
         parameters: ``(B, P)`` float32, the follow strategy's parameters of each episode.
     """
 
-    position: NDArray[np.float32]
-    velocity: NDArray[np.float32]
-    noise: NDArray[np.float32]
+    position: Singles
+    velocity: Singles
+    noise: Singles
     motion: NDArray[np.int8]
-    leader: NDArray[np.int64]
-    parameters: NDArray[np.float32]
+    leader: Indices
+    parameters: Singles
 
     @property
-    def episodes(self) -> int:
-        """B."""
-        return int(self.noise.shape[0])
+    def flight(self) -> tuple[NDArray[np.int8], Indices, int, Singles]:
+        """Who flies how, behind which head, from which step on, and with which noise: for the compiled loops."""
+        return self.motion, self.leader, self.start, self.noise
 
-    @property
-    def steps(self) -> int:
-        """S, the number of steps to simulate."""
-        return int(self.noise.shape[1])
+    episodes = AxisLength("noise", 0)  #: B
+    steps = AxisLength("noise", 1)  #: S, the number of steps to simulate
 
     @property
     def start(self) -> int:

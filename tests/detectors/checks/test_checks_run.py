@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 from sklearn.base import clone
 
+from detectors import Detector
 from detectors.checks import (
     CHECKS,
     DetectorChecksError,
@@ -24,7 +25,8 @@ from detectors.checks import (
 )
 from detectors.checks.leakage import find_truth
 from detectors.checks.windows import make_hovering_window, permute_uavs, simulate_missing_samples, simulate_window
-from usnet_env import ArgumentError, Window
+from usnet_env import ArgumentError, Detection, Window
+from usnet_env.detection import Tags
 from usnet_env.swarm import SwarmConfig
 
 NAMES = [check.__name__ for check in CHECKS]
@@ -308,3 +310,20 @@ def test_nothing_is_in_reach_of_a_window_from_an_environment():
     assert find_truth(env.reset, "it").endswith(", a gymnasium.wrappers.common.OrderEnforcing")
     for held in (env, env.unwrapped, env.unwrapped.swarm, functools.partial(env.step)):
         assert find_truth(held, "it")
+
+
+class Limited(Detector):
+    """Takes long windows of few UAVs only."""
+
+    tags = Tags(most_uavs=12, least_steps=40)
+
+    def detect(self, window):
+        """Name the living UAVs."""
+        if window.uavs > 12 or window.observation_steps < 40:
+            raise ArgumentError("window must hold at most 12 UAVs and at least 40 velocities.")
+        return Detection(window.alive, window.alive)
+
+
+def test_the_windows_respect_the_tags():
+    results = check_detector(Limited())
+    assert {result.status for result in results} == {"passed"}

@@ -15,6 +15,7 @@ from detectors.clustering import (
     make_clusterer,
     register_clusterer,
 )
+from detectors.clustering.registry import CLUSTERERS
 from usnet_env import ArgumentError, Window
 from usnet_env.objectives import head_in_cluster, purity
 
@@ -262,7 +263,7 @@ def test_a_custom_clusterer():
 
     window, _, _ = swarm_window(11, clusters=2, uavs=20)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("detectors.clustering.base._CLUSTERERS", dict(clusterers()))
+        patch.setattr(CLUSTERERS, "_registered", {})
         register_clusterer("halves", Halves)
         clustering = cluster("halves", window, count=2)
     assert clustering.count == 2

@@ -19,8 +19,7 @@ class OwnDelays(FollowStrategy):
     lags = 3
 
     def direction(self, inputs):
-        delay = np.arange(len(inputs.own_position)) % 3
-        return inputs.head_velocity[np.arange(len(delay)), delay]
+        return inputs.head_velocity[np.arange(len(inputs.follower)), inputs.follower % 3]
 
 
 def majority(inputs):
