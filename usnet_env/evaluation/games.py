@@ -23,7 +23,6 @@ from usnet_env.evaluation.schedule import Seeds
 from usnet_env.evaluation.store import COLUMNS
 from usnet_env.evaluation.workers import PREPARE, Task
 from usnet_env.files import as_path
-from usnet_env.multiagent.registration import GAMES
 from usnet_env.plugins import make_detector
 from usnet_env.processes import Limits
 
@@ -201,6 +200,8 @@ def evaluate_games(
 
 
 def _find_game(game: Any) -> Callable[..., UsnetParallelEnv]:
+    from usnet_env.multiagent.registration import GAMES  # not at the top: it registers the games with PettingZoo
+
     if callable(game):
         return game
     if not isinstance(game, str) or game not in GAMES:

@@ -24,7 +24,7 @@ from usnet_env.evaluation.statistics import (
     performance_profile,
     rate_interval,
 )
-from usnet_env.evaluation.store import KEYS, load_run
+from usnet_env.evaluation.store import KEYS, last_secret, load_run
 from usnet_env.evaluation.table import RowTable
 from usnet_env.files import as_path
 
@@ -134,8 +134,7 @@ class EvaluationResult:
         order = {label: place for place, label in enumerate(config["detectors"])}
         labels = np.array([order.get(label, len(order)) for label in table.column("detector")], np.int64)
         table = table.take(np.lexsort((table.column("episode"), labels)))
-        secrets = {"secret": description["secrets"][-1]} if description.get("secrets") else {}
-        return cls(table, summarise(table), config | secrets)
+        return cls(table, summarise(table), config | last_secret(description))
 
     def __repr__(self) -> str:
         return f"<EvaluationResult of {self._title()}>"

@@ -22,7 +22,7 @@ from usnet_env.evaluation.table import Columns, RowTable, read_table
 from usnet_env.files import FileLock, atomic_write
 from usnet_env.provenance import machine, versions
 
-__all__ = ["COLUMNS", "KEYS", "RowFile", "RunStore", "load_run", "write_text"]
+__all__ = ["COLUMNS", "KEYS", "RowFile", "RunStore", "last_secret", "load_run", "write_text"]
 
 RUN, EPISODES, SUMMARY = "run.json", "episodes.csv", "summary.json"
 
@@ -272,6 +272,10 @@ class RunStore:
             secrets = dict.fromkeys([*self._description.get("secrets", []), secret])
             self._describe(self._description | {"secrets": list(secrets)})
 
+    def describe_secret(self) -> dict[str, Any]:
+        """The last secret of an isolated run."""
+        return last_secret(self._description)
+
     def _describe(self, description: dict[str, Any]) -> None:
         self._lock.check()
         write_text(self.folder / RUN, json.dumps(description, indent=2) + "\n")
@@ -308,6 +312,12 @@ def load_run(folder: Path) -> tuple[dict[str, Any], RowTable]:
         return description, read_table(folder / EPISODES, columns)
     except ValueError:
         raise _broken_rows(folder) from None
+
+
+def last_secret(description: Mapping[str, Any]) -> dict[str, Any]:
+    """The last secret of an isolated run, as a part of its arguments."""
+    secrets = description.get("secrets")
+    return {"secret": secrets[-1]} if secrets else {}
 
 
 def _read_description(folder: Path) -> dict[str, Any]:
