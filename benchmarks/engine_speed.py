@@ -1,17 +1,22 @@
-"""Speed and memory of the evaluator's store, of its summary, and of isolation.
+"""Speed and memory of the evaluator: its store, its summary, isolation, its backends, and what the engine itself costs.
 
-    OMP_NUM_THREADS=1 python benchmarks/engine_speed.py     # writes benchmarks/results/engine_speed.json
+    OMP_NUM_THREADS=1 python benchmarks/engine_speed.py            # all parts but Ray's
+    OMP_NUM_THREADS=1 RAY_worker_niceness=0 python benchmarks/engine_speed.py ray ray_computing    # needs Ray
 
-``append``: milliseconds and bytes for a row, with few and with many rows in the file. ``episodes``: seconds and peak
-memory of a process that evaluates episodes whose playing costs nothing. ``summary``: seconds and peak memory of a
-process that reads the rows of a run and summarises them. ``isolation``: milliseconds of an answer of the detector
-``none`` in its own process and in this one, in turns.
+The parts are merged into benchmarks/results/engine_speed.json. ``append``: milliseconds and bytes for a row, with few
+and with many rows in the file. ``episodes``: seconds and peak memory of a process that evaluates episodes whose playing
+costs nothing. ``summary``: seconds and peak memory of a process that reads the rows of a run and summarises them.
+``isolation``: milliseconds of an answer of the detector ``none`` in its own process and in this one, in turns.
+``engine``: what `evaluate` with a folder adds to a loop over the same episodes, whose detections take 10 ms; in turns.
+``ray`` and ``ray_computing``: seconds of a run on one and on two nodes of one core, in turns, with a detector that
+waits, and with one that computes, for half a second; tasks that cost nothing for each second.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -22,10 +27,12 @@ import gymnasium as gym
 import numpy as np
 from speed_helpers import ROOT, write_json
 
+from usnet_env import Detection, Window, evaluate
 from usnet_env.evaluation.agents import as_agent
+from usnet_env.evaluation.episode import episode_seeds, play_episode
 from usnet_env.evaluation.isolation import IsolatedAgent
 from usnet_env.evaluation.metrics import METRICS
-from usnet_env.evaluation.store import COLUMNS, RowFile
+from usnet_env.evaluation.store import COLUMNS, RowFile, RunStore
 from usnet_env.plugins import make_detector
 from usnet_env.processes import Limits
 from usnet_env.provenance import machine, versions
@@ -42,12 +49,13 @@ from pathlib import Path
 from usnet_env.evaluation.result import summarise
 from usnet_env.evaluation.store import COLUMNS
 from usnet_env.evaluation.table import read_table
-begun = time.perf_counter()
+begun, used = time.perf_counter(), time.process_time()
 table = read_table(Path(sys.argv[1]), COLUMNS)
 read = time.perf_counter() - begun
 summary = summarise(table)
 seconds = time.perf_counter() - begun
-print(json.dumps({"rows": len(table), "seconds_reading": read, "seconds": seconds, "bytes": peak()}))
+print(json.dumps({"rows": len(table), "seconds_reading": read, "seconds": seconds,
+                  "cpu_seconds": time.process_time() - used, "bytes": peak()}))
 """
 EPISODES = """
 import json, sys, time
@@ -59,9 +67,10 @@ def play_at_once(env, agent, label, episode, seeds):  # the episodes cost nothin
     return names | {"uavs": 82, "heads": 5} | {name: episode % 2 for name in METRICS}
 
 workers.play_episode = play_at_once
-begun = time.perf_counter()
+begun, used = time.perf_counter(), time.process_time()
 result = evaluate("USNET/MultiCluster-v0", "none", episodes=int(sys.argv[1]), out=sys.argv[2])
-print(json.dumps({"episodes": len(result.rows), "seconds": time.perf_counter() - begun, "bytes": peak()}))
+print(json.dumps({"episodes": len(result.rows), "seconds": time.perf_counter() - begun,
+                  "cpu_seconds": time.process_time() - used, "bytes": peak()}))
 """
 
 
@@ -101,12 +110,13 @@ def append(path: Path, sizes: tuple[int, ...]) -> dict[str, object]:
         for size in sizes:
             while len(file.table) < size:
                 file.append(rows)
-            before, begun = path.stat().st_size, time.perf_counter()
+            before, begun, used = path.stat().st_size, time.perf_counter(), time.process_time()
             for row in rows:
                 file.append([row])
-            seconds = time.perf_counter() - begun
+            seconds, cpu_seconds = time.perf_counter() - begun, time.process_time() - used
             found[f"{size}"] = {
                 "milliseconds": 1e3 * seconds / len(rows),
+                "cpu_milliseconds": 1e3 * cpu_seconds / len(rows),
                 "bytes": (path.stat().st_size - before) / len(rows),
             }
     return found
@@ -152,24 +162,157 @@ def isolation(turns: int) -> dict[str, object]:
     return found
 
 
+class Takes:
+    """A detector that names all UAVs, so that an episode has one round, after a fixed time.
+
+    Args:
+        seconds: of an answer.
+        computing: whether it computes for that time; else it waits.
+    """
+
+    def __init__(self, seconds: float = 0.01, computing: bool = False) -> None:
+        self.seconds, self.computing = seconds, computing
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode."""
+
+    def detect(self, window: Window) -> Detection:
+        """Name all UAVs."""
+        if self.computing:
+            end = time.process_time() + self.seconds
+            while time.process_time() < end:
+                pass
+        else:
+            time.sleep(self.seconds)
+        return Detection(window.alive, window.alive)
+
+
+def engine(episodes: int, turns: int) -> dict[str, object]:
+    """What the runner, the store and the summary add to a plain loop over episodes of one detection of 10 ms."""
+    env = gym.make("USNET/MultiCluster-v0")
+    found: dict[str, list[float]] = {"loop": [], "evaluate": []}
+    cpu: dict[str, list[float]] = {"loop": [], "evaluate": []}
+    for turn in range(turns):
+        for name in found:
+            begun, used = time.perf_counter(), time.process_time()
+            if name == "loop":
+                agent = as_agent(Takes())
+                for episode in range(episodes):
+                    play_episode(env, agent, "takes", episode, episode_seeds(turn, episode))
+            else:
+                with tempfile.TemporaryDirectory() as folder:
+                    evaluate(env, Takes(), episodes=episodes, seed=turn, out=folder)
+            found[name].append(time.perf_counter() - begun)
+            cpu[name].append(time.process_time() - used)
+    loop, whole = np.array(found["loop"]), np.array(found["evaluate"])
+    added = np.array(cpu["evaluate"]) - np.array(cpu["loop"])
+    return {
+        "episodes": episodes,
+        "turns": turns,
+        "seconds_of_the_loop": float(np.median(loop)),
+        "share_added": float(np.median(whole / loop) - 1),
+        "share_of_cpu_seconds_added": float(np.median(added / loop)),
+    }
+
+
+def ray_nodes(episodes: int, turns: int, computing: bool) -> dict[str, object]:
+    """Seconds of a run on one and two nodes of one core of a local Ray cluster, which has started; in turns."""
+    from ray.cluster_utils import Cluster
+
+    from usnet_env.processes import RayPool
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    for _ in range(2):
+        cluster.add_node(num_cpus=1)
+    cluster.wait_for_nodes()
+    import ray
+
+    ray.init(cluster.address, log_to_driver=False)
+    taken: dict[int, list[float]] = {1: [], 2: []}
+    for turn in range(turns):
+        for nodes, seconds in taken.items():
+            seconds.append(Timed(Takes(0.5, computing), episodes, turn, nodes).seconds)
+            print(f"turn {turn}, {nodes} nodes: {seconds[-1]:.2f} s", flush=True)
+    found: dict[str, object] = {
+        "episodes": episodes,
+        "turns": turns,
+        "seconds_on_one_node": float(np.median(taken[1])),
+        "seconds_on_two_nodes": float(np.median(taken[2])),
+        "ratio": float(np.median(np.array(taken[1]) / np.array(taken[2]))),
+    }
+    pool = RayPool(abs, 2)
+    times = [time.perf_counter() for _ in pool.run(range(4_000))]
+    found["empty_tasks_per_second"] = 2_000 / (times[-1] - times[-2_001])
+    ray.shutdown()
+    cluster.shutdown()
+    return found
+
+
+class Timed:
+    """A run on Ray, timed from its first row to its last one: without the start of the workers."""
+
+    def __init__(self, detector: Takes, episodes: int, seed: int, nodes: int) -> None:
+        self.ends: list[float] = []
+        append = RunStore.append
+
+        def note(store: RunStore, rows: list[dict[str, object]]) -> None:
+            append(store, rows)
+            self.ends.append(time.perf_counter())
+
+        RunStore.append = note  # type: ignore[method-assign]
+        try:
+            with tempfile.TemporaryDirectory() as folder:
+                evaluate(
+                    "USNET/MultiCluster-v0",
+                    detector,
+                    episodes=episodes,
+                    seed=seed,
+                    workers=nodes,
+                    backend="ray",
+                    out=folder,
+                )
+        finally:
+            RunStore.append = append  # type: ignore[method-assign]
+        skipped = episodes // 4  # the second node may start later
+        self.seconds = self.ends[-1] - self.ends[skipped]
+
+
 def main() -> None:
     """Measure, and write the file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", help="which parts; by default all but ray")
     parser.add_argument("--rows", type=int, default=1_000_000, help="of the summary")
     parser.add_argument("--episodes", type=int, default=200_000)
-    parser.add_argument("--turns", type=int, default=500)
+    parser.add_argument("--turns", type=int, default=500, help="of the isolation")
     parser.add_argument("--out", type=Path, default=OUT)
     arguments = parser.parse_args()
-    result: dict[str, object] = {"machine": machine(), "versions": versions()}
     with tempfile.TemporaryDirectory() as folder:
-        result["isolation"] = isolation(arguments.turns)
-        result["append"] = append(Path(folder) / "append.csv", (1_000, 10_000, 100_000))
         rows = Path(folder) / "rows.csv"
-        write_rows(rows, arguments.rows, 5)
-        result["summary"] = run(SUMMARY, rows)
-        result["episodes"] = run(EPISODES, arguments.episodes, Path(folder) / "run")
-    write_json(arguments.out, result)
-    print(json.dumps(result, indent=1))
+
+        def summary() -> dict[str, float]:
+            write_rows(rows, arguments.rows, 5)
+            return run(SUMMARY, rows)
+
+        parts = {
+            "isolation": lambda: isolation(arguments.turns),
+            "append": lambda: append(Path(folder) / "append.csv", (1_000, 10_000, 100_000, 1_000_000)),
+            "summary": summary,
+            "episodes": lambda: run(EPISODES, arguments.episodes, Path(folder) / "run"),
+            "engine": lambda: engine(200, 5),
+            "ray": lambda: ray_nodes(40, 3, computing=False),
+            "ray_computing": lambda: ray_nodes(40, 3, computing=True),
+        }
+        for name in arguments.parts or [name for name in parts if not name.startswith("ray")]:
+            load, values = os.getloadavg()[0], parts[name]()
+            how = {
+                "command": f"OMP_NUM_THREADS=1 python benchmarks/engine_speed.py {name}",
+                "load_before_and_after": [load, os.getloadavg()[0]],  # other processes share the cores above about 1
+            }
+            result = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
+            measured = result.get("measured", {}) | {name: how}
+            about = {"machine": machine(), "versions": versions(["ray"]) | result.get("versions", {})}
+            write_json(arguments.out, result | about | {name: values, "measured": measured})
+            print(json.dumps({name: values, **how}, indent=1), flush=True)
 
 
 if __name__ == "__main__":

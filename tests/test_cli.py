@@ -273,7 +273,7 @@ def test_help_imports_nothing_heavy(fresh_process):
         (["--seed", ""], ["--seed", "''"]),
         (["--workers", "0"], ["--workers", "'0'"]),
         (["--workers", "inf"], ["--workers", "'inf'"]),
-        (["--workers", "100000"], ["--workers", "256"]),
+        (["--workers", "100000"], ["--workers", "4096"]),
         (["--env", "USNET/MultiCluster"], ["env ", "USNET/MultiCluster-v0"]),
         (["--env", "Usnet/Multicluster-v0"], ["env ", "USNET/MultiCluster-v0"]),
         (["--env", "CartPole-v1"], ["env ", "USNET environment"]),

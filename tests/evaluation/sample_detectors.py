@@ -173,6 +173,25 @@ class Slow(AllAlive):
         return super().detect(window)
 
 
+class Mortal(RandomThird):
+    """Takes a twentieth of a second for each round; in its third episode it ends as the environment variable says."""
+
+    episodes = 0
+
+    def reset(self, seed=None):
+        super().reset(seed)
+        self.episodes += 1
+
+    def detect(self, window):
+        time.sleep(0.05)
+        how = os.environ.get("USNET_TEST_DEATH")
+        if how and self.episodes == 3:
+            if how == "raise":
+                raise ZeroDivisionError("nothing to divide by")
+            return Ending(how, first=True).detect(window)
+        return super().detect(window)
+
+
 class Policy:
     """A policy with Stable-Baselines3's ``predict``: names one UAV a round, and checks its arguments."""
 

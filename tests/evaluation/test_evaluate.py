@@ -210,6 +210,14 @@ def test_equal_detectors_get_different_labels():
     assert labels == ["NoUav", "NoUav #2", "Followed(clusters=2)", "Followed"]
 
 
+def test_a_mapping_names_the_detectors():
+    result = evaluate(MULTI, {"my third": RandomThird(), "all": AllAlive()}, episodes=1, env_kwargs=SMALL, trivial=True)
+    labels = [entry["detector"] for entry in result.summary]
+    assert labels == ["my third", "all", *TRIVIAL]
+    with pytest.raises(ArgumentError, match=r"^label must be a text of printable characters, got 'a\\nb'"):
+        evaluate(MULTI, {"a\nb": AllAlive()}, episodes=1)
+
+
 def test_names_are_labels_and_the_trivial_policies_join():
     result = evaluate(MULTI, ["random", NoUav()], episodes=2, env_kwargs=SMALL, trivial=True)
     labels = [entry["detector"] for entry in result.summary]
@@ -418,6 +426,8 @@ def test_a_detector_that_cannot_be_pickled_needs_one_worker():
         ({"detector": "lagged-regresion"}, ["lagged-regression"]),
         ({"detector": ["none", "none"]}, ["detector ", "twice"]),
         ({"detector": []}, ["detector ", "empty"]),
+        ({"detector": {}}, ["detector ", "empty"]),
+        ({"detector": {3: "none"}}, ["label", "3"]),
         ({"detector": AllAlive}, ["detector ", "AllAlive"]),
         ({"detector": 3.5}, ["detector ", "3.5"]),
         ({"env_kwargs": {"folow": "f1"}}, ["folow", "'follow'", "miss_rate"]),

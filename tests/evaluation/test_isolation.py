@@ -11,7 +11,7 @@ import pytest
 from sample_detectors import AllAlive, Ending, Followed, Policy, RandomThird
 
 from usnet_env import ArgumentError, evaluate
-from usnet_env.evaluation import EvaluationError
+from usnet_env.evaluation import EvaluationError, runner
 from usnet_env.evaluation.agents import as_agent
 from usnet_env.evaluation.episode import episode_seeds, play_episode
 from usnet_env.evaluation.isolation import IsolatedAgent
@@ -30,24 +30,30 @@ def untimed(rows, *more):
     return [{name: value for name, value in row.items() if name not in left_out} for row in rows]
 
 
-def exact_rates(result):
-    return {entry["detector"].rpartition(":")[2]: entry["metrics"]["exact"]["mean"] for entry in result.summary}
+HONEST = "random(count=2)"
 
 
 def play_cheats(monkeypatch, names, **more):
     monkeypatch.syspath_prepend(CHEATS)
-    detectors = [f"cheating_detectors:{name}" for name in (*names, "Good")]
+    detectors = {name: f"guessing_cheats:{name}" for name in names} | {HONEST: HONEST}
     return evaluate(MULTI, detectors, episodes=2, env_kwargs=CHEATED, **more)
 
 
-def check_cheats(monkeypatch, names):
-    """Cheats that name all heads play like the detector that they fall back to, once they are isolated."""
-    assert exact_rates(play_cheats(monkeypatch, names)) == dict.fromkeys(names, 1.0) | {"Good": 0.0}
+def check_isolated(monkeypatch, names):
+    """Isolated cheats have the rows of `random`."""
     isolated = play_cheats(monkeypatch, names, isolate=True)
-    honest = [row for row in isolated.rows if row["detector"].endswith("Good")]
+    rows = {label: [row for row in isolated.rows if row["detector"] == label] for label in (*names, HONEST)}
     for name in names:
-        own = [row for row in isolated.rows if row["detector"].endswith(f":{name}")]
-        assert untimed(own, "detector") == untimed(honest, "detector")
+        assert untimed(rows[name], "detector") == untimed(rows[HONEST], "detector"), name
+
+
+def check_cheats(monkeypatch, names):
+    """Cheats that name all heads in the process of the environment score like `random` once they are isolated."""
+    found = play_cheats(monkeypatch, names)
+    assert {label: found[label]["exact"]["mean"] for label in (*names, HONEST)} == dict.fromkeys(names, 1.0) | {
+        HONEST: 0.0
+    }
+    check_isolated(monkeypatch, names)
 
 
 def test_peeking_and_searching_finds_nothing_in_isolation(monkeypatch):
@@ -57,6 +63,27 @@ def test_peeking_and_searching_finds_nothing_in_isolation(monkeypatch):
 @pytest.mark.slow
 def test_more_cheats_find_nothing_in_isolation(monkeypatch):
     check_cheats(monkeypatch, ["PeeksIntoMemory", "PeeksWhereNothingIsChecked", "SearchesItsSeed"])
+
+
+@pytest.mark.slow
+def test_an_environment_in_a_variable_of_a_module_is_not_found_in_isolation(monkeypatch):
+    make = runner.make_environment
+
+    def keep(*arguments):
+        made = make(*arguments)
+        for module in (runner, sys.modules["__main__"]):
+            monkeypatch.setattr(module, "environment_of_this_test", made, raising=False)
+        return made
+
+    monkeypatch.setattr(runner, "make_environment", keep)
+    check_cheats(monkeypatch, ["PeeksIntoModules", "PeeksIntoTheMainModule"])
+
+
+@pytest.mark.slow
+def test_what_changes_the_referee_changes_nothing_in_isolation(monkeypatch):
+    check_isolated(
+        monkeypatch, ["PatchesTheScore", "PatchesCode", "PatchesAnEnvironment", "PatchesARival", "PatchesNumPy"]
+    )
 
 
 def test_a_detector_s_code_is_loaded_in_its_own_process_only(tmp_path, monkeypatch):

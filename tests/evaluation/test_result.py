@@ -1,10 +1,18 @@
-"""The ranked table of an evaluation, and the sentence about the best detector."""
+"""Tables, comparisons and aggregates of an evaluation."""
 
 from __future__ import annotations
 
+import sys
+
+import numpy as np
 import pytest
 
-from usnet_env.evaluation import METRICS, EvaluationResult
+from usnet_env import ArgumentError
+from usnet_env.evaluation import METRICS, EvaluationResult, interquartile_means, performance_profiles
+from usnet_env.evaluation.result import summarise
+from usnet_env.evaluation.statistics import mean_interval, paired_test
+from usnet_env.evaluation.store import COLUMNS
+from usnet_env.evaluation.table import RowTable
 
 
 def made_up(**objectives):
@@ -49,3 +57,115 @@ def test_the_ranking_points_to_the_better_values_of_each_problem():
     single = made_up(a=(-2, -2, -2), b=(-1, -1, -1)).ranking()
     assert str(single.columns[1].header).startswith("J_s↑")
     assert [str(cell) for cell in single.columns[0].cells] == ["b", "a"]
+
+
+def from_values(env="USNET/Made-v0", **values):
+    """A result whose detectors have these values of J, episode by episode; ``None``: not played."""
+    rows = RowTable(
+        COLUMNS,
+        [
+            dict.fromkeys(COLUMNS, 0) | {"detector": name, "episode": episode, "swarm_seed": 100 + episode, "J": value}
+            for name, own in values.items()
+            for episode, value in enumerate(own)
+            if value is not None
+        ],
+    )
+    return EvaluationResult(rows, summarise(rows), {"env": env})
+
+
+def test_the_repr_is_a_line_and_html_is_escaped():
+    result = from_values(**{"a<b>": [1.0, 2.0], "c": [3.0, 4.0]})
+    assert repr(result) == "<EvaluationResult of USNET/Made-v0: 2 detectors, 2 episodes each>"
+    html = result._repr_html_()
+    assert html.startswith("<table><caption>USNET/Made-v0: 2 detectors")
+    assert html.index("a&lt;b&gt;") < html.index("<td>c</td>")
+    assert "a<b>" not in html
+    assert (
+        EvaluationResult(RowTable(COLUMNS), [], {"env": "E"})._repr_html_() == "<p>E: 0 detectors, 0 episodes each</p>"
+    )
+
+
+def test_markdown_and_latex_hold_the_means_and_intervals():
+    result = from_values(**{"a|b": [2.0, 2.0], "c_d(x=1)": [3.0, 3.0]})
+    assert result.to_markdown(["J", "success"]) == (
+        "| detector | episodes | J | success |\n"
+        "| --- | ---: | ---: | ---: |\n"
+        "| a\\|b | 2 | 2.000 (2.000 to 2.000) | 0.000 (0.000 to 0.658) |\n"
+        "| c_d(x=1) | 2 | 3.000 (3.000 to 3.000) | 0.000 (0.000 to 0.658) |\n"
+    )
+    assert result.to_latex(["J"]).splitlines() == [
+        r"\begin{tabular}{lrr}",
+        r"\toprule",
+        r"detector & episodes & J \\",
+        r"\midrule",
+        r"a|b & 2 & $2.000$ ($2.000$ to $2.000$) \\",
+        r"c\_d(x=1) & 2 & $3.000$ ($3.000$ to $3.000$) \\",
+        r"\bottomrule",
+        r"\end{tabular}",
+    ]
+    assert len(result.to_markdown().splitlines()[0].split("|")) == 2 + 2 + len(METRICS)
+    with pytest.raises(ArgumentError, match=r"^metrics must be one of .*'j'"):
+        result.to_markdown(["j"])
+
+
+def test_a_frame_has_a_row_for_each_episode(monkeypatch):
+    pytest.importorskip("pandas")
+    result = from_values(a=[1.0, 2.0], b=[3.0])
+    frame = result.to_frame()
+    assert list(frame.columns) == list(COLUMNS)
+    assert frame.groupby("detector")["J"].mean().to_dict() == {"a": 1.5, "b": 3.0}
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ArgumentError, match=r"^to_frame must find pandas, .*`pip install pandas`"):
+        result.to_frame()
+
+
+def test_a_comparison_pairs_the_episodes_that_both_have_played():
+    rng = np.random.default_rng(0)
+    swarm = rng.normal(5, 3, 40)  # differs much more between swarms than between detectors
+    values = {"a": swarm, "b": swarm + rng.normal(0.5, 0.2, 40), "c": swarm + rng.normal(0, 0.2, 40)}
+    result = from_values(a=[*values["a"], 1.0], b=values["b"], c=[*values["c"][:-1], None])
+    found = result.compare("a", "b")
+    differences = values["a"] - values["b"]
+    assert (found.a, found.b, found.metric, found.episodes, found.comparisons) == ("a", "b", "J", 40, 1)
+    assert (found.difference, found.low, found.high) == mean_interval(differences)
+    assert found.p == paired_test(differences) == 1e-4
+    assert str(found).startswith(f"J of a minus b: {found.difference:+.4g} (95 % interval ")
+    several = result.compare("a")
+    assert [(each.b, each.episodes, each.comparisons) for each in several] == [("b", 40, 2), ("c", 39, 2)]
+    assert several[0].low < found.low < found.high < several[0].high
+    assert several[0].p == 2e-4
+    assert several[1].low < 0 < several[1].high
+    assert result.compare("a", ["b", "c"]) == several
+    assert result.compare("a", []) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("a", "z"), ["detector must be one of a, b", "'z'"]),
+        (("z",), ["detector", "'z'"]),
+        (("a", "b", "j"), ["metric must be one of", "'j'"]),
+        (("a", "b", "purity_first"), ["b must have episodes with purity_first in common"]),
+    ],
+)
+def test_what_cannot_be_compared_is_one_sentence(arguments, words):
+    result = from_values(a=[1.0], b=[2.0])
+    rows = RowTable(COLUMNS, ({**row, "purity_first": None} for row in result.rows))
+    with pytest.raises(ArgumentError) as refused:
+        EvaluationResult(rows, summarise(rows), result.config).compare(*arguments)
+    assert all(word in str(refused.value) for word in words), refused.value
+
+
+def test_aggregates_cover_several_environments():
+    first, second = from_values(a=[1.0, 2.0, 3.0, 40.0], b=[5.0] * 4), from_values(a=[2.0] * 4, b=[5.0] * 4)
+    assert first.interquartile_means()["a"].mean == 2.5
+    assert interquartile_means([first, second])["a"].mean == 2.0
+    assert interquartile_means([first, second])["b"] == (5.0, 5.0, 5.0)
+    profile = performance_profiles([first, second], thresholds=[1.0, 2.5, 50.0])["a"]
+    assert profile.share.tolist() == [0.0, 0.75, 1.0]  # lower J_m is better: (2/4 + 4/4) / 2 below 2.5
+    assert first.performance_profiles("ap_first", [-0.5, 0.5])["a"].share.tolist() == [1.0, 0.0]
+    assert len(first.performance_profiles()["b"].share) == 101
+    with pytest.raises(ArgumentError, match=r"^results must hold J of the same detectors, got one without 'b'"):
+        interquartile_means([first, from_values(a=[1.0])])
+    with pytest.raises(ArgumentError, match=r"^results must hold at least one"):
+        interquartile_means([])

@@ -4,11 +4,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binomtest, bootstrap, norm
+from scipy.stats import binomtest, bootstrap, norm, permutation_test, trim_mean
 
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation import statistics
-from usnet_env.evaluation.statistics import mean_interval, rate_interval
+from usnet_env.evaluation.statistics import (
+    holm,
+    interquartile_mean,
+    mean_interval,
+    paired_test,
+    performance_profile,
+    rate_interval,
+)
 
 NUMBERS = st.floats(-1e6, 1e6)
 
@@ -110,3 +117,89 @@ def test_no_interval_without_finite_numbers(values):
 def test_a_rate_is_made_of_zeros_and_ones():
     with pytest.raises(ArgumentError, match="0 or 1"):
         rate_interval([0.5])
+
+
+TASKS = [np.random.default_rng(task).gamma(2, size=n) + task for task, n in enumerate((30, 45, 60))]
+
+
+def slow_middle_mean(values):
+    ranked = sorted(values)
+    cut = int(0.25 * len(ranked))
+    middle = ranked[cut : len(ranked) - cut]
+    return sum(middle) / len(middle)
+
+
+def slow_profile(tasks, thresholds):
+    """rliable's definition, in loops."""
+    return [
+        sum(sum(1 for value in task if value > threshold) / len(task) for task in tasks) / len(tasks)
+        for threshold in thresholds
+    ]
+
+
+def slow_bootstrap(tasks, statistic, resamples):
+    """Draws each task's values on their own, as rliable's StratifiedBootstrap does."""
+    rng = np.random.default_rng(11)
+    found = [statistic([rng.choice(task, len(task)) for task in tasks]) for _ in range(resamples)]
+    return np.quantile(found, [0.025, 0.975], axis=0)
+
+
+@given(st.lists(NUMBERS, min_size=1, max_size=40))
+def test_the_interquartile_mean_is_scipy_s_and_the_slow_one(values):
+    ours = interquartile_mean([values]).mean
+    assert ours == pytest.approx(slow_middle_mean(values), rel=1e-9, abs=1e-6)
+    assert ours == pytest.approx(trim_mean(values, 0.25), rel=1e-9, abs=1e-6)
+
+
+def test_the_interval_of_the_interquartile_mean_is_that_of_the_slow_stratified_bootstrap(monkeypatch):
+    ours = interquartile_mean(TASKS)
+    low, high = slow_bootstrap(TASKS, lambda tasks: slow_middle_mean(np.concatenate(tasks)), 2_000)
+    assert ours.low == pytest.approx(low, abs=0.06 * (high - low))
+    assert ours.high == pytest.approx(high, abs=0.06 * (high - low))
+    large = [np.random.default_rng(task).gamma(2, size=3_000) for task in range(2)]
+    computed = interquartile_mean(large)
+    monkeypatch.setattr(statistics, "_MOST_RESAMPLED", 6_000)
+    monkeypatch.setattr(statistics, "_RESAMPLES", 999)
+    drawn = interquartile_mean(large)
+    width = drawn.high - drawn.low
+    assert computed.mean == drawn.mean
+    assert computed.low == pytest.approx(drawn.low, abs=0.1 * width)
+    assert computed.high == pytest.approx(drawn.high, abs=0.1 * width)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_profile_is_that_of_the_slow_reference(sign):
+    thresholds = [3.0, 0.5, 1.0, TASKS[1][7], 100.0, -1.0]  # in any order, and one that is a value
+    tasks = [sign * task for task in TASKS]
+    ours = performance_profile(tasks, [sign * each for each in thresholds], lower_is_better=sign == -1)
+    assert ours.share == pytest.approx(slow_profile(TASKS, thresholds))
+    low, high = slow_bootstrap(TASKS, lambda parts: slow_profile(parts, thresholds), 1_000)
+    assert ours.low == pytest.approx(low, abs=0.015)
+    assert ours.high == pytest.approx(high, abs=0.015)
+    assert ours.thresholds.tolist() == [sign * each for each in thresholds]
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.25, 0.5, 3.0])
+def test_the_paired_test_is_scipy_s(shift, monkeypatch):
+    sample = np.random.default_rng(5).normal(shift, 1.0, 30)
+    theirs = permutation_test(
+        (sample,), np.sum, permutation_type="samples", n_resamples=9_999, rng=np.random.default_rng(2)
+    )
+    assert paired_test(sample) == pytest.approx(theirs.pvalue, abs=0.02)
+    many = np.random.default_rng(6).normal(shift / 20, 1.0, 5_001)
+    limit = paired_test(many)
+    monkeypatch.setattr(statistics, "_MOST_RESAMPLED", 5_001)
+    assert paired_test(many) == pytest.approx(limit, abs=0.02)
+
+
+def test_the_paired_test_of_no_difference_and_of_one():
+    assert paired_test([0.0, 0.0]) == 1.0
+    assert paired_test([2.0]) == pytest.approx(1.0)
+    assert paired_test([1.0, 1.0]) == pytest.approx(0.5, abs=0.02)  # two of four sign changes are as large
+
+
+def test_holm_is_its_definition():
+    values = [0.01, 0.04, 0.03, 0.005]
+    assert holm(values) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.7, 0.6]) == [1.0, 1.0]
+    assert holm([]) == []

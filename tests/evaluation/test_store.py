@@ -13,7 +13,7 @@ import pytest
 from sample_detectors import AllAlive, Base, Failing, Followed, Policy, RandomThird
 
 from usnet_env import ArgumentError, Detection, evaluate
-from usnet_env.evaluation import EvaluationError
+from usnet_env.evaluation import EvaluationError, EvaluationResult
 from usnet_env.evaluation.store import COLUMNS, write_text
 from usnet_env.swarm.follow import StayInRange
 
@@ -116,6 +116,48 @@ def test_a_row_that_a_killed_run_has_torn_is_played_again_and_the_rows_are_sorte
     assert [kept[1], kept[4], kept[5]] == [lines[0], lines[3], lines[4]]
 
 
+def test_more_episodes_and_detectors_join_a_run_and_its_rows_stay(tmp_path):
+    first = Counted()
+    asked = {"env_kwargs": SMALL, "seed": 4, "out": tmp_path}
+    evaluate(MULTI, first, episodes=2, **asked)
+    kept = (tmp_path / "episodes.csv").read_text().splitlines()
+    more = evaluate(MULTI, first, episodes=3, **asked)
+    assert first.begun == 3
+    assert [entry["episodes"] for entry in more.summary] == [3]
+    other = AllAlive()
+    both = evaluate(MULTI, other, episodes=3, **asked)
+    assert first.begun == 3
+    assert (tmp_path / "episodes.csv").read_text().splitlines()[:3] == kept
+    assert untimed(both.rows) == untimed(evaluate(MULTI, [first, other], episodes=3, seed=4, env_kwargs=SMALL).rows)
+    assert both.config["detectors"] == ["Counted", "AllAlive"]
+    assert json.loads((tmp_path / "run.json").read_text())["config"] == both.config
+    assert json.loads((tmp_path / "summary.json").read_text()) == both.summary
+    longer = evaluate(MULTI, AllAlive(), episodes=5, **asked)
+    assert [entry["episodes"] for entry in longer.summary] == [3, 5]
+
+
+def test_a_run_that_others_are_joining_has_no_summary_until_they_have_played(tmp_path):
+    asked = {"env_kwargs": SMALL, "episodes": 3, "out": tmp_path}
+    evaluate(MULTI, AllAlive(), **asked)
+    broken = Counted()
+    broken.interrupt_at = 2
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(MULTI, broken, **asked)
+    assert files(tmp_path) == {"run.json", "episodes.csv"}
+    assert [entry["episodes"] for entry in EvaluationResult.load(tmp_path).summary] == [3, 1]
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+def test_a_folder_is_loaded_as_its_run_returned_it(tmp_path, isolate):
+    result = evaluate(MULTI, [AllAlive(), RandomThird()], episodes=2, env_kwargs=SMALL, out=tmp_path, isolate=isolate)
+    loaded = EvaluationResult.load(tmp_path)
+    assert loaded.rows == result.rows
+    assert loaded.summary == result.summary
+    assert loaded.config == result.config
+    with pytest.raises(ArgumentError, match=r"^folder must be the folder of a run, .* without run\.json"):
+        EvaluationResult.load(tmp_path / "other")
+
+
 def test_a_failing_detector_loses_no_finished_episode(tmp_path):
     with pytest.raises(EvaluationError):
         evaluate(MULTI, Failing(), episodes=5, env_kwargs=SMALL, out=tmp_path)
@@ -126,8 +168,8 @@ def test_a_failing_detector_loses_no_finished_episode(tmp_path):
     ("changes", "name"),
     [
         ({"seed": 1}, "seed"),
-        ({"episodes": 3}, "episodes"),
-        ({"detector": Followed(2)}, "detectors"),
+        ({"episodes": 1}, "episodes"),
+        ({"detector": {"RandomThird": Followed(2)}}, "identities"),
         ({"env_kwargs": SMALL | {"follow": "f2"}}, "env_kwargs"),
         ({"env": "USNET/MultiCluster-Smooth-v0"}, "env"),
     ],
@@ -170,10 +212,10 @@ class Described(RandomThird):
 )
 def test_detectors_whose_arguments_differ_anywhere_do_not_share_rows(tmp_path, first, second):
     asked = {"episodes": 1, "env_kwargs": SMALL, "out": tmp_path}
-    evaluate(MULTI, Described(first), **asked)
-    evaluate(MULTI, Described(first), **asked)
+    evaluate(MULTI, {"mine": Described(first)}, **asked)
+    evaluate(MULTI, {"mine": Described(first)}, **asked)
     with pytest.raises(ArgumentError, match=r"different values of .*identities"):
-        evaluate(MULTI, Described(second), **asked)
+        evaluate(MULTI, {"mine": Described(second)}, **asked)
 
 
 def test_policies_with_other_weights_do_not_share_rows(tmp_path):

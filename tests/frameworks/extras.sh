@@ -20,6 +20,7 @@ render|matplotlib|tests/test_drawing.py tests/replay/test_figure.py
 replay|matplotlib rerun|tests/replay
 multiagent|pettingzoo|tests/multiagent/test_pettingzoo_conformance.py tests/multiagent/test_play_game.py
     tests/multiagent/test_docstrings.py tests/frameworks/test_framework_wrappers.py
+ray|ray|tests/evaluation/test_backends.py
 torch|torch safetensors|tests/detectors/gassl/test_gassl_networks.py tests/detectors/gassl/test_gassl_detector.py
     tests/detectors/mc_gassl/test_mc_gassl_weights.py tests/detectors/test_policy_detector.py
 rl|stable_baselines3 sb3_contrib|tests/frameworks/test_sb3_ppo.py tests/frameworks/test_sb3_maskable_ppo.py
@@ -31,7 +32,7 @@ minari|minari h5py torch|tests/frameworks/test_minari_imitation.py tests/framewo
 supersuit|supersuit stable_baselines3 pettingzoo|tests/frameworks/test_supersuit_ppo.py
     tests/frameworks/test_frameworks_page.py
 "
-foreign="matplotlib minari pettingzoo rerun sb3_contrib stable_baselines3 supersuit tensordict tianshou torch torchrl"
+foreign="matplotlib minari pettingzoo ray rerun sb3_contrib stable_baselines3 supersuit tensordict tianshou torch torchrl"
 
 # field NAME 2|3: the modules or the tests of an extra
 field() {

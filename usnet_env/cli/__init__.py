@@ -18,7 +18,7 @@ import click
 
 from usnet_env.cli.commands import CommandGroup
 from usnet_env.cli.evaluation import demo, evaluate
-from usnet_env.cli.list_and_check import list_
+from usnet_env.cli.list_parts import list_
 from usnet_env.cli.output import print_message
 from usnet_env.config import ArgumentError
 

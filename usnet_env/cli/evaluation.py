@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["demo", "evaluate"]
 
+_TIME_LIMIT = 3600.0  # seconds
 
 _EXAMPLES = f"""
 \b
@@ -63,13 +64,17 @@ Arguments for --set:
     "--episodes", type=WholeNumber(1, 1_000_000), default=100, show_default=True, help="Episodes for each detector."
 )
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the evaluation.")
-@click.option("--workers", type=WholeNumber(1, 256), default=1, show_default=True, help="Number of processes.")
+@click.option("--workers", type=WholeNumber(1, 4_096), default=1, show_default=True, help="Number of processes.")
+@click.option(
+    "--backend",
+    type=click.Choice(["serial", "processes", "ray"]),
+    help="Play in this process, in child processes, or on the nodes of a Ray cluster.  [default: processes]",
+)
+@click.option("--address", metavar="ADDRESS", help="Address of the Ray cluster; by default one starts on this machine.")
 @click.option(
     "--time-limit",
     type=PositiveNumber(),
-    default=3600,
-    show_default=True,
-    help="Seconds that one answer of a detector may take.",
+    help="Seconds that one answer of a detector may take.  [default: 3600, none with --backend serial]",
 )
 @click.option("--memory-limit", type=PositiveNumber(), help="Megabytes that one answer of a detector may allocate.")
 @click.option(
@@ -95,7 +100,9 @@ def evaluate(
     episodes: int,
     seed: int,
     workers: int,
-    time_limit: float,
+    backend: str | None,
+    address: str | None,
+    time_limit: float | None,
     memory_limit: float | None,
     isolate: bool,
     secret: str | None,
@@ -110,6 +117,8 @@ def evaluate(
     ends its process has failed; the other detectors play to the end.
     """
     env_kwargs = parse_pairs(settings)
+    if time_limit is None and (backend != "serial" or isolate):
+        time_limit = _TIME_LIMIT
     if out is not None:
         ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes from there."
     from usnet_env import evaluation
@@ -125,6 +134,8 @@ def evaluate(
                 seed=seed,
                 env_kwargs=env_kwargs,
                 workers=workers,
+                backend=backend,
+                address=address,
                 trivial=trivial,
                 out=out,
                 progress=sys.stderr is not None and sys.stderr.isatty(),

@@ -1,8 +1,19 @@
 """The evaluator: it plays all detectors against the same swarms and reports each metric with a 95 % interval."""
 
 from usnet_env.evaluation.errors import EvaluationError
+from usnet_env.evaluation.games import evaluate_games
 from usnet_env.evaluation.metrics import METRICS
-from usnet_env.evaluation.result import EvaluationResult
+from usnet_env.evaluation.result import Comparison, EvaluationResult, interquartile_means, performance_profiles
 from usnet_env.evaluation.runner import TRIVIAL, evaluate
 
-__all__ = ["METRICS", "TRIVIAL", "EvaluationError", "EvaluationResult", "evaluate"]
+__all__ = [
+    "METRICS",
+    "TRIVIAL",
+    "Comparison",
+    "EvaluationError",
+    "EvaluationResult",
+    "evaluate",
+    "evaluate_games",
+    "interquartile_means",
+    "performance_profiles",
+]

@@ -18,7 +18,7 @@ from usnet_env.evaluation.metrics import episode_metrics
 from usnet_env.processes import PlainError, ProcessDied, limited
 from usnet_env.swarm import SwarmState
 
-__all__ = ["Row", "detector_error", "episode_seeds", "play_agent", "play_episode", "warm_up"]
+__all__ = ["Row", "detector_error", "detector_step", "episode_seeds", "play_agent", "play_episode", "warm_up"]
 
 Row = dict[str, Any]
 
@@ -57,7 +57,7 @@ def detector_error(label: str, where: str, error: BaseException) -> EvaluationEr
 
 
 @contextmanager
-def _step(label: str, where: str) -> Iterator[None]:
+def detector_step(label: str, where: str) -> Iterator[None]:
     """Run a step of a detector with the limits of this process; whatever it raises becomes an EvaluationError.
 
     ``SystemExit`` is an error here as well: a detector must not end the program, least of all with status 0.
@@ -78,7 +78,7 @@ def warm_up(env: gym.Env[Any, Any], agent: Agent, label: str, swarm_seed: int) -
     """
     observation, _ = env.reset(seed=swarm_seed)
     try:
-        with _step(label, "its warm-up"):
+        with detector_step(label, "its warm-up"):
             agent.warm_up(observation)
     except EvaluationError as error:
         if isinstance(error.__cause__, RefusedArgumentError):
@@ -105,7 +105,7 @@ def play_agent(
     number = count(1)
 
     def answer(observation: Any, truth: SwarmState) -> Answer:
-        with _step(label, f"episode {episode}, round {next(number)}"):
+        with detector_step(label, f"episode {episode}, round {next(number)}"):
             answer = agent.answer(observation)
             if answer.candidates.shape != truth.head.shape:
                 raise ArgumentError(
@@ -113,7 +113,7 @@ def play_agent(
                 )
         return answer
 
-    with _step(label, f"the reset of episode {episode}"):
+    with detector_step(label, f"the reset of episode {episode}"):
         agent.reset(detector_seed)
     return list(play_rounds(env, answer, swarm_seed))
 

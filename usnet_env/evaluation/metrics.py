@@ -11,7 +11,7 @@ from usnet_env import objectives
 from usnet_env.envs.play import PlayedRound
 from usnet_env.evaluation.agents import Answer
 
-__all__ = ["CLUSTER_METRICS", "METRICS", "RATES", "episode_metrics"]
+__all__ = ["CLUSTER_METRICS", "LOWER_IS_BETTER", "METRICS", "RATES", "episode_metrics"]
 
 #: Every metric of an episode and its meaning. The last two exist only for detectors that return clusters.
 METRICS = {
@@ -29,6 +29,7 @@ METRICS = {
     "head_in_cluster_first": "share of the heads that are in the same cluster as most of their followers, round 1",
 }
 RATES = frozenset({"success", "exact"})
+LOWER_IS_BETTER = frozenset({"rounds", "redundancy", "seconds_per_round"})  # J as well, for P2
 CLUSTER_METRICS = frozenset({"purity_first", "head_in_cluster_first"})
 
 

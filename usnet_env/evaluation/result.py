@@ -1,50 +1,48 @@
-"""The result of an evaluation: rows, their summary, and a table of the summary."""
+"""The result of an evaluation: rows, their summary, and what can be read off them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from os import PathLike
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
-from usnet_env.config import unknown_name
-from usnet_env.evaluation.metrics import CLUSTER_METRICS, METRICS, RATES
-from usnet_env.evaluation.statistics import mean_interval, rate_interval
+from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.evaluation import tables
+from usnet_env.evaluation.metrics import CLUSTER_METRICS, LOWER_IS_BETTER, RATES
+from usnet_env.evaluation.statistics import (
+    CONFIDENCE,
+    Interval,
+    Profile,
+    holm,
+    interquartile_mean,
+    mean_interval,
+    paired_test,
+    performance_profile,
+    rate_interval,
+)
+from usnet_env.evaluation.store import KEYS, last_secret, load_run
 from usnet_env.evaluation.table import RowTable
+from usnet_env.files import as_path
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
     from rich.table import Table
 
-__all__ = ["HEADINGS", "RANKING", "EvaluationResult", "summarise"]
+__all__ = [
+    "Comparison",
+    "EvaluationResult",
+    "interquartile_means",
+    "performance_profiles",
+    "summarise",
+]
 
 Summary = list[dict[str, Any]]
 
-#: Headings of the metrics in tables.
-HEADINGS = {
-    "J": "J",
-    "rounds": "rounds",
-    "redundancy": "redundancy",
-    "success": "success",
-    "exact": "exact",
-    "precision_first": "precision\nin round 1",
-    "recall_first": "recall\nin round 1",
-    "f1_first": "F1\nin round 1",
-    "ap_first": "AP\nin round 1",
-    "seconds_per_round": "seconds\nper round",
-    "purity_first": "purity\nin round 1",
-    "head_in_cluster_first": "head in cluster\nin round 1",
-}
-
-
-#: Columns of the ranked table after J, with the arrow that points to the better values.
-RANKING = {
-    "rounds": "rounds↓",
-    "redundancy": "redundancy↓",
-    "exact": "exact↑",
-    "f1_first": "F1↑",
-    "seconds_per_round": "s↓",
-}
+_THRESHOLDS = 101  # of a profile by default
 
 
 def summarise(rows: RowTable) -> Summary:
@@ -59,7 +57,9 @@ def summarise(rows: RowTable) -> Summary:
     for label in dict.fromkeys(labels):
         own = labels == label
         metrics = {}
-        for name in METRICS:
+        for name in rows.columns:
+            if name in KEYS:
+                continue
             values = rows.column(name)[own].astype(np.float64)
             if name in CLUSTER_METRICS:
                 values = values[~np.isnan(values)]
@@ -71,28 +71,43 @@ def summarise(rows: RowTable) -> Summary:
     return entries
 
 
-def _format_number(value: float) -> str:
-    """Format with three decimals, or with two significant digits below 0.001."""
-    return f"{value:.3f}" if value == 0 or abs(value) >= 0.001 else f"{value:.2g}"
-
-
-def _format_objective(value: float) -> str:
-    """Format with three decimals, or with two from 10 on."""
-    return f"{value:.3f}" if abs(value) < 10 else f"{value:.2f}"
-
-
-def _format_short(name: str, value: float) -> str:
-    if name == "seconds_per_round" and 0 < value < 0.01:
-        return "<0.01"
-    return f"{value:.1f}" if name == "rounds" or value >= 100 else f"{value:.2f}"
-
-
-def _join(names: Sequence[str]) -> str:
-    """``a``, ``a and b``, or ``a, b and c``."""
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-
-
 @dataclass(frozen=True)
+class Comparison:
+    """The paired difference of two detectors, which have played against the same swarms.
+
+    Args:
+        a, b: labels of the two detectors.
+        metric: what is compared.
+        episodes: number of episodes that both have played, n.
+        difference: the mean over them of a's value minus b's value.
+        low, high: its simultaneous 95 % interval: a percentile bootstrap interval of the level 1 - 0.05 / k
+            (Bonferroni).
+        p: the p-value of the paired randomisation test, adjusted for k comparisons (Holm, 1979).
+        comparisons: number of pairs that were asked for together, k.
+    """
+
+    a: str
+    b: str
+    metric: str
+    episodes: int
+    difference: float
+    low: float
+    high: float
+    p: float
+    comparisons: int = 1
+
+    def __str__(self) -> str:
+        among = "" if self.comparisons == 1 else f", corrected for {self.comparisons} comparisons"
+        value, low, high = (f"{number:+.4g}" for number in (self.difference, self.low, self.high))
+        p = "p < 0.001" if self.p < 0.001 else f"p = {self.p:.2g}"
+        plural = "" if self.episodes == 1 else "s"
+        return (
+            f"{self.metric} of {self.a} minus {self.b}: {value} (95 % interval {low} to {high}, {p}{among}) "
+            f"over {self.episodes} episode{plural}"
+        )
+
+
+@dataclass(frozen=True, repr=False)
 class EvaluationResult:
     """The result of :func:`usnet_env.evaluate`.
 
@@ -103,9 +118,37 @@ class EvaluationResult:
         config: the arguments of the evaluation, as plain values.
     """
 
-    rows: Sequence[Mapping[str, Any]]
+    rows: RowTable
     summary: Summary
     config: Mapping[str, Any]
+
+    @classmethod
+    def load(cls, folder: str | PathLike[str]) -> EvaluationResult:
+        """Read the folder of a run; of a run that is not finished, the rows that there are.
+
+        Raises:
+            ArgumentError: it is no folder of a run, or a file in it is broken.
+        """
+        description, table = load_run(as_path("folder", folder))
+        config = dict(description["config"])
+        order = {label: place for place, label in enumerate(config["detectors"])}
+        labels = np.array([order.get(label, len(order)) for label in table.column("detector")], np.int64)
+        table = table.take(np.lexsort((table.column("episode"), labels)))
+        return cls(table, summarise(table), config | last_secret(description))
+
+    def __repr__(self) -> str:
+        return f"<EvaluationResult of {self._title()}>"
+
+    def _repr_html_(self) -> str:
+        """The ranking, for a notebook."""
+        return tables.html_table(self.summary, self._title())
+
+    def _title(self) -> str:
+        episodes = sorted({entry["episodes"] for entry in self.summary}) or [0]
+        played = f"{episodes[0]}" if len(episodes) == 1 else f"{episodes[0]} to {episodes[-1]}"
+        plural = "" if episodes == [1] else "s"
+        count = len(self.summary)
+        return f"{self.config['env']}: {count} detector{'' if count == 1 else 's'}, {played} episode{plural} each"
 
     def __getitem__(self, detector: str) -> dict[str, Any]:
         """Return the metrics of the detector with this label.
@@ -125,102 +168,177 @@ class EvaluationResult:
         Args:
             metrics: names of the columns; by default all metrics that at least one detector has.
         """
-        from rich.box import SIMPLE_HEAD
-        from rich.table import Table
-        from rich.text import Text
-
-        wanted = list(METRICS) if metrics is None else list(metrics)
-        columns = [name for name in wanted if any(name in entry["metrics"] for entry in self.summary)]
-        title = f"{self.config['env']}: mean and 95 % interval"
-        table = Table(title=title, box=SIMPLE_HEAD, leading=1, title_justify="left")
-        table.add_column("detector", overflow="fold")
-        table.add_column("episodes", justify="right")
-        for name in columns:
-            table.add_column(HEADINGS[name], justify="right", no_wrap=True)
-        for entry in self.summary:
-            cells = [entry["metrics"].get(name) for name in columns]
-            table.add_row(
-                Text(entry["detector"]),  # not parsed as Rich markup, in which brackets have a meaning
-                str(entry["episodes"]),
-                *(
-                    f"{_format_number(cell['mean'])}\n{_format_number(cell['low'])}–{_format_number(cell['high'])}"
-                    if cell
-                    else "–"
-                    for cell in cells
-                ),
-            )
-        return table
-
-    def _ranked(self) -> list[dict[str, Any]]:
-        """The entries of the summary, best mean of J first, then the highest F1; equal ones in the order given."""
-
-        def place(entry: dict[str, Any]) -> tuple[float, float]:
-            metrics = entry["metrics"]
-            return self._sign * metrics["J"]["mean"], -metrics["f1_first"]["mean"]
-
-        return sorted(self.summary, key=place)
-
-    @property
-    def _sign(self) -> int:
-        """1 for J_m, which is at least 1 and is to be low; -1 for J_s, which is at most 0 and is to be high."""
-        return 1 if self.summary[0]["metrics"]["J"]["mean"] > 0 else -1
-
-    @property
-    def _objective(self) -> str:
-        return "J_m" if self._sign == 1 else "J_s"
+        return tables.full_table(self.summary, self.config["env"], metrics)
 
     def ranking(self) -> Table:
         """Create a table for a terminal of 80 columns: the detectors by their J, best first, and their main metrics.
 
         An arrow after a heading points to the better values. :meth:`table` has all metrics.
         """
-        from rich.box import SIMPLE_HEAD
-        from rich.table import Table
-        from rich.text import Text
-
-        episodes = sorted({entry["episodes"] for entry in self.summary})
-        played = f"{episodes[0]}" if len(episodes) == 1 else f"{episodes[0]} to {episodes[-1]}"
-        plural = "" if episodes == [1] else "s"
-        title = f"{self.config['env']}, {played} episode{plural} of each detector: means, best first"
-        table = Table(title=title, box=SIMPLE_HEAD, title_justify="left", show_edge=False, padding=(0, 1, 0, 0))
-        table.add_column("detector", overflow="fold")
-        arrow = "↓" if self._sign == 1 else "↑"
-        for heading in (f"{self._objective}{arrow} (95 % int.)", *RANKING.values()):
-            table.add_column(heading, justify="right", no_wrap=True)
-        for entry in self._ranked():
-            metrics = entry["metrics"]
-            mean, low, high = (_format_objective(metrics["J"][name]) for name in ("mean", "low", "high"))
-            cells = [f"{mean} (all equal)" if metrics["J"]["low"] == metrics["J"]["high"] else f"{mean} ({low}–{high})"]
-            cells += [_format_short(name, metrics[name]["mean"]) for name in RANKING]
-            table.add_row(Text(entry["detector"]), *cells)  # Text is not parsed as Rich markup
-        return table
+        return tables.ranking_table(self.summary, self.config["env"])
 
     def conclusion(self) -> str:
         """State in one sentence which detector has the best J, and which others these episodes do not separate from it.
 
-        Others are not separated from it if their 95 % interval of J overlaps its interval.
+        Others are not separated from it if their 95 % interval of J overlaps its interval. :meth:`compare` is sharper.
         """
-        first, *others = self._ranked()
-        best = first["metrics"]["J"]
-        mean, low, high = (_format_objective(best[name]) for name in ("mean", "low", "high"))
-        if best["low"] == best["high"]:
-            value = f"{mean} in {'every' if first['episodes'] > 1 else 'its only'} episode"
-        else:
-            value = f"{mean} (95 % interval {low}–{high})"
-        if not others:
-            return f"{first['detector']} has a {self._objective} of {value}."
-        equal = [e["detector"] for e in others if e["metrics"]["J"] == best]
-        near = [
-            e["detector"]
-            for e in others
-            if e["metrics"]["J"] != best
-            and e["metrics"]["J"]["low"] <= best["high"]
-            and best["low"] <= e["metrics"]["J"]["high"]
+        return tables.conclude(self.summary)
+
+    def to_markdown(self, metrics: Sequence[str] | None = None) -> str:
+        """The means and 95 % intervals as a table in Markdown; ``metrics`` as of :meth:`table`."""
+        return tables.markdown_table(self.summary, metrics)
+
+    def to_latex(self, metrics: Sequence[str] | None = None) -> str:
+        """The means and 95 % intervals as a ``tabular`` for LaTeX's booktabs; ``metrics`` as of :meth:`table`."""
+        return tables.latex_table(self.summary, metrics)
+
+    def to_frame(self) -> DataFrame:
+        """The rows as a data frame of pandas, one row for each detector and episode.
+
+        Raises:
+            ArgumentError: pandas is not installed.
+        """
+        try:
+            from pandas import DataFrame
+        except ImportError as error:
+            raise ArgumentError(
+                f"to_frame must find pandas, which cannot be imported ({error}); `pip install pandas` installs it."
+            ) from None
+        return DataFrame({name: self.rows.column(name) for name in self.rows.columns})
+
+    @overload
+    def compare(self, a: str, b: str, metric: str = "J") -> Comparison: ...
+    @overload
+    def compare(self, a: str, b: list[str] | tuple[str, ...] | None = None, metric: str = "J") -> list[Comparison]: ...
+    def compare(
+        self, a: str, b: str | list[str] | tuple[str, ...] | None = None, metric: str = "J"
+    ) -> Comparison | list[Comparison]:
+        """Compare a detector with another one, or with several, episode by episode: all played against the same swarms.
+
+        With k others, the intervals have the level 1 - 0.05 / k and the p-values are adjusted by Holm's method, so that
+        the chance of any false difference among them is at most 5 %.
+
+        Args:
+            a: label of a detector.
+            b: label of another one, a list of labels, or ``None`` for all others.
+            metric: what is compared; an episode in which one of the two has no value is left out.
+
+        Returns:
+            One comparison, or a list of them.
+
+        Raises:
+            ArgumentError: there is no such detector or metric, or two detectors share no episode.
+        """
+        self._check_metric(metric)
+        labels = [entry["detector"] for entry in self.summary]
+        others = [b] if isinstance(b, str) else [label for label in labels if label != a] if b is None else list(b)
+        for label in (a, *others):
+            self[label]  # refuses an unknown one
+        pairs = [self._pair(a, other, metric) for other in others]
+        adjusted = holm([paired_test(differences) for differences in pairs])
+        level = 1 - (1 - CONFIDENCE) / max(1, len(others))
+        found = [
+            Comparison(
+                a, other, metric, len(differences), *mean_interval(differences, confidence=level), p, len(others)
+            )
+            for other, differences, p in zip(others, pairs, adjusted, strict=True)
         ]
-        names = _join([first["detector"], *equal])
-        extreme = "lowest" if self._sign == 1 else "highest"
-        sentence = f"{names} {'have' if equal else 'has'} the {extreme} {self._objective}: {value}"
-        if near:
-            intervals = "interval of" if len(near) == 1 else "intervals of"
-            return f"{sentence}, which overlaps with the {intervals} {_join(near)}."
-        return f"{sentence}."
+        return found[0] if isinstance(b, str) else found
+
+    def interquartile_means(self, metric: str = "J") -> dict[str, Interval]:
+        """:func:`interquartile_means` of this result alone."""
+        return interquartile_means([self], metric)
+
+    def performance_profiles(self, metric: str = "J", thresholds: Sequence[float] | None = None) -> dict[str, Profile]:
+        """:func:`performance_profiles` of this result alone."""
+        return performance_profiles([self], metric, thresholds)
+
+    def _check_metric(self, metric: str) -> None:
+        names = [name for name in self.rows.columns if name not in KEYS]
+        if metric not in names:
+            raise unknown_name("metric", metric, names)
+
+    def _values(self, label: str, metric: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The swarms' seeds and the values of a detector's episodes that have one, in their order."""
+        values = self.rows.column(metric).astype(np.float64)
+        own = (self.rows.column("detector") == label) & ~np.isnan(values)
+        return self.rows.column("swarm_seed")[own], values[own]
+
+    def _pair(self, a: str, b: str, metric: str) -> NDArray[np.float64]:
+        """The differences of two detectors in the episodes that both have played."""
+        (ours, first), (theirs, second) = self._values(a, metric), self._values(b, metric)
+        _, here, there = np.intersect1d(ours, theirs, return_indices=True)
+        if not len(here):
+            raise ArgumentError(f"b must have episodes with {metric} in common with {quote(a)}, got {quote(b)}.")
+        return first[here] - second[there]
+
+    def _lower_is_better(self, metric: str) -> bool:
+        if metric == "J":
+            return tables.objective_name(self.summary) == "J_m"
+        return metric in LOWER_IS_BETTER or metric.startswith("price")
+
+
+def _strata(results: Sequence[EvaluationResult], metric: str) -> dict[str, list[NDArray[np.float64]]]:
+    """The values of each detector of the first result in each result."""
+    if not results:
+        raise ArgumentError("results must hold at least one result, got none.")
+    for result in results:
+        result._check_metric(metric)
+    found = {}
+    for entry in results[0].summary:
+        label = entry["detector"]
+        found[label] = [result._values(label, metric)[1] for result in results]
+        if not all(map(len, found[label])):
+            if metric in CLUSTER_METRICS and not any(map(len, found[label])):
+                del found[label]  # it returns no clusters
+                continue
+            raise ArgumentError(f"results must hold {metric} of the same detectors, got one without {quote(label)}.")
+    return found
+
+
+def interquartile_means(results: Sequence[EvaluationResult], metric: str = "J") -> dict[str, Interval]:
+    """The mean of the middle half of all episodes of each detector, with its 95 % interval.
+
+    It is less sensitive to a few bad episodes than the mean, and more efficient than the median (Agarwal et al., Deep
+    Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021, whose package is rliable). Values are
+    not normalised: pool only results whose metric has the same scale.
+
+    Args:
+        results: evaluations of the same detectors on different environments: the tasks. Episodes are resampled within
+            each of them.
+        metric: which one.
+
+    Returns:
+        An interval for each label.
+
+    Raises:
+        ArgumentError: there is no such metric, or a result lacks a detector of the first one.
+    """
+    return {label: interquartile_mean(strata) for label, strata in _strata(results, metric).items()}
+
+
+def performance_profiles(
+    results: Sequence[EvaluationResult], metric: str = "J", thresholds: Sequence[float] | None = None
+) -> dict[str, Profile]:
+    """The share of episodes in which each detector is better than each threshold, averaged over the results.
+
+    The run-score distribution of Agarwal et al. (2021), see :func:`interquartile_means`. Better means below the
+    threshold for metrics of which lower values are better.
+
+    Args:
+        results: evaluations of the same detectors on different environments.
+        metric: which one.
+        thresholds: ``(t,)``; by default 101 from the lowest to the highest value.
+
+    Returns:
+        A profile for each label.
+
+    Raises:
+        ArgumentError: there is no such metric, or a result lacks a detector of the first one.
+    """
+    strata = _strata(results, metric)
+    if thresholds is None:
+        pooled = np.concatenate([values for own in strata.values() for values in own])
+        thresholds = np.linspace(pooled.min(), pooled.max(), _THRESHOLDS).tolist()
+    lower = results[0]._lower_is_better(metric)
+    return {label: performance_profile(own, thresholds, lower) for label, own in strata.items()}

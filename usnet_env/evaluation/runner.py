@@ -2,47 +2,37 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from functools import partial
 from os import PathLike
-from typing import Annotated, Any
+from typing import Any
 
 import gymnasium as gym
-import numpy as np
-from pydantic import Field
 
-from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.config import ArgumentError, plain_text, quote
 from usnet_env.evaluation.agents import PolicyAgent, as_agent
+from usnet_env.evaluation.engine import RunNumbers, choose_place, play_run
 from usnet_env.evaluation.environments import find_environment, is_usnet, make_environment
-from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.identity import describe, describe_detector
 from usnet_env.evaluation.isolation import make_secret
-from usnet_env.evaluation.result import EvaluationResult, summarise
-from usnet_env.evaluation.schedule import Rows, Seeds, Tasks
-from usnet_env.evaluation.store import RunStore
-from usnet_env.evaluation.workers import Contestant, Plan, Task, Worker, run_here, run_in_processes
+from usnet_env.evaluation.result import EvaluationResult
+from usnet_env.evaluation.schedule import Seeds
+from usnet_env.evaluation.workers import Contestant, EpisodePlan, Worker
 from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.processes import Limits
 
-__all__ = ["MOST_EPISODES", "MOST_WORKERS", "TRIVIAL", "evaluate"]
+__all__ = ["TRIVIAL", "evaluate"]
 
 #: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
 TRIVIAL = ("destroy-all", "none", "random", "one-per-round")
 
-MOST_EPISODES = 1_000_000
-MOST_WORKERS = 256
 
-
-class _Run(Config):
+class _Run(RunNumbers):
     """The plain arguments of :func:`evaluate`."""
 
-    episodes: Annotated[int, Field(ge=1, le=MOST_EPISODES)]
-    seed: Annotated[int, Field(ge=0, lt=2**63)]
-    workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)]
     trivial: bool
-    progress: bool
     isolate: bool
 
 
@@ -61,6 +51,8 @@ def evaluate(
     memory_limit: float | None = None,
     isolate: bool = False,
     secret: str | None = None,
+    backend: str | None = None,
+    address: str | None = None,
 ) -> EvaluationResult:
     """Play the same episodes with every detector, and score them.
 
@@ -72,7 +64,8 @@ def evaluate(
     Args:
         env: a registered id, or an environment object (which allows one worker only, and is not closed).
         detector: a name as :func:`usnet_env.make_detector` takes it, a detector, an object with the ``predict`` method
-            of Stable-Baselines3 (called with the observation and ``deterministic=True``), or a list of these.
+            of Stable-Baselines3 (called with the observation and ``deterministic=True``), a list of these, or a mapping
+            of the labels that they get in rows and tables, such as ``{"my PPO": model}``.
         episodes: number of episodes for each detector.
         seed: seed of the whole evaluation.
         env_kwargs: arguments of the environment.
@@ -81,7 +74,8 @@ def evaluate(
             worker process imports the script.
         trivial: also evaluate the policies of :data:`TRIVIAL`.
         out: folder for ``run.json`` (arguments, versions, machine), ``episodes.csv`` and ``summary.json``. An
-            interrupted run keeps its finished episodes there, and the same call plays the remaining ones.
+            interrupted run keeps its finished episodes there, and the same call plays the remaining ones. A call with
+            more episodes or other detectors adds them to the run.
         progress: show a progress bar on standard error.
         time_limit: largest wall time of one answer, or of one ``reset``, in seconds; ``None``: no limit. A detector
             that exceeds it has failed.
@@ -92,9 +86,13 @@ def evaluate(
             All seeds then depend on a secret that is drawn for the run, and written to ``run.json`` and to the
             result's ``config`` when the run ends.
         secret: the secret of an earlier isolated run, to play its episodes again; ``None``: a new one.
+        backend: where episodes are played: ``"serial"``, in this process; ``"processes"``, in child processes;
+            ``"ray"``, on the nodes of a Ray cluster, one core for each worker. The rows do not depend on it, except for
+            the seconds. ``None``: in this process, unless ``workers`` or a limit needs others.
+        address: of the Ray cluster, as ``ray.init`` takes it; ``None``: a new one on this machine.
 
     Returns:
-        Rows, summary and table.
+        Rows, summary and tables: of all detectors and episodes that ``out`` holds.
 
     Raises:
         ArgumentError: an argument was refused.
@@ -108,6 +106,7 @@ def evaluate(
     if secret is not None and not run.isolate:
         raise ArgumentError("secret must be None unless isolate is true, got a secret.")
     limits = _make_limits(time_limit, memory_limit)
+    place = choose_place(backend, run.workers, limits, address, run.isolate)
     arguments = _check_env_kwargs(env_kwargs)
     contestants = _make_contestants(detector, run)
     with ExitStack() as stack:
@@ -115,58 +114,12 @@ def evaluate(
             environment = make_environment(find_environment(env), arguments)
             stack.callback(environment.close)
         else:
-            environment = _check_environment(env, arguments, run, limits)
+            environment = _check_environment(env, arguments, run, limits, backend)
         config = _make_config(environment, arguments, contestants, run)
-        store = None if folder is None else stack.enter_context(RunStore(folder, config))
-        rows = Rows(store, seeds, [contestant.label for contestant in contestants], run.episodes)
-        tasks = Tasks(rows, seeds)
-        threads: list[tuple[str, Task]] = []
         isolation = limits if run.isolate else None
-        if (
-            isinstance(env, str)
-            and tasks.count
-            and ((limits.any and not run.isolate) or min(run.workers, tasks.count) > 1)
-        ):
-            plan = Plan(env, arguments, contestants, isolation)
-            outcomes = run_in_processes(plan, tasks, tasks.is_wanted, min(run.workers, tasks.count), limits, threads)
-        else:
-            outcomes = run_here(Worker(environment, contestants, isolation), tasks, threads)
-        try:
-            with closing(outcomes), _progress_bar(run.progress, rows.done.size, int(rows.done.sum())) as advance:
-                for outcome in outcomes:
-                    tasks.note(outcome)
-                    if outcome.result is not None:
-                        rows.add(outcome.task, outcome.result)
-                        advance()
-                    if tasks.prepared:
-                        rows.save(tasks.failures)
-        finally:
-            if tasks.prepared:
-                rows.save()
-            if store is not None and seeds.secret is not None:
-                store.add_secret(seeds.secret)
-        _warn_of_threads(threads, contestants)
-        failed = {contestants[number].label for number in tasks.failures}
-        table = rows.table.take(rows.order(rows.table))
-        table = table.take(np.flatnonzero([label not in failed for label in table.column("detector")]))
-        result = EvaluationResult(table, summarise(table), config | seeds.describe())
-        if tasks.failures:
-            error = EvaluationError(" ".join(map(str, tasks.failures.values())))
-            error.result = result if table else None
-            raise error
-        if store is not None:
-            store.finish(rows.order, result.summary)
-    return result
-
-
-def _warn_of_threads(threads: Sequence[tuple[str, Task]], contestants: Sequence[Contestant]) -> None:
-    """Warn of threads that detectors have started and that keep a program from ending."""
-    for label in dict.fromkeys(contestants[task.contestant].label for _, task in threads):
-        names = [name for name, task in threads if contestants[task.contestant].label == label]
-        count = "1 thread running that is no daemon" if len(names) == 1 else f"{len(names)} threads running, no daemons"
-        warnings.warn(
-            f"detector {label!r} left {count}: {', '.join(dict.fromkeys(names))}.", RuntimeWarning, stacklevel=3
-        )
+        plan = EpisodePlan(str(env), arguments, contestants, isolation)
+        here = partial(Worker, environment, contestants, isolation)
+        return play_run(plan, here, config, seeds, place, folder, run.progress)
 
 
 def _make_limits(time_limit: float | None, memory_limit: float | None) -> Limits:
@@ -189,7 +142,9 @@ def _check_env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
     return dict(env_kwargs)
 
 
-def _check_environment(env: Any, arguments: Mapping[str, Any], run: _Run, limits: Limits) -> gym.Env[Any, Any]:
+def _check_environment(
+    env: Any, arguments: Mapping[str, Any], run: _Run, limits: Limits, backend: str | None
+) -> gym.Env[Any, Any]:
     """Check an environment object given by the caller, and return it."""
     if not isinstance(env, gym.Env) or not is_usnet(env):
         raise ArgumentError(f"env must be a registered id or a USNET environment, got {quote(env)}.")
@@ -197,6 +152,8 @@ def _check_environment(env: Any, arguments: Mapping[str, Any], run: _Run, limits
         raise ArgumentError("env_kwargs must be empty if env is an environment object, got arguments for it.")
     if run.workers != 1:
         raise ArgumentError(f"workers must be 1 if env is an environment object, got {run.workers}.")
+    if backend not in (None, "serial"):
+        raise ArgumentError(f"backend must be None if env is an environment object, got {backend!r}.")
     if limits.any and not run.isolate:
         raise ArgumentError("time_limit and memory_limit must be None if env is an environment object, got a limit.")
     return env
@@ -204,22 +161,32 @@ def _check_environment(env: Any, arguments: Mapping[str, Any], run: _Run, limits
 
 def _make_contestants(detector: Any, run: _Run) -> list[Contestant]:
     """Give each detector its own label."""
-    detectors = list(detector) if isinstance(detector, list | tuple) else [detector]
-    if not detectors:
-        raise ArgumentError("detector must name at least one detector, got an empty list.")
     contestants: dict[str, Contestant] = {}
-    for each in detectors:
-        label = first = _make_label(each, run.isolate)
-        if label in contestants and isinstance(each, str):
-            raise ArgumentError(f"detector must name each detector once, got {label!r} twice.")
-        number = 2
-        while label in contestants:
-            label = f"{first} #{number}"
-            number += 1
-        contestants[label] = Contestant(label, each)
+    if isinstance(detector, Mapping):
+        for label, each in detector.items():
+            if not (name := plain_text("label", label)) or not name.isprintable():
+                raise ArgumentError(f"label must be a text of printable characters, got {quote(label)}.")
+            contestants[name] = Contestant(name, each, _identify(each, _make_label(each, run.isolate)))
+    else:
+        for each in list(detector) if isinstance(detector, list | tuple) else [detector]:
+            label = first = _make_label(each, run.isolate)
+            if label in contestants and isinstance(each, str):
+                raise ArgumentError(f"detector must name each detector once, got {label!r} twice.")
+            number = 2
+            while label in contestants:
+                label = f"{first} #{number}"
+                number += 1
+            contestants[label] = Contestant(label, each, _identify(each, label))
+    if not contestants:
+        raise ArgumentError(f"detector must name at least one detector, got an empty {type(detector).__name__}.")
     for name in TRIVIAL if run.trivial else ():
-        contestants.setdefault(name, Contestant(name, name))
+        contestants.setdefault(name, Contestant(name, name, name))
     return list(contestants.values())
+
+
+def _identify(detector: Any, label: str) -> Any:
+    """What distinguishes a detector from others: the label of one that is given by name, else all its arguments."""
+    return label if isinstance(detector, str) else describe_detector(detector)
 
 
 def _make_label(detector: Any, isolate: bool) -> str:
@@ -243,25 +210,8 @@ def _make_config(
         "env_kwargs": describe(arguments),
         "environment": {name: describe(getattr(inner, name)) for name in ("config", "rules") if hasattr(inner, name)},
         "detectors": [contestant.label for contestant in contestants],
-        "identities": [
-            each.label if isinstance(each.detector, str) else describe_detector(each.detector) for each in contestants
-        ],
+        "identities": [contestant.identity for contestant in contestants],
         "episodes": run.episodes,
         "seed": run.seed,
         **({"isolate": True} if run.isolate else {}),
     }
-
-
-@contextmanager
-def _progress_bar(visible: bool, total: int, done: int) -> Iterator[Callable[[], None]]:
-    """Show a progress bar on standard error if ``visible``; yields the function that advances it by one episode."""
-    if not visible:
-        yield lambda: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("episodes"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("episodes", total=total, completed=done)
-        yield lambda: bar.advance(task)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation.episode import Row, episode_seeds
 from usnet_env.evaluation.store import COLUMNS, RunStore
-from usnet_env.evaluation.table import RowTable
+from usnet_env.evaluation.table import Columns, RowTable
 from usnet_env.evaluation.workers import PREPARE, Task
 from usnet_env.processes import Outcome
 
@@ -69,24 +69,35 @@ class Rows:
         store: the folder.
         seeds: take over the swarms of the rows in the folder.
         labels: of the contestants, in their order.
+        detectors: labels of all detectors of the run: of the contestants, and of others that have played.
         episodes: number of episodes.
+        columns: of the rows.
 
     Raises:
         ArgumentError: the folder holds rows of another run.
     """
 
-    def __init__(self, store: RunStore | None, seeds: Seeds, labels: Sequence[str], episodes: int) -> None:
+    def __init__(
+        self,
+        store: RunStore | None,
+        seeds: Seeds,
+        labels: Sequence[str],
+        detectors: Sequence[str],
+        episodes: int,
+        columns: Columns = COLUMNS,
+    ) -> None:
         self._store = store
-        self._played = RowTable(COLUMNS)
+        self._played = RowTable(columns)
         self._unsaved: list[Row] = []
         self._withhold = seeds.secret is not None
-        self._numbers = {label: number for number, label in enumerate(labels)}
+        self._places = {label: place for place, label in enumerate(detectors)}
         #: ``(contestants, episodes)`` bool: which episodes have been played.
         self.done = np.zeros((len(labels), episodes), bool)
         there, numbers = self.table.column("detector"), self.table.column("episode")
-        if not set(there) <= self._numbers.keys() or ((numbers < 0) | (numbers >= episodes)).any():
+        if not set(there) <= self._places.keys() or ((numbers < 0) | (numbers >= episodes)).any():
             raise ArgumentError("out must hold only rows of this run, got rows of other detectors or episodes.")
-        self.done[[self._numbers[label] for label in there], numbers] = True
+        for contestant, label in enumerate(labels):
+            self.done[contestant, numbers[there == label]] = True
         seeds.take_over(self.table)
 
     @property
@@ -118,8 +129,8 @@ class Rows:
                 self._played.append(row)
 
     def order(self, table: RowTable) -> NDArray[np.int64]:
-        """The places of the rows by detector, in the order of the contestants, then by episode."""
-        numbers = np.array([self._numbers[label] for label in table.column("detector")], np.int64)
+        """The places of the rows by detector, in the order of the run, then by episode."""
+        numbers = np.array([self._places[label] for label in table.column("detector")], np.int64)
         return np.lexsort((table.column("episode"), numbers))
 
 

@@ -1,9 +1,10 @@
-"""Means with 95 % intervals: Wilson's score interval for rates, a bootstrap interval for all other metrics."""
+"""Statistics of episodes: means, interquartile means, profiles and paired differences, with their intervals."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -11,12 +12,23 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError
 
-__all__ = ["CONFIDENCE", "Interval", "mean_interval", "rate_interval"]
+__all__ = [
+    "CONFIDENCE",
+    "Interval",
+    "Profile",
+    "holm",
+    "interquartile_mean",
+    "mean_interval",
+    "paired_test",
+    "performance_profile",
+    "rate_interval",
+]
 
 CONFIDENCE = 0.95
 _QUANTILE = 1.959963984540054  # of the normal distribution, at (1 + CONFIDENCE) / 2
 
 _RESAMPLES = 9_999
+_PROFILE_RESAMPLES = 2_000
 _DRAWS_AT_ONCE = 2_000_000  # limits the indices in memory to 16 MB for any number of episodes
 _MOST_RESAMPLED = 5_000  # values; of more, the quantiles of the resampled mean are computed, not drawn
 
@@ -27,6 +39,21 @@ class Interval(NamedTuple):
     mean: float
     low: float
     high: float
+
+
+class Profile(NamedTuple):
+    """A performance profile.
+
+    Args:
+        thresholds: ``(t,)`` float64.
+        share: ``(t,)`` float64, the share of the episodes that are better than each threshold.
+        low, high: ``(t,)`` float64, the ends of its 95 % interval at each threshold.
+    """
+
+    thresholds: NDArray[np.float64]
+    share: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
 
 
 def _check_sample(values: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
@@ -57,7 +84,9 @@ def rate_interval(values: Sequence[float] | NDArray[np.float64]) -> Interval:
     return Interval(mean, min(max(middle - half, 0.0), mean), max(min(middle + half, 1.0), mean))
 
 
-def mean_interval(values: Sequence[float] | NDArray[np.float64], seed: int = 0) -> Interval:
+def mean_interval(
+    values: Sequence[float] | NDArray[np.float64], seed: int = 0, confidence: float = CONFIDENCE
+) -> Interval:
     """Compute the mean of a sample, with the percentile bootstrap interval of 9,999 resamples.
 
     Of more than 5,000 values, the quantiles of the resampled means are computed to the order 1/n by the expansion of
@@ -69,6 +98,7 @@ def mean_interval(values: Sequence[float] | NDArray[np.float64], seed: int = 0) 
     Args:
         values: ``(n,)``.
         seed: seeds the resampling; the same values and seed give the same interval.
+        confidence: of the interval.
 
     Raises:
         ArgumentError: there is no value, or one is not finite.
@@ -78,18 +108,140 @@ def mean_interval(values: Sequence[float] | NDArray[np.float64], seed: int = 0) 
         constant = float(sample[0])
         return Interval(constant, constant, constant)
     rng, n = np.random.default_rng(seed), len(sample)
+    tail = (1 - confidence) / 2
     if n > _MOST_RESAMPLED:
+        quantile = _QUANTILE if confidence == CONFIDENCE else NormalDist().inv_cdf(1 - tail)
         centred = sample - sample.mean()
         spread = float(np.sqrt((centred**2).mean()))
-        shift = float((centred**3).mean()) / spread**3 * (_QUANTILE**2 - 1) / (6 * math.sqrt(n))
+        shift = float((centred**3).mean()) / spread**3 * (quantile**2 - 1) / (6 * math.sqrt(n))
         mean = float(sample.mean())
-        low, high = (mean + spread / math.sqrt(n) * (sign * _QUANTILE + shift) for sign in (-1, 1))
+        low, high = (mean + spread / math.sqrt(n) * (sign * quantile + shift) for sign in (-1, 1))
         return Interval(mean, low, high)
     means = np.empty(_RESAMPLES)
     step = max(1, _DRAWS_AT_ONCE // n)
     for first in range(0, _RESAMPLES, step):
         part = means[first : first + step]
         part[:] = sample[rng.integers(n, size=(len(part), n))].mean(axis=1)
-    tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(means, [tail, 1 - tail])
     return Interval(float(sample.mean()), float(low), float(high))
+
+
+def paired_test(differences: Sequence[float] | NDArray[np.float64], seed: int = 0) -> float:
+    """The two-sided p-value of paired differences under the hypothesis that each is as likely with the other sign.
+
+    The randomisation test of Fisher (The Design of Experiments, 1935, section 21) with 9,999 random sign changes and
+    the mean as its statistic. Of more than 5,000 differences, the p-value of the mean's normal limit.
+
+    Args:
+        differences: ``(n,)``.
+        seed: seeds the sign changes.
+
+    Raises:
+        ArgumentError: there is no difference, or one is not finite.
+    """
+    sample = _check_sample(differences)
+    n, found = len(sample), abs(float(sample.sum()))
+    if not sample.any():
+        return 1.0
+    if n > _MOST_RESAMPLED:
+        return math.erfc(found / math.sqrt(2 * float((sample**2).sum())))
+    rng, as_large = np.random.default_rng(seed), 0
+    step = max(1, _DRAWS_AT_ONCE // n)
+    for first in range(0, _RESAMPLES, step):
+        signs = 2.0 * rng.integers(2, size=(min(step, _RESAMPLES - first), n)) - 1
+        as_large += int((np.abs(signs @ sample) >= found * (1 - 1e-12)).sum())
+    return (1 + as_large) / (1 + _RESAMPLES)
+
+
+def holm(values: Sequence[float]) -> list[float]:
+    """Adjust p-values for their number, so that the chance of any false rejection stays below the level.
+
+    Holm, A simple sequentially rejective multiple test procedure, Scandinavian Journal of Statistics 6, 1979.
+    """
+    order = np.argsort(values)
+    factors = len(values) - np.arange(len(values))
+    adjusted = np.minimum(np.maximum.accumulate(np.asarray(values, np.float64)[order] * factors), 1.0)
+    found = np.empty(len(values))
+    found[order] = adjusted
+    return [float(value) for value in found]
+
+
+def _middle_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The mean of the values without the lowest and the highest quarter, along the last axis."""
+    n = values.shape[-1]
+    cut = n // 4
+    return np.partition(values, (cut, n - cut - 1), axis=-1)[..., cut : n - cut].mean(axis=-1)
+
+
+def interquartile_mean(strata: Sequence[Sequence[float] | NDArray[np.float64]], seed: int = 0) -> Interval:
+    """The mean of the middle half of all values, with its percentile interval from the stratified bootstrap.
+
+    Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021, section 4.3: all
+    values are pooled, and the lowest and the highest quarter are left out (each rounded down to whole values). 9,999
+    resamples are drawn from each task on its own. Of more than 5,000 values, the interval is that of the normal limit
+    (Tukey and McLaughlin, Sankhya A 25, 1963: the variance of a trimmed mean from the winsorised values).
+
+    Args:
+        strata: the values of each task, ``(n_s,)`` for task s.
+        seed: seeds the resampling.
+
+    Raises:
+        ArgumentError: a task has no value, or a value is not finite.
+    """
+    samples = [_check_sample(each) for each in strata]
+    pooled = np.sort(np.concatenate(samples))
+    n = len(pooled)
+    mean = float(_middle_mean(pooled))
+    tail = (1 - CONFIDENCE) / 2
+    if n > _MOST_RESAMPLED:
+        cut = n // 4
+        clipped = [np.clip(each, pooled[cut], pooled[n - cut - 1]) for each in samples]
+        spread = math.sqrt(sum(len(each) * float(each.var()) for each in clipped)) / (n - 2 * cut)
+        return Interval(mean, mean - _QUANTILE * spread, mean + _QUANTILE * spread)
+    rng, found = np.random.default_rng(seed), np.empty(_RESAMPLES)
+    step = max(1, _DRAWS_AT_ONCE // n)
+    for first in range(0, _RESAMPLES, step):
+        part = found[first : first + step]
+        drawn = [each[rng.integers(len(each), size=(len(part), len(each)))] for each in samples]
+        part[:] = _middle_mean(np.concatenate(drawn, axis=1))
+    low, high = np.quantile(found, [tail, 1 - tail])
+    return Interval(mean, float(low), float(high))
+
+
+def performance_profile(
+    strata: Sequence[Sequence[float] | NDArray[np.float64]],
+    thresholds: Sequence[float] | NDArray[np.float64],
+    lower_is_better: bool = False,
+    seed: int = 0,
+) -> Profile:
+    """The share of episodes that are better than each threshold, with pointwise percentile intervals.
+
+    The run-score distribution of Agarwal et al. (2021, section 4.2): the share of values above a threshold in each
+    task, averaged over the tasks, with 2,000 resamples of the stratified bootstrap. If lower values are better, it is
+    the share below the threshold.
+
+    Args:
+        strata: the values of each task, ``(n_s,)`` for task s.
+        thresholds: ``(t,)``.
+        lower_is_better: which values are better.
+        seed: seeds the resampling.
+
+    Raises:
+        ArgumentError: a task has no value, or a value is not finite.
+    """
+    sign = -1.0 if lower_is_better else 1.0
+    samples, at = [sign * _check_sample(each) for each in strata], _check_sample(thresholds)
+    order = np.argsort(sign * at)
+    edges = (sign * at)[order]
+    rng = np.random.default_rng(seed)
+    shares, resampled = np.zeros(len(at)), np.zeros((_PROFILE_RESAMPLES, len(at)))
+    for sample in samples:
+        n, places = len(sample), np.searchsorted(edges, sample, side="left")  # how many edges are below a value
+        counts = np.bincount(places, minlength=len(edges) + 1)
+        drawn = rng.multinomial(n, counts / n, size=_PROFILE_RESAMPLES)  # how many of n draws are between two edges
+        shares += (1 - np.cumsum(counts)[:-1] / n) / len(samples)
+        resampled += (1 - np.cumsum(drawn, axis=1)[:, :-1] / n) / len(samples)
+    tail = (1 - CONFIDENCE) / 2
+    ends = np.empty((3, len(at)))
+    ends[:, order] = shares, *np.quantile(resampled, [tail, 1 - tail], axis=0)
+    return Profile(at, *ends)

@@ -22,15 +22,17 @@ from usnet_env.evaluation.table import Columns, RowTable, read_table
 from usnet_env.files import FileLock, atomic_write
 from usnet_env.provenance import machine, versions
 
-__all__ = ["COLUMNS", "RowFile", "RunStore", "write_text"]
+__all__ = ["COLUMNS", "KEYS", "RowFile", "RunStore", "last_secret", "load_run", "write_text"]
 
 RUN, EPISODES, SUMMARY = "run.json", "episodes.csv", "summary.json"
 
 _INTEGERS = ("episode", "swarm_seed", "detector_seed", "uavs", "heads", "rounds", "success", "exact")
+#: The columns of ``episodes.csv`` that are no metrics.
+KEYS = ("detector", "episode", "swarm_seed", "detector_seed", "uavs", "heads")
 #: The columns of ``episodes.csv`` with their types.
 COLUMNS: Columns = {
     name: "int" if name in _INTEGERS else "float | None" if name in CLUSTER_METRICS else "float"
-    for name in ("detector", "episode", "swarm_seed", "detector_seed", "uavs", "heads", *METRICS)
+    for name in (*KEYS, *METRICS)
 } | {"detector": "str"}
 
 #: Returns the places of the rows of a table in their new order.
@@ -204,36 +206,41 @@ def _whole_lines(file: io.FileIO) -> int:
 class RunStore:
     """The folder of one run.
 
+    More detectors, and more episodes, may join the run of a folder; every other argument must be the same.
+
     Args:
         folder: the folder; it is created if it does not exist.
-        config: the arguments of the run as JSON values; a folder with a different config is refused.
+        config: the arguments of the run as JSON values, with ``detectors`` (their labels), ``identities`` and
+            ``episodes``.
+        columns: of the rows.
 
     While it is open no other process can use the folder. Use it in a ``with`` statement.
+
+    Attributes:
+        config: the arguments, with the detectors and the episodes that the folder has.
 
     Raises:
         ArgumentError: the folder holds a different run, files that are not a run, or a run that another process plays.
     """
 
-    def __init__(self, folder: Path, config: Mapping[str, Any]) -> None:
+    def __init__(self, folder: Path, config: Mapping[str, Any], columns: Columns = COLUMNS) -> None:
         self.folder = folder
-        self._config = json.loads(json.dumps(config))
+        self.config: dict[str, Any] = json.loads(json.dumps(config))
+        self._description: dict[str, Any] = {}  # what run.json holds
         if folder.exists() and not folder.is_dir():
             raise ArgumentError(f"out must be a folder, got the file {str(folder)!r}.")
         self._lock = FileLock(folder / RUN)
         try:
-            self._begun = (folder / RUN).exists()
-            if self._begun:
-                self._check_same_run()
+            if (folder / RUN).exists():
+                self._description = _read_description(folder)
+                self.config = _join(folder, self._description, self.config)
             elif (folder / EPISODES).exists():
                 raise ArgumentError(
                     f"out must be a new folder or the folder of a run, got {str(folder)!r} with rows but no {RUN}."
                 )
-            self._rows = RowFile(folder / EPISODES, COLUMNS, self._lock)
-        except BaseException as error:
+            self._rows = _open_rows(folder, columns, self._lock)
+        except BaseException:
             self._lock.release()
-            if isinstance(error, ValueError) and not isinstance(error, ArgumentError):
-                text = f"out must hold complete rows, got a broken {EPISODES} in {str(folder)!r}."
-                raise ArgumentError(text) from None
             raise
 
     def __enter__(self) -> RunStore:
@@ -242,25 +249,6 @@ class RunStore:
     def __exit__(self, *_: object) -> None:
         self._rows.close()
         self._lock.release()
-
-    def _check_same_run(self) -> None:
-        """Refuse the folder if its run has other arguments or was made by another version."""
-        try:
-            description = json.loads((self.folder / RUN).read_text(encoding="utf-8"))
-            config, made_by = dict(description["config"]), description["versions"]["usnet"]
-        except (ValueError, KeyError, TypeError):
-            raise ArgumentError(
-                f"out must be the folder of a run, got {str(self.folder)!r} with a broken {RUN}."
-            ) from None
-        if config != self._config:
-            names = config.keys() | self._config.keys()
-            different = sorted(name for name in names if config.get(name) != self._config.get(name))
-            raise ArgumentError(
-                f"out must be a new folder or the folder of the same run, got {str(self.folder)!r} with a run that has "
-                f"different values of {', '.join(different)}."
-            )
-        if made_by != version("usnet"):
-            raise ArgumentError(f"out must be a new folder, got {str(self.folder)!r} with a run of usnet {made_by}.")
 
     @property
     def table(self) -> RowTable:
@@ -273,21 +261,25 @@ class RunStore:
         Raises:
             ArgumentError: the folder was removed during the run, or it cannot be written.
         """
-        if not self._begun:  # only now: a run that is refused before its first row leaves nothing
-            self._lock.check()
-            description = {"config": self._config, "versions": versions(), "machine": machine()}
-            write_text(self.folder / RUN, json.dumps(description, indent=2) + "\n")
-            self._begun = True
+        if self._description.get("config") != self.config:  # only now: a run that is refused leaves nothing
+            self._describe({"versions": versions(), "machine": machine(), **self._description, "config": self.config})
+            (self.folder / SUMMARY).unlink(missing_ok=True)  # of the run before others joined it
         self._rows.append(rows)
 
     def add_secret(self, secret: str) -> None:
         """Write the secret of an isolated run that has ended to ``run.json``, after those of its earlier parts."""
-        if not self._begun:
-            return
+        if self._description:
+            secrets = dict.fromkeys([*self._description.get("secrets", []), secret])
+            self._describe(self._description | {"secrets": list(secrets)})
+
+    def describe_secret(self) -> dict[str, Any]:
+        """The last secret of an isolated run."""
+        return last_secret(self._description)
+
+    def _describe(self, description: dict[str, Any]) -> None:
         self._lock.check()
-        description = json.loads((self.folder / RUN).read_text(encoding="utf-8"))
-        secrets = dict.fromkeys([*description.get("secrets", []), secret])
-        write_text(self.folder / RUN, json.dumps(description | {"secrets": list(secrets)}, indent=2) + "\n")
+        write_text(self.folder / RUN, json.dumps(description, indent=2) + "\n")
+        self._description = description
 
     def finish(self, order: Order, summary: Sequence[Mapping[str, Any]]) -> None:
         """Sort the rows of a finished run, and write its summary.
@@ -299,3 +291,84 @@ class RunStore:
         self._lock.check()
         self._rows.sort(order)
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
+
+
+def load_run(folder: Path) -> tuple[dict[str, Any], RowTable]:
+    """Read a run: what ``run.json`` holds, and the rows, also of a run that is being played.
+
+    Raises:
+        ArgumentError: it is no folder of a run.
+    """
+    if not (folder / RUN).is_file():
+        raise ArgumentError(f"folder must be the folder of a run, got {quote(str(folder))} without {RUN}.")
+    description = _read_description(folder)
+    try:
+        with (folder / EPISODES).open(encoding="utf-8", newline="") as file:
+            names = file.readline().rstrip("\n").split(",")
+    except FileNotFoundError:
+        names = []
+    columns = {**COLUMNS, **dict.fromkeys([name for name in names if name not in COLUMNS], "float")}
+    try:
+        return description, read_table(folder / EPISODES, columns)
+    except ValueError:
+        raise _broken_rows(folder) from None
+
+
+def last_secret(description: Mapping[str, Any]) -> dict[str, Any]:
+    """The last secret of an isolated run, as a part of its arguments."""
+    secrets = description.get("secrets")
+    return {"secret": secrets[-1]} if secrets else {}
+
+
+def _read_description(folder: Path) -> dict[str, Any]:
+    """What ``run.json`` holds."""
+    try:
+        description = dict(json.loads((folder / RUN).read_text(encoding="utf-8")))
+        config, made_by = description["config"], description["versions"]["usnet"]
+        if not {"detectors", "identities", "episodes"} <= config.keys() or not isinstance(made_by, str):
+            raise ValueError
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise ArgumentError(f"out must be the folder of a run, got {str(folder)!r} with a broken {RUN}.") from None
+    return description
+
+
+def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
+    """The arguments of the run of a folder with the detectors and episodes that join it.
+
+    Raises:
+        ArgumentError: the run has other arguments, or was made by another version.
+    """
+    there: dict[str, Any] = description["config"]
+    identities, joining = (dict(zip(each["detectors"], each["identities"], strict=True)) for each in (there, asked))
+    different = [
+        name
+        for name in there.keys() | asked.keys()
+        if name not in ("detectors", "identities", "episodes") and there.get(name) != asked.get(name)
+    ]
+    if any(identities.get(label, identity) != identity for label, identity in joining.items()):
+        different.append("identities")
+    if asked["episodes"] < there["episodes"]:
+        different.append("episodes")
+    if different:
+        raise ArgumentError(
+            f"out must be a new folder or the folder of the same run, got {str(folder)!r} with a run that has "
+            f"different values of {', '.join(sorted(different))}."
+        )
+    if (made_by := description["versions"]["usnet"]) != version("usnet"):
+        raise ArgumentError(f"out must be a new folder, got {str(folder)!r} with a run of usnet {made_by}.")
+    together = identities | joining
+    joined = {"detectors": list(together), "identities": list(together.values()), "episodes": asked["episodes"]}
+    return there | joined
+
+
+def _open_rows(folder: Path, columns: Columns, lock: FileLock) -> RowFile:
+    try:
+        return RowFile(folder / EPISODES, columns, lock)
+    except ArgumentError:
+        raise
+    except ValueError:
+        raise _broken_rows(folder) from None
+
+
+def _broken_rows(folder: Path) -> ArgumentError:
+    return ArgumentError(f"out must hold complete rows, got a broken {EPISODES} in {str(folder)!r}.")

@@ -1,17 +1,14 @@
-"""Run the episodes of an evaluation, in this process or spread over several worker processes."""
+"""Play the episodes of a run in one process: this one, or another one that gets a plan of the run."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Generator, Iterable
-from contextlib import closing
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
 from gymnasium.vector.utils import CloudpickleWrapper
 
-from usnet_env.config import ArgumentError
 from usnet_env.evaluation.agents import Agent, as_agent
 from usnet_env.evaluation.environments import find_environment, make_environment
 from usnet_env.evaluation.episode import Row, detector_error, play_episode, warm_up
@@ -19,9 +16,9 @@ from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.isolation import IsolatedAgent
 from usnet_env.evaluation.parts import Part, register_parts, registered_parts
 from usnet_env.plugins import make_detector
-from usnet_env.processes import Limits, Outcome, PlainError, ProcessDied, ProcessPool, SendError
+from usnet_env.processes import Limits, Outcome, PlainError, ProcessDied
 
-__all__ = ["PREPARE", "Contestant", "Plan", "Task", "Worker", "run_here", "run_in_processes"]
+__all__ = ["PREPARE", "Contestant", "EpisodePlan", "Plan", "Player", "Task", "Worker", "as_failure", "send_plan"]
 
 #: In place of an episode: only create the agent and warm it up.
 PREPARE = -1
@@ -48,10 +45,12 @@ class Contestant:
     Args:
         label: its name in rows and tables.
         detector: a name as :func:`usnet_env.make_detector` takes it, or the object itself.
+        identity: what distinguishes it from others, as plain values.
     """
 
     label: str
     detector: Any
+    identity: Any = None
 
     def make_agent(self) -> Agent:
         """Create the agent in this process: a new detector if a name is given, else the given object."""
@@ -109,8 +108,29 @@ class Worker:
             agent.close()
 
 
+class Player(Protocol):
+    """Plays the episodes of a run in one process."""
+
+    def run_task(self, task: Task) -> Row | None:
+        """Play one episode with one contestant; ``None`` if the contestant was only prepared."""
+
+    def close(self) -> None:
+        """End the processes of the contestants."""
+
+
+class Plan(Protocol):
+    """All that another process needs to know of a run."""
+
+    @property
+    def labels(self) -> list[str]:
+        """The contestants' names in rows and tables."""
+
+    def make_player(self) -> Player:
+        """Create the player of this process."""
+
+
 @dataclass(frozen=True)
-class Plan:
+class EpisodePlan:
     """All that another process needs to know of an evaluation.
 
     Args:
@@ -125,31 +145,40 @@ class Plan:
     contestants: list[Contestant]
     isolation: Limits | None = None
 
+    @property
+    def labels(self) -> list[str]:
+        """The contestants' names in rows and tables."""
+        return [contestant.label for contestant in self.contestants]
+
+    def make_player(self) -> Worker:
+        """Create the environment and the worker of this process."""
+        environment = make_environment(find_environment(self.env_id), self.env_kwargs)
+        return Worker(environment, self.contestants, self.isolation)
+
 
 @dataclass
-class _RemoteWorker:
-    """A :class:`Worker` that is created in another process, by its first task.
+class _RemotePlayer:
+    """A :class:`Player` that is created in another process, by its first task.
 
     Args:
-        plan: the evaluation.
+        plan: the run.
         registered: what the program has registered itself.
     """
 
     plan: Plan
     registered: list[Part]
-    _worker: Worker | None = None
+    _player: Player | None = None
 
     def run_task(self, task: Task) -> Row | None:
-        if self._worker is None:
+        if self._player is None:
             register_parts(self.registered)
-            environment = make_environment(find_environment(self.plan.env_id), self.plan.env_kwargs)
-            self._worker = Worker(environment, self.plan.contestants, self.plan.isolation)
-        return self._worker.run_task(task)
+            self._player = self.plan.make_player()
+        return self._player.run_task(task)
 
 
 @dataclass(frozen=True)
 class _Sent:
-    """Carries a :class:`_RemoteWorker` to another process by value: classes of a notebook cannot be imported there."""
+    """Carries a :class:`_RemotePlayer` to another process by value: classes of a notebook cannot be imported there."""
 
     wrapper: Any
 
@@ -157,88 +186,23 @@ class _Sent:
         return self.wrapper.fn.run_task(task)
 
 
-def run_here(
-    worker: Worker, tasks: Iterable[Task], threads: list[_Thread]
-) -> Generator[Outcome[Task, Row | None], None, None]:
-    """Run all tasks in this process.
+def send_plan(plan: Plan) -> Callable[[Task], Row | None]:
+    """The function that plays the tasks of a run in another process; it is pickled."""
+    remote: Any = _RemotePlayer(plan, registered_parts())
+    return _Sent(CloudpickleWrapper(remote))
+
+
+def as_failure(outcome: Outcome[Task, Row | None], label: str) -> Outcome[Task, Row | None]:
+    """Turn what ended a task into the failure of its contestant; errors of arguments are raised.
 
     Args:
-        worker: plays them; it is closed at the end.
-        tasks: what to play.
-        threads: receives the names of threads that are not daemons and stay after a task, each with the task.
+        outcome: what came of the task.
+        label: of the contestant.
     """
-    known = set(threading.enumerate())
-    with closing(worker):
-        for task in tasks:
-            try:
-                yield Outcome(task, worker.run_task(task))
-            except EvaluationError as error:
-                yield Outcome(task, error=error)
-            fresh = [each for each in threading.enumerate() if each not in known]
-            threads += [(each.name, task) for each in fresh if not each.daemon]
-            known.update(fresh)
-
-
-_Thread = tuple[str, Task]
-
-
-def run_in_processes(
-    plan: Plan,
-    tasks: Iterable[Task],
-    is_wanted: Callable[[Task], bool],
-    workers: int,
-    limits: Limits,
-    threads: list[_Thread],
-) -> Generator[Outcome[Task, Row | None], None, None]:
-    """Run all tasks in separate processes; the outcomes come in any order.
-
-    Args:
-        plan: the evaluation.
-        tasks: what to play.
-        is_wanted: whether a task is still wanted whose process has died before the task was begun.
-        workers: number of processes.
-        limits: limits of each answer.
-        threads: receives the names of threads because of which a process did not end by itself, each with its task.
-
-    Raises:
-        ArgumentError: an argument cannot be sent to another process, or was refused there.
-        EvaluationError: no process could start.
-    """
-    try:
-        remote: Any = _RemoteWorker(plan, registered_parts())
-        pool = ProcessPool[Task, "Row | None"](_Sent(CloudpickleWrapper(remote)), workers, limits)
-    except SendError as error:
-        raise _cannot_be_sent(workers, limits, error) from None
-    with pool:
-        try:
-            for outcome in pool.run(tasks, is_wanted):
-                yield _as_failure(outcome, plan.contestants)
-        except SendError as error:
-            if error.started:
-                raise _cannot_be_sent(workers, limits, error) from None
-            raise EvaluationError(f"{error}. {_GUARD}") from None
-        threads += pool.left_threads
-
-
-_GUARD = (
-    "A worker process imports the script that started it, so a script must call evaluate in a block that begins with "
-    '`if __name__ == "__main__":`.'
-)
-
-
-def _cannot_be_sent(workers: int, limits: Limits, error: SendError) -> ArgumentError:
-    what = f"got {workers}" if workers > 1 else "and time_limit and memory_limit must be None, got a limit"
-    return ArgumentError(
-        f"workers must be 1 for a detector or argument that cannot be sent to another process, {what}: {error}."
-    )
-
-
-def _as_failure(outcome: Outcome[Task, Row | None], contestants: list[Contestant]) -> Outcome[Task, Row | None]:
-    """Turn what ended a task into the failure of its detector; errors of arguments are raised."""
-    error, (episode, number, _) = outcome.error, outcome.task
+    error, episode = outcome.error, outcome.task.episode
     if error is None or isinstance(error, EvaluationError):
         return outcome
     if isinstance(error, ProcessDied) or not isinstance(error, Exception):
         where = "its warm-up" if episode == PREPARE else f"episode {episode}"
-        return Outcome(outcome.task, error=detector_error(contestants[number].label, where, error))
+        return Outcome(outcome.task, error=detector_error(label, where, error))
     raise error

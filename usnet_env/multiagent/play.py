@@ -15,7 +15,7 @@ from usnet_env.config import ArgumentError, plain_text, quote, whole_number
 from usnet_env.multiagent.base import RoundRecord, UsnetParallelEnv
 from usnet_env.provenance import versions
 
-__all__ = ["GameResult", "PolicyLike", "play_game"]
+__all__ = ["GameResult", "PolicyLike", "agent_role", "choose_policies", "play_game"]
 
 
 class PolicyLike(Protocol):
@@ -60,29 +60,14 @@ def agent_role(agent: str) -> str:
     return agent.rpartition("_")[0]
 
 
-def play_game(env: UsnetParallelEnv, policies: Mapping[str, PolicyLike], seed: int, label: str = "") -> GameResult:
-    """Play one game in Parallel form.
-
-    Args:
-        env: one of the games' ``parallel_env``.
-        policies: a policy for each agent, or for each role (``"observer"``, ``"head"``). A policy that several agents
-            share is copied for each of them; a policy of a single agent is used as it is, without a copy.
-        seed: the seed of the game; the seeds of the policies come from a separate branch of it.
-        label: name of the detector in the record.
-
-    Returns:
-        The result; ``usnet_env.replay.EpisodeRecord(**result.record)`` is the episode in the form that can be saved.
+def choose_policies(env: UsnetParallelEnv, policies: Any) -> dict[str, PolicyLike]:
+    """Find the policy of each agent in a mapping of agents or roles to policies.
 
     Raises:
-        ArgumentError: ``env`` is not one of the games, an agent has no policy, or another argument has another type.
+        ArgumentError: an agent has no policy, or a policy lacks a method.
     """
-    if not isinstance(env, UsnetParallelEnv):
-        raise ArgumentError(f"env must be the parallel_env of a usnet_env game, got {quote(env)}.")
     if not isinstance(policies, Mapping):
         raise ArgumentError(f"policies must be a mapping of agents or roles to policies, got {quote(policies)}.")
-    seed = whole_number("seed", seed, 0)
-    label = plain_text("label", label)
-    observations, infos = env.reset(seed=seed)
     chosen = {}
     for agent in env.possible_agents:
         policy = policies.get(agent, policies.get(agent_role(agent)))
@@ -93,9 +78,45 @@ def play_game(env: UsnetParallelEnv, policies: Mapping[str, PolicyLike], seed: i
         if not all(callable(getattr(policy, method, None)) for method in ("reset", "act")):
             raise ArgumentError(f"policies must have the methods reset and act, got {quote(policy)} for {agent}.")
         chosen[agent] = policy
+    return chosen
+
+
+def play_game(
+    env: UsnetParallelEnv,
+    policies: Mapping[str, PolicyLike],
+    seed: int,
+    label: str = "",
+    policy_seed: int | None = None,
+) -> GameResult:
+    """Play one game in Parallel form.
+
+    Args:
+        env: one of the games' ``parallel_env``.
+        policies: a policy for each agent, or for each role (``"observer"``, ``"head"``). A policy that several agents
+            share is copied for each of them; a policy of a single agent is used as it is, without a copy.
+        seed: the seed of the game.
+        label: name of the detector in the record.
+        policy_seed: the seed from which the seeds of the policies come; ``None``: a separate branch of ``seed``.
+
+    Returns:
+        The result; ``usnet_env.replay.EpisodeRecord(**result.record)`` is the episode in the form that can be saved.
+
+    Raises:
+        ArgumentError: ``env`` is not one of the games, an agent has no policy, or another argument has another type.
+    """
+    if not isinstance(env, UsnetParallelEnv):
+        raise ArgumentError(f"env must be the parallel_env of a usnet_env game, got {quote(env)}.")
+    chosen = choose_policies(env, policies)
+    seed = whole_number("seed", seed, 0)
+    label = plain_text("label", label)
+    observations, infos = env.reset(seed=seed)
     uses = Counter(map(id, chosen.values()))
     agents = {name: copy.deepcopy(policy) if uses[id(policy)] > 1 else policy for name, policy in chosen.items()}
-    branches = np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(len(env.possible_agents), np.uint32)
+    if policy_seed is None:
+        source = np.random.SeedSequence(seed, spawn_key=(1,))
+    else:
+        source = np.random.SeedSequence(whole_number("policy_seed", policy_seed, 0))
+    branches = source.generate_state(len(env.possible_agents), np.uint32)
     for (name, policy), own_seed in zip(agents.items(), branches, strict=True):
         policy.reset(int(own_seed), env.action_space(name))
     returns = dict.fromkeys(env.possible_agents, 0.0)

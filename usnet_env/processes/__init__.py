@@ -1,4 +1,6 @@
-"""Run functions in child processes, with limits of time and memory.
+"""Run functions on tasks: here, in child processes with limits of time and memory, or on a Ray cluster.
+
+The three backends have the same methods (:class:`Backend`); :func:`make_backend` makes one by name.
 
 A :class:`ProcessPool` starts its processes anew (they inherit no memory), gives each task to one of them, and yields
 the outcomes as they come. A child process that ends before its task is finished does not end the run: the outcome of
@@ -20,13 +22,19 @@ Inside a task, :func:`limited` marks the part to which the limits apply, such as
             print(outcome.task, outcome.result or outcome.error)
 """
 
+from usnet_env.processes.backends import BACKENDS, InProcess, check_backend, make_backend
 from usnet_env.processes.limits import Limits, ProcessDied, limited
+from usnet_env.processes.outcome import Backend, Outcome
 from usnet_env.processes.parent import SendError
 from usnet_env.processes.plain import Arrays, PlainError, PlainFunction, PlainProcess
-from usnet_env.processes.pool import Outcome, ProcessPool
+from usnet_env.processes.pool import ProcessPool
+from usnet_env.processes.ray_pool import RayPool
 
 __all__ = [
+    "BACKENDS",
     "Arrays",
+    "Backend",
+    "InProcess",
     "Limits",
     "Outcome",
     "PlainError",
@@ -34,6 +42,9 @@ __all__ = [
     "PlainProcess",
     "ProcessDied",
     "ProcessPool",
+    "RayPool",
     "SendError",
+    "check_backend",
     "limited",
+    "make_backend",
 ]

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import ForkingPickler
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic
 
 from usnet_env.processes.child import run_child
 from usnet_env.processes.limits import Limits, ProcessDied
+from usnet_env.processes.outcome import Outcome, ResultT, TaskT, every_task
 from usnet_env.processes.parent import (
     RemoteTraceback,
     SendError,
@@ -22,29 +23,11 @@ from usnet_env.processes.parent import (
     without_interrupts,
 )
 
-__all__ = ["Outcome", "ProcessPool"]
+__all__ = ["ProcessPool"]
 
 _TASKS_AHEAD = 2  # tasks that a process has received: one to run, and the next one so that it never waits
 _POLL = 1.0  # seconds; a process whose death no pipe reports, because a child of its own holds the pipe, is found then
 _GRACE = 5.0  # seconds in which a process may end by itself after its last task
-
-TaskT = TypeVar("TaskT")
-ResultT = TypeVar("ResultT")
-
-
-@dataclass(frozen=True)
-class Outcome(Generic[TaskT, ResultT]):
-    """What came of a task: a result, or an error.
-
-    Args:
-        task: the task.
-        result: what the function returned; ``None`` after an error.
-        error: what the function raised, or :class:`ProcessDied`; ``None`` after success.
-    """
-
-    task: TaskT
-    result: ResultT | None = None
-    error: BaseException | None = None
 
 
 @dataclass(eq=False)
@@ -69,7 +52,7 @@ class ProcessPool(Generic[TaskT, ResultT]):
         limits: of each part that the function marks with :func:`limited`.
 
     Attributes:
-        left_threads: after the last outcome: names of threads that a task started, that are no daemons, and because of
+        left_threads: after :meth:`finish`: names of threads that a task started, that are no daemons, and because of
             which a process did not end by itself, each with its task.
     """
 
@@ -96,8 +79,8 @@ class ProcessPool(Generic[TaskT, ResultT]):
         self.close()
 
     def run(
-        self, tasks: Iterable[TaskT], is_wanted: Callable[[TaskT], bool] = lambda task: True
-    ) -> Iterator[Outcome[TaskT, ResultT]]:
+        self, tasks: Iterable[TaskT], is_wanted: Callable[[TaskT], bool] = every_task
+    ) -> Generator[Outcome[TaskT, ResultT], None, None]:
         """Run all tasks; the outcomes come in the order in which they are finished.
 
         Args:
@@ -107,24 +90,36 @@ class ProcessPool(Generic[TaskT, ResultT]):
         Raises:
             SendError: the function cannot be unpickled in another process, or a process could not start.
         """
-        queue, again = iter(tasks), deque[TaskT]()  # `again`: tasks that a process had received when it died
         try:
-            while True:
-                again = deque(filter(is_wanted, again))
-                self._fill(queue, again)
-                if not any(each.tasks for each in self._processes):
-                    break
-                self._wait()
-                for each in list(self._processes):
-                    dead = each.process.exitcode is not None  # asked first: all that it sent can then be read
-                    yield from self._read(each)
-                    if dead or each.connection.closed:
-                        yield from self._bury(each, again)
-                    elif each.deadline is not None and time.monotonic() > each.deadline:
-                        yield self._kill_late(each, again)
-            self._end_processes()
+            yield from self._run(iter(tasks), is_wanted)
+            self.finish()
         finally:
             self.close()
+
+    def run_one(self, task: TaskT) -> Outcome[TaskT, ResultT]:
+        """Run one task; the processes stay for the next one.
+
+        Raises:
+            SendError: as :meth:`run`.
+        """
+        (outcome,) = self._run(iter([task]), every_task)
+        return outcome
+
+    def _run(self, queue: Iterator[TaskT], is_wanted: Callable[[TaskT], bool]) -> Iterator[Outcome[TaskT, ResultT]]:
+        again = deque[TaskT]()  # tasks that a process had received when it died
+        while True:
+            again = deque(filter(is_wanted, again))
+            self._fill(queue, again)
+            if not any(each.tasks for each in self._processes):
+                break
+            self._wait()
+            for each in list(self._processes):
+                dead = each.process.exitcode is not None  # asked first: all that it sent can then be read
+                yield from self._read(each)
+                if dead or each.connection.closed:
+                    yield from self._bury(each, again)
+                elif each.deadline is not None and time.monotonic() > each.deadline:
+                    yield self._kill_late(each, again)
 
     def close(self) -> None:
         """Kill all processes; nothing is lost but unfinished tasks."""
@@ -231,8 +226,8 @@ class ProcessPool(Generic[TaskT, ResultT]):
             end_process(each.process, each.connection)
             self._processes.remove(each)
 
-    def _end_processes(self) -> None:
-        """Let the processes end by themselves; those that threads keep alive are killed by :meth:`close`."""
+    def finish(self) -> None:
+        """Let the processes end by themselves; :meth:`close` kills those that threads keep alive."""
         for each in self._processes:
             # Only the direction to the child is closed, so that its last message can still be read.
             with suppress(OSError):

@@ -1,4 +1,4 @@
-"""``usnet list`` and ``usnet check-detector``: list the available parts, and test a detector."""
+"""``usnet list``: list the available parts."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from usnet_env.config import ArgumentError
+
 if TYPE_CHECKING:
     from usnet_env.plugins import DetectorEntry
     from usnet_env.registry import Registry
@@ -17,8 +19,6 @@ if TYPE_CHECKING:
 __all__ = ["list_"]
 
 _NARROWEST = 30  # columns of a description
-
-
 _PARTS = ("envs", "detectors", "follow", "mobility", "formation", "placement", "fusion", "clusterer")
 
 

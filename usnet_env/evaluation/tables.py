@@ -1,0 +1,231 @@
+"""Tables of a result: for a terminal, and as Markdown, LaTeX and HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from usnet_env.config import unknown_name
+from usnet_env.evaluation.metrics import METRICS
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+__all__ = ["conclude", "full_table", "html_table", "latex_table", "markdown_table", "objective_name", "ranking_table"]
+
+Summary = Sequence[Mapping[str, Any]]
+
+#: Headings of the metrics in tables.
+HEADINGS = {
+    "J": "J",
+    "rounds": "rounds",
+    "redundancy": "redundancy",
+    "success": "success",
+    "exact": "exact",
+    "precision_first": "precision\nin round 1",
+    "recall_first": "recall\nin round 1",
+    "f1_first": "F1\nin round 1",
+    "ap_first": "AP\nin round 1",
+    "seconds_per_round": "seconds\nper round",
+    "purity_first": "purity\nin round 1",
+    "head_in_cluster_first": "head in cluster\nin round 1",
+}
+
+#: Columns of the ranked table after J, with the arrow that points to the better values.
+RANKING = {
+    "rounds": "rounds↓",
+    "redundancy": "redundancy↓",
+    "exact": "exact↑",
+    "f1_first": "F1↑",
+    "seconds_per_round": "s↓",
+}
+
+_LATEX = {character: f"\\{character}" for character in "&%$#_{}"} | {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+}
+
+
+def _format_number(value: float) -> str:
+    """Format with three decimals, or with two significant digits below 0.001."""
+    return f"{value:.3f}" if value == 0 or abs(value) >= 0.001 else f"{value:.2g}"
+
+
+def _format_objective(value: float) -> str:
+    """Format with three decimals, or with two from 10 on."""
+    return f"{value:.3f}" if abs(value) < 10 else f"{value:.2f}"
+
+
+def _format_short(name: str, value: float) -> str:
+    if name == "seconds_per_round" and 0 < value < 0.01:
+        return "<0.01"
+    return f"{value:.1f}" if name == "rounds" or value >= 100 else f"{value:.2f}"
+
+
+def _join(names: Sequence[str]) -> str:
+    """``a``, ``a and b``, or ``a, b and c``."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
+def _sign(summary: Summary) -> int:
+    """1 for J_m, which is at least 1 and is to be low; -1 for J_s, which is at most 0 and is to be high."""
+    return 1 if summary[0]["metrics"]["J"]["mean"] > 0 else -1
+
+
+def objective_name(summary: Summary) -> str:
+    """``J_m`` of P2 or ``J_s`` of P1."""
+    return "J_m" if _sign(summary) == 1 else "J_s"
+
+
+def rank(summary: Summary) -> list[Mapping[str, Any]]:
+    """The entries of the summary, best mean of J first, then the highest F1; equal ones in the order given."""
+
+    def place(entry: Mapping[str, Any]) -> tuple[float, float]:
+        metrics = entry["metrics"]
+        return _sign(summary) * metrics["J"]["mean"], -metrics["f1_first"]["mean"]
+
+    return sorted(summary, key=place)
+
+
+def _choose_metrics(summary: Summary, metrics: Sequence[str] | None) -> list[str]:
+    """The metrics that are asked for, or all, if at least one detector has them.
+
+    Raises:
+        ArgumentError: there is no such metric.
+    """
+    known = list(dict.fromkeys(name for entry in summary for name in entry["metrics"]))
+    for name in metrics or ():
+        if name not in known and name not in METRICS:
+            raise unknown_name("metrics", name, known)
+    return known if metrics is None else [name for name in metrics if name in known]
+
+
+def _cells(entry: Mapping[str, Any], metrics: Sequence[str], pattern: str) -> list[str]:
+    """A detector's mean and interval of each metric; ``–`` where it has none."""
+    found = [entry["metrics"].get(name) for name in metrics]
+    return [
+        pattern.format(*(_format_number(cell[part]) for part in ("mean", "low", "high"))) if cell else "–"
+        for cell in found
+    ]
+
+
+def _headings(metrics: Sequence[str]) -> list[str]:
+    return ["detector", "episodes", *(HEADINGS.get(name, name).replace("\n", " ") for name in metrics)]
+
+
+def markdown_table(summary: Summary, metrics: Sequence[str] | None) -> str:
+    """The means and intervals of all detectors as a table in Markdown."""
+    chosen = _choose_metrics(summary, metrics)
+    lines = [_headings(chosen), ["---", *["---:"] * (len(chosen) + 1)]]
+    for entry in summary:
+        label = entry["detector"].replace("|", r"\|")
+        lines.append([label, str(entry["episodes"]), *_cells(entry, chosen, "{} ({} to {})")])
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def latex_table(summary: Summary, metrics: Sequence[str] | None) -> str:
+    """The means and intervals of all detectors as a ``tabular`` of LaTeX with the rules of the package booktabs."""
+
+    def text(words: str) -> str:
+        return "".join(_LATEX.get(character, character) for character in words)
+
+    chosen = _choose_metrics(summary, metrics)
+    body = [
+        [text(entry["detector"]), str(entry["episodes"]), *_cells(entry, chosen, "${}$ (${}$ to ${}$)")]
+        for entry in summary
+    ]
+    rows = [" & ".join(line).replace("–", "--") + r" \\" for line in [list(map(text, _headings(chosen))), *body]]
+    lines = [rf"\begin{{tabular}}{{l{'r' * (len(chosen) + 1)}}}", r"\toprule", rows[0], r"\midrule", *rows[1:]]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def html_table(summary: Summary, title: str) -> str:
+    """The ranking as a table in HTML, with the sentence about the best detector."""
+    if not summary:
+        return f"<p>{escape(title)}</p>"
+    chosen = ["J", *RANKING]
+    arrow = "↓" if _sign(summary) == 1 else "↑"
+    headings = ["detector", "episodes", f"{objective_name(summary)}{arrow} (95 % interval)", *RANKING.values()]
+    lines = ["".join(f"<th>{escape(heading)}</th>" for heading in headings)]
+    for entry in rank(summary):
+        cells = _cells(entry, chosen[:1], "{} ({} to {})")
+        cells += [_format_short(name, entry["metrics"][name]["mean"]) for name in RANKING]
+        texts = [entry["detector"], str(entry["episodes"]), *cells]
+        lines.append("".join(f"<td>{escape(text)}</td>" for text in texts))
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<table><caption>{escape(title)}</caption>{body}</table><p>{escape(conclude(summary))}</p>"
+
+
+def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Table:
+    """All metrics with their intervals, one row for each detector, for a terminal."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    columns = _choose_metrics(summary, metrics)
+    table = Table(title=f"{env}: mean and 95 % interval", box=SIMPLE_HEAD, leading=1, title_justify="left")
+    table.add_column("detector", overflow="fold")
+    table.add_column("episodes", justify="right")
+    for name in columns:
+        table.add_column(HEADINGS.get(name, name), justify="right", no_wrap=True)
+    for entry in summary:
+        # Text is not parsed as Rich markup, in which brackets have a meaning.
+        table.add_row(Text(entry["detector"]), str(entry["episodes"]), *_cells(entry, columns, "{}\n{}–{}"))
+    return table
+
+
+def ranking_table(summary: Summary, env: str) -> Table:
+    """The detectors by their J, best first, and their main metrics, for a terminal of 80 columns."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    episodes = sorted({entry["episodes"] for entry in summary})
+    played = f"{episodes[0]}" if len(episodes) == 1 else f"{episodes[0]} to {episodes[-1]}"
+    plural = "" if episodes == [1] else "s"
+    title = f"{env}, {played} episode{plural} of each detector: means, best first"
+    table = Table(title=title, box=SIMPLE_HEAD, title_justify="left", show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("detector", overflow="fold")
+    arrow = "↓" if _sign(summary) == 1 else "↑"
+    for heading in (f"{objective_name(summary)}{arrow} (95 % int.)", *RANKING.values()):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for entry in rank(summary):
+        metrics = entry["metrics"]
+        mean, low, high = (_format_objective(metrics["J"][name]) for name in ("mean", "low", "high"))
+        cells = [f"{mean} (all equal)" if metrics["J"]["low"] == metrics["J"]["high"] else f"{mean} ({low}–{high})"]
+        cells += [_format_short(name, metrics[name]["mean"]) for name in RANKING]
+        table.add_row(Text(entry["detector"]), *cells)  # Text is not parsed as Rich markup
+    return table
+
+
+def conclude(summary: Summary) -> str:
+    """State in one sentence which detector has the best J, and which others these episodes do not separate from it.
+
+    Others are not separated from it if their 95 % interval of J overlaps its interval.
+    """
+    first, *others = rank(summary)
+    objective, best = objective_name(summary), first["metrics"]["J"]
+    mean, low, high = (_format_objective(best[name]) for name in ("mean", "low", "high"))
+    if best["low"] == best["high"]:
+        value = f"{mean} in {'every' if first['episodes'] > 1 else 'its only'} episode"
+    else:
+        value = f"{mean} (95 % interval {low}–{high})"
+    if not others:
+        return f"{first['detector']} has a {objective} of {value}."
+    equal = [e["detector"] for e in others if e["metrics"]["J"] == best]
+    near = [
+        e["detector"]
+        for e in others
+        if e["metrics"]["J"] != best
+        and e["metrics"]["J"]["low"] <= best["high"]
+        and best["low"] <= e["metrics"]["J"]["high"]
+    ]
+    names = _join([first["detector"], *equal])
+    extreme = "lowest" if _sign(summary) == 1 else "highest"
+    sentence = f"{names} {'have' if equal else 'has'} the {extreme} {objective}: {value}"
+    if near:
+        intervals = "interval of" if len(near) == 1 else "intervals of"
+        return f"{sentence}, which overlaps with the {intervals} {_join(near)}."
+    return f"{sentence}."
