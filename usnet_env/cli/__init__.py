@@ -1,4 +1,4 @@
-"""The command line: ``usnet evaluate``, ``demo``, ``reproduce``, ``train``, ``check-detector`` and ``list``.
+"""The command line: ``usnet evaluate``, ``demo``, ``detect``, ``reproduce``, ``train``, ``check-detector``, ``list``.
 
 Every refusal or failure is one sentence on standard error, without a traceback. Each command imports its heavy
 modules itself, so that ``usnet --help`` is fast.
@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 import click
 
+from usnet_env.cli.detect import detect
 from usnet_env.cli.evaluation import demo, evaluate
 from usnet_env.cli.list_and_check import check_detector, list_
 from usnet_env.cli.output import print_message
@@ -33,7 +34,7 @@ def _usnet() -> None:
     """Simulate UAV swarms, find their cluster heads with detectors, and score the detectors."""
 
 
-for _command in (evaluate, demo, reproduce, train, check_detector, list_):
+for _command in (evaluate, demo, detect, reproduce, train, check_detector, list_):
     _usnet.add_command(_command)
 
 
