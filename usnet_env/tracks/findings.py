@@ -19,7 +19,8 @@ _UNEVEN = 0.1  # sampling is uneven if a tenth of the intervals differ from the 
 _JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
 _EXCHANGE = 0.25  # after an exchange of ids, each is this close to the place expected of the other, in jump lengths
 _MOST_JUMPS = 2000  # compared with each other for exchanged ids
-_AGREEMENT = 0.05  # velocities agree with positions if half of them differ by less than this share
+_AGREEMENT = 0.3  # velocities agree with positions if half of them differ by less than this share
+_SYNCHRONOUS, _PHASE = 0.6, 0.1  # share of ids that are sampled at the same times, up to this part of an interval
 _MOST_NAMED = 3
 
 
@@ -145,20 +146,19 @@ def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> list[Finding]
                 )
             )
     if usual > 0 and len(filled) > 2:
-        phase = np.exp(2j * np.pi * first / usual)
-        middle = phase.mean()
-        if abs(middle) > 0.8:  # the samples of most ids are simultaneous
-            off = np.abs(np.angle(phase * np.conj(middle))) / (2 * np.pi)
-            shifted = filled[off > 0.1]
-            if len(shifted):
-                found.append(
-                    Finding(
-                        "clocks",
-                        f"{len(shifted)} ids are sampled between the times of the others: {_name(tracks, shifted)}; "
-                        "their clocks may disagree.",
-                        len(shifted),
-                    )
+        phase = first / usual % 1.0
+        mode = (np.bincount((phase * 50).astype(int) % 50).argmax() + 0.5) / 50
+        off = np.abs((phase - mode + 0.5) % 1.0 - 0.5)
+        shifted = filled[off > _PHASE]
+        if len(shifted) <= (1 - _SYNCHRONOUS) * len(filled) and len(shifted):
+            found.append(
+                Finding(
+                    "clocks",
+                    f"{len(shifted)} ids are sampled between the times of the others: {_name(tracks, shifted)}; "
+                    "their clocks may disagree.",
+                    len(shifted),
                 )
+            )
     return found
 
 
@@ -260,7 +260,7 @@ def _find_velocity_conflicts(tracks: Tracks, interval: Floats, inner: NDArray[np
     norm = np.linalg.norm(middle, axis=1)
     ratio = float(np.median(norm / size)) if len(size) else 0.0
     scaled = difference(middle / ratio) if ratio > 0 else 1.0
-    if scaled <= 2 * _AGREEMENT:
+    if scaled <= _AGREEMENT:
         why = f"they are {ratio:.3g} times as large, so they are probably in another unit"
     else:
         why = f"half of them differ by more than {best:.0%}"

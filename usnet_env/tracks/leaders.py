@@ -20,6 +20,7 @@ __all__ = ["DetectedWindow", "FoundLeaders", "Leader", "find_leaders"]
 
 DEFAULT_DETECTOR = "follow-mixture(policy='map')"
 _SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
+_SAME_LEADER = 0.25
 
 
 @dataclass(frozen=True)
@@ -153,8 +154,11 @@ def find_leaders(
         heads = np.flatnonzero(detection.candidates)
         heads = heads[np.argsort(-detection.scores[heads], kind="stable")]
         followers = [_followers(detection, int(head)) for head in heads]
-        members = [{int(cut.rows[i]) for i in (head, *led)} for head, led in zip(heads, followers, strict=True)]
-        labels = groups.follow(members)
+        groups_here = [
+            (int(cut.rows[head]), {int(cut.rows[i]) for i in (head, *led)})
+            for head, led in zip(heads, followers, strict=True)
+        ]
+        labels = groups.follow(groups_here)
         probability = _probabilities(detection, len(cut.ids))
         reasons = _reasons(detection, heads, followers, len(cut.ids))
         found = DetectedWindow(
@@ -240,22 +244,31 @@ class _Groups:
     """Numbers groups so that a group keeps its number from window to window."""
 
     def __init__(self) -> None:
-        self._members: list[set[int]] = []  # of each group, when it was seen last
+        self._last: list[tuple[int, set[int]]] = []  # leader and members of each group, when it was found last
 
-    def follow(self, found: list[set[int]]) -> list[int]:
-        """Return the number of each group, from 1: that of the earlier group that shares the most, or a new one."""
+    def follow(self, found: list[tuple[int, set[int]]]) -> list[int]:
+        """Number the groups, each a leader and its members, from 1.
+
+        A group has the number of the earlier group with which it shares the most members; a common leader counts as a
+        quarter of them. It has a new number if it shares less than a quarter with each.
+        """
         labels = [0] * len(found)
-        if found and self._members:
-            share = np.array([[len(a & b) / len(a | b) for b in self._members] for a in found])
+        if found and self._last:
+            share = np.array(
+                [
+                    [len(now & then) / len(now | then) + _SAME_LEADER * (head == leader) for leader, then in self._last]
+                    for head, now in found
+                ]
+            )
             for k, g in zip(*linear_sum_assignment(-share), strict=True):
                 if share[k, g] >= _SAME_GROUP:
                     labels[k] = int(g) + 1
-        for k, members in enumerate(found):
+        for k, group in enumerate(found):
             if labels[k]:
-                self._members[labels[k] - 1] = members
+                self._last[labels[k] - 1] = group
             else:
-                self._members.append(members)
-                labels[k] = len(self._members)
+                self._last.append(group)
+                labels[k] = len(self._last)
         return labels
 
 

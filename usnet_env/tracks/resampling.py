@@ -161,7 +161,7 @@ def choose_step(tracks: Tracks) -> StepChoice:
     interval = float(np.nanmedian(typical))
     velocity = _sample_velocities(tracks, interval)
     noise, needed = _noise(velocity)
-    lag, edge, pairs = _lag(velocity)
+    lag, edge, pairs = _lag(velocity, needed)
     factor = float(needed)
     reasons = []
     if needed > 1:
@@ -177,7 +177,7 @@ def choose_step(tracks: Tracks) -> StepChoice:
         follows = f"an id follows its neighbours after {lag * interval:g} s (median of {pairs} pairs)"
         if lag > _WORST_LAG:
             factor = max(factor, float(round(lag / _BEST_LAG)))
-        reasons.append(f"{follows}, that is {lag / factor:.2g} of the step")
+        reasons.append(f"{follows}, which is {lag / factor:.2g} times the step")
     step = factor * interval
     sampled = "the sampling interval" if factor == 1 else f"{factor:g} sampling intervals of {interval:g} s"
     sentences = [f"The step is {step:g} s, {sampled}: {'; '.join(reasons)}."]
@@ -246,8 +246,8 @@ def _noise(velocity: Floats) -> tuple[float, int]:
     return float(np.sqrt(variance / axes)), needed
 
 
-def _lag(velocity: Floats) -> tuple[float | None, int, int]:
-    """Find after how many samples ids follow their neighbours.
+def _lag(velocity: Floats, width: int) -> tuple[float | None, int, int]:
+    """Find after how many samples ids follow their neighbours, by velocities over ``width`` samples.
 
     Returns:
         The median lag over the pairs whose peak is significant and not at 0 (``None`` if they are fewer than three),
@@ -258,6 +258,8 @@ def _lag(velocity: Floats) -> tuple[float | None, int, int]:
     if largest < 2 or ids < 2:
         return None, 0, 0
     centred = np.nan_to_num(velocity - _mean_of_known(velocity))
+    total = np.concatenate([np.zeros((1, ids, 3)), np.cumsum(centred, axis=0)])
+    centred = total[width:] - total[:-width]
     size = np.sqrt((centred**2).sum(axis=(0, 2)))
     centred = centred / np.where(size > 0, size, np.inf)[:, None]
     padded = 2 ** int(np.ceil(np.log2(steps + largest)))
