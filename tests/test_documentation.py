@@ -26,6 +26,14 @@ FENCE = re.compile(r"^```(?P<kind>[^`\n]*)\n(?P<text>.*?)^```$", re.MULTILINE | 
 LEFT_ALONE = {"cd", "git", "make", "pip", "python", "rerun", "source"}  # also shown: tested elsewhere, or a viewer
 
 
+PREPARED = {"tracks.md": "make_tracks.py"}  # the example that a page runs first, for its files
+
+
+def prepare(page: Path, folder: Path) -> None:
+    if page.name in PREPARED:
+        run(ROOT / "examples" / PREPARED[page.name], folder)
+
+
 def python_of(page: Path) -> str:
     """The page's Python blocks as one program, each line where it stands in the page."""
     text = page.read_text(encoding="utf-8")
@@ -106,6 +114,7 @@ def named(path: Path) -> str:
 
 @pytest.mark.parametrize("page", [page for page in PAGES if python_of(page).strip()], ids=named)
 def test_the_python_of_a_page_runs(page, tmp_path):
+    prepare(page, tmp_path)
     script = tmp_path / f"page_{page.stem}.py"
     script.write_text(python_of(page), encoding="utf-8")
     printed = run(script, tmp_path)
@@ -114,6 +123,7 @@ def test_the_python_of_a_page_runs(page, tmp_path):
 
 @pytest.mark.parametrize("page", [page for page in PAGES if usnet_commands_of(page)], ids=named)
 def test_the_commands_of_a_page_run(page, tmp_path):
+    prepare(page, tmp_path)
     run(usnet_commands_of(page), tmp_path)
 
 

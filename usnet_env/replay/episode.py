@@ -21,9 +21,9 @@ from usnet_env.window import frozen_array
 
 __all__ = ["FORMAT_VERSION", "EpisodeRecord", "check_record"]
 
-#: Version 2 added ``attention`` and ``communication_links``; files of version 1 are read as well.
-FORMAT_VERSION = 2
-_READABLE = (1, 2)
+#: Version 2 added ``attention`` and ``communication_links``, version 3 ``labelled``; older files are read as well.
+FORMAT_VERSION = 3
+_READABLE = (1, 2, 3)
 _FORMAT = "usnet-episode"
 _METADATA = "metadata"
 
@@ -110,6 +110,8 @@ class EpisodeRecord:
         detector_seed: the detector's seed; ``None``: not seeded.
         config: the environment's arguments, as JSON holds them.
         versions: version of Python and of each package that computed the episode.
+        labelled: whether the truth is known. In recorded tracks it is not: then ``head`` and ``leader`` hold what the
+            detector found, the UAVs that are candidates in a round and the candidate that each UAV follows.
 
     Raises:
         ArgumentError: an array has another shape or impossible values, or two rounds contradict each other.
@@ -137,6 +139,7 @@ class EpisodeRecord:
     detector_seed: int | None = None
     config: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, Any] = field(default_factory=dict)
+    labelled: bool = True
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
@@ -178,6 +181,8 @@ class EpisodeRecord:
     def _check_labels(self) -> None:
         if not isinstance(self.problem, str) or self.problem not in ("P1", "P2"):
             raise ArgumentError(f"problem must be 'P1' or 'P2', got {quote(self.problem)}.")
+        if not isinstance(self.labelled, bool):
+            raise ArgumentError(f"labelled must be true or false, got {quote(self.labelled)}.")
         for name in ("env_id", "detector"):
             plain_text(name, getattr(self, name))
         for name in ("seed", "detector_seed"):

@@ -34,9 +34,11 @@ _SWARM, _CANDIDATES, _SCORES, _GAME, _ROUND = (
     "this_round",
 )  # first parts of the entities' paths
 _BACKGROUND, _DESTROYED, _DECOY, _MISSED = "#101418", "#8A8A8A", "#FFE45C", "#F5F5F5"
+_LEADER = "leader"  # the word of a candidate if the truth is unknown
 _HEADS_LEFT, _OTHER_BAR, _TEXT = "#56B4E9", "#6A6A6A", "#C8C8C8"
 _HIT, _REDUNDANT = "#1ED9A0", "#FF7A1A"  # green and orange of the picture, brighter for a dark view
 _SMALL, _LARGE, _RING = 5.0, 14.0, 30.0  # metres: radii of a follower, of a head, and of the mark of a candidate
+_USUAL_SPAN = 800.0  # metres: recorded tracks may be smaller or larger, and all sizes with them
 _MOST_LABELS = 16  # in a round with more candidates and missed heads, the labels are left out, and the text says so
 _MOST_LISTED = 30  # rows of the table of a round's candidates
 _CHART_WIDTH, _CHART_HEIGHT = 8.0, 1.0  # of the bars, in the units of their view
@@ -79,6 +81,12 @@ class _Writer:
         self.record = record
         self.stream = stream
         self.steps = list_steps(record)
+        self.scale = 1.0 if record.labelled else _span(record) / _USUAL_SPAN
+
+    def name(self, uav: int) -> str:
+        """The id of a UAV in its file if there is one, otherwise its number."""
+        ids = self.record.config.get("ids")
+        return f"UAV {uav}" if ids is None else str(ids[uav])
 
     def _times(self, rounds: NDArray[np.int64], steps: NDArray[np.int64]) -> list[Any]:
         return [self.rr.TimeColumn("round", sequence=rounds), self.rr.TimeColumn("step", sequence=steps)]
@@ -103,9 +111,9 @@ class _Writer:
         columns = self.rr.Points3D.columns(
             positions=record.position[visible],
             colors=np.broadcast_to(shade[:, None], (*visible.shape, 4))[visible],
-            labels=[f"UAV {i}" for i in np.nonzero(visible)[2]],
+            labels=[self.name(i) for i in np.nonzero(visible)[2]],
         )
-        look = {"kind": self.rr.Points3D, "radii": radius, "show_labels": False}
+        look = {"kind": self.rr.Points3D, "radii": radius * self.scale, "show_labels": False}
         self._send(path, self._all_instants(), columns, visible.sum(axis=2).reshape(-1), **look)
 
     def write_links(self, path: str) -> None:
@@ -123,7 +131,7 @@ class _Writer:
                 colors.append(shade[who])
                 lengths.append(len(who))
         columns = self.rr.LineStrips3D.columns(strips=np.concatenate(strips), colors=np.concatenate(colors))
-        self._send(path, self._all_instants(), columns, lengths, kind=self.rr.LineStrips3D, radii=0.5)
+        self._send(path, self._all_instants(), columns, lengths, kind=self.rr.LineStrips3D, radii=0.5 * self.scale)
 
     def write_tracks(self, path: str) -> None:
         """Write the path of each UAV through the window, a strip for each UAV and round."""
@@ -136,7 +144,7 @@ class _Writer:
             colors.append(_lighten(cluster_colors(record.head, leader)[0], 140)[who])
             lengths.append(len(who))
         columns = self.rr.LineStrips3D.columns(strips=strips, colors=np.concatenate(colors))
-        self._send(path, self._all_rounds(), columns, lengths, kind=self.rr.LineStrips3D, radii=0.8)
+        self._send(path, self._all_rounds(), columns, lengths, kind=self.rr.LineStrips3D, radii=0.8 * self.scale)
 
     def write_decoys(self, path: str) -> None:
         """Write the decoys as diamonds, at every instant."""
@@ -171,9 +179,10 @@ class _Writer:
         kind: Any = self.rr.Boxes3D if square else self.rr.Ellipsoids3D
         total = int(visible.sum())
         # Every row has sizes: with one static size, an empty row would show a mark at the origin.
-        half = np.full((total, 3), _RING * (0.8 if square else 1.0))
+        half = np.full((total, 3), self.scale * _RING * (0.8 if square else 1.0))
         columns = kind.columns(centers=record.position[visible], half_sizes=half)
-        look: dict[str, Any] = {"kind": kind, "colors": _parse_color(color), "radii" if square else "line_radii": 0.6}
+        line = {"radii" if square else "line_radii": 0.6 * self.scale}
+        look: dict[str, Any] = {"kind": kind, "colors": _parse_color(color), **line}
         self._send(path, self._all_instants(), columns, visible.sum(axis=2).reshape(-1), **look)
 
     def write_labels(self, path: str, marks: Mapping[str, tuple[NDArray[np.bool_], str]]) -> None:
@@ -187,9 +196,9 @@ class _Writer:
         for word, (who, color) in marks.items():
             words[who], colors[who] = word, _parse_color(color)
         columns = self.rr.Points3D.columns(
-            positions=record.position[visible] + np.array([0, 0, 3.2 * _RING], np.float32),
+            positions=record.position[visible] + np.array([0, 0, 3.2 * _RING * self.scale], np.float32),
             colors=colors[numbers, uavs],
-            labels=[f"{words[r, i]} {i}" for r, i in zip(numbers, uavs, strict=True)],
+            labels=[f"{words[r, i]} {self.name(i).removeprefix('UAV ')}" for r, i in zip(numbers, uavs, strict=True)],
         )
         look = {"kind": self.rr.Points3D, "radii": 0.1, "show_labels": True}
         self._send(path, self._all_instants(), columns, visible.sum(axis=2).reshape(-1), **look)
@@ -197,6 +206,8 @@ class _Writer:
     def _mark(self, r: int, uav: int) -> tuple[str, str]:
         """The word and the colour of a UAV in round ``r`` (from 0)."""
         record = self.record
+        if not record.labelled:
+            return (_LEADER, _HIT) if record.candidates[r, uav] else ("other", _OTHER_BAR)
         if record.candidates[r, uav]:
             return ("hit", _HIT) if record.head[uav] and record.alive[r, uav] else ("redundant", _REDUNDANT)
         return ("missed", _MISSED) if record.head[uav] and record.alive[r, uav] else ("other", _OTHER_BAR)
@@ -217,7 +228,8 @@ class _Writer:
             mins = np.stack([left, np.minimum(-height, 0)], axis=1)
             sizes = np.stack([np.full(len(order), 0.8 * step), np.abs(height) + 0.03], axis=1)
             words = [
-                f"UAV {i}: score {score:.3g}, {word}" for i, score, (word, _) in zip(order, scores, marks, strict=True)
+                f"{self.name(i)}: score {score:.3g}, {word}"
+                for i, score, (word, _) in zip(order, scores, marks, strict=True)
             ]
             bars = rr.Boxes2D(mins=mins, sizes=sizes, colors=colors, labels=words, show_labels=False)
             self.stream.log(f"{path}/bars", bars)
@@ -232,7 +244,7 @@ class _Writer:
             numbers = rr.Points2D(
                 np.array(places).reshape(-1, 2),
                 colors=[colors[k] for k in named],
-                labels=[str(order[k]) for k in named],
+                labels=[self.name(order[k]).removeprefix("UAV ") for k in named],
                 radii=0.001,
                 show_labels=True,
             )
@@ -250,7 +262,9 @@ class _Writer:
 
     def write_rounds(self, path: str) -> None:
         """Write for each round its result, and a table of the candidates and missed heads, as Markdown."""
-        texts = [_describe_marks(self.record, number, self._mark) for number in range(1, self.record.rounds + 1)]
+        texts = [
+            _describe_marks(self.record, number, self._mark, self.name) for number in range(1, self.record.rounds + 1)
+        ]
         columns = self.rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(texts))
         self.stream.send_columns(path, self._all_rounds(), columns)
 
@@ -280,12 +294,23 @@ def _corners(places: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[
     return (places.min(axis=0), places.max(axis=0)) if len(places) else (np.zeros(3, np.float32),) * 2
 
 
-def _describe_marks(record: EpisodeRecord, number: int, mark: Callable[[int, int], tuple[str, str]]) -> str:
+def _span(record: EpisodeRecord) -> float:
+    """The longest side of a box around the positions of a round, metres."""
+    spans = [float((high - low).max()) for low, high in map(_corners, _list_windows(record))]
+    return max(*spans, 1.0 if record.labelled else 1e-6)
+
+
+def _describe_marks(
+    record: EpisodeRecord, number: int, mark: Callable[[int, int], tuple[str, str]], name: Callable[[int], str]
+) -> str:
     """Describe a round (from 1) in Markdown: its result, and its candidates and missed heads by their scores."""
     r = number - 1
     order = np.argsort(-record.scores[r], kind="stable").tolist()
     rows = [(i, mark(r, i)[0]) for i in order if mark(r, i)[0] != "other"]
-    lines = [f"| {i} | {word} | {record.scores[r, i]:.3g} |" for i, word in rows[:_MOST_LISTED]]
+    lines = [
+        f"| {name(i).removeprefix('UAV ').replace('|', '/')} | {word} | {record.scores[r, i]:.3g} |"
+        for i, word in rows[:_MOST_LISTED]
+    ]
     table = "\n".join(["| UAV | mark | score |", "| --- | --- | --- |", *lines]) if lines else ""
     more = f"\n\n… and {len(rows) - _MOST_LISTED} more." if len(rows) > _MOST_LISTED else ""
     hidden = "\n\nThe marks have no labels here, because there are too many." if len(rows) > _MOST_LABELS else ""
@@ -294,6 +319,8 @@ def _describe_marks(record: EpisodeRecord, number: int, mark: Callable[[int, int
 
 def _explain(record: EpisodeRecord) -> str:
     """Explain the recording in Markdown; the links select the entities in the viewer."""
+    if not record.labelled:
+        return _explain_tracks(record)
     heads, decoys = int(record.head.sum()), int(record.decoy.sum())
     decoy = (
         f"- [decoys](recording://{_SWARM}/decoys), yellow diamonds: {decoys}, flying like heads but without followers\n"
@@ -330,11 +357,31 @@ are grey. The numbers below them are those of the marked UAVs. The [table](recor
 """
 
 
+def _explain_tracks(record: EpisodeRecord) -> str:
+    """Explain the recording of tracks without labels in Markdown."""
+    return f"""# Who leads whom?
+
+**{record.detector or "A detector"}** on {record.env_id or "recorded tracks"}. {describe_outcome(record)}
+
+## What you see
+{record.uavs} recorded tracks in {format_count(record.rounds, "window")}. **Press play.** Nothing here is the truth,
+which is unknown: colours, links and marks show what the detector found.
+
+- [leader](recording://{_CANDIDATES}/{_LEADER}), green spheres: leaders in this window
+- [heads](recording://{_SWARM}/heads), large points: leaders in this or another window
+- [followers](recording://{_SWARM}/followers): the others, in the colour of the leader that they follow, or grey
+- [links](recording://{_SWARM}/links) from each follower to its leader
+- [tracks](recording://{_SWARM}/tracks) in this window
+
+In each window the view is centred on the tracks. The [bars](recording://{_SCORES}/bars) are scores of this window,
+highest first. The [table](recording://{_ROUND}) lists the leaders.
+"""
+
+
 def _arrange_views(record: EpisodeRecord) -> rrb.Blueprint:
     import rerun.blueprint as rrb
 
-    spans = [float((high - low).max()) for low, high in map(_corners, _list_windows(record))]
-    span = max(*spans, 1.0)
+    span = _span(record)
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=span * np.array([0.0, -0.74, 0.82]),
@@ -426,11 +473,17 @@ def _write(record: EpisodeRecord, writer: _Writer) -> None:
         "redundant": (record.candidates & record.alive & ~target, _REDUNDANT),
         "missed": (~record.candidates & target, _MISSED),
     }
+    if not record.labelled:
+        marks = {_LEADER: (record.candidates, _HIT)}
     for word, (who, color) in marks.items():
         writer.write_marks(f"{_CANDIDATES}/{word}", who, color, square=word == "redundant")
     writer.write_labels(f"{_CANDIDATES}/labels", marks)
     writer.write_scores(_SCORES)
     writer.write_rounds(_ROUND)
+    if not record.labelled:
+        named = np.append([0], record.candidates.sum(axis=1))
+        writer.write_progress(f"{_GAME}/leaders", "leaders named", named, _HIT)
+        return
     start = np.array([record.head.sum()])
     writer.write_progress(f"{_GAME}/heads_left", "heads left", np.append(start, record.heads_left), _HEADS_LEFT)
     wrong = np.append([0], np.cumsum(record.redundant))

@@ -21,6 +21,8 @@ def describe_round(record: EpisodeRecord, number: int) -> str:
     """Describe a round (from 1) in a few words."""
     r = number - 1
     candidates = format_count(int(record.candidates[r].sum()), "candidate")
+    if not record.labelled:
+        return f"{format_count(int(record.candidates[r].sum()), 'leader')} named"
     left = f"{format_count(int(record.heads_left[r]), 'head')} left"
     if record.over_budget[r]:
         return f"{candidates}, over the shot budget: no UAV destroyed, {left}"
@@ -31,6 +33,9 @@ def describe_round(record: EpisodeRecord, number: int) -> str:
 def describe_outcome(record: EpisodeRecord) -> str:
     """Describe in one sentence how the episode ended, with its J."""
     heads, left = int(record.head.sum()), int(record.heads_left[-1])
+    if not record.labelled:
+        windows = format_count(record.rounds, "window")
+        return f"{heads} of {record.uavs} named as leaders in {windows}; the truth is unknown."
     all_found = heads > 1 and not left
     found = f"All {heads} heads found" if all_found else f"{heads - left} of {format_count(heads, 'head')} found"
     redundant = format_count(int(record.redundant.sum()), "redundant candidate")

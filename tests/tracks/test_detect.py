@@ -1,0 +1,216 @@
+"""``find_leaders`` and ``usnet detect``: known leaders, groups that are followed, files, and refusals."""
+
+import csv
+import json
+import sys
+
+import numpy as np
+import pytest
+from track_files import example
+
+from usnet_env import ArgumentError, Detection
+from usnet_env.cli import main
+from usnet_env.replay import EpisodeRecord
+from usnet_env.tracks import find_leaders, read_tracks
+
+QUICK = ["--detector", "lagged-regression"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The files of the example script."""
+    place = tmp_path_factory.mktemp("tracks")
+    script = example()
+    for make in (script.flock, script.merging, script.leaderless, script.shepherd):
+        with open(place / f"{make.__name__}.csv", "w", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerows([["id", "t", "x", "y", "leader"], *make()])
+    return place
+
+
+@pytest.fixture
+def run(capsys):
+    def runner(*words):
+        status = main([str(word) for word in words])
+        output = capsys.readouterr()
+        return status, output.out, output.err
+
+    return runner
+
+
+def leaders_by_window(found):
+    return [[leader.id for leader in window.leaders] for window in found.windows]
+
+
+def test_the_leader_of_a_flock_is_found_with_its_followers(folder):
+    found = find_leaders(read_tracks(folder / "flock.csv"))
+    assert leaders_by_window(found) == [["bird-0"]] * 5
+    for window in found.windows:
+        (leader,) = window.leaders
+        assert sorted(leader.followers) == sorted(f"bird-{k}" for k in range(1, 12))
+        assert leader.probability > 0.9
+        assert leader.reason
+    (leader,) = found.leaders
+    assert (leader.id, len(leader.followers)) == ("bird-0", 11)
+    assert "in 5 of the 5 windows" in leader.reason
+
+
+def test_groups_that_merge_are_followed(folder):
+    found = find_leaders(read_tracks(folder / "merging.csv"))
+    assert [set(ids) for ids in leaders_by_window(found)] == [{"bird-0", "bird-1"}] * 4 + [{"bird-0"}] * 3
+    groups = {(each.id, each.group) for window in found.windows for each in window.leaders}
+    assert groups in ({("bird-0", 1), ("bird-1", 2)}, {("bird-0", 2), ("bird-1", 1)})
+
+
+def test_no_id_leads_a_leaderless_flock(folder):
+    found = find_leaders(read_tracks(folder / "leaderless.csv"))
+    assert leaders_by_window(found) == [[]] * 5
+    assert found.leaders == ()
+    assert [row["leader"] for row in found.rows()] == [None] * 5
+
+
+def test_the_same_seed_gives_the_same_answer(folder):
+    tracks = read_tracks(folder / "leaderless.csv")
+    one, other = (find_leaders(tracks, "random(count=2)", seed=3).as_dict() for _ in range(2))
+    assert one == other
+    assert one != find_leaders(tracks, "random(count=2)", seed=4).as_dict()
+
+
+def test_a_group_keeps_its_number_when_another_leads_it(folder):
+    class Rotates:
+        def __init__(self):
+            self.windows = 0
+
+        def reset(self, seed=None):
+            pass
+
+        def detect(self, window):
+            head = self.windows % 2
+            self.windows += 1
+            candidates = np.arange(window.uavs) == head
+            return Detection(candidates, candidates.astype(float), leader=np.full(window.uavs, head))
+
+    found = find_leaders(read_tracks(folder / "flock.csv"), Rotates())
+    assert {leader.group for leader in found.leaders} == {1}
+    assert [leader.id for leader in found.leaders] == ["bird-0", "bird-1"]
+    assert "3 of the 5 windows" in found.leaders[0].reason
+    assert found.leaders[0].probability is None
+
+
+def test_a_detector_that_fails_is_named_with_the_window(folder):
+    class Fails:
+        def reset(self, seed=None):
+            pass
+
+        def detect(self, window):
+            raise RuntimeError("singular")
+
+    with pytest.raises(ArgumentError, match=r"RuntimeError: singular from Fails.* in the window from 0\.0 to 50\.0\.$"):
+        find_leaders(read_tracks(folder / "flock.csv"), Fails())
+    for bad in (3, int):
+        with pytest.raises(ArgumentError, match=r"^detector must have"):
+            find_leaders(read_tracks(folder / "flock.csv"), bad)
+    with pytest.raises(ArgumentError, match=r"^tracks must be Tracks"):
+        find_leaders("flock.csv")
+
+
+def test_json_is_one_object_with_these_keys(run, folder):
+    status, out, err = run("detect", folder / "flock.csv", *QUICK, "--json")
+    assert (status, err) == (0, "")
+    found = json.loads(out)
+    assert set(found) == {"windows", "leaders"}
+    assert len(found["windows"]) == 5
+    for window in found["windows"]:
+        assert set(window) == {"start", "end", "leaders"}
+        for leader in window["leaders"]:
+            assert set(leader) == {"id", "probability", "followers", "reason"}
+    assert [set(leader) for leader in found["leaders"]] == [{"id", "probability", "followers", "reason"}]
+    assert found["windows"][1]["start"] == 50.0
+    assert found["leaders"][0]["id"] == "bird-0"
+    assert found["leaders"][0]["probability"] is None
+
+
+def test_the_tables_name_windows_leaders_and_the_step(run, folder):
+    status, out, _ = run("detect", folder / "merging.csv", *QUICK, "--window", "200")
+    assert status == 0
+    for words in ("14 ids", "The step is 0.5 s", "from", "followers", "bird-0", "bird-1", "Over the file"):
+        assert words in out
+
+
+def test_out_and_record_write_all_files(run, folder, tmp_path):
+    pytest.importorskip("rerun")
+    out = tmp_path / "found"
+    status, _, err = run("detect", folder / "merging.csv", *QUICK, "--out", out, "--record")
+    assert status == 0
+    assert "Episode file and replay" in err
+    names = {"windows.csv", "leaders.csv", "leaders.json", "picture.png", "episode.npz", "replay.rrd"}
+    assert names <= {path.name for path in out.iterdir()}
+    with open(out / "windows.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert (rows[0]["start"], rows[0]["end"]) == ("0.0", "50.0")
+    assert {row["leader"] for row in rows} == {"bird-0", "bird-1"}
+    assert "bird-2" in next(row for row in rows if row["leader"] == "bird-0")["followers"].split(";")
+    assert json.loads((out / "leaders.json").read_text())["leaders"][0]["id"] == "bird-0"
+    record = EpisodeRecord.load(out / "episode.npz")
+    assert (record.rounds, record.uavs, record.labelled) == (7, 14, False)
+    ids = record.config["ids"]
+    assert {ids[i] for i in np.flatnonzero(record.head)} == {"bird-0", "bird-1"}
+    behind = record.leader[0] == ids.index("bird-0")
+    assert {ids[i] for i in np.flatnonzero(behind)} == {"bird-0", *(f"bird-{k}" for k in range(2, 14, 2))}
+    tracks = read_tracks(folder / "merging.csv")
+    np.testing.assert_allclose(record.position[1, 0, 0], tracks.position[100], atol=1e-3)
+
+
+def test_parquet_holds_the_same_rows(run, folder, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    assert run("detect", folder / "flock.csv", *QUICK, "--out", tmp_path)[0] == 0
+    table = parquet.read_table(tmp_path / "windows.parquet").to_pylist()
+    assert [row["leader"] for row in table] == ["bird-0"] * 5
+    assert len(table[0]["followers"]) == 11
+
+
+def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monkeypatch):
+    for name in ("matplotlib.figure", "matplotlib.backends.backend_agg", "rerun", "pyarrow"):
+        monkeypatch.setitem(sys.modules, name, None)
+    status, _, err = run("detect", folder / "flock.csv", *QUICK, "--out", tmp_path, "--record")
+    assert status == 0
+    assert "usnet[render]" in err
+    assert "usnet[replay]" in err
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written == {"episode.npz", "leaders.csv", "leaders.json", "windows.csv"}
+
+
+def test_warnings_go_to_standard_error(run, folder, tmp_path):
+    text = (folder / "flock.csv").read_text().splitlines()
+    kept = [line for line in text if not (line.startswith("bird-3,") and 20 < float(line.split(",")[1]) < 40)]
+    (tmp_path / "gaps.csv").write_text("\n".join(kept))
+    status, out, err = run("detect", tmp_path / "gaps.csv", *QUICK, "--json")
+    assert status == 0
+    json.loads(out)
+    assert err.startswith("usnet: warning: 1 gaps")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["none.csv"], "does not exist"),
+        (["bad.csv"], "row 3 of column 'x'"),
+        (["flock.csv", "--window", "100000"], "length must be at most"),
+        (["flock.csv", "--detector", "nobody"], "detector must be one of"),
+        (["flock.csv", "--column", "id"], "--column must be written role=name"),
+        (["flock.csv", "--column", "id=who"], "columns must name a column"),
+        (["flock.csv", "--column", "animal=id"], "columns must be one of"),
+        (["flock.csv", "--step", "0"], "--step must be a positive number"),
+        (["flock.csv", "--record"], "--record must be given together with --out"),
+        (["flock.csv", "--detector", "lagged-regression(clusters=500)"], "clusters must be at most"),
+    ],
+)
+def test_a_refusal_is_one_sentence_and_nothing_is_written(run, folder, tmp_path, monkeypatch, words, expected):
+    monkeypatch.chdir(folder)
+    (folder / "bad.csv").write_text("id,t,x,y\na,0,1,2\nb,0,north,2\n")
+    out = [] if "--record" in words else ["--out", str(tmp_path / "out")]
+    status, printed, err = run("detect", *words, *out)
+    assert (status, printed) == (2, "")
+    assert err.startswith("usnet: ")
+    assert err.count("\n") == 1
+    assert expected in err
+    assert not (tmp_path / "out").exists()

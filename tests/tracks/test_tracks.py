@@ -1,0 +1,255 @@
+"""Tracks: resampling, windows, and what is reported."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from track_files import example, straight
+
+from usnet_env import ArgumentError
+from usnet_env.tracks import Tracks, read_tracks
+
+
+def dense(places, step=0.5, keep=None, **options):
+    """Tracks of positions ``(T, N, 3)``; ``keep`` ``(T, N)`` says which samples there are."""
+    keep = np.ones(places.shape[:2], bool) if keep is None else keep
+    who, when = np.nonzero(keep.T)
+    return Tracks.from_samples([f"uav-{i}" for i in who], when * step, places[when, who], **options)
+
+
+def kinds(tracks):
+    return {each.kind for each in tracks.report().warnings}
+
+
+def wandering(steps=400, uavs=6, delay=2, noise=0.0, seed=0):
+    """Positions of a leader that turns smoothly and followers that copy its velocity after ``delay`` samples."""
+    rng = np.random.default_rng(seed)
+    leader = example().wander(rng, steps)
+    velocity = np.stack([leader, *(np.roll(leader, delay, axis=0) for _ in range(uavs - 1))], axis=1)
+    velocity[:, 1:] += rng.normal(0, 0.4, velocity[:, 1:].shape)
+    place = rng.uniform(-50, 50, (uavs, 2)) + np.cumsum(velocity, axis=0) * 0.5
+    place += rng.normal(0, noise, place.shape)
+    return np.concatenate([place, np.zeros((steps, uavs, 1))], axis=2)
+
+
+@settings(max_examples=30)
+@given(
+    st.floats(0.05, 3.0),
+    st.integers(0, 2**32),
+    st.tuples(*[st.floats(-20, 20)] * 3),
+    st.floats(-1e6, 1e6),
+    st.booleans(),
+)
+def test_resampling_of_straight_flight_is_exact(step, seed, velocity, far, even):
+    """Whether positions are interpolated or fitted, and however uneven the sampling is."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(60) * 0.25 if even else np.cumsum(rng.uniform(0.05, 0.4, 60))
+    places = far + times[:, None] * np.array(velocity)
+    tracks = Tracks.from_samples(["a"] * 60 + ["b"] * 60, np.tile(times, 2), np.tile(places, (2, 1)))
+    grid = tracks.resample(step, max_gap=10.0)
+    assert grid.samples
+    expected = far + (times[0] + grid.time)[:, None] * np.array(velocity) - tracks.origin
+    np.testing.assert_allclose(grid.position, expected, atol=1e-7)
+    np.testing.assert_allclose(grid.time / step, np.round(grid.time / step), atol=1e-6)
+
+
+@settings(max_examples=20)
+@given(st.tuples(*[st.floats(-1e7, 1e7)] * 3), st.integers(0, 100))
+def test_shifting_the_origin_changes_nothing(shift, seed):
+    """Also at the size of UTM coordinates, where float32 has a grain of half a metre: millimetres are kept."""
+    places = wandering(seed=seed)
+    here, there = (dense(each).resample(0.5) for each in (places, places + np.array(shift)))
+    for one, other in zip(here.windows(50), there.windows(50), strict=True):
+        np.testing.assert_allclose(one.window.velocity, other.window.velocity, atol=1e-6)
+        np.testing.assert_allclose(one.window.position, other.window.position, atol=1e-3)
+        assert (one.ids, one.start, one.end) == (other.ids, other.start, other.end)
+
+
+def test_windows_hold_positions_velocities_masks_ids_and_times():
+    places = wandering(steps=101)
+    keep = np.ones((101, 6), bool)
+    keep[40:50, 2] = False
+    keep[:95, 5] = False
+    tracks = dense(places, keep=keep)
+    (cut,) = tracks.resample(0.5).windows(100)
+    assert cut.ids == tuple(f"uav-{i}" for i in range(5))  # the sixth is seen in 5 steps
+    window = cut.window
+    assert (window.uavs, window.observation_steps, cut.start, cut.end, cut.step) == (5, 100, 0.0, 50.0, 0.5)
+    np.testing.assert_array_equal(window.seen, keep[:, :5])
+    assert window.position.dtype == np.float32
+    assert not window.position[~window.seen].any()
+    assert not window.position[..., 2].any()
+    np.testing.assert_allclose(
+        (window.position + cut.origin + tracks.origin)[window.seen], places[:, :5][keep[:, :5]], atol=1e-4
+    )
+    moved = np.diff(places[:, :5], axis=0)
+    np.testing.assert_allclose(window.velocity[window.velocity_seen], moved[window.velocity_seen], atol=1e-5)
+    assert not window.velocity[~window.velocity_seen].any()
+
+
+def test_windows_overlap_by_the_stride_and_leave_out_where_too_few_are_seen():
+    keep = np.ones((400, 6), bool)
+    keep[100:200, 1:] = False
+    even = dense(wandering(), keep=keep).resample(0.5)
+    assert [cut.start for cut in even.windows(50, 25)] == [
+        12.5 * k for k in range(14) if k not in (4, 5, 6, 7) or k in (7,)
+    ]
+    with pytest.raises(ArgumentError, match=r"^length must be at most the 399 steps"):
+        even.windows(500)
+
+
+def test_a_leader_column_becomes_indices_in_the_window():
+    places = wandering(steps=120)
+    ids = [f"uav-{i}" for _ in range(120) for i in range(6)]
+    leader = ["uav-4" if i in (1, 2) else "" for _ in range(120) for i in range(6)]
+    tracks = Tracks.from_samples(ids, np.repeat(np.arange(120) * 0.5, 6), places.reshape(-1, 3), leader)
+    (cut,) = tracks.resample(0.5).windows(100)
+    assert cut.leader.tolist() == [-1, 4, 4, -1, -1, -1]
+
+
+@pytest.mark.parametrize("delay", [1, 2, 3, 12, 30])
+def test_the_step_puts_the_delay_at_1_to_4_samples(delay):
+    tracks = dense(wandering(steps=1500, delay=delay))
+    even = tracks.resample()
+    assert 1 <= delay * 0.5 / even.step <= 4
+    assert f"after {delay * 0.5:g} s" in even.notes[-1]
+
+
+def test_the_step_is_longer_where_positions_are_noisy():
+    quiet, noisy = (dense(wandering(steps=1500, noise=noise)).resample() for noise in (0.0, 3.0))
+    assert quiet.step == 0.5
+    assert noisy.step > 1
+    assert "about 3 m" in noisy.notes[0]
+    assert "Warning: the step is longer than the delay" in noisy.notes[-1]
+
+
+def test_where_no_id_follows_the_sampling_interval_stays():
+    rng = np.random.default_rng(0)
+    places = np.cumsum(rng.normal(size=(600, 5, 3)), axis=0)
+    even = dense(places).resample()
+    assert even.step == 0.5
+    assert "no id follows" in even.notes[-1]
+
+
+def test_gaps_are_masked_and_short_ones_interpolated_on_demand():
+    keep = np.ones((400, 6), bool)
+    keep[50, 0] = keep[100:110, 1] = False
+    tracks = dense(wandering(), keep=keep)
+    assert tracks.resample(0.5).samples == 400 * 6 - 11
+    assert tracks.resample(0.5, max_gap=1.0).samples == 400 * 6 - 10
+    assert tracks.resample(0.5, max_gap=100).samples == 400 * 6
+
+
+# What is reported
+
+
+def test_nothing_is_wrong_with_clean_tracks():
+    report = dense(wandering()).report()
+    assert report.warnings == ()
+    assert "6 ids, 2400 samples from 0.0 to 199.5" in report.facts[0]
+    assert str(report).startswith(report.facts[0])
+
+
+def test_gaps_jumps_and_uneven_sampling_are_reported():
+    keep = np.ones((400, 6), bool)
+    keep[100:110, 1] = False
+    assert kinds(dense(wandering(), keep=keep)) == {"gaps"}
+    places = wandering()
+    places[200:, 3] += (300, 0, 0)
+    (found,) = dense(places).report().warnings
+    assert (found.kind, found.count) == ("jumps", 1)
+    assert "after 99.5 (id uav-3)" in found.sentence
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.uniform(0.2, 0.8, 400))
+    tracks = Tracks.from_samples(
+        ["a"] * 400 + ["b"] * 400, np.tile(times, 2), wandering()[:, :2].swapaxes(0, 1).reshape(-1, 3)
+    )
+    assert "uneven sampling" in kinds(tracks)
+
+
+def test_exchanged_ids_are_reported():
+    places = wandering()
+    places[:, 1] += (200, 0, 0)
+    places[200:, [0, 1]] = places[200:, [1, 0]]
+    tracks = dense(places)
+    assert kinds(tracks) == {"jumps", "exchanged ids"}
+    assert "uav-0 and uav-1" in str(tracks.report())
+
+
+def test_clocks_that_disagree_are_reported():
+    places = wandering()
+    ids = np.repeat([f"uav-{i}" for i in range(6)], 400)
+    times = np.tile(np.arange(400) * 0.5, 6)
+    flat = places.swapaxes(0, 1).reshape(-1, 3)
+    shifted = np.where(ids == "uav-2", times + 0.2, times)
+    assert "sampled between" in str(Tracks.from_samples(ids.tolist(), shifted, flat).report())
+    apart = np.where(ids == "uav-2", times + 1000, times)
+    assert "share no time" in str(Tracks.from_samples(ids.tolist(), apart, flat).report())
+    slower = np.where(ids == "uav-2", times * 1.5, times)
+    assert "another rate" in str(Tracks.from_samples(ids.tolist(), slower, flat).report())
+
+
+@pytest.mark.parametrize(
+    ("factor", "expected"), [(1.0, None), (3.6, "another unit"), (-1.0, "contradict"), (0.0, "contradict")]
+)
+def test_velocities_that_contradict_positions_are_reported(tmp_path, factor, expected):
+    places = wandering()
+    velocity = np.gradient(places, 0.5, axis=0) * factor
+    lines = ["id,t,x,y,vx,vy"]
+    lines += [
+        f"{i},{t * 0.5},{places[t, i, 0]},{places[t, i, 1]},{velocity[t, i, 0]},{velocity[t, i, 1]}"
+        for t in range(400)
+        for i in range(6)
+    ]
+    (tmp_path / "tracks.csv").write_text("\n".join(lines))
+    report = read_tracks(tmp_path / "tracks.csv").report()
+    if expected is None:
+        assert not report.warnings
+    else:
+        (found,) = report.warnings
+        assert found.kind == "velocities"
+        assert expected in found.sentence
+
+
+def test_degrees_that_are_called_metres_are_reported():
+    places = wandering() * (1e-5, 1e-5, 0) + (11.5, 48.1, 0)
+    assert "degrees" in kinds(dense(places))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("step", 0), ("step", -1), ("step", "fast"), ("step", 1e-9), ("max_gap", -1), ("max_gap", np.nan)],
+)
+def test_a_bad_resampling_is_refused(name, value):
+    tracks = dense(straight())
+    with pytest.raises(ArgumentError, match=f"^{name} must be"):
+        tracks.resample(**{"step": 1.0, name: value})
+
+
+@pytest.mark.parametrize(("name", "value"), [("length", 0), ("stride", 0), ("least_steps", 0), ("length", 1.5)])
+def test_bad_windows_are_refused(name, value):
+    even = dense(straight()).resample(0.5)
+    with pytest.raises(ArgumentError, match=f"^{name} must be"):
+        even.windows(**{"length": 10, name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("ids", (["a"], [0.0, 1.0], [[0, 0], [1, 1]])),
+        ("time", (["a", "b"], [0.0], [[0, 0], [1, 1]])),
+        ("time", (["a", "a"], [0.0, 0.0], [[0, 0], [1, 1]])),
+        ("position", (["a", "b"], [0.0, 1.0], [[0, 0], [1, np.nan]])),
+        ("position", (["a", "b"], [0.0, 1.0], [0, 1])),
+    ],
+)
+def test_bad_samples_are_refused(name, arguments):
+    with pytest.raises(ArgumentError, match=f"^{name} must"):
+        Tracks.from_samples(*arguments)
+
+
+def test_the_arrays_are_read_only():
+    tracks = dense(straight())
+    for each in (tracks, tracks.resample(0.5)):
+        with pytest.raises(ValueError, match="read-only"):
+            each.position[0] = 0

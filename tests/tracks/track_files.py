@@ -1,0 +1,47 @@
+"""Small files of tracks."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+HEADER = ["id", "t", "x", "y"]
+
+
+def straight(steps=20, uavs=3, height=False):
+    """Positions ``(steps, uavs, 3)`` of straight flights from different places."""
+    rng = np.random.default_rng(1)
+    start, velocity = rng.normal(0, 100, (uavs, 3)), rng.normal(0, 5, (uavs, 3))
+    place = start + np.arange(steps)[:, None, None] * velocity
+    return np.round(place * (1, 1, bool(height)), 3)
+
+
+def rows_of(places, step=0.5, first=0):
+    """Rows id, t, x, y and, if it isn't 0, z, in the order of time."""
+    axes = 3 if places[..., 2].any() else 2
+    return [
+        ["abcdefghijkl"[k], first + t * step, *map(float, place[:axes])]
+        for t, now in enumerate(places)
+        for k, place in enumerate(now)
+    ]
+
+
+def write_csv(path, rows, header=None, delimiter=","):
+    """Write rows with a header; z and leader are added to it by the caller."""
+    names = (header or HEADER) if header or len(rows[0]) == 4 else [*HEADER, "z"]
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file, delimiter=delimiter).writerows([names, *rows])
+    return path
+
+
+def example() -> ModuleType:
+    """The script of the examples that makes files with known leaders."""
+    path = Path(__file__).parents[2] / "examples" / "make_tracks.py"
+    spec = importlib.util.spec_from_file_location("make_tracks", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,330 @@
+"""``usnet detect``: find the leaders in recorded tracks."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from usnet_env.cli.options import PositiveNumber, WholeNumber
+from usnet_env.cli.output import print_message, progress_bar, show
+from usnet_env.config import ArgumentError, quote
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from usnet_env.detection import Detection
+    from usnet_env.replay import EpisodeRecord
+    from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, Tracks, TrackWindow
+
+    Kept = tuple[TrackWindow, Detection, DetectedWindow]
+
+__all__ = ["detect"]
+
+_DETECTOR = "follow-mixture(policy='map')"
+_MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
+_LARGEST_RECORD = 2**30  # bytes of an episode file before compression
+
+_EXAMPLES = """
+\b
+Examples:
+  usnet detect flock.csv
+  usnet detect flock.csv --out runs/flock --record
+  usnet detect ants.csv --column id=animal --time-unit 0.0333 --step 0.5 --json
+
+\b
+Roles for --column:
+  id  t  frame  x  y  z  lon  lat  vx  vy  vz  leader
+"""  # click reads the control characters: they keep the lines
+
+
+@click.command(short_help="Find the leaders in recorded tracks.", epilog=_EXAMPLES)
+@click.argument("tracks", nargs=-1, required=True, metavar="TRACKS…")
+@click.option(
+    "--detector", default=_DETECTOR, show_default=True, metavar="NAME", help="Detector; see `usnet list detectors`."
+)
+@click.option("--window", type=WholeNumber(1, 10**6), default=100, show_default=True, help="Steps of a window.")
+@click.option("--stride", type=WholeNumber(1, 10**9), help="Steps between windows.  [default: those of a window]")
+@click.option("--step", type=PositiveNumber(), help="Seconds of a step.  [default: chosen from the tracks]")
+@click.option("--max-gap", type=PositiveNumber(), help="Longest gap in seconds that is interpolated.")
+@click.option("--column", "columns", multiple=True, metavar="ROLE=NAME", help="Name of a column. May be repeated.")
+@click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: 1]")
+@click.option("--skip-missing", is_flag=True, help="Skip rows without a time, place or id.")
+@click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
+@click.option("--max-bytes", type=WholeNumber(1, 2**60), help="Most bytes that a compressed file may expand to.")
+@click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
+@click.option("--out", metavar="DIR", help="Folder for tables, JSON and a picture.")
+@click.option("--record", is_flag=True, help="Also write an episode file and a replay; needs --out.")
+@click.option("--json", "as_json", is_flag=True, help="Print only the leaders, as JSON.")
+def detect(
+    tracks: tuple[str, ...],
+    detector: str,
+    window: int,
+    stride: int | None,
+    step: float | None,
+    max_gap: float | None,
+    columns: tuple[str, ...],
+    time_unit: float | None,
+    skip_missing: bool,
+    encoding: str,
+    max_bytes: int | None,
+    seed: int,
+    out: str | None,
+    record: bool,
+    as_json: bool,
+) -> None:
+    """Find the leaders in recorded tracks: who leads whom, when, how sure and why.
+
+    TRACKS is a CSV file with the columns id, t (or frame), x, y and optionally z, or lon and lat in degrees; or a
+    Parquet, NPZ, Movebank, GPX or PX4 ULog file. Several files are read as one.
+    """
+    if record and out is None:
+        raise ArgumentError("--record must be given together with --out, got no --out.")
+    mapping = _parse_columns(columns)
+    from usnet_env.files import as_path
+    from usnet_env.plugins import make_detector
+    from usnet_env.tracks import find_leaders, read_tracks
+    from usnet_env.tracks.picture import MOST_MAPS
+    from usnet_env.tracks.windows import count_windows
+
+    folder = None if out is None else as_path("out", out)
+    player = make_detector(detector)
+    with progress_bar("rows") as progress:
+        read = read_tracks(
+            list(tracks),
+            columns=mapping,
+            time_unit=time_unit,
+            missing="skip" if skip_missing else "refuse",
+            encoding=encoding,
+            max_bytes=max_bytes,
+            progress=lambda rows: progress(rows, rows),
+        )
+    report = read.report()
+    for finding in report.warnings:
+        print_message(f"warning: {finding.sentence}")
+    even = read.resample(step, max_gap=max_gap)
+    chosen = even.notes[len(read.notes) :]
+    del read
+    count = count_windows(even, window, window if stride is None else stride)
+    if record:
+        _check_record_size(even, count, window)
+    shown = set(np.linspace(0, count - 1, min(count, MOST_MAPS)).astype(int).tolist()) if folder else set()
+    kept: list[Kept] = []
+    done = 0
+    with progress_bar("windows") as progress:
+
+        def keep(cut: TrackWindow, detection: Detection, found: DetectedWindow) -> None:
+            nonlocal done
+            if record or done in shown:
+                kept.append((cut, _without_attention(detection), found))
+            done += 1
+            progress(done, count)
+
+        found = find_leaders(even, player, length=window, stride=stride, seed=seed, on_window=keep)
+    if as_json:
+        click.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
+    else:
+        for sentence in (*report.facts, *chosen):
+            click.echo(sentence)
+        show(*_tables(found))
+    if folder is not None:
+        maps = [each for k, each in enumerate(kept) if k in shown] if record else kept
+        _write_all(folder, found, maps, f"{', '.join(Path(each).name for each in tracks)}")
+        if record:
+            _write_record(folder, even, kept, found, [Path(each).name for each in tracks], window, seed)
+
+
+def _parse_columns(words: Sequence[str]) -> dict[str, str]:
+    """Parse ``role=name`` words."""
+    mapping: dict[str, str] = {}
+    for word in words:
+        role, equals, name = word.partition("=")
+        if not equals or not name or role in mapping:
+            raise ArgumentError(f"--column must be written role=name, with each role once, got {quote(word)}.")
+        mapping[role.strip()] = name
+    return mapping
+
+
+def _without_attention(detection: Detection) -> Detection:
+    """The answer without its N² numbers of attention, which would fill the memory over many windows."""
+    from usnet_env.detection import Detection
+
+    return Detection(detection.candidates, detection.scores, detection.clusters, detection.leader)
+
+
+def _tables(found: FoundLeaders) -> list[Table]:
+    """The tables of windows and of leaders over the file, with the first rows of long ones."""
+    rows: list[list[Any]] = []
+    for window in found.windows:
+        when: list[Any] = [window.start, window.end]
+        for leader in window.leaders:
+            rows.append([*when, *_cells(leader)])
+            when = ["", ""]
+        if not window.leaders:
+            rows.append([*when, "no id leads", "", "", ""])
+    over_file = [_cells(leader) for leader in found.leaders] or [["no id leads", "", "", ""]]
+    headings = ["leader", "p", "followers", "why"]
+    return [
+        _make_table(f"Windows, by {found.detector}", ["from", "to", *headings], rows),
+        _make_table("Over the file", headings, over_file),
+    ]
+
+
+def _cells(leader: Leader) -> list[Any]:
+    followers = ", ".join(map(str, leader.followers[:_MOST_NAMES]))
+    if len(leader.followers) > _MOST_NAMES:
+        followers += f" and {len(leader.followers) - _MOST_NAMES} more"
+    sure = "" if leader.probability is None else f"{leader.probability:.2f}"
+    return [leader.id, sure, followers, leader.reason]
+
+
+def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
+    from rich.box import SIMPLE
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE, pad_edge=False)
+    for heading in headings:
+        table.add_column(heading, overflow="fold")
+    for row in rows[:_MOST_ROWS]:
+        table.add_row(*(Text(str(cell)) for cell in row))
+    if len(rows) > _MOST_ROWS:
+        table.caption = f"{len(rows) - _MOST_ROWS} more rows; --out DIR writes all of them."
+    return table
+
+
+def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Kept], title: str) -> None:
+    """Write the tables, the JSON and the picture; a file whose extra is not installed is left out with a message."""
+    from usnet_env.drawing import MissingExtraError
+    from usnet_env.files import atomic_write
+    from usnet_env.tracks.picture import draw_leaders
+
+    rows = found.rows()
+    over_file = [{**each.as_dict(), "group": each.group, "score": each.score} for each in found.leaders]
+    for name, table in (("windows", rows), ("leaders", over_file)):
+        _write_table(folder / name, table)
+    with atomic_write(folder / "leaders.json") as aside:
+        aside.write_text(json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    try:
+        figure = draw_leaders(found, [(cut, _leaders_of(cut, window), window) for cut, _, window in maps], title)
+    except MissingExtraError as missing:
+        print_message(f"the picture is left out. {missing}")
+    else:
+        with atomic_write(folder / "picture.png") as aside:
+            figure.savefig(aside, format="png")
+    click.echo(f"Tables, JSON and picture are in {folder}.", err=True)
+
+
+def _leaders_of(cut: TrackWindow, window: DetectedWindow) -> Any:
+    """``(N,)`` index of the leader of each id of a window; a leader has its own index, -1: none."""
+    place = {each: i for i, each in enumerate(cut.ids)}
+    leader = np.full(len(cut.ids), -1, np.int64)
+    for each in window.leaders:
+        leader[[place[follower] for follower in each.followers]] = place[each.id]
+    for each in window.leaders:
+        leader[place[each.id]] = place[each.id]
+    return leader
+
+
+def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write rows as CSV, and as Parquet if pyarrow is installed; in CSV, followers are joined by semicolons."""
+    from usnet_env.files import atomic_write
+
+    names = list(rows[0]) if rows else ["id", "probability", "followers", "reason", "group", "score"]
+    with atomic_write(path.with_suffix(".csv")) as aside, aside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, names)
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({**row, "followers": ";".join(map(str, row["followers"]))})
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        return
+    columns = {name: [row[name] for row in rows] for name in names}
+    with atomic_write(path.with_suffix(".parquet")) as aside:
+        pyarrow.parquet.write_table(pyarrow.table(columns), aside)
+
+
+def _check_record_size(even: Tracks, count: int, window: int) -> None:
+    """Refuse an episode file whose arrays, one place for every id in every window, would fill the memory."""
+    needed = count * (window + 1) * len(even.ids) * 25  # two float32 vectors and a flag
+    if needed > _LARGEST_RECORD:
+        raise ArgumentError(
+            f"--record must need at most {_LARGEST_RECORD} bytes, got {needed} for {count} windows of {len(even.ids)} "
+            "ids; a longer --stride makes fewer windows."
+        )
+
+
+def _write_record(
+    folder: Path, even: Tracks, kept: Sequence[Kept], found: FoundLeaders, files: Sequence[str], window: int, seed: int
+) -> None:
+    """Write an episode file and, if rerun-sdk is installed, a replay."""
+    from usnet_env.drawing import MissingExtraError
+    from usnet_env.replay import write_recording
+
+    record = _make_record(even, kept, found, files, window, seed)
+    record.save(folder / "episode.npz")
+    written = "Episode file"
+    try:
+        write_recording(record, folder / "replay.rrd")
+    except MissingExtraError as missing:
+        print_message(f"the replay is left out. {missing}")
+    else:
+        written += " and replay"
+    click.echo(f"{written} are in {folder}.".replace("file are", "file is"), err=True)
+
+
+def _make_record(
+    even: Tracks, kept: Sequence[Kept], found: FoundLeaders, files: Sequence[str], window: int, seed: int
+) -> EpisodeRecord:
+    """The episode of all windows: a round for each, without truth, and without destroyed UAVs."""
+    from usnet_env.provenance import versions
+    from usnet_env.replay import EpisodeRecord
+
+    rounds, ids = len(kept), len(even.ids)
+    position = np.zeros((rounds, window + 1, ids, 3), np.float32)
+    velocity = np.zeros((rounds, window, ids, 3), np.float32)
+    seen = np.zeros((rounds, window + 1, ids), bool)
+    leader, scores = np.full((rounds, ids), -1, np.int64), np.zeros((rounds, ids))
+    candidates = np.zeros((rounds, ids), bool)
+    for r, (cut, detection, detected) in enumerate(kept):
+        rows = cut.rows
+        position[r][:, rows] = np.where(cut.window.seen[..., None], cut.window.position + cut.origin, 0.0)
+        velocity[r][:, rows], seen[r][:, rows] = cut.window.velocity, cut.window.seen
+        candidates[r, rows], scores[r, rows] = detection.candidates, detection.scores
+        behind = _leaders_of(cut, detected)
+        leader[r, rows] = np.where(behind >= 0, rows[behind], -1)
+    return EpisodeRecord(
+        position=position,
+        velocity=velocity,
+        seen=seen,
+        alive=np.ones((rounds, ids), bool),
+        leader=leader,
+        candidates=candidates,
+        scores=scores,
+        objective=np.zeros(rounds),
+        head=candidates.any(axis=0),
+        decoy=np.zeros(ids, bool),
+        over_budget=np.ones(rounds, bool),
+        seconds=np.zeros(rounds),
+        leader_estimate=leader,
+        env_id=", ".join(files),
+        detector=found.detector,
+        detector_seed=seed,
+        config={
+            "ids": list(even.ids),
+            "step": even.step,
+            "frame": even.frame,
+            "origin": even.origin.tolist(),
+            "start": [each.start for each in found.windows],
+            "end": [each.end for each in found.windows],
+        },
+        versions=versions(),
+        labelled=False,
+    )

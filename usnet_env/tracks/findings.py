@@ -1,0 +1,285 @@
+"""What is doubtful about recorded tracks: gaps, jumps, exchanged ids, clocks and velocities. Nothing is repaired."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from usnet_env.tracks.tracks import Tracks
+
+__all__ = ["Finding", "TrackReport", "find_problems"]
+
+Floats = NDArray[np.float64]
+_GAP = 3.0  # a gap is an interval of more than this many typical intervals of its id
+_UNEVEN = 0.1  # sampling is uneven if a tenth of the intervals differ from the typical one by more than this share
+_JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
+_EXCHANGE = 0.25  # after an exchange of ids, each is this close to the place expected of the other, in jump lengths
+_MOST_JUMPS = 2000  # compared with each other for exchanged ids
+_AGREEMENT = 0.3  # velocities agree with positions if half of them differ by less than this share
+_SYNCHRONOUS, _PHASE = 0.6, 0.1  # share of ids that are sampled at the same times, up to this part of an interval
+_MOST_NAMED = 3
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something doubtful about tracks.
+
+    Args:
+        kind: ``"clocks"``, ``"gaps"``, ``"uneven sampling"``, ``"jumps"``, ``"exchanged ids"``, ``"velocities"`` or
+            ``"degrees"``.
+        sentence: what was found, where first, and what it means.
+        count: how often.
+    """
+
+    kind: str
+    sentence: str
+    count: int
+
+
+@dataclass(frozen=True)
+class TrackReport:
+    """What tracks hold, and what is doubtful about them.
+
+    Args:
+        facts: sentences about the whole file, and what the reader decided.
+        warnings: what is doubtful.
+    """
+
+    facts: tuple[str, ...]
+    warnings: tuple[Finding, ...]
+
+    def __str__(self) -> str:
+        return "\n".join([*self.facts, *(f"Warning: {each.sentence}" for each in self.warnings)])
+
+
+def find_problems(tracks: Tracks) -> TrackReport:
+    """Describe tracks and find what is doubtful about them."""
+    ids, inner = len(tracks.ids), tracks.inner_steps
+    interval = np.diff(tracks.time)
+    typical = typical_intervals(tracks)
+    usual = float(np.median(typical[np.isfinite(typical)])) if np.isfinite(typical).any() else 0.0
+    span = " to ".join(str(tracks.file_time(each)) for each in (0.0, tracks.duration))
+    whole = int((np.diff(tracks.offsets) > 0).sum()) and _count_whole(tracks)
+    facts = (
+        f"{ids} ids, {tracks.samples} samples from {span} ({tracks.duration:g} s), one every {usual:g} s; "
+        f"{tracks.dimensions}-D, {tracks.frame}.",
+        f"{whole} of {ids} ids are there from the beginning to the end.",
+        *tracks.notes,
+    )
+    speed = _speeds(tracks, interval, inner)
+    found = [
+        *_find_clocks(tracks, typical, usual),
+        *_find_gaps(tracks, interval, inner, typical),
+        *_find_uneven(tracks, interval, inner, typical),
+        *_find_jumps(tracks, speed),
+        *_find_velocity_conflicts(tracks, interval, inner),
+        *_find_degrees(tracks),
+    ]
+    return TrackReport(facts, tuple(found))
+
+
+def typical_intervals(tracks: Tracks) -> Floats:
+    """``(N,)`` median interval between the samples of each id, seconds; NaN for an id with fewer than two samples."""
+    typical = np.full(len(tracks.ids), np.nan)
+    for i, (first, last) in enumerate(zip(tracks.offsets[:-1], tracks.offsets[1:], strict=True)):
+        if last - first > 1:
+            typical[i] = np.median(np.diff(tracks.time[first:last]))
+    return typical
+
+
+def _count_whole(tracks: Tracks) -> int:
+    """Number of ids whose first and last samples are within 1 % of the beginning and the end."""
+    filled = np.flatnonzero(np.diff(tracks.offsets) > 0)
+    first, last = tracks.time[tracks.offsets[filled]], tracks.time[tracks.offsets[filled + 1] - 1]
+    slack = 0.01 * tracks.duration
+    return int(((first <= slack) & (last >= tracks.duration - slack)).sum())
+
+
+def _speeds(tracks: Tracks, interval: Floats, inner: NDArray[np.bool_]) -> Floats:
+    """``(S - 1,)`` metres per second from each sample to the next of its id; 0 between ids."""
+    squares = np.zeros(len(interval))
+    for axis in range(3):
+        squares += np.diff(tracks.position[:, axis]) ** 2
+    return np.sqrt(squares) / np.where(inner, interval, np.inf)
+
+
+def _name(tracks: Tracks, who: NDArray[np.integer]) -> str:
+    """Name some ids, at most three."""
+    names = ", ".join(str(tracks.ids[i]) for i in who[:_MOST_NAMED])
+    return names if len(who) <= _MOST_NAMED else f"{names} and {len(who) - _MOST_NAMED} more"
+
+
+def _owner(tracks: Tracks, sample: int) -> int:
+    """Index of the id that a sample belongs to."""
+    return int(np.searchsorted(tracks.offsets, sample, side="right")) - 1
+
+
+def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> list[Finding]:
+    """Find ids with another sampling rate, with samples between those of the others, or at other times altogether."""
+    found = []
+    rate = np.flatnonzero(np.isfinite(typical) & (np.abs(typical - usual) > 0.01 * usual))
+    if len(rate):
+        found.append(
+            Finding(
+                "clocks",
+                f"{len(rate)} ids are sampled at another rate than every {usual:g} s: {_name(tracks, rate)}.",
+                len(rate),
+            )
+        )
+    filled = np.flatnonzero(np.diff(tracks.offsets) > 0)
+    first, last = tracks.time[tracks.offsets[filled]], tracks.time[tracks.offsets[filled + 1] - 1]
+    if len(filled) > 1:
+        begun_before_end = np.searchsorted(np.sort(first), last, side="right")
+        ended_before_begin = np.searchsorted(np.sort(last), first, side="left")
+        apart = filled[begun_before_end - ended_before_begin == 1]  # only its own
+        if len(apart):
+            found.append(
+                Finding(
+                    "clocks",
+                    f"{len(apart)} ids share no time with any other id: {_name(tracks, apart)}; their clocks may "
+                    "disagree with the others'.",
+                    len(apart),
+                )
+            )
+    if usual > 0 and len(filled) > 2:
+        phase = first / usual % 1.0
+        mode = (np.bincount((phase * 50).astype(int) % 50).argmax() + 0.5) / 50
+        off = np.abs((phase - mode + 0.5) % 1.0 - 0.5)
+        shifted = filled[off > _PHASE]
+        if len(shifted) <= (1 - _SYNCHRONOUS) * len(filled) and len(shifted):
+            found.append(
+                Finding(
+                    "clocks",
+                    f"{len(shifted)} ids are sampled between the times of the others: {_name(tracks, shifted)}; "
+                    "their clocks may disagree.",
+                    len(shifted),
+                )
+            )
+    return found
+
+
+def _find_gaps(tracks: Tracks, interval: Floats, inner: NDArray[np.bool_], typical: Floats) -> list[Finding]:
+    limit = np.repeat(_GAP * typical, np.diff(tracks.offsets))[:-1]
+    gaps = np.flatnonzero(inner & (interval > limit))
+    if not len(gaps):
+        return []
+    longest = int(gaps[interval[gaps].argmax()])
+    return [
+        Finding(
+            "gaps",
+            f"{len(gaps)} gaps are longer than {_GAP:g} typical intervals; the longest takes {interval[longest]:g} s, "
+            f"after {tracks.file_time(tracks.time[longest])} (id {tracks.ids[_owner(tracks, longest)]}).",
+            len(gaps),
+        )
+    ]
+
+
+def _find_uneven(tracks: Tracks, interval: Floats, inner: NDArray[np.bool_], typical: Floats) -> list[Finding]:
+    expected = np.repeat(typical, np.diff(tracks.offsets))[:-1]
+    off = inner & (np.abs(interval - expected) > _UNEVEN * expected)
+    share = off.sum() / max(int(inner.sum()), 1)
+    if share <= _UNEVEN:
+        return []
+    sentence = f"Sampling is uneven: {share:.0%} of the intervals differ from the typical one by more than 10 %."
+    return [Finding("uneven sampling", sentence, int(off.sum()))]
+
+
+def _find_jumps(tracks: Tracks, speed: Floats) -> list[Finding]:
+    """Find steps that are much faster than the others, and pairs of them in which two ids exchange their places."""
+    moving = speed[speed > 0]
+    if not len(moving):
+        return []
+    usual = float(np.quantile(moving, 0.95))
+    jumps = np.flatnonzero(speed > _JUMP * usual)
+    if not len(jumps):
+        return []
+    fastest = int(jumps[speed[jumps].argmax()])
+    found = [
+        Finding(
+            "jumps",
+            f"{len(jumps)} steps are jumps, more than {_JUMP:g} times as fast as 95 % of the steps ({usual:.3g} m/s); "
+            f"the fastest has {speed[fastest]:.3g} m/s, after {tracks.file_time(tracks.time[fastest])} "
+            f"(id {tracks.ids[_owner(tracks, fastest)]}).",
+            len(jumps),
+        )
+    ]
+    pairs = _find_exchanges(tracks, jumps[:_MOST_JUMPS])
+    if pairs:
+        one, other = pairs[0]
+        names = f"{tracks.ids[_owner(tracks, one)]} and {tracks.ids[_owner(tracks, other)]}"
+        found.append(
+            Finding(
+                "exchanged ids",
+                f"{len(pairs)} pairs of ids jump to each other's places, the first {names} after "
+                f"{tracks.file_time(tracks.time[one])}; their ids may be exchanged.",
+                len(pairs),
+            )
+        )
+    return found
+
+
+def _find_exchanges(tracks: Tracks, jumps: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """Pairs of jumps, as indices of their first samples, in which each ends where the other began."""
+    start, end = tracks.position[jumps], tracks.position[jumps + 1]
+    begun, ended = tracks.time[jumps], tracks.time[jumps + 1]
+    length = np.linalg.norm(end - start, axis=1)
+    pairs = []
+    for k in range(len(jumps)):
+        near = (
+            (np.linalg.norm(end - start[k], axis=1) < _EXCHANGE * length[k])
+            & (np.linalg.norm(start - end[k], axis=1) < _EXCHANGE * length[k])
+            & (begun < ended[k])
+            & (ended > begun[k])
+        )
+        pairs += [(int(jumps[k]), int(jumps[j])) for j in np.flatnonzero(near) if j > k]
+    return pairs
+
+
+def _find_velocity_conflicts(tracks: Tracks, interval: Floats, inner: NDArray[np.bool_]) -> list[Finding]:
+    """Compare the velocities in the file with the differences of the positions, after and before the sample."""
+    if tracks.velocity is None or not inner.any():
+        return []
+    steps = np.flatnonzero(inner)
+    moved = np.diff(tracks.position, axis=0)[steps] / interval[steps, None]
+    size = np.linalg.norm(moved, axis=1)
+    fast = size > 0.1 * np.median(size)
+    moved, steps, size = moved[fast], steps[fast], size[fast]
+
+    def difference(velocity: Floats) -> float:
+        return float(np.median(np.linalg.norm(velocity - moved, axis=1) / size)) if len(size) else 0.0
+
+    after, before = tracks.velocity[steps], tracks.velocity[steps + 1]
+    middle = (after + before) / 2
+    best = min(difference(after), difference(before), difference(middle))
+    if best <= _AGREEMENT:
+        return []
+    norm = np.linalg.norm(middle, axis=1)
+    ratio = float(np.median(norm / size)) if len(size) else 0.0
+    scaled = difference(middle / ratio) if ratio > 0 else 1.0
+    if scaled <= _AGREEMENT:
+        why = f"they are {ratio:.3g} times as large, so they are probably in another unit"
+    else:
+        why = f"half of them differ by more than {best:.0%}"
+    sentence = f"The velocities contradict the positions: {why}. Only the positions are used."
+    return [Finding("velocities", sentence, len(steps))]
+
+
+def _find_degrees(tracks: Tracks) -> list[Finding]:
+    """Find coordinates that are said to be metres but look like longitude and latitude."""
+    if tracks.frame != "metres" or not tracks.samples:
+        return []
+    place = tracks.position[:, :2] + tracks.origin[:2]
+    extent = np.ptp(place, axis=0)
+    inside = (np.abs(place) <= (180, 90)).all()
+    whole = (place == np.round(place)).all()
+    if not inside or whole or extent.max() > 5 or extent.max() == 0 or np.abs(place).min(axis=0).max() < 5:
+        return []
+    sentence = (
+        f"All x are from -180 to 180, all y from -90 to 90, and the tracks extend over {extent.max():.3g} m: they may "
+        "be degrees (then map the columns lon and lat)."
+    )
+    return [Finding("degrees", sentence, 1)]

@@ -1,0 +1,325 @@
+"""Who leads whom in recorded tracks: a detector answers each window, and groups are followed through the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from usnet_env.config import ArgumentError, quote, whole_number
+from usnet_env.detection import Detection
+from usnet_env.plugins import DetectorLike, detector_label, make_detector
+from usnet_env.tracks.tracks import Tracks
+from usnet_env.tracks.windows import TrackWindow
+
+__all__ = ["DetectedWindow", "FoundLeaders", "Leader", "find_leaders"]
+
+DEFAULT_DETECTOR = "follow-mixture(policy='map')"
+_SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
+_SAME_LEADER = 0.25
+
+
+@dataclass(frozen=True)
+class Leader:
+    """A leader in a window, or over the whole file.
+
+    Args:
+        id: as in the file.
+        probability: the detector's probability that the id leads; over the file, the mean over the windows in which it
+            is seen. ``None``: the detector gives no probabilities.
+        followers: the ids that follow it; over the file, those that follow it in at least half of its windows.
+        reason: why, a sentence.
+        group: number of its group; a group keeps its number from window to window.
+        score: the detector's score; over the file, the mean over the windows in which it leads.
+    """
+
+    id: str | int
+    probability: float | None
+    followers: tuple[str | int, ...]
+    reason: str
+    group: int
+    score: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "id": self.id,
+            "probability": self.probability,
+            "followers": list(self.followers),
+            "reason": self.reason,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedWindow:
+    """A window with the leaders that a detector found in it.
+
+    Args:
+        start: time of the first instant as in the file.
+        end: time of the last instant as in the file.
+        leaders: the detector's candidates, the highest score first.
+    """
+
+    start: float | int | str
+    end: float | int | str
+    leaders: tuple[Leader, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FoundLeaders:
+    """The leaders of each window, and over the file.
+
+    Args:
+        windows: all windows, in the order of time.
+        leaders: an entry for each id that leads a group in a window, the one with the most windows first.
+        detector: label of the detector.
+    """
+
+    windows: tuple[DetectedWindow, ...]
+    leaders: tuple[Leader, ...]
+    detector: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """The windows and the leaders over the file as plain values for JSON."""
+        return {
+            "windows": [
+                {"start": each.start, "end": each.end, "leaders": [leader.as_dict() for leader in each.leaders]}
+                for each in self.windows
+            ],
+            "leaders": [leader.as_dict() for leader in self.leaders],
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each leader of each window; a window without leaders has one row without an id."""
+        rows = []
+        for each in self.windows:
+            for leader in each.leaders or (None,):
+                rows.append(
+                    {
+                        "start": each.start,
+                        "end": each.end,
+                        "group": leader and leader.group,
+                        "leader": leader and leader.id,
+                        "probability": leader and leader.probability,
+                        "score": leader and leader.score,
+                        "followers": [] if leader is None else list(leader.followers),
+                        "reason": leader and leader.reason,
+                    }
+                )
+        return rows
+
+
+def find_leaders(
+    tracks: Tracks,
+    detector: str | DetectorLike = DEFAULT_DETECTOR,
+    *,
+    length: int = 100,
+    stride: int | None = None,
+    seed: int = 0,
+    on_window: Callable[[TrackWindow, Detection, DetectedWindow], None] | None = None,
+) -> FoundLeaders:
+    """Let a detector answer every window of tracks.
+
+    Every window is an episode of its own: the detector is reset before it. Groups, a leader and its followers, are
+    followed from window to window: a group keeps its number where it shares the most members with an earlier one.
+
+    Args:
+        tracks: the tracks; if they are not resampled, the step is chosen.
+        detector: a name as :func:`usnet_env.make_detector` takes it, or a detector.
+        length: steps of a window.
+        stride: steps from the start of a window to the start of the next; ``None``: ``length``.
+        seed: seeds the detector.
+        on_window: called with each window, the detector's answer and the leaders.
+
+    Returns:
+        The leaders of each window, and over the file.
+
+    Raises:
+        ArgumentError: an argument is refused, the tracks hold no window, or the detector fails in one.
+    """
+    if not isinstance(tracks, Tracks):
+        raise ArgumentError(f"tracks must be Tracks, got {quote(tracks)}.")
+    player = make_detector(detector) if isinstance(detector, str) else detector
+    if isinstance(player, type) or not isinstance(player, DetectorLike):
+        raise ArgumentError(f"detector must have the methods detect(window) and reset(seed), got {quote(player)}.")
+    seed = whole_number("seed", seed, 0)
+    summary, groups, windows = _Summary(len(tracks.ids)), _Groups(), []
+    for number, cut in enumerate(tracks.windows(length, stride)):
+        start, end = tracks.file_time(cut.start), tracks.file_time(cut.end)
+        detection = _answer(player, cut, seed, number, f"from {start} to {end}")
+        heads = np.flatnonzero(detection.candidates)
+        heads = heads[np.argsort(-detection.scores[heads], kind="stable")]
+        followers = [_followers(detection, int(head)) for head in heads]
+        groups_here = [
+            (int(cut.rows[head]), {int(cut.rows[i]) for i in (head, *led)})
+            for head, led in zip(heads, followers, strict=True)
+        ]
+        labels = groups.follow(groups_here)
+        probability = _probabilities(detection, len(cut.ids))
+        reasons = _reasons(detection, heads, followers, len(cut.ids))
+        found = DetectedWindow(
+            start,
+            end,
+            tuple(
+                Leader(
+                    cut.ids[head],
+                    None if probability is None else float(probability[head]),
+                    tuple(cut.ids[i] for i in led),
+                    reason,
+                    label,
+                    float(detection.scores[head]),
+                )
+                for head, led, reason, label in zip(heads, followers, reasons, labels, strict=True)
+            ),
+        )
+        windows.append(found)
+        summary.add(cut, heads, followers, labels, probability, detection.scores)
+        if on_window is not None:
+            on_window(cut, detection, found)
+    if not windows:
+        raise ArgumentError("tracks must hold a window in which at least 2 ids are seen together; no window does.")
+    return FoundLeaders(tuple(windows), summary.leaders(tracks.ids), detector_label(player))
+
+
+def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when: str) -> Detection:
+    """Ask the detector for one window.
+
+    Raises:
+        ArgumentError: the detector fails, or its answer is none for this window.
+    """
+    try:
+        player.reset(int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]))
+        detection = player.detect(cut.window)
+    except ArgumentError:
+        raise
+    except Exception as error:  # a detector may raise anything
+        text = " ".join(str(error).split()).rstrip(".")
+        raise ArgumentError(
+            f"detector must answer every window, got {type(error).__name__}: {text} from {detector_label(player)} in "
+            f"the window {when}."
+        ) from error
+    if not isinstance(detection, Detection) or len(detection.candidates) != len(cut.ids):
+        raise ArgumentError(f"detector must answer a Detection for {len(cut.ids)} UAVs, got {quote(detection)}.")
+    return detection
+
+
+def _followers(detection: Detection, head: int) -> list[int]:
+    """Indices of those that the detector puts behind a head: by their leader, or else by the head's cluster."""
+    if detection.leader is not None:
+        behind = detection.leader == head
+    elif detection.clusters is not None and detection.clusters[head] >= 0:
+        behind = detection.clusters == detection.clusters[head]
+    else:
+        return []
+    return [int(i) for i in np.flatnonzero(behind) if i != head]
+
+
+def _probabilities(detection: Detection, uavs: int) -> NDArray[np.float64] | None:
+    """The detector's probabilities, ``(N,)``, or ``None`` if it gives none."""
+    given = detection.extras.get("probability")
+    if given is None or np.shape(given) != (uavs,):
+        return None
+    return np.asarray(given, np.float64)
+
+
+def _reasons(detection: Detection, heads: NDArray[np.intp], followers: list[list[int]], uavs: int) -> list[str]:
+    """A sentence for each head: the detector's own if it gives one, otherwise the rank of its score."""
+    named, given = detection.extras.get("heads"), detection.extras.get("reasons")
+    own: dict[int, str] = {}
+    if named is not None and given is not None and len(named) == len(given):
+        own = {int(head): str(reason) for head, reason in zip(named, given, strict=True)}
+    ranks = {int(i): rank for rank, i in enumerate(np.argsort(-detection.scores, kind="stable"), start=1)}
+    return [
+        own.get(int(head))
+        or f"Has score {detection.scores[head]:.3g}, rank {ranks[int(head)]} of {uavs}, and {len(led)} followers."
+        for head, led in zip(heads, followers, strict=True)
+    ]
+
+
+class _Groups:
+    """Numbers groups so that a group keeps its number from window to window."""
+
+    def __init__(self) -> None:
+        self._last: list[tuple[int, set[int]]] = []  # leader and members of each group, when it was found last
+
+    def follow(self, found: list[tuple[int, set[int]]]) -> list[int]:
+        """Number the groups, each a leader and its members, from 1.
+
+        A group has the number of the earlier group with which it shares the most members; a common leader counts as a
+        quarter of them. It has a new number if it shares less than a quarter with each.
+        """
+        labels = [0] * len(found)
+        if found and self._last:
+            share = np.array(
+                [
+                    [len(now & then) / len(now | then) + _SAME_LEADER * (head == leader) for leader, then in self._last]
+                    for head, now in found
+                ]
+            )
+            for k, g in zip(*linear_sum_assignment(-share), strict=True):
+                if share[k, g] >= _SAME_GROUP:
+                    labels[k] = int(g) + 1
+        for k, group in enumerate(found):
+            if labels[k]:
+                self._last[labels[k] - 1] = group
+            else:
+                self._last.append(group)
+                labels[k] = len(self._last)
+        return labels
+
+
+class _Summary:
+    """Counts over the windows of a file, for each leader of each group."""
+
+    def __init__(self, ids: int) -> None:
+        self._seen, self._probability = np.zeros(ids), np.zeros(ids)
+        self._sure = True
+        self._windows: dict[tuple[int, int], list[int]] = {}  # (group, leader): numbers of its windows
+        self._group_windows: dict[int, int] = {}
+        self._followers: dict[tuple[int, int], dict[int, int]] = {}
+        self._scores: dict[tuple[int, int], float] = {}
+        self._count = 0
+
+    def add(
+        self,
+        cut: TrackWindow,
+        heads: NDArray[np.intp],
+        followers: list[list[int]],
+        labels: list[int],
+        probability: NDArray[np.float64] | None,
+        scores: NDArray[np.float64],
+    ) -> None:
+        self._seen[cut.rows] += 1
+        if probability is None:
+            self._sure = False
+        else:
+            self._probability[cut.rows] += probability
+        for head, led, label in zip(heads, followers, labels, strict=True):
+            key = (label, int(cut.rows[head]))
+            self._windows.setdefault(key, []).append(self._count)
+            self._group_windows[label] = self._group_windows.get(label, 0) + 1
+            self._scores[key] = self._scores.get(key, 0.0) + float(scores[head])
+            counts = self._followers.setdefault(key, {})
+            for i in led:
+                row = int(cut.rows[i])
+                counts[row] = counts.get(row, 0) + 1
+        self._count += 1
+
+    def leaders(self, ids: tuple[str | int, ...]) -> tuple[Leader, ...]:
+        """The leaders over the file, the one with the most windows first."""
+        found = []
+        for (group, head), windows in sorted(self._windows.items(), key=lambda item: (-len(item[1]), item[0])):
+            counts = self._followers[group, head]
+            behind = sorted(row for row, count in counts.items() if count >= len(windows) / 2)
+            reason = (
+                f"Leads group {group} in {len(windows)} of the {self._group_windows[group]} windows in which the "
+                f"group is found; the file has {self._count} windows."
+            )
+            probability = float(self._probability[head] / self._seen[head]) if self._sure else None
+            score = self._scores[group, head] / len(windows)
+            found.append(Leader(ids[head], probability, tuple(ids[i] for i in behind), reason, group, score))
+        return tuple(found)

@@ -1,0 +1,114 @@
+"""Open text files row by row: plain, gzip or zip, with a limit on the expanded size and on the length of a row."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+from usnet_env.config import ArgumentError, quote
+
+__all__ = ["expanded_limit", "is_zip", "open_expanded", "read_lines"]
+
+SMALL_BYTES, LARGEST_RATIO = 2**28, 20  # without max_bytes: 256 MiB, or this multiple of the file's size
+_LONGEST_ROW = 2**20  # bytes
+_GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
+_TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".gpx")
+_WIDE = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}
+
+
+def expanded_limit(path: Path, max_bytes: int | None) -> int:
+    """The most bytes that a compressed file may expand to: ``max_bytes``, or what suits its size."""
+    return max(SMALL_BYTES, LARGEST_RATIO * path.stat().st_size) if max_bytes is None else max_bytes
+
+
+def is_zip(path: Path) -> bool:
+    """Whether the file begins like a zip archive."""
+    with path.open("rb") as file:
+        return file.read(4) == _ZIP
+
+
+class _Limited(io.RawIOBase):
+    """Reads a stream of unknown size, and refuses to go on after ``most`` bytes."""
+
+    def __init__(self, source: IO[bytes] | gzip.GzipFile, path: Path, most: int) -> None:
+        self._source, self._path, self._most, self._left = source, path, most, most
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        part = self._source.read(len(buffer))
+        self._left -= len(part)
+        if self._left < 0:
+            raise ArgumentError(
+                f"max_bytes must be at least the expanded size of {quote(str(self._path))}, which exceeds "
+                f"{self._most} bytes."
+            )
+        buffer[: len(part)] = part
+        return len(part)
+
+
+@contextmanager
+def open_expanded(path: Path, max_bytes: int | None) -> Iterator[IO[bytes]]:
+    """Open a file for reading bytes; gzip, and zip with one text file in it, are expanded.
+
+    Raises:
+        ArgumentError: the archive is damaged, holds no text file or several, or expands to too many bytes.
+    """
+    try:
+        with path.open("rb") as file:
+            magic = file.read(4)
+            file.seek(0)
+            most = expanded_limit(path, max_bytes)
+            if magic[:2] == _GZIP:
+                with gzip.open(file) as expanded:
+                    yield io.BufferedReader(_Limited(expanded, path, most), 2**16)
+            elif magic == _ZIP:
+                with zipfile.ZipFile(file) as archive:
+                    members = [each for each in archive.namelist() if each.lower().endswith(_TEXT_SUFFIXES)]
+                    if len(members) != 1:
+                        raise ArgumentError(
+                            f"path must be a zip archive with one file of {', '.join(_TEXT_SUFFIXES)}, got "
+                            f"{quote(str(path))} with {quote(archive.namelist())}."
+                        )
+                    with archive.open(members[0]) as expanded:
+                        yield io.BufferedReader(_Limited(expanded, path, most), 2**16)
+            else:
+                yield file
+    except (EOFError, zlib.error, gzip.BadGzipFile, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+        why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise ArgumentError(f"path must be an intact file, got {quote(str(path))}, not readable: {why}.") from None
+
+
+def read_lines(file: IO[bytes], path: Path, encoding: str) -> Iterator[str]:
+    """Decode a file row by row.
+
+    Raises:
+        ArgumentError: a row is not in this encoding or longer than 1 MiB; the sentence names the row.
+    """
+    where, number = quote(os.fspath(path)), 0
+    while raw := file.readline(_LONGEST_ROW):
+        number += 1
+        if number == 1:
+            if raw[:2] in _WIDE:
+                raise ArgumentError(f"path must be a text file in {encoding}, got {where} in {_WIDE[raw[:2]]}.")
+            raw = raw.removeprefix(b"\xef\xbb\xbf")
+        if len(raw) >= _LONGEST_ROW:
+            raise ArgumentError(
+                f"path must be a text file with rows of at most {_LONGEST_ROW} bytes, got {where}, whose row {number} "
+                "is longer."
+            )
+        try:
+            yield raw.decode(encoding)
+        except UnicodeDecodeError as error:
+            raise ArgumentError(
+                f"path must be a text file in {encoding}, got {where}, whose row {number} holds the byte "
+                f"0x{raw[error.start]:02X} at place {error.start + 1} (encoding= names another one, such as latin-1)."
+            ) from None

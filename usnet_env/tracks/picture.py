@@ -1,0 +1,132 @@
+"""One picture of the leaders that were found in tracks: maps of some windows, and who leads when."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.drawing import (
+    CLUSTER_COLORS,
+    Limits,
+    draw_legend,
+    draw_round,
+    last_seen_position,
+    new_figure,
+    round_marks,
+)
+from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders
+from usnet_env.tracks.windows import TrackWindow
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["MOST_MAPS", "draw_leaders"]
+
+MOST_MAPS, _COLUMNS = 6, 3
+_MAP, _GAP, _LEGEND, _HEADER = 4.6, 0.75, 2.7, 1.1  # inches
+_MOST_ROWS, _ROW = 16, 0.27  # of the lower chart; inches
+_MOST_NAMES = 12  # leaders that a map names
+#: A window of a map, its leader by index ``(N,)`` (-1: none; a leader has its own index), and the leaders.
+Map = tuple[TrackWindow, NDArray[np.int64], DetectedWindow]
+
+
+def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str) -> Figure:
+    """Draw up to six windows as maps from above, and below them the windows in which each id leads.
+
+    Args:
+        found: the leaders.
+        maps: the windows to draw.
+        title: what the tracks are.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    columns = min(max(len(maps), 1), _COLUMNS)
+    lines = -(-len(maps) // columns)
+    bars = found.leaders[:_MOST_ROWS]
+    chart = 1.1 + _ROW * max(len(bars), 1)
+    width = max(columns * (_MAP + _GAP) + _LEGEND, 9.0)
+    height = _HEADER + lines * (_MAP + _GAP + 0.2) + chart
+    figure = new_figure(width, height)
+    figure.text(0.5 / width, 1 - 0.25 / height, "Who leads whom?", fontsize=17, weight="bold", va="top")
+    about = f"{title}. Stars are the leaders that {found.detector} names, lines connect followers to them."
+    figure.text(0.5 / width, 1 - 0.65 / height, about, fontsize=10, va="top", color="#333333")
+    marks: dict[str, str] = {}
+    beside: Axes | None = None
+    for k, (cut, leader, window) in enumerate(maps):
+        left, top = 0.7 + k % columns * (_MAP + _GAP), _HEADER + k // columns * (_MAP + _GAP + 0.2)
+        axes = figure.add_axes((left / width, 1 - (top + _MAP) / height, _MAP / width, _MAP / height))
+        marks |= _draw_map(axes, cut, leader, window)
+        if k % columns:
+            axes.set_ylabel("")
+        if k == columns - 1:
+            beside = axes
+    if beside is not None:
+        draw_legend(beside, marks)
+    bottom = 0.55
+    axes = figure.add_axes((1.9 / width, bottom / height, (width - 2.4) / width, (chart - 1.0) / height))
+    _draw_times(axes, found)
+    return figure
+
+
+def _draw_map(axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: DetectedWindow) -> dict[str, str]:
+    """Draw one window; returns the marks that it shows, for the legend."""
+    uavs = len(cut.ids)
+    leaders = {each.id for each in window.leaders}
+    head = np.array([each in leaders for each in cut.ids])
+    none = np.zeros(uavs, bool)
+    position = cut.window.position + np.asarray(cut.origin, np.float32)
+    draw_round(
+        position, cut.window.seen, cut.window.alive, head, leader, none,
+        axes=axes, title=f"{window.start} to {window.end}", legend=False,
+        limits=_limits(position[cut.window.seen]),
+    )  # fmt: skip
+    place = last_seen_position(position, cut.window.seen)
+    names = {each: i for i, each in enumerate(cut.ids)}
+    for each in window.leaders[:_MOST_NAMES]:
+        style: Any = {"textcoords": "offset points", "fontsize": 8, "weight": "bold", "zorder": 7}
+        axes.annotate(str(each.id), place[names[each.id], :2].tolist(), xytext=(7, 7), **style)
+    present = round_marks(place, cut.window.alive, head, leader, none)
+    words = {
+        "head": "leader",
+        "follower (colour = cluster)": "other (colour = leader)",
+        "link from follower to head": "link from follower to leader",
+    }
+    return {mark: words.get(mark, mark) for mark, who in present.items() if who.any()}
+
+
+def _limits(place: NDArray[np.float32]) -> Limits:
+    """The square around positions ``(n, 3)``; unlike a swarm, recorded tracks may be smaller than a metre."""
+    low, high = place[:, :2].min(axis=0), place[:, :2].max(axis=0)
+    x, y = ((low + high) / 2).tolist()
+    return x, y, 0.54 * max(float((high - low).max()), 1e-6)
+
+
+def _draw_times(axes: Axes, found: FoundLeaders) -> None:
+    """Draw a row for each leader over the file, with a bar for each window in which it leads."""
+    bars = found.leaders[:_MOST_ROWS]
+    for row, each in enumerate(bars):
+        led = [
+            k
+            for k, window in enumerate(found.windows)
+            if any(leader.id == each.id and leader.group == each.group for leader in window.leaders)
+        ]
+        color = CLUSTER_COLORS[(each.group - 1) % len(CLUSTER_COLORS)]
+        axes.barh([row] * len(led), [1.0] * len(led), left=led, height=0.7, color=color)
+    axes.set_yticks(range(len(bars)), [str(each.id) for each in bars], fontsize=8)
+    axes.set_ylim(max(len(bars), 1) - 0.5, -0.5)
+    count = len(found.windows)
+    ticks = np.unique(np.linspace(0, count - 1, min(count, 8)).astype(int))
+    axes.set_xlim(0, count)
+    axes.set_xticks(ticks, [str(found.windows[k].start) for k in ticks], fontsize=8)
+    more = f", {len(bars)} of {len(found.leaders)} leaders" if len(bars) < len(found.leaders) else ""
+    words = f"Windows in which each id leads (colour = group){more}; time of their start below"
+    axes.set_title(words, fontsize=10, loc="left")
+    if not bars:
+        axes.text(0.5, 0.5, "No id leads.", transform=axes.transAxes, ha="center", va="center", color="#555555")
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)

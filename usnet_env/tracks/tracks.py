@@ -1,0 +1,327 @@
+"""Recorded tracks: positions of several animals or vehicles over time, with times and ids as in their file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from usnet_env.config import ArgumentError, quote, real_number, whole_number
+from usnet_env.tracks.findings import TrackReport, find_problems
+from usnet_env.tracks.resampling import choose_step, resample_positions
+from usnet_env.tracks.windows import TrackWindow, cut_windows
+from usnet_env.window import as_array, frozen_array
+
+__all__ = ["Clock", "Tracks"]
+
+Floats = NDArray[np.float64]
+_DIGITS = 9  # decimals of a time that is written as a number
+_LONGEST_STEP = 1e9  # seconds
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How seconds of :class:`Tracks` are written as times of the file.
+
+    Args:
+        origin: the file's time at second 0: a number in units of the file, or seconds since 1970-01-01 UTC.
+        unit: seconds in one unit of the file's times; 1 for timestamps.
+        timestamps: whether the file's times are dates with a time of day; they are written as ISO 8601 in UTC.
+        whole: whether the file's times are whole numbers.
+    """
+
+    origin: float = 0.0
+    unit: float = 1.0
+    timestamps: bool = False
+    whole: bool = False
+
+    def file_time(self, seconds: float) -> float | int | str:
+        """Write ``seconds`` after the start as a time of the file."""
+        if self.timestamps:
+            moment = datetime.fromtimestamp(round(self.origin + seconds, 6), UTC)
+            return moment.replace(tzinfo=None).isoformat(timespec="milliseconds") + "Z"
+        number = round(self.origin + seconds / self.unit, _DIGITS)
+        return int(number) if self.whole and number.is_integer() else number
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """The tracks of N ids: S samples, sorted by id and then by time. All arrays are read-only.
+
+    Args:
+        ids: the N ids as in the file, texts or whole numbers.
+        offsets: ``(N + 1,)`` int64; the samples of id i are ``offsets[i]`` to ``offsets[i + 1] - 1``.
+        time: ``(S,)`` float64, seconds after the earliest sample; it rises strictly within an id.
+        position: ``(S, 3)`` float64, metres from ``origin``; z is 0 in planar tracks.
+        origin: ``(3,)`` float64, the coordinates of the local origin: metres, or longitude and latitude in degrees and
+            height in metres.
+        velocity: ``(S, 3)`` float64, the velocities in the file, or ``None``. They are compared with the positions in
+            :meth:`report` and are not used for anything else.
+        leader: ``(S,)`` int64, index of the id that each id follows at that time (-1: none), or ``None`` if the file
+            has no column of leaders.
+        clock: how seconds are written as times of the file.
+        frame: what the positions are, in words.
+        notes: what the reader decided or found, a sentence each.
+        step: seconds between the samples if they lie on the common grid of :meth:`resample`, otherwise ``None``.
+
+    Raises:
+        ArgumentError: an array has another shape, values that are not finite, or samples in another order.
+    """
+
+    ids: tuple[str | int, ...]
+    offsets: NDArray[np.int64]
+    time: Floats
+    position: Floats
+    origin: Floats
+    velocity: Floats | None = None
+    leader: NDArray[np.int64] | None = None
+    clock: Clock = Clock()
+    frame: str = "metres"
+    notes: tuple[str, ...] = ()
+    step: float | None = None
+
+    def __post_init__(self) -> None:
+        def put(name: str, dtype: type, shape: tuple[int | None, ...]) -> Any:
+            value = getattr(self, name)
+            if not _is_frozen(value, dtype, shape):  # a second copy of large files would double the memory
+                value = frozen_array(name, value, dtype, shape)
+            object.__setattr__(self, name, value)
+            return value
+
+        if len(set(self.ids)) != len(self.ids) or not self.ids:
+            raise ArgumentError(f"ids must be different and at least one, got {quote(self.ids)}.")
+        time = put("time", np.float64, (None,))
+        offsets = put("offsets", np.int64, (len(self.ids) + 1,))
+        if offsets[0] != 0 or offsets[-1] != len(time) or (np.diff(offsets) < 0).any():
+            raise ArgumentError(f"offsets must rise from 0 to the {len(time)} samples, got {quote(offsets)}.")
+        put("position", np.float64, (len(time), 3))
+        put("origin", np.float64, (3,))
+        if self.velocity is not None:
+            put("velocity", np.float64, (len(time), 3))
+        if self.leader is not None:
+            leader = put("leader", np.int64, (len(time),))
+            if not ((leader >= -1) & (leader < len(self.ids))).all():
+                raise ArgumentError(f"leader must hold indices from -1 to {len(self.ids) - 1}, got {quote(leader)}.")
+        if (np.diff(time)[self.inner_steps] <= 0).any():
+            raise ArgumentError("time must rise strictly within each id; it does not.")
+
+    @classmethod
+    def from_samples(
+        cls, ids: Sequence[str | int], time: ArrayLike, position: ArrayLike, leader: Sequence[str | int] | None = None
+    ) -> Tracks:
+        """Make tracks of S samples in any order.
+
+        Args:
+            ids: ``(S,)`` id of each sample.
+            time: ``(S,)`` seconds.
+            position: ``(S, 2)`` or ``(S, 3)`` metres.
+            leader: ``(S,)`` the id that each id follows, its own or an unknown id for none; ``None``: not known.
+
+        Raises:
+            ArgumentError: lengths differ, values are not finite numbers, or an id has two samples at one time.
+        """
+        places = as_array("position", position)
+        if places.ndim != 2 or places.shape[1] not in (2, 3):
+            raise ArgumentError(f"position must have shape (any, 2) or (any, 3), got {places.shape}.")
+        samples = len(places)
+        places = frozen_array("position", places, np.float64, (samples, places.shape[1]))
+        seconds = frozen_array("time", time, np.float64, (samples,))
+        code: dict[str | int, int] = {}
+        codes = np.array([code.setdefault(each, len(code)) for each in ids], np.int64)
+        if len(codes) != samples or not samples:
+            raise ArgumentError(f"ids must name each of the {samples} samples, at least one, got {len(codes)}.")
+        led = None
+        if leader is not None:
+            led = np.array([code.get(each, -1) for each in leader], np.int64)
+            led = np.where(led == codes, -1, led)
+        return assemble(tuple(code), codes, seconds, list(places.T), None, led, Clock(), "metres", ())
+
+    @property
+    def samples(self) -> int:
+        """S, the number of samples."""
+        return len(self.time)
+
+    @property
+    def dimensions(self) -> int:
+        """2 if all heights are equal, otherwise 3."""
+        height = self.position[:, 2]
+        return 3 if len(height) and (height != height[0]).any() else 2
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the earliest to the latest sample."""
+        return float(self.time.max(initial=0.0))
+
+    @property
+    def inner_steps(self) -> NDArray[np.bool_]:
+        """``(S - 1,)`` bool: whether sample s and s + 1 belong to the same id."""
+        inner = np.ones(max(len(self.time) - 1, 0), bool)
+        edges = self.offsets[1:-1]
+        inner[edges[(edges > 0) & (edges < len(self.time))] - 1] = False
+        return inner
+
+    def report(self) -> TrackReport:
+        """What the tracks hold, and what is doubtful about them: nothing of it is repaired."""
+        return find_problems(self)
+
+    def resample(self, step: float | None = None, *, max_gap: float | None = None) -> Tracks:
+        """Resample all tracks to one grid of times, which starts at the earliest sample.
+
+        Where a grid step has at least three samples, the value at the grid time is that of a straight line that is
+        fitted to the samples within half a step; otherwise it is interpolated linearly between the two samples around
+        it. Both are exact for straight flight at constant speed. An id has no sample at grid times that no two samples
+        enclose, or whose two samples are further apart than ``max_gap``.
+
+        Args:
+            step: seconds between grid times. ``None`` chooses it: at least twice the time in which the movement
+                exceeds the noise of the positions, and so that an id follows its neighbour after 1 to 4 steps;
+                ``notes`` say which and why.
+            max_gap: longest time in seconds between two samples that is interpolated; ``None``: one and a half times
+                the interval that 90 % of the id's intervals don't exceed, at least the step.
+
+        Raises:
+            ArgumentError: an argument is not a positive number, or no id has two samples.
+        """
+        if max_gap is not None:
+            max_gap = real_number("max_gap", max_gap, 0.0, _LONGEST_STEP)
+        if step is None:
+            choice = choose_step(self)
+            step, why = choice.step, choice.reasons
+        else:
+            step = real_number("step", step, math.nextafter(0.0, 1.0), _LONGEST_STEP)
+            why = (f"The step of {step:g} s was given.",)
+        grid = resample_positions(self, step, max_gap)
+        return replace(
+            self,
+            offsets=grid.offsets,
+            time=grid.time,
+            position=grid.position,
+            velocity=None,
+            leader=grid.leader,
+            notes=(*self.notes, *why),
+            step=step,
+        )
+
+    def windows(self, length: int = 100, stride: int | None = None, *, least_steps: int = 10) -> Iterator[TrackWindow]:
+        """Cut resampled tracks into windows; tracks that are not resampled are resampled with a step that is chosen.
+
+        A window holds the ids that are seen in at least ``least_steps`` of its steps. Windows with fewer than two such
+        ids are left out.
+
+        Args:
+            length: number of steps of a window (T_ob); it has one more instant.
+            stride: number of steps from the start of a window to the start of the next; ``None``: ``length``.
+            least_steps: number of steps in which an id must be seen, at most ``length``.
+
+        Raises:
+            ArgumentError: an argument is out of range, or the tracks are shorter than one window.
+        """
+        length = whole_number("length", length, 1, 10**7)
+        stride = length if stride is None else whole_number("stride", stride, 1, 10**9)
+        least_steps = min(whole_number("least_steps", least_steps, 1), length)
+        even = self if self.step is not None else self.resample()
+        return cut_windows(even, length, stride, least_steps)
+
+    def file_time(self, seconds: float) -> float | int | str:
+        """Write ``seconds`` after the start as a time of the file."""
+        return self.clock.file_time(seconds)
+
+
+def assemble(
+    ids: tuple[str | int, ...],
+    codes: NDArray[np.integer[Any]],
+    time: Floats,
+    position: list[Floats],
+    velocity: Floats | None,
+    leader: NDArray[np.int64] | None,
+    clock: Clock,
+    frame: str,
+    notes: tuple[str, ...],
+    origin: Floats | None = None,
+) -> Tracks:
+    """Sort samples by id and time, and move the origin of time and space to the first sample and the middle.
+
+    Args:
+        ids: the N ids.
+        codes: ``(S,)`` index of the id of each sample, in the order of the file.
+        time: ``(S,)`` seconds.
+        position: the coordinates x, y and z or only x and y, ``(S,)`` metres each. The list is emptied, which frees the
+            memory of its arrays.
+        velocity: ``(S, 3)`` metres per second, or ``None``.
+        leader: ``(S,)`` index of each sample's leader, -1 for none, or ``None``.
+        clock: how a second of ``time`` is written; second 0 becomes the earliest time.
+        frame: what the positions are, in words.
+        notes: what the reader found.
+        origin: ``(3,)`` coordinates of the origin, if the positions are already relative to it.
+
+    Raises:
+        ArgumentError: two samples of an id have one time and different places; the sentence names their rows.
+    """
+    start = float(time.min())
+    order = np.lexsort((time, codes)) if not _is_sorted(codes, time) else None
+    if order is not None:
+        codes, time = codes[order], time[order]
+    same = (np.diff(codes) == 0) & (np.diff(time) <= 0)
+    rows = np.arange(len(time)) if order is None else order
+    places = np.zeros((len(time), 3))
+    for axis in reversed(range(len(position))):
+        column = position.pop()
+        places[:, axis] = column if order is None else column[order]
+    if same.any():
+        doubled = np.flatnonzero(same)
+        differ = (places[doubled] != places[doubled + 1]).any(axis=1)
+        if differ.any():
+            k = int(doubled[np.flatnonzero(differ)[0]])
+            one, other = sorted((int(rows[k]) + 2, int(rows[k + 1]) + 2))
+            moment = replace(clock, origin=0.0).file_time(float(time[k]))
+            raise ArgumentError(
+                f"time must differ between the samples of an id, got {quote(moment)} with two places for id "
+                f"{quote(ids[int(codes[k])])} in rows {one} and {other}."
+            )
+        notes = (*notes, f"{len(doubled)} samples were repetitions (same id, time and place) and are left out.")
+    keep = np.flatnonzero(np.append(True, ~same)) if same.any() else slice(None)
+    pick = rows[keep] if order is not None or same.any() else slice(None)
+    if same.any():
+        places, time, codes = places[keep], time[keep], codes[keep]
+    if origin is None:
+        origin = np.round((places.min(axis=0) + places.max(axis=0)) / 2)
+        places -= origin
+    time = time - start
+    for array in (time, places):
+        array.setflags(write=False)
+    return Tracks(
+        ids=ids,
+        offsets=np.searchsorted(codes, np.arange(len(ids) + 1)),
+        time=time,
+        position=places,
+        origin=origin,
+        velocity=None if velocity is None else velocity[pick],
+        leader=None if leader is None else leader[pick],
+        clock=replace(clock, origin=start / clock.unit),
+        frame=frame,
+        notes=notes,
+    )
+
+
+def _is_frozen(value: Any, dtype: type, shape: tuple[int | None, ...]) -> bool:
+    """Whether ``value`` is what ``frozen_array`` would return a copy of: read-only, its own, finite, of this type."""
+    return (
+        isinstance(value, np.ndarray)
+        and value.dtype == dtype
+        and value.flags.owndata
+        and not value.flags.writeable
+        and value.ndim == len(shape)
+        and all(want in (None, has) for want, has in zip(shape, value.shape, strict=True))
+        and bool(np.isfinite(value).all())
+    )
+
+
+def _is_sorted(codes: NDArray[Any], time: Floats) -> bool:
+    """Whether samples are sorted by id and time already; then their order takes no memory."""
+    step = np.diff(codes)
+    return bool((step >= 0).all() and (np.diff(time)[step == 0] >= 0).all())

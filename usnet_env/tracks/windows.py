@@ -1,0 +1,112 @@
+"""Cut resampled tracks into windows that detectors take, with the ids and times kept beside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.config import ArgumentError, quote
+from usnet_env.window import Window
+
+if TYPE_CHECKING:
+    from usnet_env.tracks.tracks import Tracks
+
+__all__ = ["TrackWindow", "count_windows", "cut_windows"]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackWindow:
+    """A window of recorded tracks, with what a :class:`usnet_env.Window` doesn't hold.
+
+    Args:
+        window: what a detector takes. Its velocities are the differences of the positions, metres per step.
+        ids: the ids of the N UAVs of the window, as in the file.
+        rows: ``(N,)`` int64, index of each in ``Tracks.ids``.
+        start: seconds of the first instant after the start of the tracks.
+        end: seconds of the last instant.
+        step: seconds between instants.
+        origin: ``(3,)`` metres; add it to the window's positions to get those of the tracks.
+        leader: ``(N,)`` int64, index in the window of the id that each follows through most of the window (-1: none or
+            one that is not in the window), or ``None`` if the file has no leaders.
+    """
+
+    window: Window
+    ids: tuple[str | int, ...]
+    rows: NDArray[np.int64]
+    start: float
+    end: float
+    step: float
+    origin: NDArray[np.float64]
+    leader: NDArray[np.int64] | None = None
+
+
+def count_windows(tracks: Tracks, length: int, stride: int) -> int:
+    """Number of windows of ``length`` steps, every ``stride`` steps, in resampled tracks."""
+    assert tracks.step is not None
+    steps = round(tracks.duration / tracks.step)
+    return 0 if steps < length else (steps - length) // stride + 1
+
+
+def cut_windows(tracks: Tracks, length: int, stride: int, least_steps: int) -> Iterator[TrackWindow]:
+    """Cut resampled tracks into windows; see :meth:`Tracks.windows`.
+
+    Raises:
+        ArgumentError: the tracks are shorter than one window.
+    """
+    assert tracks.step is not None
+    count = count_windows(tracks, length, stride)
+    if not count:
+        raise ArgumentError(
+            f"length must be at most the {round(tracks.duration / tracks.step)} steps of {tracks.step:g} s that the "
+            f"tracks last, got {quote(length)}."
+        )
+    number = np.round(tracks.time / tracks.step).astype(np.int64)
+    cuts = (_cut(tracks, number, k * stride, length, least_steps) for k in range(count))
+    return (cut for cut in cuts if cut is not None)
+
+
+def _cut(tracks: Tracks, number: NDArray[np.int64], first: int, length: int, least_steps: int) -> TrackWindow | None:
+    """Cut the window that begins at grid time ``first``; ``None`` if fewer than two ids are seen long enough."""
+    step = float(tracks.step or 0.0)
+    inside = np.flatnonzero((number >= first) & (number <= first + length))
+    owner = np.searchsorted(tracks.offsets, inside, side="right") - 1
+    rows, column = np.unique(owner, return_inverse=True)
+    seen = np.zeros((length + 1, len(rows)), bool)
+    seen[number[inside] - first, column] = True
+    enough = (seen[1:] & seen[:-1]).sum(axis=0) >= least_steps
+    if enough.sum() < 2:
+        return None
+    kept = enough[column]
+    inside, column = inside[kept], (np.cumsum(enough) - 1)[column[kept]]
+    rows, seen = rows[enough], seen[:, enough]
+    at = number[inside] - first
+    origin = tracks.position[inside].mean(axis=0)
+    position = np.zeros((length + 1, len(rows), 3))
+    position[at, column] = tracks.position[inside] - origin
+    both = seen[1:] & seen[:-1]
+    velocity = np.where(both[..., None], np.diff(position, axis=0), 0.0)
+    return TrackWindow(
+        window=Window(position.astype(np.float32), velocity.astype(np.float32), seen, np.ones(len(rows), bool)),
+        ids=tuple(tracks.ids[i] for i in rows),
+        rows=rows.astype(np.int64),
+        start=first * step,
+        end=(first + length) * step,
+        step=step,
+        origin=origin,
+        leader=None if tracks.leader is None else _usual_leaders(tracks.leader[inside], column, rows),
+    )
+
+
+def _usual_leaders(leader: NDArray[np.int64], column: NDArray[np.intp], rows: NDArray[np.intp]) -> NDArray[np.int64]:
+    """The leader that each of the window's UAVs has in most of its samples, as an index in the window."""
+    pairs, counts = np.unique(np.stack([column, leader], axis=1), axis=0, return_counts=True)
+    order = np.lexsort((-counts, pairs[:, 0]))
+    first = np.unique(pairs[order, 0], return_index=True)[1]
+    usual = pairs[order][first, 1]
+    place = np.searchsorted(rows, usual)
+    known = (usual >= 0) & (place < len(rows))
+    return np.where(known & (rows[np.minimum(place, len(rows) - 1)] == usual), place, -1).astype(np.int64)
