@@ -59,9 +59,8 @@ def _no_pool(targets: Any, pairs: Any, some: Any, follows: Any, fixed: Any) -> N
 #: Key of each change. The first ones move thresholds, the others switch off parts.
 CHANGES = {
     "": Change("nothing", ()),
-    "steps-a-lag": Change("a window has as many lags as `memory`, however short it is", ((fit, "_STEPS_A_LAG", 1),)),
-    "own-law-free": Change("a group may deviate from the shared law at no price", ((fit, "_OWN_LAW", 0.0),)),
-    "own-law-never": Change("no group may deviate from the shared law", ((fit, "_OWN_LAW", INFINITE),)),
+    "own-law-free": Change("a group may deviate from the shared law at no price", ((fit, "OWN_LAW", 0.0),)),
+    "own-law-never": Change("no group may deviate from the shared law", ((fit, "OWN_LAW", INFINITE),)),
     "certain-always": Change(
         "the first level is final if all groups follow, whatever its doubt", ((fit, "_CERTAIN", -1.0),)
     ),
@@ -69,11 +68,10 @@ CHANGES = {
     "rare-0.5": Change("a head is missing in the window with probability 0.5 instead of 0.05", ((fit, "_RARE", 0.5),)),
     "rare-0.001": Change("a head is missing in the window with probability 0.001", ((fit, "_RARE", 0.001),)),
     "together-1": Change("a member of a group is as likely a head as a single UAV", ((fit, "_LEAST_TOGETHER", 1.0),)),
-    "rows-a-weight": Change("a shared law needs no least number of rows", ((fit, "_ROWS_A_WEIGHT", 0.0),)),
     "rows-a-lag": Change("the own past has all lags, however short the window is", ((evidence, "_ROWS_A_LAG", 1),)),
     "freedom": Change("all rows have the same weight, sharp turns too", ((evidence, "_FREEDOM", INFINITE),)),
-    "own-choice-free": Change("a single UAV chooses a head at no price", ((pooling, "_OWN_CHOICE", 0.0),)),
-    "own-choice-never": Change("no single UAV chooses a head by itself", ((pooling, "_OWN_CHOICE", INFINITE),)),
+    "own-choice-free": Change("a single UAV chooses a head at no price", ((pooling, "OWN_LAW", 0.0),)),
+    "own-choice-never": Change("no single UAV chooses a head by itself", ((pooling, "OWN_LAW", INFINITE),)),
     "unit-spread": Change(
         "speeds are never taken for equal", ((motion, "_UNIT_SPREAD", 0.0), (motion, "_ROUNDING", 0.0))
     ),

@@ -24,16 +24,17 @@ from detectors.follow_mixture.motion import lagged
 from usnet_env.compiling import compiled
 
 __all__ = [
-    "Pairs", "Statistics", "Targets", "choose_pairs", "fit_law", "gain_by_laws", "gather_statistics", "join",
-    "make_targets", "own_evidence", "pair", "screen", "shared_evidence", "whiten",
+    "OWN_LAW", "RIDGE", "Pairs", "Statistics", "Targets", "choose_pairs", "fit_law", "gain_by_laws",
+    "gather_statistics", "join", "make_targets", "own_evidence", "pair", "screen", "shared_evidence", "whiten",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+OWN_LAW = 3.0  # log prior odds of a law that UAVs share against a law of a group's or UAV's own
 _ROWS_A_LAG = 12  # rows of a window per lag of the own past in Z
-_RIDGE = 1e-6  # of the mean square of a feature
+RIDGE = 1e-6  # of the mean square of a feature
 _GRAIN = 1e-3  # innovations below this share of the mean speed are rounding of the positions
 _ASKED = 3  # candidates of each sort that a class nominates for a group; their evidence is exact
 _CHUNK = 1000  # UAVs or pairs of one matrix product; bounds the memory
@@ -149,7 +150,7 @@ def _residuals(columns: Floats, target: Floats) -> Floats:
     return np.asarray(target - columns @ (columns.transpose(0, 2, 1) @ target))
 
 
-def whiten(columns: Floats, ridge: float = _RIDGE) -> Floats:
+def whiten(columns: Floats, ridge: float = RIDGE) -> Floats:
     """Orthonormal columns of the span of each ``(R, p)`` block, up to a small ridge."""
     gram = columns.transpose(0, 2, 1) @ columns
     width = gram.shape[1]
@@ -246,7 +247,7 @@ def _explain_by_three(features: Floats, flat: Floats, own: Floats, weight: Float
     known = (turned @ own).reshape(uavs, 3, count, own.shape[1] // max(count, 1))
     products = features[:, :, [0, 1, 1, 2, 2, 2]] * features[:, :, [0, 0, 1, 0, 1, 2]]  # of a lower triangle
     gram = (products.transpose(0, 2, 1).reshape(-1, rows) @ weight.T).reshape(uavs, 6, count)
-    return np.asarray(_solve_by_three(moment, known, gram, _RIDGE, _NOTHING).T)
+    return np.asarray(_solve_by_three(moment, known, gram, RIDGE, _NOTHING).T)
 
 
 @compiled()
@@ -307,7 +308,7 @@ def gather_statistics(targets: Targets, past: Floats, pairs: Pairs, names: Seque
             power = np.trace(whole, axis1=1, axis2=2) / width
             known = turned @ targets.own[target]
             gram[part] = whole - known @ known.transpose(0, 2, 1)
-            gram[part] += (_RIDGE * power + _NOTHING)[:, None, None] * np.eye(width)
+            gram[part] += (RIDGE * power + _NOTHING)[:, None, None] * np.eye(width)
         found.append(Statistics(name, moment, gram))
     return found
 

@@ -10,6 +10,7 @@ from scipy.special import logsumexp
 
 from detectors.follow_mixture.assignment import Assignment, assign_groups
 from detectors.follow_mixture.evidence import (
+    OWN_LAW,
     Pairs,
     Statistics,
     Targets,
@@ -33,12 +34,9 @@ __all__ = ["Fit", "fit_motion"]
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_STEPS_A_LAG = 5  # a window has at most one lag per so many steps
-_OWN_LAW = 3.0  # log prior odds of the shared law against a law of a group's own
 _CERTAIN = 7.0  # log-odds of every UAV at which the search ends
 _RARE = 0.05  # prior probability that the head of a group is not in the window, and of a head of single UAVs only
 _LEAST_TOGETHER = 0.01  # least prior probability that a head moves with its followers, relative to a single UAV
-_ROWS_A_WEIGHT = 2.0  # least number of rows, of all groups, for each weight of a shared law
 _ITERATIONS = 8
 _NOTHING = 1e-12
 
@@ -130,7 +128,7 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
         ``None`` if no UAV moves with or after another one.
     """
     velocity = motion.velocity
-    lags = int(np.clip(motion.steps // _STEPS_A_LAG, 1, lags))
+    lags = min(lags, motion.steps // 2)
     spectra = fit_spectra(velocity, motion.unit)
     targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
     past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
@@ -195,7 +193,7 @@ def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _An
     for start in (begin, None):
         start = best if start is None else start
         for some in order:
-            found = _share_law(search, classes[some], start.assignment, each - _OWN_LAW)
+            found = _share_law(search, classes[some], start.assignment, each - OWN_LAW)
             if found is not None and found.value > best.value:
                 best = found
                 if search.explains(found.assignment):
@@ -209,9 +207,9 @@ def _share_law(search: _Search, some: Statistics, assignment: Assignment, own: F
     variance = np.ones(len(search.pairs.group))
     for turn in range(_ITERATIONS):
         used = search.chosen(assignment)
-        rows = float(search.targets.rows[search.pairs.target[used]].sum())
-        if rows <= _ROWS_A_WEIGHT * some.width:
+        if not len(used):
             break
+        rows = float(search.targets.rows[search.pairs.target[used]].sum())
         law = fit_law(some, used, variance[used])
         shared, variance = shared_evidence(search.targets, search.pairs, some, law)
         evidence = np.maximum(shared, own)

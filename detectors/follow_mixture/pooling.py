@@ -18,7 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaln
 
-from detectors.follow_mixture.evidence import Pairs, Statistics, Targets, gain_by_laws, pair, screen, whiten
+from detectors.follow_mixture.evidence import (
+    OWN_LAW,
+    RIDGE,
+    Pairs,
+    Statistics,
+    Targets,
+    gain_by_laws,
+    pair,
+    screen,
+    whiten,
+)
 from detectors.follow_mixture.features import LONE, make_features
 
 __all__ = ["LonePairs", "ask_single_uavs"]
@@ -26,7 +36,6 @@ __all__ = ["LonePairs", "ask_single_uavs"]
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_OWN_CHOICE = 3.0  # log prior odds of the law of all followers against a law of the UAV's own
 _TURNS = 3  # of choosing the followers of a candidate and fitting their law
 _ASKED = 200  # most single UAVs that are asked; bounds time and memory
 _CLASSES = 2  # in which the greedy search goes on
@@ -218,7 +227,7 @@ def _pool(
 def _fit_laws(gram: Floats, moment: Floats) -> Floats:
     """Laws ``(k, p, 3)``, shrunk by the share of what they explain that 3 p weights explain by chance."""
     width = gram.shape[1]
-    ridge = 1e-6 * np.trace(gram, axis1=1, axis2=2) / width + _NOTHING
+    ridge = RIDGE * np.trace(gram, axis1=1, axis2=2) / width + _NOTHING
     law = np.linalg.solve(gram + ridge[:, None, None] * np.eye(width), moment)
     explained = (moment * law).sum(axis=(1, 2))
     return np.asarray(law * np.maximum(1.0 - 3.0 * width / np.maximum(explained, _NOTHING), 0.0)[:, None, None])
@@ -241,4 +250,4 @@ def _choose(evidence: Floats) -> tuple[Indices, Floats]:
     gain = (ranked[:, :, 0] - ranked[:, :, 1]) / scale
     best = gain.argmax(axis=0)
     every = np.arange(evidence.shape[1])
-    return evidence[best, every].argmax(axis=1), gain[best, every] - np.log(len(evidence)) - _OWN_CHOICE
+    return evidence[best, every].argmax(axis=1), gain[best, every] - np.log(len(evidence)) - OWN_LAW
