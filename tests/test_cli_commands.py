@@ -24,15 +24,15 @@ def install(monkeypatch, tmp_path):
     def installer(**values):
         points = [EntryPoint(name.replace("_", "-"), value, commands.GROUP) for name, value in values.items()]
         monkeypatch.setattr(commands, "entry_points", lambda group: points)
-        commands.find_commands.cache_clear()
+        commands.find_entry_points.cache_clear()
 
     yield installer
-    commands.find_commands.cache_clear()
+    commands.find_entry_points.cache_clear()
     sys.modules.pop("foreign_command", None)
 
 
 def test_the_commands_of_this_package_are_found_and_load():
-    found = commands.find_commands()
+    found = commands.find_entry_points(commands.GROUP)
     assert {name: found[name].value for name in OWN} == OWN
     assert all(point.load().name == name for name, point in found.items())
 

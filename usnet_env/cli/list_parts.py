@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from usnet_env.cli.commands import find_entry_points
 from usnet_env.config import ArgumentError
 
 if TYPE_CHECKING:
@@ -68,8 +69,8 @@ def _find_registry(part: str) -> Registry[Any]:
     from usnet_env.multiagent import fusion, sensors  # noqa: F401
     from usnet_env.registry import REGISTRIES
 
-    if part == "clusterer":
-        import detectors.clustering  # noqa: F401
+    if part in (modules := find_entry_points("usnet.registries")):
+        modules[part].load()
     (found,) = [registry for registry in REGISTRIES.values() if registry.argument == part]
     return found
 
