@@ -71,7 +71,7 @@ def test_windows_hold_positions_velocities_masks_ids_and_times():
     keep[40:50, 2] = False
     keep[:95, 5] = False
     tracks = dense(places, keep=keep)
-    (cut,) = tracks.resample(0.5).windows(100)
+    (cut,) = tracks.resample(0.5).windows(100, least_steps=10)
     assert cut.ids == tuple(f"uav-{i}" for i in range(5))  # the sixth is seen in 5 steps
     window = cut.window
     assert (window.uavs, window.observation_steps, cut.start, cut.end, cut.step) == (5, 100, 0.0, 50.0, 0.5)
