@@ -3,9 +3,10 @@
     python benchmarks/tracks_speed.py           # writes benchmarks/results/tracks_speed.json
 
 The swarm has 100 groups. Every 650 steps a tenth of the followers change their group, ten heads join other groups with
-all their followers, and ten followers of large groups become heads; a tenth of the ids that never lead come later or leave earlier. A
-head is counted in a window if it leads at least three ids that are seen in at least half of its steps, through four fifths of
-the window. A window is right if the detector names all these heads, and no id that leads nobody in the window.
+all their followers, and ten followers of large groups become heads. A tenth of the ids that never lead come later or
+leave earlier. A head is counted in a window if it leads at least three ids that are seen in half of the window's steps,
+through four fifths of the window. A window is right if the detector names all these heads, and no id that leads no
+other id in the window.
 """
 
 from __future__ import annotations
