@@ -56,9 +56,7 @@ def merging(seed: int = 1, ids: int = 14, steps: int = 800) -> list[list[object]
         led = np.where(np.arange(steps)[:, None] < half, (first, second)[k % 2], first)
         velocities.append(follow(rng, led, int(rng.integers(1, 4))))
     for t in range(steps):
-        leaders.append(
-            ["", "" if t < half else "bird-0", *(f"bird-{k % 2 if t < half else 0}" for k in range(2, ids))]
-        )
+        leaders.append(["", "" if t < half else "bird-0", *(f"bird-{k % 2 if t < half else 0}" for k in range(2, ids))])
     return list(rows([fly(rng, each, 30) for each in velocities], leaders))
 
 
