@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import signal
 import subprocess
 import sys
 import time
@@ -95,7 +96,9 @@ def disturb(death, out, folder):
     running = start(out)
     wait_for_rows(running, out)
     if death == "two writers":
+        os.killpg(running.pid, signal.SIGSTOP)  # it would end before the second one has started
         assert "which process" in finish(start(out), status=2)
+        os.killpg(running.pid, signal.SIGCONT)
         finish(running)
     elif death == "vanished folder":
         away = out.with_name("away")

@@ -1,6 +1,7 @@
 """Tracks from files: every format, guessed and mapped columns, and files that are refused in one sentence."""
 
 import gzip
+import struct
 import sys
 import zipfile
 
@@ -166,6 +167,35 @@ def test_gpx_without_entities(tmp_path):
     assert "intact GPX" in refusal(tmp_path / "cut.gpx")
     (tmp_path / "none.gpx").write_text("<gpx></gpx>")
     assert "track points" in refusal(tmp_path / "none.gpx")
+
+
+def write_ulog(path, north):
+    """A ULog file with four samples of ``vehicle_local_position``, 0.5 s apart: north, east 2 m, up 10 m."""
+
+    def message(kind, payload):
+        return struct.pack("<HB", len(payload), ord(kind)) + payload
+
+    parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)]
+    parts.append(message("B", bytes(40)))
+    parts.append(message("F", b"vehicle_local_position:uint64_t timestamp;float x;float y;float z;"))
+    parts.append(message("A", struct.pack("<BH", 0, 0) + b"vehicle_local_position"))
+    for k in range(4):
+        parts.append(message("D", struct.pack("<HQfff", 0, 500_000 * k, north + k, 2.0, -10.0 - k)))
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+def test_ulog_files_are_one_track_each(tmp_path):
+    pytest.importorskip("pyulog")
+    places = {"first": 0.0, "second": 50.0}
+    read = read_tracks([write_ulog(tmp_path / f"{name}.ulg", north) for name, north in places.items()])
+    assert (read.ids, read.duration) == (("first", "second"), 1.5)
+    place = read.position + read.origin
+    np.testing.assert_allclose(place[:4], [[2, k, 10 + k] for k in range(4)], atol=1e-5)
+    np.testing.assert_allclose(place[4:, 1], np.arange(4) + 50, atol=1e-5)
+    assert "at least 2 ids" in refusal(tmp_path / "first.ulg")
+    (tmp_path / "cut.ulg").write_bytes(b"ULog")
+    assert "intact ULog" in refusal(tmp_path / "cut.ulg")
 
 
 def test_a_missing_package_is_named(tmp_path, monkeypatch):

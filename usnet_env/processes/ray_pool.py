@@ -27,7 +27,7 @@ from usnet_env.processes.pool import ProcessPool
 
 __all__ = ["RayPool"]
 
-_TASKS_AHEAD = 4  # tasks that a worker has received; the others bridge the time of a message through the cluster
+_TASKS_AHEAD = 2  # tasks that a worker has received: one to run, and the next one so that it never waits
 _MOST_ENDS = 3  # workers that may end during the same task, or one after the other before they have started
 _LONGEST_REASON = 300  # characters
 _GRACE = 10.0  # seconds

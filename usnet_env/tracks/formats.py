@@ -234,7 +234,8 @@ def read_ulog(path: Path, options: ReadOptions) -> Iterator[Block]:
         },  # north, east, down
     }
     try:
-        log = pyulog.ULog(os.fspath(path), list(topics))
+        with path.open("rb") as file:
+            log = pyulog.ULog(file, list(topics))
     except Exception as error:  # pyulog raises many kinds for damaged files
         raise _damaged(path, "ULog", error) from None
     found = {each.name: each.data for each in reversed(log.data_list)}

@@ -207,7 +207,9 @@ class Tracks:
             step=step,
         )
 
-    def windows(self, length: int = 100, stride: int | None = None, *, least_steps: int = 10) -> Iterator[TrackWindow]:
+    def windows(
+        self, length: int = 100, stride: int | None = None, *, least_steps: int | None = None
+    ) -> Iterator[TrackWindow]:
         """Cut resampled tracks into windows; tracks that are not resampled are resampled with a step that is chosen.
 
         A window holds the ids that are seen in at least ``least_steps`` of its steps. Windows with fewer than two such
@@ -216,14 +218,14 @@ class Tracks:
         Args:
             length: number of steps of a window (T_ob); it has one more instant.
             stride: number of steps from the start of a window to the start of the next; ``None``: ``length``.
-            least_steps: number of steps in which an id must be seen, at most ``length``.
+            least_steps: number of steps in which an id must be seen, at most ``length``; ``None``: half of them.
 
         Raises:
             ArgumentError: an argument is out of range, or the tracks are shorter than one window.
         """
         length = whole_number("length", length, 1, 10**7)
         stride = length if stride is None else whole_number("stride", stride, 1, 10**9)
-        least_steps = min(whole_number("least_steps", least_steps, 1), length)
+        least_steps = -(-length // 2) if least_steps is None else whole_number("least_steps", least_steps, 1, length)
         even = self if self.step is not None else self.resample()
         return cut_windows(even, length, stride, least_steps)
 
