@@ -3,13 +3,13 @@
     OMP_NUM_THREADS=1 python benchmarks/engine_speed.py            # all parts but Ray's
     OMP_NUM_THREADS=1 RAY_worker_niceness=0 python benchmarks/engine_speed.py ray ray_computing    # needs Ray
 
-The parts are merged into benchmarks/results/engine_speed.json. ``append``: milliseconds of CPU and bytes for a row, with
-few and with many rows in the file. ``episodes``: seconds and peak memory of a process that evaluates episodes whose playing
-costs nothing. ``summary``: seconds and peak memory of a process that reads the rows of a run and summarises them.
-``isolation``: milliseconds of an answer of the detector ``none`` in its own process and in this one, in turns.
-``engine``: what `evaluate` with a folder adds to a loop over the same episodes, whose detections take 10 ms; in turns.
-``ray`` and ``ray_computing``: seconds of a run on one and on two nodes of one core, in turns, with a detector that
-waits, and with one that computes, for half a second; tasks that cost nothing for each second.
+The parts are merged into benchmarks/results/engine_speed.json. ``append``: milliseconds of CPU and bytes for a row,
+with few and with many rows in the file. ``episodes``: seconds and peak memory of a process that evaluates episodes
+whose playing costs nothing. ``summary``: seconds and peak memory of a process that reads the rows of a run and
+summarises them. ``isolation``: milliseconds of an answer of the detector ``none`` in its own process and in this one,
+in turns. ``engine``: what `evaluate` with a folder adds to a loop over the same episodes, whose detections take 10
+ms; in turns. ``ray`` and ``ray_computing``: seconds of a run on one and on two nodes of one core, in turns, with a
+detector that waits, and with one that computes, for half a second; tasks that cost nothing for each second.
 """
 
 from __future__ import annotations
@@ -234,16 +234,18 @@ def ray_nodes(episodes: int, turns: int, computing: bool) -> dict[str, object]:
 
     ray.init(cluster.address, log_to_driver=False)
     taken: dict[int, list[float]] = {1: [], 2: []}
+    loads = []
     for turn in range(turns):
         for nodes, seconds in taken.items():
             seconds.append(Timed(Takes(0.5, computing), episodes, turn, nodes).seconds)
-            print(f"turn {turn}, {nodes} nodes: {seconds[-1]:.2f} s", flush=True)
+        loads.append(os.getloadavg()[0])
+    ratios = np.array(taken[1]) / np.array(taken[2])
     found: dict[str, object] = {
         "episodes": episodes,
-        "turns": turns,
-        "seconds_on_one_node": float(np.median(taken[1])),
-        "seconds_on_two_nodes": float(np.median(taken[2])),
-        "ratio": float(np.median(np.array(taken[1]) / np.array(taken[2]))),
+        "seconds_on_one_node": taken[1],
+        "seconds_on_two_nodes": taken[2],
+        "loads": loads,
+        "ratio": float(np.median(ratios)),
     }
     pool = RayPool(abs, 2)
     times = [(time.perf_counter(), time.process_time()) for _ in pool.run(range(2_000))]
@@ -306,8 +308,8 @@ def main() -> None:
             "summary": summary,
             "episodes": lambda: run(EPISODES, arguments.episodes, Path(folder) / "run"),
             "engine": lambda: engine(200, 5),
-            "ray": lambda: ray_nodes(40, 3, computing=False),
-            "ray_computing": lambda: ray_nodes(40, 2, computing=True),
+            "ray": lambda: ray_nodes(40, 5, computing=False),
+            "ray_computing": lambda: ray_nodes(40, 3, computing=True),
         }
         for name in arguments.parts or [name for name in parts if not name.startswith("ray")]:
             load, values = os.getloadavg()[0], parts[name]()

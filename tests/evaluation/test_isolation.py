@@ -15,6 +15,7 @@ from usnet_env.evaluation import EvaluationError, runner
 from usnet_env.evaluation.agents import as_agent
 from usnet_env.evaluation.episode import episode_seeds, play_episode
 from usnet_env.evaluation.isolation import IsolatedAgent
+from usnet_env.evaluation.store import RunStore
 from usnet_env.processes import Limits
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs Linux or macOS")
@@ -139,6 +140,11 @@ class Interrupting(IsolatedAgent):
     """Interrupts the program in the episode of a given number, counted over all detectors."""
 
     left = 10**9
+    agents = []
+
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        self.agents.append(self)
 
     def reset(self, seed):
         Interrupting.left -= 1
@@ -150,6 +156,12 @@ class Interrupting(IsolatedAgent):
 def test_an_interrupted_run_writes_its_secret_and_resumes_with_another(tmp_path, monkeypatch):
     import usnet_env.evaluation.workers as workers
 
+    def add_secret(store, secret):
+        assert all(agent._process._process.exitcode is not None for agent in Interrupting.agents)
+        return write(store, secret)
+
+    write = RunStore.add_secret
+    monkeypatch.setattr(RunStore, "add_secret", add_secret)
     monkeypatch.setattr(workers, "IsolatedAgent", Interrupting)
     asked = {"episodes": 3, "env_kwargs": SMALL, "isolate": True, "out": tmp_path}
     detectors = [RandomThird(), AllAlive()]

@@ -106,8 +106,9 @@ def play_run(
         tasks = Tasks(rows, seeds)
         pool = _make_pool(plan, here, place, tasks.count, stack)
         try:
-            outcomes = stack.enter_context(closing(pool.run(tasks, tasks.is_wanted)))
-            with _progress_bar(progress, rows.done.size, int(rows.done.sum())) as advance:
+            bar = _progress_bar(progress, rows.done.size, int(rows.done.sum()))
+            # Closed before the last rows and the secret are written: no detector runs any more.
+            with closing(pool.run(tasks, tasks.is_wanted)) as outcomes, bar as advance:
                 for outcome in outcomes:
                     tasks.note(as_failure(outcome, plan.labels[outcome.task.contestant]))
                     if outcome.result is not None:
@@ -147,8 +148,7 @@ def _make_pool(
     backend = place.backend or ("processes" if place.limits.any or workers > 1 else "serial")
     if not count or backend == "serial":
         player = here()
-        stack.callback(player.close)
-        return InProcess(player.run_task)
+        return InProcess(player.run_task, player.close)
     try:
         pool = make_backend(backend, send_plan(plan), workers, place.limits, place.address)
     except SendError as error:
