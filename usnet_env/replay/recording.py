@@ -111,7 +111,7 @@ class _Writer:
         columns = self.rr.Points3D.columns(
             positions=record.position[visible],
             colors=np.broadcast_to(shade[:, None], (*visible.shape, 4))[visible],
-            labels=[self.name(i) for i in np.nonzero(visible)[2]],
+            labels=[self.name(i) for i in np.nonzero(visible)[2].tolist()],
         )
         look = {"kind": self.rr.Points3D, "radii": radius * self.scale, "show_labels": False}
         self._send(path, self._all_instants(), columns, visible.sum(axis=2).reshape(-1), **look)
@@ -198,7 +198,9 @@ class _Writer:
         columns = self.rr.Points3D.columns(
             positions=record.position[visible] + np.array([0, 0, 3.2 * _RING * self.scale], np.float32),
             colors=colors[numbers, uavs],
-            labels=[f"{words[r, i]} {self.name(i).removeprefix('UAV ')}" for r, i in zip(numbers, uavs, strict=True)],
+            labels=[
+                f"{words[r, i]} {self.name(int(i)).removeprefix('UAV ')}" for r, i in zip(numbers, uavs, strict=True)
+            ],
         )
         look = {"kind": self.rr.Points3D, "radii": 0.1, "show_labels": True}
         self._send(path, self._all_instants(), columns, visible.sum(axis=2).reshape(-1), **look)
