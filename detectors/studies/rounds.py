@@ -12,14 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from detectors.studies.common import (
-    FOLLOW,
-    Reproduction,
-    check_detectors,
-    describe_flight,
-    name_flight,
-    swarm_arguments,
-)
+from detectors.studies import common
 from usnet_env.config import ArgumentError, unknown_name
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import TRIVIAL
@@ -78,12 +71,12 @@ class Cell:
 
     def make_env(self) -> MultiClusterEnv:
         """Make its environment."""
-        return MultiClusterEnv(**swarm_arguments(self, Cell))
+        return MultiClusterEnv(**common.swarm_arguments(self, Cell))
 
 
 #: The cells of each study (follow strategy, M, N), as the paper has them.
 STUDIES: dict[str, tuple[tuple[str, int, int], ...]] = {
-    "follow": tuple((follow, 5, 82) for follow in FOLLOW),
+    "follow": tuple((follow, 5, 82) for follow in common.FOLLOW),
     "clusters": tuple(("f1", clusters, 82) for clusters in (2, 3, 5, 8, 10)),
     "uavs": tuple(("f3", 5, uavs) for uavs in (40, 60, 82, 120, 160, 200)),
     "example": (("f1", 8, 185),),
@@ -166,7 +159,7 @@ def reproduce(
     isolate: bool = False,
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Reproduction[Row]:
+) -> common.Reproduction[Row]:
     """Measure the studies' cells; an interrupted measurement continues where it stopped.
 
     Args:
@@ -191,16 +184,16 @@ def reproduce(
     cells = list_cells(studies, names, mobility, head_jitter)
     if not cells or episodes < 1:
         raise ArgumentError("studies, detectors and episodes must not be empty or 0.")
-    check_detectors(names, seed)
+    common.check_detectors(names, seed)
     cells[0].make_env()
-    suffix = name_flight(cells[0])
+    suffix = common.name_flight(cells[0])
     path = folder / f"rounds{suffix}-seed{seed}.csv"
     order = ("follow", "clusters", "uavs", "detector", "episode")
     suite = Suite(Cell, Row, partial(play_games, seed=seed, isolate=isolate), order=order, digits=4)
     rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, workers=workers, progress=progress)
-    title, kept = f"P2, {describe_flight(cells[0])}", read_rows(path, Row)
+    title, kept = f"P2, {common.describe_flight(cells[0])}", read_rows(path, Row)
     keep_report(path, report_studies(kept, title, not suffix), draw_studies(kept, title, not suffix))
-    return Reproduction(rows, report_studies(rows, "P2 (all columns are in the file)", not suffix, SHORT))
+    return common.Reproduction(rows, report_studies(rows, "P2 (all columns are in the file)", not suffix, SHORT))
 
 
 #: Columns of the table: a field of the row, its heading, what it is multiplied by.

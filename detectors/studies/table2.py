@@ -17,7 +17,6 @@ from detectors.studies.common import (
     FOLLOW,
     Reproduction,
     check_detectors,
-    describe_flight,
     name_flight,
     swarm_arguments,
 )
@@ -281,7 +280,7 @@ def reproduce(
     path = folder / f"episodes{suffix}-seed{seed}.csv"
     rows = make_suite(seed).run(tasks, path, workers=workers, progress=progress)
     table = fill_table(read_rows(path, Row))  # earlier measurements with the same seed stay in the table
-    title = f"Detection rate, one cluster, {describe_flight(grid[0])}, {decoys} decoy{'s' if decoys != 1 else ''}"
+    title = f"Detection rate, one cluster, {mobility} heads, {decoys} decoy{'s' if decoys != 1 else ''}"
     text = report_rates(table, title, not suffix)
     keep_report(path, text, draw_rates(table, title, not suffix))
     return Reproduction(rows, text)
