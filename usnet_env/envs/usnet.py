@@ -38,9 +38,7 @@ _INFO = """`info` holds, at every step and all zero at reset:
     | `redundant` | candidates of the round that are not living heads |
     | `round` | rounds played |
     | `success` | 1 if no head is left |
-    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |
-    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
-    | `reward_redundancy` | the part of the reward for redundant candidates: their price |"""
+    | `is_success` | the same as a boolean, under the name that Stable-Baselines3 reads at the end of an episode |"""
 
 
 class OutputArguments(game.RenderArguments):
@@ -252,7 +250,9 @@ class SingleClusterEnv(UsnetEnv):
 
     {info}
     | `J` | J_s, at price 1 |
+    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
     | `reward_hit` | the part of the reward for the hit: 0 if the head is a candidate, else −1 |
+    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
     ## Starting State
     Roles have random indices; `formation` gives the initial positions. The first window starts after all followers
@@ -303,7 +303,9 @@ class MultiClusterEnv(UsnetEnv):
 
     {info}
     | `J` | J_m of the rounds played so far, at price 1 |
+    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
     | `reward_round` | the part of the reward for the round, −1 |
+    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
     As long as heads are left, none of these values depends on M: `heads_left` needs `reveal_truth=True`.
 
