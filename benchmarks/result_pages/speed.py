@@ -84,7 +84,7 @@ def engine() -> list[str]:
     """The evaluator: a row, many rows, isolation."""
     result = read("engine_speed.json")
     rows = table(
-        ("rows in the file", "ms for one more", "bytes written"),
+        ("rows in the file", "CPU ms for one more", "bytes written"),
         [
             (f"{int(size):,}", f"{row['milliseconds']:.3f}", f"{row['bytes']:.0f}")
             for size, row in result["append"].items()

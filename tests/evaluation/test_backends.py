@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import ray_cluster
-from sample_detectors import Followed, NoUav, Policy, RandomThird
+from sample_detectors import AllAlive, Followed, NoUav, Policy, RandomThird
 
 from usnet_env import ArgumentError, evaluate
 from usnet_env.processes import ray_pool
@@ -29,6 +29,48 @@ def test_child_processes_play_the_same_rows_as_this_one():
     detectors = [RandomThird(), Followed(2), Policy()]
     here, there = (evaluate(MULTI, detectors, backend=name, **asked) for name in ("serial", "processes"))
     assert untimed(here.rows) == untimed(there.rows)
+
+
+SCRIPT = """
+import usnet_env
+from usnet_env import Detection, evaluate
+
+if {guard}:
+    # As in a notebook: nothing that is made here can be imported in a worker process.
+    class Mine:
+        def reset(self, seed=None): ...
+        def detect(self, window):
+            return Detection(window.alive, window.alive)
+
+    usnet_env.register_follow_strategy("mirrored", lambda inputs: -inputs.head_velocity[:, 0], lags=1)
+    usnet_env.register_detector("mine", Mine)
+    arguments = dict(clusters=3, uavs=20, observation_steps=20, max_rounds=5, follow="mirrored")
+    result = evaluate("USNET/MultiCluster-v0", ["mine", Mine()], episodes=2, workers=2, env_kwargs=arguments)
+    print([(entry["detector"], entry["episodes"]) for entry in result.summary])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("guard", ["__name__ == '__main__'", "True"])
+def test_a_script_s_own_parts_reach_the_workers_and_a_missing_guard_is_named(tmp_path, guard):
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(guard=guard))
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    if guard == "True":
+        assert done.returncode == 1
+        last = done.stderr.strip().splitlines()[-1]
+        assert last.startswith("usnet_env.evaluation.errors.EvaluationError: a worker process ")
+        assert 'if __name__ == "__main__":' in last
+    else:
+        assert (done.returncode, done.stdout) == (0, "[('mine', 2), ('mine #2', 2)]\n"), done.stderr
+
+
+def test_a_detector_that_cannot_be_pickled_needs_one_worker():
+    detector = AllAlive()
+    detector.tool = (number for number in range(3))
+    with pytest.raises(ArgumentError, match=r"^workers must be 1"):
+        evaluate(MULTI, detector, episodes=2, env_kwargs=SMALL, workers=2)
+    assert len(evaluate(MULTI, detector, episodes=2, env_kwargs=SMALL).rows) == 2
 
 
 @pytest.mark.parametrize(
