@@ -309,7 +309,7 @@ def _make_record(
         candidates=candidates,
         scores=scores,
         objective=np.zeros(rounds),
-        head=candidates.any(axis=0),
+        head=np.asarray(candidates.any(axis=0)),
         decoy=np.zeros(ids, bool),
         over_budget=np.ones(rounds, bool),
         seconds=np.zeros(rounds),
