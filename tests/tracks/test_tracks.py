@@ -139,6 +139,17 @@ def test_gaps_are_masked_and_short_ones_interpolated_on_demand():
     assert tracks.resample(0.5, max_gap=100).samples == 400 * 6
 
 
+def test_sessions_that_are_years_apart_need_no_memory_for_the_time_between():
+    places, times = wandering(steps=100), np.arange(100) * 0.1
+    ids = np.repeat([f"uav-{i}" for i in range(6)], 100)
+    flat = places.swapaxes(0, 1).reshape(-1, 3)
+    both = np.tile(np.concatenate([times, 1e8 + times]), 6)
+    tracks = Tracks.from_samples(np.repeat(ids, 2).tolist(), both, np.repeat(flat, 2, axis=0))
+    even = tracks.resample(0.5)
+    assert even.samples == 6 * 40
+    assert [cut.start for cut in even.windows(10)] == [0.0, 5.0, 1e8]
+
+
 # What is reported
 
 

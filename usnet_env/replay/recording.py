@@ -83,7 +83,7 @@ class _Writer:
         self.steps = list_steps(record)
         self.scale = 1.0 if record.labelled else _span(record) / _USUAL_SPAN
 
-    def name(self, uav: int) -> str:
+    def name(self, uav: int | np.integer[Any]) -> str:
         """The id of a UAV in its file if there is one, otherwise its number."""
         ids = self.record.config.get("ids")
         return f"UAV {uav}" if ids is None else str(ids[uav])

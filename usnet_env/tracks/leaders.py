@@ -155,7 +155,7 @@ def find_leaders(
         heads = heads[np.argsort(-detection.scores[heads], kind="stable")]
         followers = [_followers(detection, int(head)) for head in heads]
         groups_here = [
-            (int(cut.rows[head]), {int(row) for row in cut.rows[[int(head), *led]]})
+            (int(cut.rows[head]), {int(cut.rows[i]) for i in (int(head), *led)})
             for head, led in zip(heads, followers, strict=True)
         ]
         labels = groups.follow(groups_here)

@@ -47,7 +47,7 @@ def read_tracks(
 
     The format follows from the suffix: ``.parquet`` or ``.pq``, ``.npz``, ``.gpx``, ``.ulg`` (PX4); any other file is
     read as CSV, which may be compressed (gzip, or zip with one file in it). A CSV is read in blocks: a row takes 32
-    bytes of memory in the end (40 with leaders, 24 more with velocities), and about 80 while rows are sorted.
+    bytes of memory in the end (40 with leaders, 24 more with velocities), and about 100 while rows are sorted.
 
     Args:
         path: the file or files. Files without ids (ULog) hold one track each, whose id is the name of the file.

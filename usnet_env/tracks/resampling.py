@@ -48,28 +48,25 @@ def resample_positions(tracks: Tracks, step: float, max_gap: float | None) -> _G
     """
     first, last = tracks.offsets[:-1], tracks.offsets[1:]
     filled = last - first > 1
-    spans = tracks.time[last[filled] - 1] - tracks.time[first[filled]]
     if not filled.any():
         raise ArgumentError("tracks must hold an id with at least 2 samples; each id has only one.")
-    if spans.sum() / step > _MOST_GRID:
-        raise ArgumentError(
-            f"step must be at least {spans.sum() / _MOST_GRID:.3g} s for tracks of {spans.sum():.3g} s in all, "
-            f"got {quote(step)}."
-        )
     counts = np.zeros(len(tracks.ids), np.int64)
-    most = int((np.floor(spans / step) + 2).sum())
-    times, places, leaders = np.empty(most), np.empty((most, 3)), []  # memory that is not written to is not used
-    end = 0
+    for i in np.flatnonzero(filled):
+        counts[i] = int(_grid_numbers(tracks.time[first[i] : last[i]] / step, step, max_gap)[1].sum())
+    total = int(counts.sum())
+    if total > _MOST_GRID:
+        raise ArgumentError(
+            f"step must be at least {step * total / _MOST_GRID:.3g} s, or the result has more than {_MOST_GRID:g} "
+            f"samples, got {quote(step)}."
+        )
+    times, places, leaders, end = np.empty(total), np.empty((total, 3)), [], 0
     for i in np.flatnonzero(filled):
         part = slice(int(first[i]), int(last[i]))
         number, place, nearest = _resample_one(tracks.time[part], tracks.position[part], step, max_gap)
-        counts[i] = len(number)
         begin, end = end, end + len(number)
         times[begin:end], places[begin:end] = number * step, place
         if tracks.leader is not None:
             leaders.append(tracks.leader[part][nearest])
-    times.resize(end, refcheck=False)  # in place: a copy would double the memory
-    places.resize((end, 3), refcheck=False)
     for array in (times, places):
         array.setflags(write=False)
     return _Grid(
@@ -89,22 +86,36 @@ def _resample_one(
         ``(G,)`` numbers of the grid times, ``(G, 3)`` positions, and ``(G,)`` index of the nearest sample.
     """
     at = time / step
-    number = np.arange(int(np.ceil(at[0] - _SNAP)), int(np.floor(at[-1] + _SNAP)) + 1)
+    low, count = _grid_numbers(at, step, max_gap)
+    number = np.repeat(low - np.cumsum(count) + count, count) + np.arange(int(count.sum()))
     after = np.clip(np.searchsorted(at, number - _SNAP), 1, len(at) - 1)
     before = after - 1
     length = at[after] - at[before]
     share = np.clip((number - at[before]) / length, 0.0, 1.0)
     hit = np.minimum(share, 1 - share) * length <= _SNAP  # a sample lies at the grid time
     share = np.where(hit, np.round(share), share)
-    usual = max(_BRIDGE * float(np.quantile(np.diff(at), _TYPICAL_SHARE)), 1.0)
-    longest = usual if max_gap is None else max_gap / step
-    seen = hit | (length <= longest * (1 + _SNAP))
-    number, before, after, share = number[seen], before[seen], after[seen], share[seen]
     place = position[before] + share[:, None] * (position[after] - position[before])
     nearest = np.where(share < 0.5, before, after)
-    if len(at) >= 2 * (at[-1] - at[0]) and len(number):
+    if len(number) and np.median(np.diff(at)) <= 1 / 2:
         _fit_lines(at, position, number, place)
     return number, place, nearest
+
+
+def _grid_numbers(at: Floats, step: float, max_gap: float | None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The grid times at which a track has samples, for sample times ``at`` ``(S,)`` in steps.
+
+    Returns:
+        ``(S,)`` number of the first grid time from each sample on, and ``(S,)`` how many grid times there are from it
+        and before the next sample: all of them if the next sample is close enough, otherwise only the sample's own.
+    """
+    interval = np.diff(at)
+    usual = max(_BRIDGE * float(np.quantile(interval, _TYPICAL_SHARE)), 1.0)
+    longest = usual if max_gap is None else max_gap / step
+    low = np.ceil(at - _SNAP).astype(np.int64)
+    count = (low - at <= _SNAP).astype(np.int64)
+    bridged = interval <= longest * (1 + _SNAP)
+    count[:-1] = np.where(bridged, np.diff(low), count[:-1])
+    return low, count
 
 
 def _fit_lines(at: Floats, position: Floats, number: NDArray[np.int64], place: Floats) -> None:

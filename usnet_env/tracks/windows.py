@@ -65,7 +65,10 @@ def cut_windows(tracks: Tracks, length: int, stride: int, least_steps: int) -> I
             f"tracks last, got {quote(length)}."
         )
     number = np.round(tracks.time / tracks.step).astype(np.int64)
-    cuts = (_cut(tracks, number, k * stride, length, least_steps) for k in range(count))
+    known = np.unique(number)
+    starts = np.arange(count) * stride
+    filled = np.searchsorted(known, starts + length, side="right") > np.searchsorted(known, starts)
+    cuts = (_cut(tracks, number, int(first), length, least_steps) for first in starts[filled])
     return (cut for cut in cuts if cut is not None)
 
 
