@@ -69,18 +69,13 @@ def _table2(name: str, *commands: str) -> Result:
 
 #: What both cores of follow-mixture played, by seed.
 _BOTH_PLAYED = (
-    "--seed 4242 --tier paper --episodes 100 --detectors follow-mixture",
-    "--seed 4242 --tier missed smooth --episodes 50 --detectors follow-mixture",
-    "--seed 4242 --tier short --cell T20 T50 --episodes 50 --detectors follow-mixture",
-    "--seed 4242 --tier P1 --episodes 50 --detectors \"follow-mixture(objective='P1')\"",
-    "--seed 4242 --tier silence --cell iid gauss_markov smooth_turn-jitter --episodes 50 "
-    "--detectors \"follow-mixture(policy='map')\"",
-    "--seed 5353 --tier straight --cell jitter --episodes 50 --detectors follow-mixture",
-    "--seed 7077 --tier noise sizes --episodes 20 --detectors follow-mixture",
+    "--seed 9191 --tier paper --episodes 100 --detectors follow-mixture",
+    "--seed 9191 --tier sizes smooth short missed strategies --episodes 50 --detectors follow-mixture",
+    "--seed 9191 --tier straight --cell jitter --episodes 50 --detectors follow-mixture",
+    "--seed 9191 --tier P1 --episodes 50 --detectors \"follow-mixture(objective='P1')\"",
+    "--seed 7077 --tier noise --episodes 20 --detectors follow-mixture",
     "--seed 7077 --tier decoys --episodes 5 --detectors follow-mixture",
-    "--seed 7077 --tier strategies --episodes 10 --detectors follow-mixture",
     "--seed 7077 --tier silence --episodes 50 --detectors \"follow-mixture(policy='map')\"",
-    "--seed 7077 --tier short --cell T8 T12 --episodes 50 --detectors follow-mixture",
 )
 
 
