@@ -291,6 +291,11 @@ RESULTS: tuple[Result, ...] = (
         "speed and memory of the simulator (needs the extra bench)", ("speed.json",), ("python benchmarks/speed.py",)
     ),
     Result(
+        "recorded tracks: memory and right heads on a CSV of 200 MB with 2,000 ids",
+        ("tracks_speed.json",),
+        ("OMP_NUM_THREADS=1 python benchmarks/tracks_speed.py",),
+    ),
+    Result(
         "speed and memory of the evaluator's store, summary and isolation",
         ("engine_speed.json",),
         ("OMP_NUM_THREADS=1 python benchmarks/engine_speed.py",),
