@@ -286,12 +286,14 @@ RESULTS: tuple[Result, ...] = (
         "speed and memory of the simulator (needs the extra bench)", ("speed.json",), ("python benchmarks/speed.py",)
     ),
     Result(
-        "speed and memory of the evaluator: store, summary, isolation and backends (the second needs the extra ray)",
+        "recorded tracks: memory and right heads on a CSV of 200 MB with 2,000 ids",
+        ("tracks_speed.json",),
+        ("OMP_NUM_THREADS=1 python benchmarks/tracks_speed.py",),
+    ),
+    Result(
+        "speed and memory of the evaluator's store, summary and isolation",
         ("engine_speed.json",),
-        (
-            "OMP_NUM_THREADS=1 python benchmarks/engine_speed.py",
-            "OMP_NUM_THREADS=1 RAY_worker_niceness=0 python benchmarks/engine_speed.py ray ray_computing",
-        ),
+        ("OMP_NUM_THREADS=1 python benchmarks/engine_speed.py",),
     ),
     _table2(
         "episodes-seed2022",
