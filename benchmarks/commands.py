@@ -108,7 +108,7 @@ RESULTS: tuple[Result, ...] = (
     ),
     _tier(
         "sizes",
-        "20 --detectors follow-mixture",
+        "50 --detectors follow-mixture",
         "2 --detectors \"follow-mixture(policy='map')\"",
         "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
@@ -137,7 +137,7 @@ RESULTS: tuple[Result, ...] = (
     ),
     _tier(
         "noise",
-        "20 --detectors follow-mixture",
+        "50 --detectors follow-mixture",
         "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
@@ -156,7 +156,7 @@ RESULTS: tuple[Result, ...] = (
     ),
     _tier(
         "decoys",
-        "20 --detectors follow-mixture \"follow-mixture(policy='map')\"",
+        "30 --detectors follow-mixture \"follow-mixture(policy='map')\"",
         "5 --detectors learned \"learned(policy='map')\" random none",
         "30 --detectors lagged-regression destroy-all",
         "3 --detectors granger factions",
@@ -183,7 +183,7 @@ RESULTS: tuple[Result, ...] = (
     ),
     _tier(
         "strategies",
-        "10 --detectors follow-mixture",
+        "50 --detectors follow-mixture",
         "50 --detectors lagged-regression destroy-all",
         "3 --detectors random none granger factions",
     ),
