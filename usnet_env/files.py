@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from errno import EISDIR
@@ -130,6 +131,17 @@ class FileLock:
             raise ArgumentError(
                 f"out must stay as it is during a run, got {quote(str(self.path.parent))}, which was removed."
             )
+
+    def remove_unfinished(self, start: str) -> None:
+        """Remove what killed processes left in the folder of files that :func:`atomic_write` had begun.
+
+        Args:
+            start: how the names of these files begin.
+        """
+        for path in self.path.parent.iterdir():
+            if re.fullmatch(rf"\.{re.escape(start)}.*\.[0-9a-f]{{32}}", path.name):
+                with suppress(OSError):  # a folder, or a file that another user owns
+                    path.unlink()
 
     def release(self) -> None:
         """Remove the lock, and the folders that it created if nothing was written into them."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from detectors.series.gaps import fill_gaps
 from usnet_env.arrays import Floats
-from usnet_env.config import ArgumentError
+from usnet_env.config import ArgumentError, quote
 from usnet_env.window import Window, frozen_array
 
 __all__ = [
@@ -94,12 +94,18 @@ def compute_features(features: str | Features, window: Window, memory: int) -> F
         ``(N, d)``, or a time series ``(N, T, d)``; 0 for destroyed UAVs.
 
     Raises:
-        ArgumentError: a callable returned another shape, or values that are not finite.
+        ArgumentError: a callable does not take a window, or returned another shape, or values that are not finite.
     """
     if isinstance(features, str):
         values = FEATURES[features](window, memory)
     else:
-        given = np.array(features(window), copy=True)
+        try:
+            given = np.array(features(window), copy=True)
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(
+                f"features must return an array of a window, got {quote(features)}, which raised "
+                f"{type(error).__name__}: {quote(str(error))}."
+            ) from error
         if given.ndim not in (2, 3):
             raise ArgumentError(f"features must return an array of shape (N, d) or (N, T, d), got shape {given.shape}.")
         given[~window.alive[: len(given)]] = 0

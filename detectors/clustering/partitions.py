@@ -69,7 +69,7 @@ class SymmetricNMF(Clusterer):
         """Return labels ``(n,)`` of the best start."""
         assert count is not None
         matrix = normalise_affinity(living.affinity)
-        fits = [factorise_affinity(matrix, count, rng, self.steps) for _ in range(self.starts)]
+        fits = [factorise_affinity(matrix, count, rng, self.steps) for _ in range(living.arguments.starts)]
         best = min(fits, key=lambda fit: float(fit[1][-1]))
         return best[0].argmax(axis=1).astype(np.int64)
 
@@ -119,9 +119,9 @@ class Hdbscan(Clusterer):
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
         n = len(living.index)
-        if n < self.least:
+        if n < living.arguments.least:
             return np.zeros(n, np.int64)
-        model = HDBSCAN(min_cluster_size=self.least, min_samples=1, metric="precomputed", copy=True)
+        model = HDBSCAN(min_cluster_size=living.arguments.least, min_samples=1, metric="precomputed", copy=True)
         found: Indices = model.fit_predict(1.0 - living.affinity).astype(np.int64)
         clustered = found >= 0
         if not clustered.any():
@@ -153,9 +153,9 @@ class LeadVotes(Clusterer):
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)``; ``rng`` breaks ties between leaders."""
-        window, index = living.window, living.index
+        window, index, given = living.window, living.index, living.arguments
         evidence = regression_evidence(
-            window.velocity[:, index], window.velocity_seen[:, index], self.lags, self.squares, self.ridge
+            window.velocity[:, index], window.velocity_seen[:, index], given.lags, given.squares, given.ridge
         )
         candidates = np.ones(len(index), bool)
         clusters = detection_from_evidence(evidence, candidates, count, first_round=True, rng=rng).clusters

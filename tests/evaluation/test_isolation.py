@@ -229,3 +229,17 @@ def test_an_answer_that_is_none_is_the_detector_s_failure():
     observation, _ = gym.make(MULTI, **SMALL).reset(seed=0)
     with pytest.raises(ArgumentError, match=r"^an answer must hold candidates and scores"):
         agent.answer(observation)
+
+
+def test_a_run_that_was_killed_before_it_wrote_its_secret_can_be_read_and_resumed(tmp_path):
+    asked = {"episodes": 2, "env_kwargs": SMALL, "isolate": True, "out": tmp_path}
+    whole = evaluate(MULTI, "none", **asked, secret=SECRET)
+    description = json.loads((tmp_path / "run.json").read_text())
+    assert description.pop("secrets") == [SECRET]
+    (tmp_path / "run.json").write_text(json.dumps(description))
+    without = evaluate(MULTI, "none", **asked)
+    assert "secret" not in without.config
+    again = evaluate(MULTI, "none", **asked, secret=SECRET)
+    assert again.config["secret"] == SECRET
+    assert list(again.rows) == list(whole.rows)
+    assert json.loads((tmp_path / "run.json").read_text())["secrets"] == [SECRET]

@@ -210,3 +210,12 @@ def test_two_hundred_thousand_rows_take_eight_bytes_a_number():
     table = RowTable(COLUMNS, (row for _ in range(2_000)))
     assert sum(values.itemsize for values in table._values.values()) == 8 * len(COLUMNS)
     assert len(table) == 2_000
+
+
+def test_files_that_a_killed_process_had_begun_are_removed(tmp_path):
+    begun = [tmp_path / f".rows.{kind}.{'0f' * 16}" for kind in ("csv", "png")]
+    others = [tmp_path / f".other.csv.{'0f' * 16}", tmp_path / ".rows.csv.bak"]
+    for path in (*begun, *others):
+        path.write_text("half")
+    RowFile(tmp_path / "rows.csv", COLUMNS).close()
+    assert [path for path in (*begun, *others) if path.exists()] == others

@@ -155,7 +155,8 @@ def evaluate(
     else:
         _print_result(result, show_all)
     if isolate:
-        print_message(f"The secret of this run is {result.config['secret']}.")
+        secret = result.config.get("secret", "not known: an earlier part of it was killed before its end")
+        print_message(f"The secret of this run is {secret}.")
     if failure is not None:
         raise failure
     if out is not None and not as_json:

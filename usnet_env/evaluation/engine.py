@@ -123,13 +123,13 @@ def play_run(
         finally:
             if tasks.prepared:
                 rows.save()
-            if store is not None and seeds.secret is not None and tasks.count:
+            if store is not None and seeds.secret is not None and (tasks.count or seeds.given):
                 store.add_secret(seeds.secret)
         _warn_of_threads(pool.left_threads, plan.labels)
         failed = {plan.labels[number] for number in tasks.failures}
         table = rows.table.take(rows.order(rows.table))
         table = table.take(np.flatnonzero([label not in failed for label in table.column("detector")]))
-        secret = seeds.describe() if store is None or tasks.count else store.describe_secret()
+        secret = seeds.describe() if store is None or tasks.count or seeds.given else store.describe_secret()
         result = EvaluationResult(table, summarise(table), dict(config) | secret)
         if tasks.failures:
             failure = EvaluationError(" ".join(map(str, tasks.failures.values())))

@@ -73,6 +73,8 @@ class RowFile:
     def __init__(self, path: Path, columns: Columns, lock: FileLock | None = None, digits: int | None = None) -> None:
         self.path = path
         self._lock = FileLock(path) if lock is None else lock
+        if lock is None:
+            self._lock.remove_unfinished(f"{path.stem}.")
         self._owns_lock = lock is None
         self._digits = digits
         self._file: io.FileIO | None = None
@@ -230,6 +232,7 @@ class RunStore:
         if folder.exists() and not folder.is_dir():
             raise ArgumentError(f"out must be a folder, got the file {str(folder)!r}.")
         self._lock = FileLock(folder / RUN)
+        self._lock.remove_unfinished("")
         try:
             if (folder / RUN).exists():
                 self._description = _read_description(folder)

@@ -27,11 +27,11 @@ class Limits(Config):
             ``None``: no limit. Beyond it, allocations fail: in Python with ``MemoryError``. Linux only.
 
     Raises:
-        ArgumentError: a limit is not a positive number, or this system cannot limit memory.
+        ArgumentError: a limit is not a positive number up to 1e9, or this system cannot limit memory.
     """
 
-    seconds: Annotated[float, Field(gt=0)] | None = None
-    megabytes: Annotated[float, Field(gt=0)] | None = None
+    seconds: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    megabytes: Annotated[float, Field(gt=0, le=1e9)] | None = None
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
