@@ -22,17 +22,17 @@ def dispersion(rows, labels):
     return sum(((rows[labels == k] - rows[labels == k].mean(axis=0)) ** 2).sum() for k in np.unique(labels))
 
 
-@pytest.mark.parametrize("seeds", [8, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [range(16, 24), pytest.param(range(20), marks=pytest.mark.slow)], ids=len)
 def test_k_means_keeps_the_best_of_several_starts(seeds):
     uavs = CLUSTERS * EACH
     window = Window(np.zeros((3, uavs, 3)), np.zeros((2, uavs, 3)), np.ones((3, uavs), bool), np.ones(uavs, bool))
     ours, single = [], []
-    for seed in range(seeds):
+    for seed in seeds:
         rows = random_blobs(seed)
         clusterer = make_clusterer("kmeans", count=CLUSTERS, features=lambda _, rows=rows: rows)
         labels = clusterer.cluster(window, np.random.default_rng(seed)).labels
         best = SklearnKMeans(CLUSTERS, n_init=40, random_state=1).fit(rows).inertia_
         ours.append(dispersion(rows, labels) / best)
         single.append(SklearnKMeans(CLUSTERS, n_init=1, random_state=seed).fit(rows).inertia_ / best)
-    assert np.mean(ours) < 1.02  # 1.005; with one start 1.08, with two 1.03
+    assert np.mean(ours) < 1.02  # at most 1.013; with one start 1.07 and more
     assert np.mean(single) > 1.05  # the layouts are hard enough for the number of starts to matter
