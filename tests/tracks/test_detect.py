@@ -195,7 +195,7 @@ def test_warnings_go_to_standard_error(run, folder, tmp_path):
         (["none.csv"], "does not exist"),
         (["bad.csv"], "row 3 of column 'x'"),
         (["flock.csv", "--window", "100000"], "length must be at most"),
-        (["flock.csv", "--detector", "nobody"], "detector must be one of"),
+        (["flock.csv", "--detector", "unknown"], "detector must be one of"),
         (["flock.csv", "--column", "id"], "--column must be written role=name"),
         (["flock.csv", "--column", "id=who"], "columns must name a column"),
         (["flock.csv", "--column", "animal=id"], "columns must be one of"),

@@ -78,7 +78,7 @@ def detect(
     record: bool,
     as_json: bool,
 ) -> None:
-    """Find the leaders in recorded tracks: who leads whom, when, how sure and why.
+    """Find the leaders in recorded tracks: their followers, times, probabilities and reasons.
 
     TRACKS is a CSV file with the columns id, t (or frame), x, y and optionally z, or lon and lat in degrees; or a
     Parquet, NPZ, Movebank, GPX or PX4 ULog file. Several files are read as one.

@@ -38,7 +38,7 @@ __all__ = [
 RowT = TypeVar("RowT")
 KeyT = TypeVar("KeyT", bound=Hashable)
 
-#: Okabe and Ito's colours, which readers who see few colours tell apart.
+#: The colours of Okabe and Ito, which colour-blind readers can distinguish.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 
 
@@ -109,21 +109,28 @@ _LATEX = {"\\": r"\textbackslash{}", "–": "--", "~": r"\textasciitilde{}", "^"
 }
 
 
-def format_latex(header: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:
+def format_latex(header: Sequence[str], lines: Iterable[Sequence[str]], text_columns: int | None = None) -> list[str]:
     """Format the lines of a LaTeX table, for the package ``booktabs``; the first column is left-aligned.
 
     Args:
         header: headings of the columns.
         lines: texts of the cells.
+        text_columns: how many columns hold plain text, whose special signs are escaped; the other ones hold LaTeX.
+            ``None``: all.
     """
-    first, *others = (
-        " & ".join("".join(_LATEX.get(sign, sign) for sign in text) for text in line) + r" \\"
-        for line in [header, *lines]
-    )
+    escaped = [[_escape_latex(text) for text in header]]
+    for line in lines:
+        latex = [] if text_columns is None else [text.replace("–", "--") for text in line[text_columns:]]
+        escaped.append([*(_escape_latex(text) for text in line[:text_columns]), *latex])
+    first, *others = (" & ".join(line) + r" \\" for line in escaped)
     return [
         rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", r"\toprule", first, r"\midrule", *others, r"\bottomrule",
         r"\end{tabular}",
     ]  # fmt: skip
+
+
+def _escape_latex(text: str) -> str:
+    return "".join(_LATEX.get(sign, sign) for sign in text)
 
 
 def keep_report(path: Path, markdown: str, picture: Figure) -> None:

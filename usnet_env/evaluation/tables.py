@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from usnet_env.config import unknown_name
 from usnet_env.evaluation.metrics import METRICS
+from usnet_env.evaluation.report import format_latex
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -39,12 +40,6 @@ RANKING = {
     "exact": "exact↑",
     "f1_first": "F1↑",
     "seconds_per_round": "s↓",
-}
-
-_LATEX = {character: f"\\{character}" for character in "&%$#_{}"} | {
-    "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
 }
 
 
@@ -127,18 +122,11 @@ def markdown_table(summary: Summary, metrics: Sequence[str] | None) -> str:
 
 def latex_table(summary: Summary, metrics: Sequence[str] | None) -> str:
     """The means and intervals of all detectors as a ``tabular`` of LaTeX with the rules of the package booktabs."""
-
-    def text(words: str) -> str:
-        return "".join(_LATEX.get(character, character) for character in words)
-
     chosen = _choose_metrics(summary, metrics)
     body = [
-        [text(entry["detector"]), str(entry["episodes"]), *_cells(entry, chosen, "${}$ (${}$ to ${}$)")]
-        for entry in summary
+        [entry["detector"], str(entry["episodes"]), *_cells(entry, chosen, "${}$ (${}$ to ${}$)")] for entry in summary
     ]
-    rows = [" & ".join(line).replace("–", "--") + r" \\" for line in [list(map(text, _headings(chosen))), *body]]
-    lines = [rf"\begin{{tabular}}{{l{'r' * (len(chosen) + 1)}}}", r"\toprule", rows[0], r"\midrule", *rows[1:]]
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+    return "\n".join([*format_latex(_headings(chosen), body, text_columns=1), ""])
 
 
 def html_table(summary: Summary, title: str) -> str:

@@ -361,7 +361,7 @@ are grey. The numbers below them are those of the marked UAVs. The [table](recor
 
 def _explain_tracks(record: EpisodeRecord) -> str:
     """Explain the recording of tracks without labels in Markdown."""
-    return f"""# Who leads whom?
+    return f"""# Leaders and followers
 
 **{record.detector or "A detector"}** on {record.env_id or "recorded tracks"}. {describe_outcome(record)}
 

@@ -1,4 +1,4 @@
-"""Who leads whom in recorded tracks: a detector answers each window, and groups are followed through the file."""
+"""Leaders and followers in recorded tracks: a detector answers each window, and groups are followed in the file."""
 
 from __future__ import annotations
 

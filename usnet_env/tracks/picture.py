@@ -52,7 +52,7 @@ def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str) -> Figure
     width = max(columns * (_MAP + _GAP) + _LEGEND, 9.0)
     height = _HEADER + lines * (_MAP + _GAP + 0.2) + chart
     figure = new_figure(width, height)
-    figure.text(0.5 / width, 1 - 0.25 / height, "Who leads whom?", fontsize=17, weight="bold", va="top")
+    figure.text(0.5 / width, 1 - 0.25 / height, "Leaders and followers", fontsize=17, weight="bold", va="top")
     about = f"{title}. Stars are the leaders that {found.detector} names, lines connect followers to them."
     figure.text(0.5 / width, 1 - 0.65 / height, about, fontsize=10, va="top", color="#333333")
     marks: dict[str, str] = {}
