@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import warnings
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -29,6 +29,7 @@ Examples:
       --set follow=f3 clusters=3 uavs=40 mobility=gauss_markov
   usnet evaluate --env USNET/SingleCluster-v0 --detector gassl \\
       --episodes 5 --set followers=10 decoys=1
+  usnet evaluate --suite controls --detector factions --out runs/controls
 
 \b
 Arguments for --set:
@@ -40,11 +41,11 @@ Arguments for --set:
 @click.option(
     "--env",
     "env_id",
-    default="USNET/MultiCluster-v0",
-    show_default=True,
     metavar="ID",
-    help="Environment; see `usnet list envs`.",
+    help="Environment; see `usnet list envs`.  [default: USNET/MultiCluster-v0]",
 )
+@click.option("--suite", metavar="NAME", help="Play all cells of a suite, isolated; see `usnet list suites`.")
+@click.option("--cell", "cells", multiple=True, metavar="NAME", help="Cell of the suite. May be repeated.")
 @click.option(
     "--detector",
     "detectors",
@@ -61,9 +62,15 @@ Arguments for --set:
     help="Arguments of the environment, see below. May be repeated.",
 )
 @click.option(
-    "--episodes", type=WholeNumber(1, 1_000_000), default=100, show_default=True, help="Episodes for each detector."
+    "--episodes",
+    type=WholeNumber(1, 1_000_000),
+    help="Episodes for each detector.  [default: 100, or those of the suite]",
 )
-@click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the evaluation.")
+@click.option(
+    "--seed",
+    type=WholeNumber(0, 2**63 - 1),
+    help="Seed of the evaluation.  [default: 0, or that of the suite]",
+)
 @click.option("--workers", type=WholeNumber(1, 4_096), default=1, show_default=True, help="Number of processes.")
 @click.option(
     "--backend",
@@ -94,11 +101,13 @@ Arguments for --set:
 @click.pass_context
 def evaluate(
     ctx: click.Context,
-    env_id: str,
+    env_id: str | None,
+    suite: str | None,
+    cells: tuple[str, ...],
     detectors: tuple[str, ...],
     settings: tuple[str, ...],
-    episodes: int,
-    seed: int,
+    episodes: int | None,
+    seed: int | None,
     workers: int,
     backend: str | None,
     address: str | None,
@@ -117,44 +126,65 @@ def evaluate(
     ends its process has failed; the other detectors play to the end.
     """
     env_kwargs = parse_pairs(settings)
-    if time_limit is None and (backend != "serial" or isolate):
+    if suite is not None and (env_id is not None or env_kwargs):
+        raise click.UsageError("--suite gives the environments: it goes without --env and --set.")
+    if cells and suite is None:
+        raise click.UsageError("--cell names a cell of a suite: it needs --suite.")
+    if time_limit is None and (backend != "serial" or isolate or suite is not None):
         time_limit = _TIME_LIMIT
     if out is not None:
         ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes from there."
     from usnet_env import evaluation
 
-    failure: evaluation.EvaluationError | None = None
+    how: dict[str, Any] = {
+        "workers": workers,
+        "backend": backend,
+        "address": address,
+        "trivial": trivial,
+        "out": out,
+        "progress": sys.stderr is not None and sys.stderr.isatty(),
+        "time_limit": time_limit,
+        "memory_limit": memory_limit,
+        "secret": secret,
+    }
+    failure: Exception | None = None
+    result: evaluation.EvaluationResult | evaluation.SuiteResult
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RuntimeWarning)
         try:
-            result = evaluation.evaluate(
-                env_id,
-                list(detectors),
-                episodes=episodes,
-                seed=seed,
-                env_kwargs=env_kwargs,
-                workers=workers,
-                backend=backend,
-                address=address,
-                trivial=trivial,
-                out=out,
-                progress=sys.stderr is not None and sys.stderr.isatty(),
-                time_limit=time_limit,
-                memory_limit=memory_limit,
-                isolate=isolate,
-                secret=secret,
-            )
+            if suite is not None:
+                result = evaluation.evaluate_suite(
+                    suite, list(detectors), cells=cells or None, episodes=episodes, seed=seed, **how
+                )
+            else:
+                result = evaluation.evaluate(
+                    "USNET/MultiCluster-v0" if env_id is None else env_id,
+                    list(detectors),
+                    episodes=100 if episodes is None else episodes,
+                    seed=seed or 0,
+                    env_kwargs=env_kwargs,
+                    isolate=isolate,
+                    **how,
+                )
         except evaluation.EvaluationError as error:
             if error.result is None:
                 raise
             result, failure = error.result, error  # the other detectors have played to the end
     for warning in caught:
         print_message(str(warning.message))
-    if as_json:
+    if isinstance(result, evaluation.SuiteResult):
+        if as_json:
+            click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
+        else:
+            show(result.ranking())
+            click.echo(result.to_markdown() if show_all else "", nl=False)
+        for cell, text in result.failures.items():
+            print_message(f"{cell}: {text}")
+    elif as_json:
         click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
     else:
         _print_result(result, show_all)
-    if isolate:
+    if isolate and isinstance(result, evaluation.EvaluationResult):
         secret = result.config.get("secret", "not known: an earlier part of it was killed before its end")
         print_message(f"The secret of this run is {secret}.")
     if failure is not None:
