@@ -286,6 +286,11 @@ RESULTS: tuple[Result, ...] = (
         "speed and memory of the simulator (needs the extra bench)", ("speed.json",), ("python benchmarks/speed.py",)
     ),
     Result(
+        "what the track of one UAV alone tells, in the cells of frozen suites",
+        ("leak_probe.csv",),
+        ("python benchmarks/leak_probe.py --suite paper",),
+    ),
+    Result(
         "recorded tracks: memory and right heads on a CSV of 200 MB with 2,000 ids",
         ("tracks_speed.json",),
         ("OMP_NUM_THREADS=1 python benchmarks/tracks_speed.py",),
