@@ -19,7 +19,7 @@ from usnet_env.drawing import CLUSTER_COLORS
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.evaluation.report import add_legend, format_markdown, keep_report, make_panels
-from usnet_env.evaluation.suite import Game, Suite
+from usnet_env.evaluation.suite import Game, Place, Suite
 from usnet_env.objectives import head_in_cluster, purity
 from usnet_env.window import Window
 
@@ -124,7 +124,7 @@ def reproduce(
     episodes: int = 1000,
     steps: int = _STEPS,
     seed: int = 2022,
-    workers: int = 1,
+    workers: int | Place = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Reproduction[Row]:
     """Measure the off-line loss of meta and joint training, and the on-line loss from their results and a random start.
@@ -136,7 +136,7 @@ def reproduce(
         episodes: E of each training.
         steps: steps of on-line training on a swarm of each of f1 to f7, with its true clusters.
         seed: seed of the measurement.
-        workers: number of processes.
+        workers: number of processes, or a place.
         progress: called with the number of losses that are done, and of all losses.
 
     Raises:

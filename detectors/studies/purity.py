@@ -28,7 +28,7 @@ from usnet_env.evaluation.report import (
     make_panels,
     mean_over_episodes,
 )
-from usnet_env.evaluation.suite import Game, Suite, read_rows, split_games
+from usnet_env.evaluation.suite import Game, Place, Suite, read_rows, split_games
 from usnet_env.objectives import head_in_cluster, purity
 from usnet_env.window import Window
 
@@ -199,7 +199,7 @@ def reproduce(
     mobility: str = "iid",
     head_jitter: bool = False,
     seed: int = 2022,
-    workers: int = 1,
+    workers: int | Place = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Reproduction[Row]:
     """Measure purity and head-in-cluster; after an interruption, the same call continues with the missing rows.
@@ -215,7 +215,7 @@ def reproduce(
         mobility: motion of the heads.
         head_jitter: whether the heads have the noise of the followers.
         seed: seed of the episodes. Nothing was tuned with the default seed, which the reports use.
-        workers: number of processes.
+        workers: number of processes, or a place.
         progress: called with the number of windows that are done, and of all windows.
 
     Raises:

@@ -28,7 +28,7 @@ from usnet_env.evaluation.report import (
     make_panels,
 )
 from usnet_env.evaluation.statistics import Interval, mean_interval, rate_interval
-from usnet_env.evaluation.suite import Game, Suite, play_detector, read_rows, split_games
+from usnet_env.evaluation.suite import Game, Place, Suite, play_detector, read_rows, split_games
 from usnet_env.objectives import rounds_hits_and_redundant
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def reproduce(
     head_jitter: bool = False,
     seed: int = 2022,
     isolate: bool = False,
-    workers: int = 1,
+    workers: int | Place = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> common.Reproduction[Row]:
     """Measure the studies' cells; an interrupted measurement continues where it stopped.
@@ -173,7 +173,7 @@ def reproduce(
         head_jitter: whether they have the followers' noise.
         seed: of the episodes; the reporting seed is one that nothing was tuned on.
         isolate: play each detector in a process of its own, which never holds an environment.
-        workers: processes.
+        workers: number of processes, or a place.
         progress: called with the episodes done and to do.
 
     Raises:

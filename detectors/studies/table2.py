@@ -24,7 +24,7 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.envs import SingleClusterEnv
 from usnet_env.evaluation.report import COLOURS, draw_intervals, format_markdown, group_rows, keep_report, make_panels
 from usnet_env.evaluation.statistics import Interval, rate_interval
-from usnet_env.evaluation.suite import Game, Suite, read_rows
+from usnet_env.evaluation.suite import Game, Place, Suite, read_rows
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.window import Window
 
@@ -247,7 +247,7 @@ def reproduce(
     mobility: str = "iid",
     head_jitter: bool = False,
     seed: int = 2022,
-    workers: int = 1,
+    workers: int | Place = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Reproduction[Row]:
     """Measure the table's cells; an interrupted measurement continues where it stopped.
@@ -261,7 +261,7 @@ def reproduce(
         mobility: how the head flies.
         head_jitter: whether it has the followers' noise.
         seed: of the episodes; the reporting seed is one that nothing was tuned on.
-        workers: processes.
+        workers: number of processes, or a place.
         progress: called with the episodes done and to do.
 
     Raises:

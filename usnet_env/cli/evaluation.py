@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, describe_keys, parse_pairs
+from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, add_place, describe_keys, parse_pairs
 from usnet_env.cli.output import PIPE_WIDTH, print_message, show
 
 if TYPE_CHECKING:
@@ -72,12 +72,7 @@ Arguments for --set:
     help="Seed of the evaluation.  [default: 0, or that of the suite]",
 )
 @click.option("--workers", type=WholeNumber(1, 4_096), default=1, show_default=True, help="Number of processes.")
-@click.option(
-    "--backend",
-    type=click.Choice(["serial", "processes", "ray"]),
-    help="Play in this process, in child processes, or on the nodes of a Ray cluster.  [default: processes]",
-)
-@click.option("--address", metavar="ADDRESS", help="Address of the Ray cluster; by default one starts on this machine.")
+@add_place
 @click.option(
     "--time-limit",
     type=PositiveNumber(),
