@@ -7,6 +7,7 @@ import pytest
 from small_episode import ROUNDS, SAMPLES, UAVS, small_episode
 
 from usnet_env import ArgumentError
+from usnet_env.replay import animation
 from usnet_env.replay.animation import animate, scenes
 
 pytest.importorskip("matplotlib")
@@ -129,9 +130,11 @@ def test_bad_arguments_are_refused_before_anything_is_written(tmp_path, monkeypa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_mp4_needs_ffmpeg_and_says_so(tmp_path):
+@pytest.mark.parametrize("rate", [1, pytest.param(animation._MP4_RATE, marks=pytest.mark.slow)])
+def test_an_mp4_needs_ffmpeg_and_says_so(tmp_path, monkeypatch, rate):
     from matplotlib.animation import writers
 
+    monkeypatch.setattr(animation, "_MP4_RATE", rate)  # frames of a second, each of which is drawn
     path = tmp_path / "game.mp4"
     if writers.is_available("ffmpeg"):
         assert animate(small_episode(), path, frames=2).stat().st_size > 1000
