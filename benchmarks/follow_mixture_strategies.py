@@ -8,6 +8,8 @@ of all fourteen, of other seeds, were looked at; so none of them is new to it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -133,22 +135,24 @@ def limited_turn_rate(inputs: FollowInputs) -> Array:
     return (np.cos(angle) * own + np.sin(angle) * aside / np.maximum(across, 1e-6)).astype(np.float32)
 
 
-STRATEGIES = (
-    "own_delays",
-    "turned",
-    "saturated",
-    "products",
-    "absolute",
-    "formation_offset",
-    "median",
-    "pursuit",
-    "swerve",
-    "majority",
-    "constant_turn",
-    "parallel_navigation",
-    "track_guidance",
-    "limited_turn_rate",
-)
+#: What is registered, by name: a strategy, or the function of one and its number of lags.
+REGISTERED: dict[str, FollowStrategy | tuple[Callable[[FollowInputs], Array], int]] = {
+    "own_delays": OwnDelays(),
+    "turned": Turned(),
+    "saturated": (saturated, 2),
+    "products": (products, 2),
+    "absolute": (absolute, 2),
+    "formation_offset": (formation, 1),
+    "median": (median, 3),
+    "pursuit": (pursuit, 2),
+    "swerve": (swerve, 1),
+    "majority": (majority, 3),
+    "constant_turn": (constant_turn, 2),
+    "parallel_navigation": (parallel_navigation, 2),
+    "track_guidance": (track_guidance, 2),
+    "limited_turn_rate": (limited_turn_rate, 2),
+}
+STRATEGIES = tuple(REGISTERED)
 #: The strategies of the first measurements of ``learned`` and ``follow-mixture``.
 FIRST_EIGHT = STRATEGIES[:8]
 #: A feature class of ``follow-mixture`` contains the first three exactly and the last two nearly; ``own_delays`` and
@@ -157,25 +161,8 @@ IN_A_CLASS = ("own_delays", "turned", "products", "formation_offset", "swerve")
 #: The others.
 OUTSIDE_CLASSES = tuple(name for name in STRATEGIES if name not in IN_A_CLASS)
 
-
-def _register() -> None:
-    register_follow_strategy("own_delays", OwnDelays())
-    register_follow_strategy("turned", Turned())
-    for name, function, lags in (
-        ("saturated", saturated, 2),
-        ("products", products, 2),
-        ("absolute", absolute, 2),
-        ("formation_offset", formation, 1),
-        ("median", median, 3),
-        ("pursuit", pursuit, 2),
-        ("swerve", swerve, 1),
-        ("majority", majority, 3),
-        ("constant_turn", constant_turn, 2),
-        ("parallel_navigation", parallel_navigation, 2),
-        ("track_guidance", track_guidance, 2),
-        ("limited_turn_rate", limited_turn_rate, 2),
-    ):
-        register_follow_strategy(name, function, lags=lags)
-
-
-_register()
+for _name, _strategy in REGISTERED.items():
+    if isinstance(_strategy, FollowStrategy):
+        register_follow_strategy(_name, _strategy)
+    else:
+        register_follow_strategy(_name, _strategy[0], lags=_strategy[1])
