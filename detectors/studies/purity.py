@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
 from detectors.clustering import make_clusterer
-from detectors.studies.common import FOLLOW, Reproduction, describe_flight, name_flight, swarm_arguments
+from detectors.studies.common import FOLLOW, Reproduction, Running, describe_flight, name_flight, swarm_arguments
 from usnet_env.config import ArgumentError, unknown_name
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
@@ -28,7 +28,7 @@ from usnet_env.evaluation.report import (
     make_panels,
     mean_over_episodes,
 )
-from usnet_env.evaluation.suite import Game, Place, Suite, read_rows, split_games
+from usnet_env.evaluation.suite import Game, Suite, read_rows, split_games
 from usnet_env.objectives import head_in_cluster, purity
 from usnet_env.window import Window
 
@@ -199,8 +199,7 @@ def reproduce(
     mobility: str = "iid",
     head_jitter: bool = False,
     seed: int = 2022,
-    workers: int | Place = 1,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    **running: Unpack[Running],
 ) -> Reproduction[Row]:
     """Measure purity and head-in-cluster; after an interruption, the same call continues with the missing rows.
 
@@ -215,8 +214,7 @@ def reproduce(
         mobility: motion of the heads.
         head_jitter: whether the heads have the noise of the followers.
         seed: seed of the episodes. Nothing was tuned with the default seed, which the reports use.
-        workers: number of processes, or a place.
-        progress: called with the number of windows that are done, and of all windows.
+        running: ``workers`` and ``progress``, see :class:`Running`.
 
     Raises:
         ArgumentError: an argument is refused.
@@ -235,7 +233,7 @@ def reproduce(
     path = folder / f"purity{size}{name_flight(cells[0])}-seed{seed}.csv"
     order = ("follow", "clusters", "uavs", "clusterer", "features", "count", "episode")
     suite = Suite(Cell, Row, partial(cluster_windows, seed=seed), order=order, digits=4)
-    rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, workers=workers, progress=progress)
+    rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, **running)
     title = f"Purity and head-in-cluster, M={clusters}, N={uavs}, {describe_flight(cells[0])}"
     kept = read_rows(path, Row)
     keep_report(path, report_methods(kept, title), draw_methods(kept, title))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from usnet_env.evaluation.report import (
     make_panels,
 )
 from usnet_env.evaluation.statistics import Interval, mean_interval, rate_interval
-from usnet_env.evaluation.suite import Game, Place, Suite, play_detector, read_rows, split_games
+from usnet_env.evaluation.suite import Game, Suite, play_detector, read_rows, split_games
 from usnet_env.objectives import rounds_hits_and_redundant
 
 if TYPE_CHECKING:
@@ -157,8 +157,7 @@ def reproduce(
     head_jitter: bool = False,
     seed: int = 2022,
     isolate: bool = False,
-    workers: int | Place = 1,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    **running: Unpack[common.Running],
 ) -> common.Reproduction[Row]:
     """Measure the studies' cells; an interrupted measurement continues where it stopped.
 
@@ -173,8 +172,7 @@ def reproduce(
         head_jitter: whether they have the followers' noise.
         seed: of the episodes; the reporting seed is one that nothing was tuned on.
         isolate: play each detector in a process of its own, which never holds an environment.
-        workers: number of processes, or a place.
-        progress: called with the episodes done and to do.
+        running: ``workers`` and ``progress``, see :class:`~detectors.studies.common.Running`.
 
     Raises:
         ArgumentError: an argument was refused.
@@ -190,7 +188,7 @@ def reproduce(
     path = folder / f"rounds{suffix}-seed{seed}.csv"
     order = ("follow", "clusters", "uavs", "detector", "episode")
     suite = Suite(Cell, Row, partial(play_games, seed=seed, isolate=isolate), order=order, digits=4)
-    rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, workers=workers, progress=progress)
+    rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, **running)
     title, kept = f"P2, {common.describe_flight(cells[0])}", read_rows(path, Row)
     keep_report(path, report_studies(kept, title, not suffix), draw_studies(kept, title, not suffix))
     return common.Reproduction(rows, report_studies(rows, "P2 (all columns are in the file)", not suffix, SHORT))
