@@ -13,9 +13,9 @@ from usnet_env.arrays import Floats, Indices, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
-    IGNORED_OPTIONS,
     GameArguments,
     RoundRecord,
+    Start,
     Step,
     UsnetParallelEnv,
     make_aec_forms,
@@ -152,9 +152,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         self._flown = np.zeros(clusters, np.int64)  # the mobility of each head in the window before
         self._decoys = np.empty(0, np.intp)  # the followers that are decoys in the current window
 
-    def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, int | float]]]:
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Start:
         """Start a game; its first step is the opening.
 
         Args:
@@ -168,12 +166,10 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         Raises:
             ArgumentError: the seed is not a whole number from 0, or there are options.
         """
-        game.check_options(options, IGNORED_OPTIONS)
-        self._game = game.start_games(self.config, [self._get_generator(seed)])
+        self._game = game.start_games(self.config, [self._begin(seed, options)])
         self._flown = np.zeros(self.config.clusters, np.int64)
         self._decoys = np.empty(0, np.intp)
-        self._sighting, self.last_round = None, None
-        self.agents = list(self.possible_agents)
+        self._sighting = None
         metrics = game.initial_info(self.rules, self._game)
         infos = {agent: {**to_scalars(metrics), "price": 0.0} for agent in self.agents}
         return {agent: self._observation(agent) for agent in self.agents}, infos
@@ -220,7 +216,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
 
     def _fly_next_window(self, plan: Plan) -> None:
         state = self._current_game()
-        rngs = [self._get_generator(None)]
+        rngs = [self._get_generator()]
         self._decoys = select_decoys(state.swarm, plan)[0]
         swarm, sighting, self._flown = fly_window(self.config, self.manoeuvres, state.swarm, self._flown, plan, rngs)
         self._game = game.GameState(swarm, state.rounds, state.redundant, state.terminated, state.truncated)

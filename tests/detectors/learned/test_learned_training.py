@@ -123,9 +123,3 @@ def test_changed_or_foreign_weights_are_refused(tmp_path):
 def test_bad_settings_are_refused(bad):
     with pytest.raises(ArgumentError, match=next(iter(bad))):
         HeadTraining(**bad)
-
-
-@pytest.mark.parametrize("bad", [0, 1.5, True])
-def test_a_bad_checkpoint_interval_is_refused(tmp_path, bad):
-    with pytest.raises(ArgumentError, match="checkpoint_every"):
-        train_heads(tmp_path, HeadTraining(**SMALL), checkpoint_every=bad)
