@@ -97,14 +97,18 @@ assert after == before, [name for name in before if after[name] != before[name]]
 """)
 
 
-def test_loops_compile_where_no_cache_folder_can_be_written():
-    run_python("""
+def test_loops_compile_where_no_cache_folder_can_be_written(fresh_process):
+    fresh_process.run("""
+import importlib
+
 from numba.core import caching
+
+import usnet_env.swarm.kernels
+from usnet_env.compiling import compiled
 
 # Numba's locators find no folder: neither the package nor the home of the user can be written.
 caching.CacheImpl._locator_classes = []
-import usnet_env.swarm.kernels
-from usnet_env.compiling import compiled
+importlib.reload(usnet_env.swarm.kernels)
 
 @compiled()
 def double(number):
