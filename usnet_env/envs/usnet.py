@@ -15,7 +15,7 @@ from usnet_env.config import ArgumentError, list_arguments, optional_seed, quote
 from usnet_env.drawing import EpisodeFrames, describe_frame
 from usnet_env.envs import game
 from usnet_env.swarm import SwarmConfig, SwarmState
-from usnet_env.swarm.config import MobilityArguments, SensorArguments, SwarmArguments
+from usnet_env.swarm.config import BystanderArguments, MobilityArguments, SensorArguments, SwarmArguments
 
 __all__ = ["MultiClusterEnv", "SingleClusterEnv", "UsnetEnv"]
 
@@ -44,10 +44,14 @@ _INFO = """`info` holds, at every step and all zero at reset:
 class OutputArguments(game.RenderArguments):
     """The arguments about the output of an environment: ``info`` and pictures."""
 
-    reveal_truth: bool = Field(False, description="``info`` also holds ``head``, ``decoy``, ``leader``, ``heads_left``")
+    reveal_truth: bool = Field(
+        False, description="``info`` also holds ``head``, ``decoy``, ``leader``, ``direct``, ``heads_left``"
+    )
 
 
-class SingleClusterArguments(OutputArguments, game.ShotArguments, SensorArguments, MobilityArguments, SwarmArguments):
+class SingleClusterArguments(
+    OutputArguments, game.ShotArguments, SensorArguments, BystanderArguments, MobilityArguments, SwarmArguments
+):
     """The arguments of :class:`SingleClusterEnv`."""
 
     followers: Annotated[int, Field(ge=2, le=90_000)] = Field(15, description="m, number of followers, at least 2")
@@ -270,7 +274,7 @@ class SingleClusterEnv(UsnetEnv):
 
     @takes_arguments(SingleClusterArguments)
     def __init__(self, arguments: SingleClusterArguments) -> None:
-        uavs = arguments.followers + 1 + arguments.decoys
+        uavs = arguments.followers + 1 + arguments.decoys + arguments.bystanders + arguments.traffic
         config = arguments.part(SwarmConfig, clusters=1, uavs=uavs)
         super().__init__(config, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
 
