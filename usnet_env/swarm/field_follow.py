@@ -53,11 +53,13 @@ class FieldStrategy(FollowStrategy):
     Attributes:
         citation: where the model comes from.
         breaks: the assumption of detectors that it breaks.
+        parameters: the names of the arguments that matter to it.
         version: increases when the model's behaviour changes.
     """
 
     citation: ClassVar[str] = ""
     breaks: ClassVar[str] = ""
+    parameters: ClassVar[tuple[str, ...]] = ()
     version: ClassVar[int] = 1
     noise: float = KAPPA_NOISE
     delays: tuple[int, int] = (1, 1)
@@ -150,6 +152,7 @@ class UnequalDelays(Links):
     equation = "v_{i,t+1} = norm((1 − g_i) v_{i,t} + g_i v_{iL,t+1−d_i} + κ_i n)"
     citation = "reaction times as in Nagy et al. 2010"
     breaks = "one delay, gain and noise for all followers"
+    parameters = ("delays", "gains", "noises", "noise")
     delays: tuple[int, int] = (1, 12)
     gains: Pair = (0.5, 1.0)
     noises: Pair = (0.5, 4.0)
@@ -166,6 +169,7 @@ class Chain(Links):
     equation = "v_{i,t+1} = norm(v_{a(i),t} + κ_n n), a(i) above i in a tree of depth D"
     citation = "hierarchical leadership (Shen 2007)"
     breaks = "every follower copies a head directly"
+    parameters = ("depth", "noise")
     depth: int = 3
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
@@ -199,6 +203,7 @@ class Pigeons(Links):
     )
     citation = "Nagy et al. 2010, Nature 464:890"
     breaks = "followers lead no UAV, and one delay for all"
+    parameters = ("links", "delays", "gains", "noise")
     links: int = 3
     delays: tuple[int, int] = (1, 3)
     gains: Pair = (0.6, 0.9)
@@ -217,6 +222,7 @@ class CuckerSmale(Links):
     )
     citation = "Cucker & Smale 2007; Shen 2007, SIAM J. Appl. Math. 68:694"
     breaks = "every follower copies a head directly, whatever the distance"
+    parameters = ("links", "strength", "scale", "noise")
     links: int = 8
     strength: float = 0.8
 
@@ -237,6 +243,7 @@ class PartTime(Links):
     equation = "v_{i,t+1} = norm(v_{iL,t} + κ_n n) if h(L, ⌊t / T⌋) < q, else norm(v_{i,t} + κ_o n)"
     citation = "changing leadership as in Amornbunchornvej et al. 2018 (FLICA)"
     breaks = "a head leads all the time"
+    parameters = ("share", "block", "idle_noise", "noise")
     share: float = 0.4
     answers = EACH_CLUSTER
 
@@ -248,6 +255,7 @@ class PartialTurns(Links):
     equation = "v_{i,t+1} = norm(v_{iL,t} + κ_n n) if h(i, ⌊t / T⌋) < q, else norm(v_{i,t} + κ_o n)"
     citation = "partial responses to turns (Attanasi et al. 2014)"
     breaks = "every follower follows in every step"
+    parameters = ("share", "block", "idle_noise", "noise")
     block: int = 8
     share: float = 0.5
     answers = EACH_FOLLOWER
@@ -295,6 +303,7 @@ class Mixed(Kinds):
     equation = "v_{i,t+1} = norm(f_{k(i)}(V_{iL,t}) + κ_n n), k(i) ∈ {1, …, 6}"
     citation = "paper, Table II"
     breaks = "one follow strategy in a swarm"
+    parameters = ("reach", "noise")
 
 
 @dataclass(frozen=True)
@@ -304,6 +313,7 @@ class Switching(Kinds):
     equation = "v_{i,t+1} = norm(f_{k(L,⌊t / T⌋)}(V_{iL,t}) + κ_n n), k ∈ {1, …, 6}"
     citation = "paper, Table II; switching regimes (Hamilton 1989)"
     breaks = "one follow strategy in a window"
+    parameters = ("block", "reach", "noise")
     answers = EACH_CLUSTER
 
 
@@ -362,6 +372,7 @@ class Frontness(Slots):
     equation = "v_{i,t+1} = norm(v_{iL,t} + κ_p g / max(‖g‖, 10) + κ_n n), g = p_{iL} + R_L (o_i − f a e_x) − p_i"
     citation = "frontness as in Amornbunchornvej et al. 2018; Reynolds 1987"
     breaks = "heads fly in front"
+    parameters = ("place", "offset", "pull", "near", "spread", "smoothing", "noise")
     place: int | None = None
     offset: float = 40.0
 
@@ -383,6 +394,7 @@ class Reference(Slots):
     equation = "v_{i,t+1} = norm(v_{r,t} + κ_p g / max(‖g‖, 10) + κ_n n), g = p_r + R_r o_i − p_i, r a reference"
     citation = "virtual structures (Lewis & Tan 1997; Ren & Beard 2004)"
     breaks = "every cluster has a head"
+    parameters = ("pull", "near", "spread", "smoothing", "noise")
     has_heads = False
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:

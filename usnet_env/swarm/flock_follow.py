@@ -69,6 +69,7 @@ class Vicsek(Flock):
     equation = "v_{i,t+1} = norm(mean_{‖p_j − p_i‖ < r} v_{j,t} + κ_n n)"
     citation = "Vicsek et al. 1995; one leader: Mwaffo et al. 2017"
     breaks = "followers copy a head and no other UAV"
+    parameters = ("alignment", "noise")
     noise: float = 0.1
 
 
@@ -82,6 +83,7 @@ class Couzin(Flock):
     )
     citation = "Couzin et al. 2002, 2005, Nature 433:513"
     breaks = "followers copy a head and no other UAV"
+    parameters = ("repulsion", "alignment", "attraction", "attract", "noise")
     repulsion: float = 5.0
     alignment: float = 40.0
     attraction: float = 100.0
@@ -98,6 +100,7 @@ class Predator(Couzin):
     equation = "prey: couzin + w_f (p_i − p_q) / ‖·‖ within r_f; predator q: v_{q,t+1} = norm(p_nearest − p_q + κ_n n)"
     citation = "Couzin et al. 2002; Lee et al. 2006 (predator and prey flocks)"
     breaks = "who causes turns leads, and who copies motion follows"
+    parameters = ("flight", "flee", "noise")
     flight: float = 60.0
     flee: float = 1.0
     chaser = flock_kernels.PREDATOR
@@ -118,6 +121,7 @@ class Shepherd(Couzin):
     equation = "flock: couzin + w_f (p_i − p_s) / ‖·‖ within r_f; driver s: v_{s,t+1} = norm(p̄ − b u − p_s + κ_n n)"
     citation = "Strömbom et al. 2014, J. R. Soc. Interface 11:20140719"
     breaks = "who causes turns leads"
+    parameters = ("flight", "flee", "standoff", "noise")
     flight: float = 80.0
     flee: float = 1.5
     standoff: float = 40.0
