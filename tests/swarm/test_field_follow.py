@@ -343,8 +343,7 @@ def flock_direction(model, state, v, p, t, i, members):
         wanted = unit(-sum(gap[j] / distance[j] for j in close))
     elif len(aligned) > 1 or attracted:
         wanted = model.align * np.mean([v[t - 1, j] for j in aligned], axis=0)
-        # The UAV itself counts in the mean of the directions to its neighbours.
-        wanted = wanted + model.attract * sum(gap[j] / distance[j] for j in attracted) / max(len(attracted) + 1, 1)
+        wanted = wanted + model.attract * sum(gap[j] / distance[j] for j in attracted) / max(len(attracted), 1)
     else:
         wanted = unit(p[t, members].mean(axis=0) - p[t, i])
     for h in np.flatnonzero(state.bystander):

@@ -42,7 +42,7 @@ _ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
 _MASK = np.uint64(0xFFFFFFFF)
 
 
-@compiled()
+@compiled(error_model="numpy")
 def hash_draw(salt, block):
     """A number in [0, 1) from a salt and the number of a block of steps: the integer hash lowbias32 (Wellons 2018)."""
     x = (np.uint64(salt) * np.uint64(0x9E3779B1) + np.uint64(block) * np.uint64(0x85EBCA77)) & _MASK
@@ -54,17 +54,19 @@ def hash_draw(salt, block):
     return np.float32(x >> np.uint64(8)) * np.float32(2.0**-24)
 
 
-@compiled()
-def finish_step(b, t, i, x, y, z, noise_scale, noise, position, velocity):
+@compiled(error_model="numpy")
+def finish_step(b, s, t, i, x, y, z, noise_scale, noise, position, velocity):
     """Write norm((x, y, z) + noise) as the velocity of UAV i in step t, and its next position."""
-    x, y, z = x + noise_scale * noise[0], y + noise_scale * noise[1], z + noise_scale * noise[2]
+    x, y, z = (
+        x + noise_scale * noise[b, s, i, 0], y + noise_scale * noise[b, s, i, 1], z + noise_scale * noise[b, s, i, 2]
+    )  # fmt: skip
     size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
     velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = x * size, y * size, z * size
     for axis in range(3):
         position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
 
 
-@compiled()
+@compiled(error_model="numpy")
 def move_free(b, t, motion, position, velocity):
     """Write the next positions of the free UAVs."""
     for i in range(len(motion)):
@@ -73,7 +75,7 @@ def move_free(b, t, motion, position, velocity):
                 position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
 
 
-@compiled()
+@compiled(error_model="numpy")
 def find_top(i, motion, source):
     """The free UAV or reference at the end of the chain of sources of UAV i, or the last UAV of the chain."""
     while motion[i] == FOLLOWS and source[i] >= 0:
@@ -81,7 +83,7 @@ def find_top(i, motion, source):
     return i
 
 
-@compiled()
+@compiled(error_model="numpy")
 def fly_links(
     links, strength, scale, answers, block, share, idle_noise, table, source, clock, motion, start, noise, position,
     velocity,
@@ -118,7 +120,7 @@ def fly_links(
                 x, y, z = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
                 noise_scale = table[b, NOISE, i]
                 if count[i] == 0 or (answers != ALWAYS and hash_draw(salt[i], now) >= share):
-                    finish_step(b, t, i, x, y, z, idle_noise, noise[b, s, i], position, velocity)
+                    finish_step(b, s, t, i, x, y, z, idle_noise, noise, position, velocity)
                     continue
                 if strength > _ZERO:
                     vx, vy, vz = x, y, z
@@ -141,11 +143,11 @@ def fly_links(
                         x += weight * velocity[b, u, a, 0]
                         y += weight * velocity[b, u, a, 1]
                         z += weight * velocity[b, u, a, 2]
-                finish_step(b, t, i, x, y, z, noise_scale, noise[b, s, i], position, velocity)
+                finish_step(b, s, t, i, x, y, z, noise_scale, noise, position, velocity)
             move_free(b, t, motion[b], position, velocity)
 
 
-@compiled()
+@compiled(error_model="numpy")
 def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise, position, velocity):
     """Each follower flies by one of f1 to f6 at a time, drawn once or, for each cluster, again in every block.
 
@@ -184,11 +186,11 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
                     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
                     if distance > reach:
                         x, y, z = x + dx / distance, y + dy / distance, z + dz / distance
-                finish_step(b, t, i, x, y, z, table[b, NOISE, i], noise[b, s, i], position, velocity)
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
             move_free(b, t, motion[b], position, velocity)
 
 
-@compiled()
+@compiled(error_model="numpy")
 def fly_slots(lags, pull, near, table, source, motion, start, noise, position, velocity):
     """Followers keep a slot in the frame of their source, whose course is its mean velocity over ``lags`` steps.
 
@@ -232,5 +234,5 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
                     velocity[b, u, h, 1] + weight * gy,
                     velocity[b, u, h, 2] + weight * gz,
                 )
-                finish_step(b, t, i, x, y, z, table[b, NOISE, i], noise[b, s, i], position, velocity)
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
             move_free(b, t, motion[b], position, velocity)

@@ -21,38 +21,49 @@ _FAST = {"reassoc", "nsz", "contract"}  # lets the compiler sum over neighbours 
 _SMALL = 64  # up to this size a flock is searched as a whole
 
 
-@compiled(fastmath=_FAST)
+@compiled(fastmath=_FAST, error_model="numpy")
 def _sum_all(a, first, last, p, v, repel, align, attract, sums):
     """Sum over all UAVs c in first..last-1 that are near a; ``sums``: repulsion, alignment, attraction, three counts.
 
     ``p`` and ``v`` are ``(3, N)``; the three ranges are squared. UAV a itself is in the counts and in the alignment.
     """
     x, y, z = p[0, a], p[1, a], p[2, a]
-    rx, ry, rz, ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
     repelled, aligned, attracted = _ZERO, _ZERO, _ZERO
-    for c in range(first, last):
-        dx, dy, dz = p[0, c] - x, p[1, c] - y, p[2, c] - z
-        square = dx * dx + dy * dy + dz * dz
-        inverse = _ONE / np.sqrt(square + _TINY)
-        r = _ONE if square < repel else _ZERO
-        o = _ONE if square < align else _ZERO
-        q = _ONE if square < attract else _ZERO
-        repelled, aligned, attracted = repelled + r, aligned + o, attracted + q
-        ox, oy, oz = ox + o * v[0, c], oy + o * v[1, c], oz + o * v[2, c]
-        r, q = r * inverse, q * inverse
-        rx, ry, rz = rx - r * dx, ry - r * dy, rz - r * dz
-        ax, ay, az = ax + q * dx, ay + q * dy, az + q * dz
-    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = rx, ry, rz, ox, oy, oz
-    sums[6], sums[7], sums[8], sums[9], sums[10], sums[11] = ax, ay, az, repelled, aligned, attracted
+    if max(repel, attract) == _ZERO:
+        for c in range(first, last):
+            dx, dy, dz = p[0, c] - x, p[1, c] - y, p[2, c] - z
+            o = _ONE if dx * dx + dy * dy + dz * dz < align else _ZERO
+            ox, oy, oz, aligned = ox + o * v[0, c], oy + o * v[1, c], oz + o * v[2, c], aligned + o
+    else:
+        for c in range(first, last):
+            dx, dy, dz = p[0, c] - x, p[1, c] - y, p[2, c] - z
+            square = dx * dx + dy * dy + dz * dz
+            o = _ONE if square < align else _ZERO
+            q = _ONE if square < attract else _ZERO
+            repelled += _ONE if square < repel else _ZERO
+            aligned, attracted = aligned + o, attracted + q
+            ox, oy, oz = ox + o * v[0, c], oy + o * v[1, c], oz + o * v[2, c]
+            q /= np.sqrt(square + _TINY)
+            ax, ay, az = ax + q * dx, ay + q * dy, az + q * dz
+    sums[0], sums[1], sums[2] = _ZERO, _ZERO, _ZERO
+    sums[3], sums[4], sums[5], sums[6], sums[7], sums[8] = ox, oy, oz, ax, ay, az
+    sums[9], sums[10], sums[11] = repelled, aligned, attracted
+    if repelled > np.float32(1.5):  # seldom, so its sum is not in the loop above
+        for c in range(first, last):
+            dx, dy, dz = p[0, c] - x, p[1, c] - y, p[2, c] - z
+            square = dx * dx + dy * dy + dz * dz
+            r = (_ONE if square < repel else _ZERO) / np.sqrt(square + _TINY)
+            sums[0], sums[1], sums[2] = sums[0] - r * dx, sums[1] - r * dy, sums[2] - r * dz
 
 
-@compiled()
+@compiled(error_model="numpy")
 def _hash_cell(x, y, z, size):
     """The bucket of a cell; ``size`` is a power of two."""
     return (x * 73856093 ^ y * 19349663 ^ z * 83492791) & (size - 1)
 
 
-@compiled()
+@compiled(error_model="numpy")
 def _build_cells(first, last, p, width, cell, bucket, following):
     """Sort the UAVs first..last-1 into cells: ``bucket`` holds the first UAV of each, ``following`` the next one."""
     bucket[:] = -1
@@ -64,7 +75,7 @@ def _build_cells(first, last, p, width, cell, bucket, following):
         bucket[place] = c
 
 
-@compiled()
+@compiled(error_model="numpy")
 def _sum_cells(a, p, v, repel, align, attract, cell, bucket, following, sums):
     """The sums of :func:`_sum_all` over the 27 cells around UAV a."""
     sums[:] = _ZERO
@@ -95,7 +106,7 @@ def _sum_cells(a, p, v, repel, align, attract, cell, bucket, following, sums):
                     c = following[c]
 
 
-@compiled()
+@compiled(error_model="numpy")
 def _sort_members(motion, source, bystander, uavs, label, order, first):
     """Sort the living UAVs by flock: ``order[first[f]:first[f + 1]]`` are those of flock f. Return their number."""
     first[:] = 0
@@ -114,7 +125,7 @@ def _sort_members(motion, source, bystander, uavs, label, order, first):
     return first[-1]
 
 
-@compiled()
+@compiled(error_model="numpy")
 def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position, velocity):
     """The direction of a predator, to the nearest UAV of its flock, or of a driver, to its place behind the flock."""
     if chaser == PREDATOR:
@@ -134,7 +145,7 @@ def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position,
     return x * size, y * size, z * size
 
 
-@compiled()
+@compiled(error_model="numpy")
 def fly_flock(
     ranges, weights, chaser, flight_range, flight_weight, standoff, table, source, bystander, motion, start, noise,
     position, velocity,
@@ -210,7 +221,7 @@ def fly_flock(
                         x, y, z = x * scale, y * scale, z * scale
                     elif max(sums[10], sums[11]) > np.float32(1.5):
                         align_scale = weights[0] / max(sums[10], _ONE)
-                        attract_scale = weights[1] / max(sums[11], _ONE)
+                        attract_scale = weights[1] / max(sums[11] - _ONE, _ONE)
                         x = align_scale * sums[3] + attract_scale * sums[6]
                         y = align_scale * sums[4] + attract_scale * sums[7]
                         z = align_scale * sums[5] + attract_scale * sums[8]
@@ -229,12 +240,12 @@ def fly_flock(
                         if square < flight_range * flight_range:
                             scale = flight_weight / np.sqrt(square + _TINY)
                             x, y, z = x + scale * dx, y + scale * dy, z + scale * dz
-                    finish_step(b, t, i, x, y, z, table[b, NOISE, i], noise[b, s, i], position, velocity)
+                    finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
             for k in range(chaser_count):
                 i = chasers[k]
                 f = find_top(i, motion[b], source[b])
                 x, y, z = _steer_chaser(
                     chaser, standoff, i, first[f], first[f + 1], f, t, p, middle[f], position[b], velocity[b]
                 )
-                finish_step(b, t, i, x, y, z, table[b, NOISE, i], noise[b, s, i], position, velocity)
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
             move_free(b, t, motion[b], position, velocity)

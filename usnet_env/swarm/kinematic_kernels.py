@@ -15,7 +15,7 @@ VARIED_SPEED, LAGGED, LIMITED, LAYERED = range(4)
 _ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
 
 
-@compiled()
+@compiled(error_model="numpy")
 def _turn(x, y, z, u, v, w, limit):
     """Turn the unit vector (x, y, z) towards the unit vector (u, v, w) by at most ``limit``; also return the cosine."""
     cosine = min(max(x * u + y * v + z * w, -_ONE), _ONE)
@@ -31,7 +31,7 @@ def _turn(x, y, z, u, v, w, limit):
     return x * size, y * size, z * size, cosine
 
 
-@compiled()
+@compiled(error_model="numpy")
 def fly_step(code, numbers, t, motion, normals, state, position, velocity):
     """One step of all models but ``unit``; the arguments are those of ``Kinematics.fly``."""
     episodes, uavs = motion.shape
