@@ -21,42 +21,6 @@ _FAST = {"reassoc", "nsz", "contract"}  # lets the compiler sum over neighbours 
 _SMALL = 64  # up to this size a flock is searched as a whole
 
 
-@compiled(fastmath=_FAST, error_model="numpy")
-def _sum_all(a, first, last, p, v, repel, align, attract, sums):
-    """Sum over all UAVs c in first..last-1 that are near a; ``sums``: repulsion, alignment, attraction, three counts.
-
-    ``p`` and ``v`` are ``(3, N)``; the three ranges are squared. UAV a itself is in the counts and in the alignment.
-    """
-    x, y, z = p[0, a], p[1, a], p[2, a]
-    ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-    repelled, aligned, attracted = _ZERO, _ZERO, _ZERO
-    if max(repel, attract) == _ZERO:
-        for c in range(first, last):
-            dx, dy, dz = p[0, c] - x, p[1, c] - y, p[2, c] - z
-            o = _ONE if dx * dx + dy * dy + dz * dz < align else _ZERO
-            ox, oy, oz, aligned = ox + o * v[0, c], oy + o * v[1, c], oz + o * v[2, c], aligned + o
-    else:
-        for c in range(first, last):
-            dx, dy, dz = p[0, c] - x, p[1, c] - y, p[2, c] - z
-            square = dx * dx + dy * dy + dz * dz
-            o = _ONE if square < align else _ZERO
-            q = _ONE if square < attract else _ZERO
-            repelled += _ONE if square < repel else _ZERO
-            aligned, attracted = aligned + o, attracted + q
-            ox, oy, oz = ox + o * v[0, c], oy + o * v[1, c], oz + o * v[2, c]
-            q /= np.sqrt(square + _TINY)
-            ax, ay, az = ax + q * dx, ay + q * dy, az + q * dz
-    sums[0], sums[1], sums[2] = _ZERO, _ZERO, _ZERO
-    sums[3], sums[4], sums[5], sums[6], sums[7], sums[8] = ox, oy, oz, ax, ay, az
-    sums[9], sums[10], sums[11] = repelled, aligned, attracted
-    if repelled > np.float32(1.5):  # seldom, so its sum is not in the loop above
-        for c in range(first, last):
-            dx, dy, dz = p[0, c] - x, p[1, c] - y, p[2, c] - z
-            square = dx * dx + dy * dy + dz * dz
-            r = (_ONE if square < repel else _ZERO) / np.sqrt(square + _TINY)
-            sums[0], sums[1], sums[2] = sums[0] - r * dx, sums[1] - r * dy, sums[2] - r * dz
-
-
 @compiled(error_model="numpy")
 def _hash_cell(x, y, z, size):
     """The bucket of a cell; ``size`` is a power of two."""
@@ -77,7 +41,7 @@ def _build_cells(first, last, p, width, cell, bucket, following):
 
 @compiled(error_model="numpy")
 def _sum_cells(a, p, v, repel, align, attract, cell, bucket, following, sums):
-    """The sums of :func:`_sum_all` over the 27 cells around UAV a."""
+    """Sum over the UAVs in the 27 cells around UAV a: repulsion, alignment, attraction, and their three counts."""
     sums[:] = _ZERO
     outer = max(align, attract)
     for i in range(cell[0, a] - 1, cell[0, a] + 2):
@@ -145,7 +109,7 @@ def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position,
     return x * size, y * size, z * size
 
 
-@compiled(error_model="numpy")
+@compiled(fastmath=_FAST, error_model="numpy")
 def fly_flock(
     ranges, weights, chaser, flight_range, flight_weight, standoff, table, source, bystander, motion, start, noise,
     position, velocity,
@@ -173,7 +137,7 @@ def fly_flock(
     first = np.empty(width + 1, np.int64)
     p, v, sums = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32), np.empty(12, np.float32)
     repel, align, attract = ranges[0] * ranges[0], ranges[1] * ranges[1], ranges[2] * ranges[2]
-    outer = max(ranges[1], ranges[2])
+    outer, plain = max(ranges[1], ranges[2]), max(repel, attract) == _ZERO
     cell, following = np.empty((3, uavs), np.int64), np.empty(uavs, np.int64)
     buckets = 1
     while buckets < 2 * uavs:
@@ -194,48 +158,69 @@ def fly_flock(
                 for axis in range(3):
                     p[axis, c], v[axis, c] = position[b, t, order[c], axis], velocity[b, t - 1, order[c], axis]
             for f in range(width):
-                size = first[f + 1] - first[f]
-                if size < 2:
-                    for axis in range(3):
-                        middle[f, axis] = p[axis, first[f]] if size else _ZERO
-                    if not size:
-                        continue
-                for axis in range(3):
-                    middle[f, axis] = p[axis, first[f] : first[f + 1]].mean()
+                low, size = first[f], first[f + 1] - first[f]
+                if not size:
+                    continue
+                px, py, pz = p[0, low : low + size], p[1, low : low + size], p[2, low : low + size]
+                vx, vy, vz = v[0, low : low + size], v[1, low : low + size], v[2, low : low + size]
+                middle[f, 0], middle[f, 1], middle[f, 2] = px.mean(), py.mean(), pz.mean()
+                small = 1
                 if size > _SMALL:
-                    small = 1
                     while small < 2 * size:
                         small *= 2
-                    _build_cells(first[f], first[f + 1], p, outer, cell, bucket[:small], following)
-                for c in range(first[f], first[f + 1]):
-                    i = order[c]
+                    _build_cells(low, low + size, p, outer, cell, bucket[:small], following)
+                for c in range(size):
+                    i = order[low + c]
                     if motion[b, i] != FOLLOWS:
                         continue
+                    ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+                    rx, ry, rz, repelled, aligned, attracted = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
                     if size > _SMALL:
-                        _sum_cells(c, p, v, repel, align, attract, cell, bucket[:small], following, sums)
+                        _sum_cells(low + c, p, v, repel, align, attract, cell, bucket[:small], following, sums)
+                        rx, ry, rz, ox, oy, oz = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+                        ax, ay, az, repelled, aligned, attracted = (
+                            sums[6], sums[7], sums[8], sums[9], sums[10], sums[11]
+                        )  # fmt: skip
+                    elif plain:
+                        for d in range(size):
+                            dx, dy, dz = px[d] - px[c], py[d] - py[c], pz[d] - pz[c]
+                            o = _ONE if dx * dx + dy * dy + dz * dz < align else _ZERO
+                            ox, oy, oz, aligned = ox + o * vx[d], oy + o * vy[d], oz + o * vz[d], aligned + o
                     else:
-                        _sum_all(c, first[f], first[f + 1], p, v, repel, align, attract, sums)
-                    if sums[9] > np.float32(1.5):  # the UAV itself is counted
-                        x, y, z = sums[0], sums[1], sums[2]
+                        for d in range(size):
+                            dx, dy, dz = px[d] - px[c], py[d] - py[c], pz[d] - pz[c]
+                            square = dx * dx + dy * dy + dz * dz
+                            o = _ONE if square < align else _ZERO
+                            q = _ONE if square < attract else _ZERO
+                            repelled += _ONE if square < repel else _ZERO
+                            aligned, attracted = aligned + o, attracted + q
+                            ox, oy, oz = ox + o * vx[d], oy + o * vy[d], oz + o * vz[d]
+                            q /= np.sqrt(square + _TINY)
+                            ax, ay, az = ax + q * dx, ay + q * dy, az + q * dz
+                        if repelled > np.float32(1.5):  # seldom, so this sum is not in the loop above
+                            for d in range(size):
+                                dx, dy, dz = px[d] - px[c], py[d] - py[c], pz[d] - pz[c]
+                                square = dx * dx + dy * dy + dz * dz
+                                r = (_ONE if square < repel else _ZERO) / np.sqrt(square + _TINY)
+                                rx, ry, rz = rx - r * dx, ry - r * dy, rz - r * dz
+                    if repelled > np.float32(1.5):  # the UAV itself is counted
+                        x, y, z = rx, ry, rz
                         scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
                         x, y, z = x * scale, y * scale, z * scale
-                    elif max(sums[10], sums[11]) > np.float32(1.5):
-                        align_scale = weights[0] / max(sums[10], _ONE)
-                        attract_scale = weights[1] / max(sums[11] - _ONE, _ONE)
-                        x = align_scale * sums[3] + attract_scale * sums[6]
-                        y = align_scale * sums[4] + attract_scale * sums[7]
-                        z = align_scale * sums[5] + attract_scale * sums[8]
+                    elif max(aligned, attracted) > np.float32(1.5):
+                        align_scale = weights[0] / max(aligned, _ONE)
+                        attract_scale = weights[1] / max(attracted - _ONE, _ONE)
+                        x = align_scale * ox + attract_scale * ax
+                        y = align_scale * oy + attract_scale * ay
+                        z = align_scale * oz + attract_scale * az
                     else:
-                        x, y, z = middle[f, 0] - p[0, c], middle[f, 1] - p[1, c], middle[f, 2] - p[2, c]
+                        x, y, z = middle[f, 0] - px[c], middle[f, 1] - py[c], middle[f, 2] - pz[c]
                         scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
                         x, y, z = x * scale, y * scale, z * scale
                     for k in range(chaser_count):
                         h = chasers[k]
-                        dx, dy, dz = (
-                            p[0, c] - position[b, t, h, 0],
-                            p[1, c] - position[b, t, h, 1],
-                            p[2, c] - position[b, t, h, 2],
-                        )
+                        dx, dy = px[c] - position[b, t, h, 0], py[c] - position[b, t, h, 1]
+                        dz = pz[c] - position[b, t, h, 2]
                         square = dx * dx + dy * dy + dz * dz
                         if square < flight_range * flight_range:
                             scale = flight_weight / np.sqrt(square + _TINY)
