@@ -240,7 +240,7 @@ def _window() -> Window:
 
 def _window_parts() -> dict[str, Any]:
     window = _window()
-    return {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round")}
+    return {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round", "step")}
 
 
 def _detection_parts() -> dict[str, Any]:
