@@ -96,6 +96,19 @@ def test_a_group_keeps_its_number_when_another_leads_it(folder):
     assert found.leaders[0].probability is None
 
 
+def test_followers_of_followers_follow_the_head(folder):
+    class Chain:
+        def reset(self, seed=None):
+            pass
+
+        def detect(self, window):
+            leader = np.maximum(np.arange(window.uavs) - 1, 0)
+            return Detection(leader == np.arange(window.uavs), -leader.astype(float), leader=leader)
+
+    for window in find_leaders(read_tracks(folder / "flock.csv"), Chain()).windows:
+        assert window.leaders[0].followers == tuple(f"bird-{k}" for k in range(1, 12))
+
+
 def test_a_detector_that_fails_is_named_with_the_window(folder):
     class Fails:
         def reset(self, seed=None):

@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.detection import Detection
+from usnet_env.objectives import find_roots
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.windows import TrackWindow
@@ -31,7 +32,8 @@ class Leader:
         id: as in the file.
         probability: the detector's probability that the id leads; over the file, the mean over the windows in which it
             is seen. ``None``: the detector gives no probabilities.
-        followers: the ids that follow it; over the file, those that follow it in at least half of its windows.
+        followers: the ids that follow it, directly or through others; over the file, those that follow it in at least
+            half of its windows.
         reason: why, a sentence.
         group: number of its group; a group keeps its number from window to window.
         score: the detector's score; over the file, the mean over the windows in which it leads.
@@ -208,9 +210,9 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when
 
 
 def _followers(detection: Detection, head: int) -> list[int]:
-    """Indices of those that the detector puts behind a head: by their leader, or else by the head's cluster."""
+    """Indices of those that follow a head, directly or through others; without leaders, those in its cluster."""
     if detection.leader is not None:
-        behind = detection.leader == head
+        behind = find_roots(detection.leader) == head
     elif detection.clusters is not None and detection.clusters[head] >= 0:
         behind = detection.clusters == detection.clusters[head]
     else:
