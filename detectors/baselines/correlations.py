@@ -31,7 +31,7 @@ class DirectionalDelays(NetworkDetector):
     Args:
         max_lag: L in samples, at least 1.
         max_delay: L in seconds instead.
-        level: probability that any UAV is named in a window in which none leads.
+        level: expected share of those UAVs that seem to follow but don't.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
@@ -45,7 +45,7 @@ class DirectionalDelays(NetworkDetector):
         together = correlate_at_lag(unit, unit, 0)
         peak = np.maximum(behind, together) > np.maximum(together, behind.T)  # the highest value lies at a positive lag
         net = behind - behind.T
-        return Pairs(np.where(peak | peak.T, net, 0.0), behind, delay)
+        return Pairs(behind, np.where(peak | peak.T, net, 0.0), delay)
 
 
 class LaggedNetwork(NetworkDetector):
@@ -58,7 +58,7 @@ class LaggedNetwork(NetworkDetector):
     Args:
         max_lag: the largest lag in samples, at least 1.
         max_delay: the largest lag in seconds instead.
-        level: probability that any UAV is named in a window in which none leads.
+        level: expected share of those UAVs that seem to follow but don't.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
@@ -80,7 +80,7 @@ class LaggedNetwork(NetworkDetector):
             )
         ]
         mean = np.mean([strength for strength, _ in found], axis=0)
-        return Pairs(mean - mean.T, mean, found[0][1])
+        return Pairs(mean, mean - mean.T, found[0][1])
 
 
 class NetLagRegression(NetworkDetector):
@@ -92,7 +92,7 @@ class NetLagRegression(NetworkDetector):
     Args:
         max_lag: L in samples, at least 1; fewer in short windows.
         max_delay: L in seconds instead.
-        level: probability that any UAV is named in a window in which none leads.
+        level: expected share of those UAVs that seem to follow but don't.
 
     Raises:
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
@@ -104,7 +104,7 @@ class NetLagRegression(NetworkDetector):
         target = centre_columns(flight.velocity[lags:], flight.seen[lags:])
         past: Floats = centre_past(flight.velocity, flight.seen, lags)
         shares, _ = explain_pairs(past, [target], fitted=True)
-        return Pairs(shares[0] - shares[0].T, shares[0])
+        return Pairs(shares[0], shares[0] - shares[0].T)
 
 
 class FrontMost(NetworkDetector):
@@ -117,7 +117,7 @@ class FrontMost(NetworkDetector):
     Args:
         max_lag: L in samples, at least 1.
         max_delay: L in seconds instead.
-        level: probability that any UAV is named in a window in which none is in front.
+        level: expected share of those UAVs that seem to follow but don't.
         alike: the least correlation of directions, from 0 to 1.
 
     Raises:
@@ -125,6 +125,7 @@ class FrontMost(NetworkDetector):
     """
 
     tags = Tags(most_uavs=10_000, least_steps=5)
+    _gated = False
 
     alike: Annotated[float, Field(ge=0, le=1)] = 0.5
 
@@ -140,5 +141,4 @@ class FrontMost(NetworkDetector):
             common = _directions(flight.velocity + flight.velocity[:, [i]])
             cosine = np.where(both, (way * common).sum(axis=-1), 0.0)
             ahead[i] = cosine.sum(axis=0) / np.maximum(both.sum(axis=0), 1)
-        lead = np.where(alike >= self.alike, ahead, 0.0)
-        return Pairs(lead, lead.copy())
+        return Pairs(alike, np.where(alike >= self.alike, ahead, 0.0))

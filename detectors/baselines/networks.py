@@ -12,7 +12,7 @@ from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["Flight", "NetworkDetector", "Pairs", "correlate_flights", "find_trees", "reverse_blocks"]
+__all__ = ["Flight", "NetworkDetector", "Pairs", "correlate_flights", "find_trees", "reverse_blocks", "shift_half"]
 
 _LEAST_STEPS = 5
 _MOST_BLOCKS = 8
@@ -56,40 +56,46 @@ class Pairs:
     """Scores of all ordered pairs; entry (i, j) is about i following j.
 
     Args:
-        lead: ``(n, n)``, by how much the evidence that i follows j exceeds that for the reverse; about 0 where neither
-            leads. It is compared with the surrogates.
         strength: ``(n, n)``, how closely i follows j; among those that lead i, the strongest is its direct leader.
+        lead: ``(n, n)``, by how much the evidence that i follows j exceeds that for the reverse; about 0 where neither
+            leads.
         delay: ``(n, n)`` steps after which i follows j, or ``None`` if it isn't measured.
     """
 
-    lead: Floats
     strength: Floats
+    lead: Floats
     delay: Indices | None = None
 
 
 class NetworkDetector(Detector):
     """Base class of detectors that score all pairs; the heads are UAVs that lead and are led by no UAV.
 
-    1. A subclass measures how far UAV j leads UAV i, the ``lead`` of each pair.
-    2. The same is measured in surrogates: the window is cut into up to 8 blocks, and time is reversed in half of them,
-       for all UAVs together. This keeps how UAVs move, and which move alike at the same time, but a lead in the blocks
-       that are not reversed is cancelled by those that are.
-    3. i follows j if the lead exceeds a threshold. A Gumbel distribution with the mean and variance of the surrogates'
-       row maxima gives the threshold that a window without leaders exceeds with probability ``level``.
-    4. The direct leader of i is the strongest of those that it follows, unless this closes a cycle. A head is the root
+    1. A subclass measures the ``strength`` with which UAV i follows UAV j, and the ``lead``: by how much this evidence
+       exceeds that for the reverse.
+    2. A pair is related if its strength exceeds that of surrogates in which half of the UAVs are shifted in time.
+       Detectors that compare places leave this out, because neighbours are in like places at all times.
+    3. The lead of related pairs is compared with that of other surrogates: the window is cut into up to 8 blocks, and
+       time is reversed in half of them, for all UAVs together. This keeps how UAVs move, and which move alike at the
+       same time, but a lead in the blocks that are not reversed is cancelled by those that are. i follows j if they are
+       related and the lead is higher.
+    4. Both thresholds control the share of UAVs that exceed them by chance (Benjamini and Hochberg, 1995), by a Gumbel
+       distribution with the mean and variance of the surrogates' row maxima.
+    5. The direct leader of i is the strongest of those that it follows, unless this closes a cycle. A head is the root
        of a tree; a UAV that follows and is followed is a relay.
 
     Args:
         max_lag: the largest delay in samples, at least 1; a quarter of the window at most.
         max_delay: the largest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
-        level: probability that any UAV is named in a window in which none leads.
+        level: expected share of those UAVs that seem to follow but don't; in a window in which no UAV leads, the
+            probability that any is named.
     """
 
     tags = Tags(most_uavs=10_000, least_steps=_LEAST_STEPS, uses_positions=False)
+    _gated: ClassVar[bool] = True  # whether pairs must be related to be compared, step 2
 
     max_lag: Lags = 4
     max_delay: Annotated[float, Field(gt=0, le=1e9)] | None = None
-    level: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    level: Annotated[float, Field(gt=0, lt=1)] = 0.01
 
     @abstractmethod
     def pairs(self, flight: Flight, lags: int) -> Pairs:
@@ -123,12 +129,29 @@ class NetworkDetector(Detector):
         lags = max(1, min(self._count_lags(window), steps // 4))
         living = np.flatnonzero(window.alive & window.velocity_seen.any(axis=0))
         if len(living) < 2:
-            return _describe(window, living, Pairs(*np.zeros((2, len(living), len(living)))), np.inf)
+            return _describe(window, living, Pairs(*np.full((2, len(living), len(living)), -np.inf)), np.inf)
         flight = _read_flight(window, living)
-        measured = self._measure(flight, lags)
-        count = int(np.clip(math.ceil(_ROW_MAXIMA / len(living)), *_SURROGATES))
-        best = [self._measure(each, lags).lead.max(axis=1) for each in reverse_blocks(flight, lags, count)]
-        return _describe(window, living, measured, _find_threshold(np.concatenate(best), len(living), self.level))
+        pairs, n = self._measure(flight, lags), len(living)
+        count = int(np.clip(math.ceil(_ROW_MAXIMA / n), *_SURROGATES))
+        related = self._relate(flight, pairs, lags, count) if self._gated else np.isfinite(pairs.strength)
+        either = related | related.T
+        rows = either.any(axis=1)
+        if not rows.any():
+            return _describe(window, living, pairs, np.inf)
+        maxima = [
+            np.where(either, self._measure(each, lags).lead, -np.inf).max(axis=1)[rows]
+            for each in reverse_blocks(flight, lags, count)
+        ]
+        lead = np.where(related, pairs.lead, -np.inf)
+        threshold = _Gumbel.fit(np.concatenate(maxima)).discover(lead[rows].max(axis=1), self.level)
+        return _describe(window, living, Pairs(pairs.strength, lead, pairs.delay), threshold)
+
+    def _relate(self, flight: Flight, pairs: Pairs, lags: int, count: int) -> Mask:
+        half = np.arange(len(pairs.strength)) % 2 == 0
+        shifted = [self._measure(each, lags).strength for each in shift_half(flight, half, count // 2)]
+        by_chance = [np.where(half[:, None] != half, each, -np.inf).max(axis=1) for each in shifted]
+        chance = _Gumbel.fit(np.concatenate(by_chance))
+        return pairs.strength > chance.discover(pairs.strength.max(axis=1), self.level)
 
     def _measure(self, flight: Flight, lags: int) -> Pairs:
         pairs = self.pairs(flight, lags)
@@ -153,6 +176,17 @@ def _read_flight(window: Window, living: Indices) -> Flight:
     return Flight(velocity, np.where(seen[..., None], place - middle, 0.0), seen)
 
 
+def shift_half(flight: Flight, half: Mask, count: int) -> Iterator[Flight]:
+    """Yield ``count`` surrogates in which a half ``(n,)`` of the UAVs is shifted in time, circularly."""
+    for k in range(count):
+        late = len(flight.velocity) * (k + 1) // (count + 1)
+        moved = (
+            np.where(half[:, None] if values.ndim == 3 else half, np.roll(values, late, axis=0), values)
+            for values in (flight.velocity, flight.place, flight.seen)
+        )
+        yield Flight(*moved)
+
+
 def reverse_blocks(flight: Flight, lags: int, count: int) -> Iterator[Flight]:
     """Yield up to ``count`` surrogates in which time is reversed in half of an even number of blocks.
 
@@ -169,13 +203,33 @@ def reverse_blocks(flight: Flight, lags: int, count: int) -> Iterator[Flight]:
         yield Flight(flight.velocity[order] * sign[:, None, None], flight.place[order], flight.seen[order])
 
 
-def _find_threshold(maxima: Floats, uavs: int, level: float) -> float:
-    """The quantile of a Gumbel distribution with the maxima's mean and variance that n rows exceed at this level."""
-    if not np.isfinite(maxima).all():
-        return float("inf")
-    quantile = -math.log(-math.log1p(-level) / uavs)
-    scale = math.sqrt(6) / math.pi * float(maxima.std())
-    return float(maxima.mean()) + scale * (quantile - float(np.euler_gamma))
+@dataclass(frozen=True)
+class _Gumbel:
+    """The distribution of a maximum by chance: its location and scale."""
+
+    location: float
+    scale: float
+
+    @classmethod
+    def fit(cls, maxima: Floats) -> Self:
+        """The distribution with the mean and variance of ``maxima``."""
+        scale = math.sqrt(6) / math.pi * float(maxima.std())
+        return cls(float(maxima.mean()) - scale * float(np.euler_gamma), scale)
+
+    def quantile(self, level: float) -> float:
+        """The value that is exceeded with this probability."""
+        return self.location - self.scale * math.log(-math.log1p(-level))
+
+    def discover(self, values: Floats, level: float) -> float:
+        """The threshold above which at most the share ``level`` of the values are expected to be by chance.
+
+        It is that of Benjamini and Hochberg (Journal of the Royal Statistical Society B 57, 1995); infinite if there is
+        none. If all values are by chance, any of them exceeds it with probability ``level``.
+        """
+        ordered = np.sort(values)[::-1]
+        allowed = np.array([self.quantile(level * k / len(values)) for k in range(1, len(values) + 1)])
+        passed = np.flatnonzero(ordered > allowed)
+        return float(allowed[passed[-1]]) if len(passed) else math.inf
 
 
 def correlate_flights(series: Floats, seen: Mask, lags: int) -> tuple[Floats, Indices]:

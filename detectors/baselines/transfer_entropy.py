@@ -29,7 +29,7 @@ class TransferEntropy(NetworkDetector):
     Args:
         max_lag: the largest delay in samples, at least 1.
         max_delay: the largest delay in seconds instead.
-        level: probability that any UAV is named in a window in which none leads.
+        level: expected share of those UAVs that seem to follow but don't.
         neighbours: k, the number of nearest neighbours, at least 1.
 
     Raises:
@@ -42,7 +42,7 @@ class TransferEntropy(NetworkDetector):
         """Estimate the transfer entropy of all pairs, in nats."""
         _, delay = correlate_flights(flight.velocity, flight.seen, lags)
         entropy = estimate_transfer_entropy(flight.velocity, flight.seen, delay, self.neighbours)
-        return Pairs(entropy - entropy.T, entropy, delay)
+        return Pairs(entropy, entropy - entropy.T, delay)
 
 
 def estimate_transfer_entropy(velocity: Floats, seen: Mask, delay: Indices, neighbours: int) -> Floats:

@@ -30,7 +30,7 @@ class Mflica(NetworkDetector):
     Args:
         max_lag: L in samples, at least 1.
         max_delay: L in seconds instead.
-        level: probability that any UAV is named in a window in which none leads.
+        level: expected share of those UAVs that seem to follow but don't.
         series: what is warped: the ``"position"`` as published, or the ``"velocity"``, for followers that keep away
             from where their leader was.
 
@@ -39,6 +39,7 @@ class Mflica(NetworkDetector):
     """
 
     tags = Tags(most_uavs=10_000, least_steps=5)
+    _gated = False
 
     max_lag: Annotated[int, Field(ge=1, le=1000)] = 8
     series: Literal["position", "velocity"] = "position"
@@ -50,7 +51,9 @@ class Mflica(NetworkDetector):
         else:
             values = flight.place
         lead, cost, delay = warp_pairs(np.ascontiguousarray(values.swapaxes(0, 1)), flight.seen.T.copy(), lags)
-        return Pairs(lead, -cost, np.maximum(delay, 1))
+        spread = (centre_columns(values, flight.seen) ** 2).sum(axis=2).mean(axis=0)
+        total = spread[:, None] + spread
+        return Pairs(1.0 - cost / np.where(total > 0, total, 1.0), lead, np.maximum(delay, 1))
 
 
 class Flica(Mflica):
