@@ -14,6 +14,7 @@ from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.detection import Detection
 from usnet_env.objectives import find_roots
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
+from usnet_env.tracks.confirming import confirm_lead
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.windows import TrackWindow
 
@@ -63,12 +64,14 @@ class DetectedWindow:
     Args:
         start: time of the first instant as in the file.
         end: time of the last instant as in the file.
-        leaders: the detector's candidates, the highest score first.
+        leaders: the detector's candidates that are confirmed, the highest score first.
+        rejected: ids of the candidates that are not confirmed.
     """
 
     start: float | int | str
     end: float | int | str
     leaders: tuple[Leader, ...]
+    rejected: tuple[str | int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +125,7 @@ def find_leaders(
     length: int = 100,
     stride: int | None = None,
     seed: int = 0,
+    confirm: bool = True,
     on_window: Callable[[TrackWindow, Detection, DetectedWindow], None] | None = None,
 ) -> FoundLeaders:
     """Let a detector answer every window of tracks.
@@ -135,6 +139,9 @@ def find_leaders(
         length: steps of a window.
         stride: steps from the start of a window to the start of the next; ``None``: ``length``.
         seed: seeds the detector.
+        confirm: whether to leave out candidates whose followers don't move like them later, by
+            :func:`usnet_env.tracks.confirming.confirm_lead`; their probability becomes 0. Candidates of a detector that
+            says nothing about followers are never left out.
         on_window: called with each window, the detector's answer and the leaders.
 
     Returns:
@@ -156,12 +163,21 @@ def find_leaders(
         heads = np.flatnonzero(detection.candidates)
         heads = heads[np.argsort(-detection.scores[heads], kind="stable")]
         followers = [_followers(detection, int(head)) for head in heads]
+        rejected = heads[:0]
+        if confirm and (detection.leader is not None or detection.clusters is not None):
+            sure = np.array(
+                [confirm_lead(cut.window, int(h), led) for h, led in zip(heads, followers, strict=True)], bool
+            )
+            rejected, heads = heads[~sure], heads[sure]
+            followers = [led for led, kept in zip(followers, sure, strict=True) if kept]
         groups_here = [
             (int(cut.rows[head]), {int(cut.rows[i]) for i in (int(head), *led)})
             for head, led in zip(heads, followers, strict=True)
         ]
         labels = groups.follow(groups_here)
         probability = _probabilities(detection, len(cut.ids))
+        if probability is not None:
+            probability[rejected] = 0.0
         reasons = _reasons(detection, heads, followers, len(cut.ids))
         found = DetectedWindow(
             start,
@@ -177,6 +193,7 @@ def find_leaders(
                 )
                 for head, led, reason, label in zip(heads, followers, reasons, labels, strict=True)
             ),
+            tuple(cut.ids[head] for head in rejected),
         )
         windows.append(found)
         summary.add(cut, heads, followers, labels, probability, detection.scores)
@@ -225,7 +242,7 @@ def _probabilities(detection: Detection, uavs: int) -> NDArray[np.float64] | Non
     given = detection.extras.get("probability")
     if given is None or np.shape(given) != (uavs,):
         return None
-    return np.asarray(given, np.float64)
+    return np.array(given, np.float64)
 
 
 def _reasons(detection: Detection, heads: NDArray[np.intp], followers: list[list[int]], uavs: int) -> list[str]:
