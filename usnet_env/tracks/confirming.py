@@ -12,13 +12,21 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Mask
 from usnet_env.window import Window
 
-__all__ = ["confirm_lead", "find_followers"]
+__all__ = ["confirm_lead", "confirm_leaders", "find_followers"]
 
 _LAGS = 4  # steps; the step of resampled tracks puts delays at 1 to 4 of them
 _BLOCKS = 8
 _LEAST_STEPS = 2 * _BLOCKS
-_LEVEL = 0.05
-_NEAREST, _SHIFTS = 3, 6
+_LEVEL, _LEVEL_OUTSIDE = 0.05, 0.5
+_NEAREST, _SHIFTS = 5, 6
+
+
+def confirm_leaders(window: Window, leaders: Sequence[int], followers: Sequence[Sequence[int]]) -> Mask:
+    """Which of c leaders are confirmed, ``(c,)`` bool: by :func:`confirm_lead`, and not by :func:`find_followers`."""
+    sure = ~find_followers(window, leaders, followers)
+    for k in np.flatnonzero(sure):
+        sure[k] = confirm_lead(window, int(leaders[k]), followers[k])
+    return np.asarray(sure)
 
 
 def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
@@ -50,23 +58,24 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     return _is_ahead(mean, window.velocity[:, leader].astype(np.float64), both, _LEVEL / (1 + len(followers)))
 
 
-def find_followers(window: Window, uavs: Sequence[int]) -> Mask:
-    """Which of some UAVs follow another one in the first or the second half of a window.
+def find_followers(window: Window, leaders: Sequence[int], followers: Sequence[Sequence[int]]) -> Mask:
+    """Which of the leaders follow another UAV in the first or the second half of a window.
 
     If groups change within a window, a UAV that follows one head after another moves like neither of them through the
     whole window, and may look like a head. In one of the halves it follows one head for most of the time. In each half,
-    those 3 UAVs are tested whose velocities are most correlated with its own, at any lag up to 4, if the correlation
-    exceeds those of 6 circular shifts in time: it follows one if :func:`confirm_lead`'s test says so at the level 0.05
-    for the three.
+    those 5 UAVs are tested whose velocities are most correlated with its own, at any lag up to 4, if the correlation
+    exceeds those of 6 circular shifts in time: it follows one if :func:`confirm_lead`'s test says so. The level is 0.05
+    for all five; for a UAV outside of its group, which should not move like its head at all, any lead is enough.
 
     Args:
         window: the window.
-        uavs: their c indices.
+        leaders: c indices.
+        followers: the indices of those that follow each.
 
     Returns:
         ``(c,)`` bool; false in a window of fewer than 32 steps.
     """
-    steps, follows = window.observation_steps, np.zeros(len(uavs), bool)
+    steps, follows, uavs = window.observation_steps, np.zeros(len(leaders), bool), np.asarray(leaders, np.int64)
     if steps < 2 * _LEAST_STEPS or not len(uavs):
         return follows
     for half in (slice(0, steps // 2), slice(steps // 2, steps)):
@@ -81,7 +90,8 @@ def find_followers(window: Window, uavs: Sequence[int]) -> Mask:
                 if best[c, other] <= chance[c]:
                     break
                 own, ahead = velocity[:, uavs[c]].astype(np.float64), velocity[:, other].astype(np.float64)
-                follows[c] |= _is_ahead(own, ahead, seen[:, uavs[c]] & seen[:, other], _LEVEL / _NEAREST)
+                level = _LEVEL / _NEAREST if other in followers[c] else _LEVEL_OUTSIDE
+                follows[c] |= _is_ahead(own, ahead, seen[:, uavs[c]] & seen[:, other], level)
     return follows
 
 

@@ -14,7 +14,7 @@ from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.detection import Detection
 from usnet_env.objectives import find_roots
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
-from usnet_env.tracks.confirming import confirm_lead
+from usnet_env.tracks.confirming import confirm_leaders
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.windows import TrackWindow
 
@@ -139,9 +139,9 @@ def find_leaders(
         length: steps of a window.
         stride: steps from the start of a window to the start of the next; ``None``: ``length``.
         seed: seeds the detector.
-        confirm: whether to leave out candidates whose followers don't move like them later, by
-            :func:`usnet_env.tracks.confirming.confirm_lead`; their probability becomes 0. Candidates of a detector that
-            says nothing about followers are never left out.
+        confirm: whether to leave out candidates whose followers don't move like them later, or that follow another id
+            in half of the window, by the tests of :mod:`usnet_env.tracks.confirming`; their probability becomes 0.
+            Candidates of a detector that says nothing about followers are never left out.
         on_window: called with each window, the detector's answer and the leaders.
 
     Returns:
@@ -165,9 +165,7 @@ def find_leaders(
         followers = [_followers(detection, int(head)) for head in heads]
         rejected = heads[:0]
         if confirm and (detection.leader is not None or detection.clusters is not None):
-            sure = np.array(
-                [confirm_lead(cut.window, int(h), led) for h, led in zip(heads, followers, strict=True)], bool
-            )
+            sure = confirm_leaders(cut.window, heads, followers)
             rejected, heads = heads[~sure], heads[sure]
             followers = [led for led, kept in zip(followers, sure, strict=True) if kept]
         groups_here = [
