@@ -12,9 +12,11 @@ from typing import Any
 
 import usnet_env.envs
 from usnet_env.envs import ENVIRONMENTS
+from usnet_env.envs.registration import TRACKS
 from usnet_env.multiagent import GAMES
 from usnet_env.swarm.follow import FIELD_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
+from usnet_env.tracks.env import TracksEnv
 
 __all__ = ["environment_pages", "field_tables", "game_pages", "write_environment_pages"]
 
@@ -22,7 +24,8 @@ __all__ = ["environment_pages", "field_tables", "game_pages", "write_environment
 def environment_pages() -> dict[str, str]:
     """Markdown of one page for each Gymnasium environment class, by file name (without suffix)."""
     kinds = dict.fromkeys(kind for kind, _ in ENVIRONMENTS.values())
-    return {re.sub(r"(?<!^)(?=[A-Z])", "_", kind).lower(): _environment_page(kind) for kind in kinds}
+    pages = {re.sub(r"(?<!^)(?=[A-Z])", "_", kind).lower(): _environment_page(kind) for kind in kinds}
+    return pages | {"tracks": _tracks_page()}
 
 
 def game_pages() -> dict[str, str]:
@@ -46,6 +49,19 @@ def _environment_page(kind: str) -> str:
 `gym.make("usnet_env:{first}")` creates the environment. `gym.make_vec("{first}", num_envs=64)` creates the vector
 environment {{class}}`usnet_env.envs.{kind}VectorEnv`: with `reset(seed=s)`, its episode b is the one that a single
 environment plays with the seed s + b.
+
+{sections}
+"""
+
+
+def _tracks_page() -> str:
+    summary, sections = _docstring(TracksEnv)
+    return f"""# Tracks
+
+{summary}
+
+`gym.make("usnet_env:{TRACKS}", path="flock.csv")` creates the environment. [Recorded tracks](../tracks.md) has an
+introduction.
 
 {sections}
 """

@@ -240,7 +240,7 @@ def _window() -> Window:
 
 def _window_parts() -> dict[str, Any]:
     window = _window()
-    return {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round")}
+    return {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round", "step")}
 
 
 def _detection_parts() -> dict[str, Any]:
@@ -270,7 +270,7 @@ def _objectives() -> dict[str, Door]:
     head, leader = np.arange(8) < 1, np.zeros(8, int)
     values = {
         "head": head, "alive": np.ones(8, bool), "candidates": head, "candidates_per_round": head[None],
-        "scores": np.arange(8.0), "leader": leader, "clusters": leader,
+        "scores": np.arange(8.0), "leader": leader, "clusters": leader, "estimate": leader, "root": False,
     }  # fmt: skip
     functions = {name: getattr(objectives, name) for name in objectives.__all__}
     return {
@@ -286,6 +286,8 @@ def _objectives() -> dict[str, Door]:
 DETECTORS = {  # name -> whether detect is quick
     "random": True, "destroy-all": True, "none": True, "one-per-round": True, "lagged-correlation": True,
     "lagged-regression": True, "granger": True, "factions": True, "gassl": False, "mc-gassl": False,
+    "front-most": True, "directional-delays": True, "lagged-network": True, "net-lag-regression": True, "flica": True,
+    "mflica": True, "transfer-entropy": True,
     "neural-granger": False, "lead-votes": False, "follow-mixture": False, "learned": False,
 }  # fmt: skip
 

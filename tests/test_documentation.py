@@ -205,6 +205,12 @@ def test_every_detector_is_in_the_overview():
     assert [name for name in shipped["usnet.detectors"] if f"| `{name}` |" not in page] == []
 
 
+def test_the_page_of_recorded_tracks_has_gymnasiums_sections():
+    text = load_environment_pages().environment_pages()["tracks"]
+    assert re.findall(r"^## (.+)$", text, re.MULTILINE) == SECTIONS
+    assert "USNET/Tracks-v0" in text
+
+
 def test_every_registered_id_stands_on_a_page():
     pages = "\n".join(generated_pages().values())
     assert [name for name in ENVIRONMENTS if f"`{name}`" not in pages] == []

@@ -191,3 +191,47 @@ def test_bad_input_is_one_sentence_with_the_name(call, name):
         call()
     assert str(refused.value).endswith(".")
     assert "\n" not in str(refused.value)
+
+
+# --- trees -----------------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(1, 12).flatmap(lambda uavs: hnp.arrays(np.int64, uavs, elements=st.integers(-1, uavs - 1))))
+def test_roots_end_the_chains_of_leaders(leader):
+    for i, root in enumerate(objectives.find_roots(leader)):
+        chain = [i]
+        while leader[chain[-1]] >= 0 and leader[chain[-1]] != chain[-1] and len(chain) <= len(leader):
+            chain.append(leader[chain[-1]])
+        assert root == (chain[-1] if len(chain) <= len(leader) else -1)
+
+
+def test_direct_leaders_and_heads_are_both_truths():
+    """0 leads 1 and 2, 1 leads 3; 4 leads 5; 6 is alone."""
+    truth = np.array([0, 0, 0, 1, 4, 4, -1])
+    star = np.array([0, 0, 0, 0, 4, 4, 6])
+    assert objectives.leader_accuracy(truth, truth) == objectives.leader_accuracy(truth, truth, root=True) == 1
+    assert objectives.leader_accuracy(truth, star) == 3 / 4
+    assert objectives.leader_accuracy(truth, star, root=True) == 1
+    assert objectives.leader_accuracy(truth, [-1] * 7) == objectives.leader_accuracy(truth, [-1] * 7, root=True) == 0
+    assert objectives.leader_accuracy([-1, 1], [0, 0]) == 0
+
+
+def test_the_leader_of_a_known_group_has_its_highest_score():
+    truth = np.array([0, 0, 0, 1, 4, 4, -1])
+    assert objectives.group_leader_accuracy(truth, [2, 1, 1, 1, 0, 5, 9]) == 1 / 2
+    assert objectives.group_leader_accuracy(truth, np.zeros(7)) == (1 / 4 + 1 / 2) / 2
+    assert objectives.group_leader_accuracy([-1, -1], [0, 1]) == 0
+
+
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (lambda: objectives.find_roots([0, 2]), "leader"),
+        (lambda: objectives.find_roots([[0]]), "leader"),
+        (lambda: objectives.leader_accuracy([0, 1], [0]), "estimate"),
+        (lambda: objectives.group_leader_accuracy([0, 1], [0.0, np.nan]), "scores"),
+    ],
+)
+def test_a_bad_tree_is_named(call, name):
+    with pytest.raises(ArgumentError, match=rf"^{name} must .*, got .*\.$"):
+        call()

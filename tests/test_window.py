@@ -133,3 +133,16 @@ def test_frozen_array_copies_every_array_of_the_right_shape_or_refuses_it(array)
         assert not np.shares_memory(copy, array)
     with pytest.raises(ArgumentError, match="array must have shape"):
         frozen_array("array", array, np.float64, (*array.shape, None))
+
+
+def test_a_window_of_recorded_tracks_knows_its_step_in_seconds():
+    assert Window(**parts()).step is None
+    assert Window.from_observation(parts()).step is None
+    assert Window(**parts(step=0.5)).step == Window.from_observation(parts(step=np.float32([0.5]))).step == 0.5
+
+
+@pytest.mark.parametrize("step", [0, -1.0, np.nan, np.inf, "a second", [1, 2]])
+def test_a_bad_step_is_named(step):
+    for make in (lambda: Window(**parts(step=step)), lambda: Window.from_observation(parts(step=step))):
+        with pytest.raises(ArgumentError, match=r"^step must be .*, got .*\.$"):
+            make()

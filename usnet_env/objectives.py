@@ -17,9 +17,12 @@ __all__ = [
     "average_precision",
     "exact",
     "f1",
+    "find_roots",
     "found_all_heads",
+    "group_leader_accuracy",
     "head_in_cluster",
     "hits_and_redundant",
+    "leader_accuracy",
     "multi_cluster_objective",
     "precision",
     "purity",
@@ -291,3 +294,77 @@ def head_in_cluster(head: ArrayLike, leader: ArrayLike, clusters: ArrayLike) -> 
         values, counts = np.unique(label[followers & (label >= 0)], return_counts=True)
         correct.append(label[i] in values[counts == counts.max(initial=0)])
     return float(np.mean(correct)) if correct else 0.0
+
+
+# Trees: a follower may lead others
+
+
+def find_roots(leader: ArrayLike) -> Indices:
+    """Find the head of each UAV's tree.
+
+    Args:
+        leader: ``(N,)`` int, index of the UAV that each follows directly; its own index or -1 if it follows none.
+
+    Returns:
+        ``(N,)`` int64, the UAV from which the chain of leaders begins; a UAV that follows none has its own index, and
+        one whose leaders form a cycle has -1.
+
+    Raises:
+        ArgumentError: an index is not below N.
+    """
+    direct = _labels("leader", leader)
+    uavs = len(direct)
+    if (direct >= uavs).any():
+        raise ArgumentError(f"leader must hold indices below {uavs}, got {quote(leader)}.")
+    own = np.arange(uavs)
+    root = np.where(direct >= 0, direct, own)
+    for _ in range(uavs.bit_length()):  # each pass doubles the length of the chains that are followed
+        root = root[root]
+    ends = (direct < 0) | (direct == own)
+    return np.where(ends[root], root, -1)
+
+
+def leader_accuracy(leader: ArrayLike, estimate: ArrayLike, *, root: bool = False) -> float:
+    """Share of the followers whose leader is the estimated one.
+
+    Args:
+        leader: ``(N,)`` int, index of the UAV that each follows directly; its own index or -1 if it follows none.
+        estimate: ``(N,)`` int, the same of a detection.
+        root: whether to compare the heads of the trees instead of the direct leaders: where a chain of leaders ends.
+
+    Returns:
+        A value from 0 to 1; 0 if no UAV follows another one.
+    """
+    truth = _labels("leader", leader)
+    found = _labels("estimate", estimate, len(truth))
+    follows = (truth >= 0) & (truth != np.arange(len(truth)))
+    if not follows.any():
+        return 0.0
+    if root:
+        truth, found = find_roots(truth), np.where(found >= 0, find_roots(found), -1)
+    return float((truth == found)[follows].mean())
+
+
+def group_leader_accuracy(leader: ArrayLike, scores: ArrayLike) -> float:
+    """Share of the groups whose head has the highest score of its group; the groups are known.
+
+    A group is a head with all that follow it, directly or through others. If k members tie at the top and the head is
+    one of them, the group counts 1/k.
+
+    Args:
+        leader: ``(N,)`` int, index of the UAV that each follows directly; its own index or -1 if it follows none.
+        scores: ``(N,)``, a higher score means a more likely head.
+
+    Returns:
+        A value from 0 to 1 over the groups of at least 2 UAVs; 0 if there is none.
+    """
+    roots = find_roots(leader)
+    values = as_array("scores", scores)
+    if values.shape != roots.shape or values.dtype.kind not in "biuf" or not np.isfinite(values).all():
+        raise ArgumentError(f"scores must hold a finite number for each of {len(roots)} UAVs, got {quote(scores)}.")
+    shares = []
+    for head in np.unique(roots[(roots >= 0) & (roots != np.arange(len(roots)))]):
+        top = np.flatnonzero(roots == head)
+        top = top[values[top] == values[top].max()]
+        shares.append((head in top) / len(top))
+    return float(np.mean(shares)) if shares else 0.0

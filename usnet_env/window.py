@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from usnet_env.arrays import Mask, Singles
-from usnet_env.config import ArgumentError, quote, whole_number
+from usnet_env.config import ArgumentError, quote, real_number, whole_number
 
 __all__ = ["Window", "as_array", "frozen_array"]
+
+_SHORTEST_STEP, _LONGEST_STEP = 1e-9, 1e9  # seconds
 
 
 def as_array(name: str, value: Any) -> NDArray[Any]:
@@ -90,6 +92,7 @@ class Window:
         seen: ``(T_ob + 1, N)`` bool, whether the UAV was detected at that instant.
         alive: ``(N,)`` bool, false for destroyed UAVs.
         round: number of the detection round; the first round is 1.
+        step: seconds between two instants, or ``None`` in a simulation, whose steps have no length in seconds.
 
     Raises:
         ArgumentError: an array has another shape or non-finite values, or a mask has values other than 0 and 1.
@@ -100,6 +103,7 @@ class Window:
     seen: Mask
     alive: Mask
     round: int = 1
+    step: float | None = None
 
     def __post_init__(self) -> None:
         position = frozen_array("position", self.position, np.float32, (None, None, 3))
@@ -114,6 +118,8 @@ class Window:
         put(self, "seen", frozen_array("seen", self.seen, bool, (instants, uavs)))
         put(self, "alive", frozen_array("alive", self.alive, bool, (uavs,)))
         put(self, "round", whole_number("round", self.round, 1))
+        if self.step is not None:
+            put(self, "step", real_number("step", self.step, _SHORTEST_STEP, _LONGEST_STEP))
 
     @property
     def uavs(self) -> int:
@@ -135,7 +141,8 @@ class Window:
         """Make the window of an observation. A detector gets all its information about an environment this way.
 
         Args:
-            observation: a mapping with the keys ``position, velocity, seen, alive, round``.
+            observation: a mapping with the keys ``position, velocity, seen, alive, round`` and, for recorded tracks,
+                ``step``.
 
         Raises:
             ArgumentError: a key is missing or has an invalid value.
@@ -150,4 +157,5 @@ class Window:
             seen=observation["seen"],
             alive=observation["alive"],
             round=_scalar(observation["round"]),
+            step=_scalar(observation["step"]) if "step" in observation else None,
         )

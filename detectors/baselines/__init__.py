@@ -1,6 +1,23 @@
-"""Baselines: the trivial policies, factions with their leaders, and pairwise Granger causality."""
+"""Baselines: the trivial policies, factions with their leaders, Granger causality, and networks of pairs."""
 
+from __future__ import annotations
+
+from detectors.baselines.correlations import DirectionalDelays, FrontMost, LaggedNetwork, NetLagRegression
 from detectors.baselines.factions import Factions
+from detectors.baselines.networks import NetworkDetector
+from detectors.baselines.transfer_entropy import TransferEntropy
+from detectors.baselines.warping import Flica, Mflica
 from detectors.lagged import Granger
 
-__all__ = ["Factions", "Granger"]
+__all__ = [
+    "DirectionalDelays",
+    "Factions",
+    "Flica",
+    "FrontMost",
+    "Granger",
+    "LaggedNetwork",
+    "Mflica",
+    "NetLagRegression",
+    "NetworkDetector",
+    "TransferEntropy",
+]

@@ -102,9 +102,8 @@ def make_hovering_window(detector: Any = None, uavs: int = 8, *, together: bool 
 
 def permute_uavs(window: Window, order: NDArray[np.intp]) -> Window:
     """Return the window with UAV ``order[i]`` at index i."""
-    return Window(
-        window.position[:, order], window.velocity[:, order], window.seen[:, order], window.alive[order], window.round
-    )
+    arrays = (window.position[:, order], window.velocity[:, order], window.seen[:, order], window.alive[order])
+    return Window(*arrays, window.round, window.step)
 
 
 def start_environment(detector: Any = None, seed: int = 0, **arguments: Any) -> tuple[gym.Env[Any, Any], Window]:

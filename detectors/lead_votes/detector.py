@@ -163,7 +163,7 @@ class LeadVotes(Detector):
             size = max(1, _BATCH_UAVS // int(large[0].sum()))
             part, large = large[:size], large[size:]
             windows = [
-                Window(window.position, window.velocity, window.seen, window.alive & members, window.round)
+                Window(window.position, window.velocity, window.seen, window.alive & members, window.round, window.step)
                 for members in part
             ]
             for members, found in zip(part, self._heads.detect_batch(windows), strict=True):

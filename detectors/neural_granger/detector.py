@@ -121,7 +121,7 @@ class NeuralGranger(Detector):
         mask = np.asarray(members)
         if mask.shape != (window.uavs,) or mask.dtype != bool:
             raise ArgumentError(f"members must be {window.uavs} booleans, got {quote(members)}.")
-        part = Window(window.position, window.velocity, window.seen, window.alive & mask, window.round)
+        part = Window(window.position, window.velocity, window.seen, window.alive & mask, window.round, window.step)
         return self.detect(part)
 
     def detect_batch(self, windows: Sequence[Window]) -> list[Detection]:

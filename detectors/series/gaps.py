@@ -42,4 +42,4 @@ def fill_gaps(window: Window) -> Window:
     for values in (position, velocity):
         values[:, alive & ~known] = values[:, known].mean(axis=1, keepdims=True)
         values[:, ~alive] = 0.0
-    return Window(position, velocity, np.broadcast_to(alive, seen.shape), alive, window.round)
+    return Window(position, velocity, np.broadcast_to(alive, seen.shape), alive, window.round, window.step)

@@ -23,6 +23,7 @@ from usnet_env.envs import (
     SingleClusterEnv,
     register_environments,
 )
+from usnet_env.envs.registration import TRACKS
 
 IDS = sorted(ENVIRONMENTS)
 MULTI = "USNET/MultiCluster-v0"
@@ -37,7 +38,7 @@ def same(one, other):
 
 
 def test_the_registry_holds_every_id():
-    assert sorted(name for name in gym.registry if name.startswith("USNET/")) == IDS
+    assert sorted(name for name in gym.registry if name.startswith("USNET/")) == sorted([*IDS, TRACKS])
     register_environments()  # a second time changes nothing, and warns of nothing
 
 

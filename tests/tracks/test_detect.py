@@ -68,6 +68,32 @@ def test_no_id_leads_a_leaderless_flock(folder):
     assert [row["leader"] for row in found.rows()] == [None] * 5
 
 
+def test_a_leader_is_confirmed_by_followers_that_move_like_it_later(folder):
+    """A detector that is always sure of the wrong one: the dog of a herd, or any bird of a leaderless flock."""
+
+    class Sure:
+        def __init__(self, head):
+            self.head = head
+
+        def reset(self, seed=None):
+            pass
+
+        def detect(self, window):
+            candidates = np.arange(window.uavs) == self.head
+            return Detection(
+                candidates, candidates * 1.0, leader=np.full(window.uavs, self.head), extras={"probability": candidates}
+            )
+
+    for file, head, named in (("shepherd", 0, 1), ("leaderless", 3, 0), ("flock", 0, 5)):
+        tracks = read_tracks(folder / f"{file}.csv").resample(0.5)
+        found = find_leaders(tracks, Sure(head))
+        assert sum(map(bool, leaders_by_window(found))) <= named
+        assert sum(map(bool, leaders_by_window(found))) >= named - 1
+        for window in found.windows:
+            assert len(window.leaders) + len(window.rejected) == 1
+        assert leaders_by_window(find_leaders(tracks, Sure(head), confirm=False)) == [[tracks.ids[head]]] * 5
+
+
 def test_the_same_seed_gives_the_same_answer(folder):
     tracks = read_tracks(folder / "leaderless.csv")
     one, other = (find_leaders(tracks, "random(count=2)", seed=3).as_dict() for _ in range(2))
@@ -89,11 +115,24 @@ def test_a_group_keeps_its_number_when_another_leads_it(folder):
             candidates = np.arange(window.uavs) == head
             return Detection(candidates, candidates.astype(float), leader=np.full(window.uavs, head))
 
-    found = find_leaders(read_tracks(folder / "flock.csv"), Rotates())
+    found = find_leaders(read_tracks(folder / "flock.csv"), Rotates(), confirm=False)
     assert {leader.group for leader in found.leaders} == {1}
     assert [leader.id for leader in found.leaders] == ["bird-0", "bird-1"]
     assert "3 of the 5 windows" in found.leaders[0].reason
     assert found.leaders[0].probability is None
+
+
+def test_followers_of_followers_follow_the_head(folder):
+    class Chain:
+        def reset(self, seed=None):
+            pass
+
+        def detect(self, window):
+            leader = np.maximum(np.arange(window.uavs) - 1, 0)
+            return Detection(np.arange(window.uavs) == 0, -leader.astype(float), leader=leader)
+
+    for window in find_leaders(read_tracks(folder / "flock.csv"), Chain()).windows:
+        assert window.leaders[0].followers == tuple(f"bird-{k}" for k in range(1, 12))
 
 
 def test_a_detector_that_fails_is_named_with_the_window(folder):

@@ -75,6 +75,7 @@ def test_windows_hold_positions_velocities_masks_ids_and_times():
     assert cut.ids == tuple(f"uav-{i}" for i in range(5))  # the sixth is seen in 5 steps
     window = cut.window
     assert (window.uavs, window.observation_steps, cut.start, cut.end, cut.step) == (5, 100, 0.0, 50.0, 0.5)
+    assert window.step == 0.5
     np.testing.assert_array_equal(window.seen, keep[:, :5])
     assert window.position.dtype == np.float32
     assert not window.position[~window.seen].any()

@@ -58,6 +58,7 @@ Roles for --column:
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
 @click.option("--max-bytes", type=WholeNumber(1, 2**60), help="Most bytes that a compressed file may expand to.")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
+@click.option("--unconfirmed", is_flag=True, help="Also name leaders whose followers don't move like them later.")
 @click.option("--out", metavar="DIR", help="Folder for tables, JSON and a picture.")
 @click.option("--record", is_flag=True, help="Also write an episode file and a replay; needs --out.")
 @click.option("--json", "as_json", is_flag=True, help="Print only the leaders, as JSON.")
@@ -74,6 +75,7 @@ def detect(
     encoding: str,
     max_bytes: int | None,
     seed: int,
+    unconfirmed: bool,
     out: str | None,
     record: bool,
     as_json: bool,
@@ -125,7 +127,9 @@ def detect(
             done += 1
             progress(done, count)
 
-        found = find_leaders(even, player, length=window, stride=stride, seed=seed, on_window=keep)
+        found = find_leaders(
+            even, player, length=window, stride=stride, seed=seed, confirm=not unconfirmed, on_window=keep
+        )
     if as_json:
         click.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
     else:
@@ -166,7 +170,8 @@ def _tables(found: FoundLeaders) -> list[Table]:
             rows.append([*when, *_cells(leader)])
             when = ["", ""]
         if not window.leaders:
-            rows.append([*when, "no id leads", "", "", ""])
+            named = f"Not confirmed: {', '.join(map(str, window.rejected[:_MOST_NAMES]))}." if window.rejected else ""
+            rows.append([*when, "no id leads", "", "", named])
     over_file = [_cells(leader) for leader in found.leaders] or [["no id leads", "", "", ""]]
     headings = ["leader", "p", "followers", "why"]
     return [

@@ -6,7 +6,9 @@ from typing import Any
 
 import gymnasium as gym
 
-__all__ = ["ENVIRONMENTS", "register_environments"]
+__all__ = ["ENVIRONMENTS", "TRACKS", "register_environments"]
+
+TRACKS = "USNET/Tracks-v0"  # replays a file, which is a required argument; so it has no presets
 
 # id -> (class, arguments). The arguments are plain names and numbers, so that `env.spec.to_json()` is complete.
 ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -35,3 +37,5 @@ def register_environments() -> None:
                 vector_entry_point=f"usnet_env.envs:{problem}VectorEnv",
                 kwargs=dict(arguments),
             )
+    if TRACKS not in gym.registry:
+        gym.register(id=TRACKS, entry_point="usnet_env.tracks.env:TracksEnv")

@@ -126,7 +126,7 @@ def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, episode: int,
     """
     rounds = play_agent(env, agent, label, episode, seeds)
     truth = rounds[0].truth
-    problem = env.unwrapped.problem  # type: ignore[attr-defined]  # make_environment checked that it is there
+    game: Any = env.unwrapped
     return {
         "detector": label,
         "episode": episode,
@@ -134,5 +134,6 @@ def play_episode(env: gym.Env[Any, Any], agent: Agent, label: str, episode: int,
         "detector_seed": seeds[1],
         "uavs": len(truth.head),
         "heads": int(truth.head.sum()),
-        **episode_metrics(problem, rounds),
+        **episode_metrics(game.problem, rounds),
+        **(game.score_answer(rounds[0].answer.scores) if hasattr(game, "score_answer") else {}),
     }

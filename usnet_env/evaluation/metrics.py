@@ -11,7 +11,15 @@ from usnet_env import objectives
 from usnet_env.envs.play import PlayedRound
 from usnet_env.evaluation.agents import Answer
 
-__all__ = ["CLUSTER_METRICS", "LOWER_IS_BETTER", "METRICS", "RATES", "episode_metrics"]
+__all__ = [
+    "CLUSTER_METRICS",
+    "LOWER_IS_BETTER",
+    "METRICS",
+    "OPTIONAL_METRICS",
+    "RATES",
+    "TRACK_METRICS",
+    "episode_metrics",
+]
 
 #: Every metric of an episode and its meaning. The last two exist only for detectors that return clusters.
 METRICS = {
@@ -31,6 +39,9 @@ METRICS = {
 RATES = frozenset({"success", "exact"})
 LOWER_IS_BETTER = frozenset({"rounds", "redundancy", "seconds_per_round"})  # J as well, for P2
 CLUSTER_METRICS = frozenset({"purity_first", "head_in_cluster_first"})
+#: The metric that only environments of recorded tracks have, with known groups.
+TRACK_METRICS = {"group_leader_first": "share of the groups whose head has the highest score of its group, round 1"}
+OPTIONAL_METRICS = CLUSTER_METRICS | set(TRACK_METRICS)
 
 
 def episode_metrics(problem: str, rounds: Sequence[PlayedRound[Answer]]) -> dict[str, float | int | None]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.evaluation import statistics, tables
-from usnet_env.evaluation.metrics import CLUSTER_METRICS, LOWER_IS_BETTER, RATES
+from usnet_env.evaluation.metrics import LOWER_IS_BETTER, OPTIONAL_METRICS, RATES
 from usnet_env.evaluation.statistics import CONFIDENCE, Interval, Profile, mean_interval
 from usnet_env.evaluation.store import KEYS, last_secret, load_run
 from usnet_env.evaluation.table import RowTable
@@ -51,7 +51,7 @@ def summarise(rows: RowTable) -> Summary:
             if name in KEYS:
                 continue
             values = rows.column(name)[own].astype(np.float64)
-            if name in CLUSTER_METRICS:
+            if name in OPTIONAL_METRICS:
                 values = values[~np.isnan(values)]
                 if not len(values):
                     continue
@@ -285,7 +285,7 @@ def _strata(results: Sequence[EvaluationResult], metric: str) -> dict[str, list[
         label = entry["detector"]
         found[label] = [result._values(label, metric)[1] for result in results]
         if not all(map(len, found[label])):
-            if metric in CLUSTER_METRICS and not any(map(len, found[label])):
+            if metric in OPTIONAL_METRICS and not any(map(len, found[label])):
                 del found[label]  # it returns no clusters
                 continue
             raise ArgumentError(f"results must hold {metric} of the same detectors, got one without {quote(label)}.")

@@ -16,8 +16,10 @@ from usnet_env.evaluation.engine import RunNumbers, choose_place, play_run
 from usnet_env.evaluation.environments import find_environment, is_usnet, make_environment
 from usnet_env.evaluation.identity import describe, describe_detector
 from usnet_env.evaluation.isolation import make_secret
+from usnet_env.evaluation.metrics import TRACK_METRICS
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.schedule import Seeds
+from usnet_env.evaluation.store import COLUMNS
 from usnet_env.evaluation.workers import Contestant, EpisodePlan, Worker
 from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
@@ -119,7 +121,8 @@ def evaluate(
         isolation = limits if run.isolate else None
         plan = EpisodePlan(str(env), arguments, contestants, isolation)
         here = partial(Worker, environment, contestants, isolation)
-        return play_run(plan, here, config, seeds, place, folder, run.progress)
+        more = dict.fromkeys(TRACK_METRICS if hasattr(environment.unwrapped, "score_answer") else (), "float | None")
+        return play_run(plan, here, config, seeds, place, folder, run.progress, {**COLUMNS, **more})
 
 
 def _make_limits(time_limit: float | None, memory_limit: float | None) -> Limits:

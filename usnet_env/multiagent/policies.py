@@ -140,7 +140,7 @@ class DetectorObserver(Policy):
         if not legal.any():
             return _pad_vote(np.zeros(window.uavs), self.action_space)
         seen = window.alive & legal & window.seen.any(axis=0)
-        visible = Window(window.position, window.velocity, window.seen & seen, seen, window.round)
+        visible = Window(window.position, window.velocity, window.seen & seen, seen, window.round, window.step)
         detection = self.detector.detect(visible)
         if not isinstance(detection, Detection) or detection.candidates.shape != (window.uavs,):
             raise ArgumentError(f"detect must return a Detection for {window.uavs} UAVs, got {quote(detection)}.")

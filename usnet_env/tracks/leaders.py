@@ -12,7 +12,9 @@ from scipy.optimize import linear_sum_assignment
 
 from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.detection import Detection
+from usnet_env.objectives import find_roots
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
+from usnet_env.tracks.confirming import confirm_leaders
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.windows import TrackWindow
 
@@ -31,7 +33,8 @@ class Leader:
         id: as in the file.
         probability: the detector's probability that the id leads; over the file, the mean over the windows in which it
             is seen. ``None``: the detector gives no probabilities.
-        followers: the ids that follow it; over the file, those that follow it in at least half of its windows.
+        followers: the ids that follow it, directly or through others; over the file, those that follow it in at least
+            half of its windows.
         reason: why, a sentence.
         group: number of its group; a group keeps its number from window to window.
         score: the detector's score; over the file, the mean over the windows in which it leads.
@@ -61,12 +64,14 @@ class DetectedWindow:
     Args:
         start: time of the first instant as in the file.
         end: time of the last instant as in the file.
-        leaders: the detector's candidates, the highest score first.
+        leaders: the detector's candidates that are confirmed, the highest score first.
+        rejected: ids of the candidates that are not confirmed.
     """
 
     start: float | int | str
     end: float | int | str
     leaders: tuple[Leader, ...]
+    rejected: tuple[str | int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +125,7 @@ def find_leaders(
     length: int = 100,
     stride: int | None = None,
     seed: int = 0,
+    confirm: bool = True,
     on_window: Callable[[TrackWindow, Detection, DetectedWindow], None] | None = None,
 ) -> FoundLeaders:
     """Let a detector answer every window of tracks.
@@ -133,6 +139,9 @@ def find_leaders(
         length: steps of a window.
         stride: steps from the start of a window to the start of the next; ``None``: ``length``.
         seed: seeds the detector.
+        confirm: whether to leave out candidates whose followers don't move like them later, or that follow another id
+            in half of the window, by the tests of :mod:`usnet_env.tracks.confirming`; their probability becomes 0.
+            Candidates of a detector that says nothing about followers are never left out.
         on_window: called with each window, the detector's answer and the leaders.
 
     Returns:
@@ -154,12 +163,19 @@ def find_leaders(
         heads = np.flatnonzero(detection.candidates)
         heads = heads[np.argsort(-detection.scores[heads], kind="stable")]
         followers = [_followers(detection, int(head)) for head in heads]
+        rejected = heads[:0]
+        if confirm and (detection.leader is not None or detection.clusters is not None):
+            sure = confirm_leaders(cut.window, heads, followers)
+            rejected, heads = heads[~sure], heads[sure]
+            followers = [led for led, kept in zip(followers, sure, strict=True) if kept]
         groups_here = [
             (int(cut.rows[head]), {int(cut.rows[i]) for i in (int(head), *led)})
             for head, led in zip(heads, followers, strict=True)
         ]
         labels = groups.follow(groups_here)
         probability = _probabilities(detection, len(cut.ids))
+        if probability is not None:
+            probability[rejected] = 0.0
         reasons = _reasons(detection, heads, followers, len(cut.ids))
         found = DetectedWindow(
             start,
@@ -175,6 +191,7 @@ def find_leaders(
                 )
                 for head, led, reason, label in zip(heads, followers, reasons, labels, strict=True)
             ),
+            tuple(cut.ids[head] for head in rejected),
         )
         windows.append(found)
         summary.add(cut, heads, followers, labels, probability, detection.scores)
@@ -208,9 +225,9 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when
 
 
 def _followers(detection: Detection, head: int) -> list[int]:
-    """Indices of those that the detector puts behind a head: by their leader, or else by the head's cluster."""
+    """Indices of those that follow a head, directly or through others; without leaders, those in its cluster."""
     if detection.leader is not None:
-        behind = detection.leader == head
+        behind = find_roots(detection.leader) == head
     elif detection.clusters is not None and detection.clusters[head] >= 0:
         behind = detection.clusters == detection.clusters[head]
     else:
@@ -223,7 +240,7 @@ def _probabilities(detection: Detection, uavs: int) -> NDArray[np.float64] | Non
     given = detection.extras.get("probability")
     if given is None or np.shape(given) != (uavs,):
         return None
-    return np.asarray(given, np.float64)
+    return np.array(given, np.float64)
 
 
 def _reasons(detection: Detection, heads: NDArray[np.intp], followers: list[list[int]], uavs: int) -> list[str]:

@@ -24,7 +24,7 @@ _MOST_GRID = 10**8  # samples of the result
 
 # The choice of the step looks at a part of the tracks: followers, neighbours of each, ids in all, and samples.
 _FOCAL, _NEIGHBOURS, _POOL, _PART = 48, 24, 400, 2048
-_LARGEST_LAG = 64  # samples
+_LARGEST_LAG, _LARGEST_SCALE = 64, 16  # samples
 _BEST_LAG, _WORST_LAG = 2, 4  # steps; the best lag should lie at about 2, and may lie at 1 to 4
 _SIGNAL = 4.0  # in a step, the squared movement should exceed the noise of the squared movement this many times
 _SIGNIFICANT = 5.0  # a peak of the correlation exceeds the other lags' by this many robust standard deviations
@@ -258,7 +258,22 @@ def _noise(velocity: Floats) -> tuple[float, int]:
 
 
 def _lag(velocity: Floats, width: int) -> tuple[float | None, int, int]:
-    """Find after how many samples ids follow their neighbours, by velocities over ``width`` samples.
+    """Find after how many samples ids follow their neighbours, at the time scale that shows it for the most pairs.
+
+    Scales double from ``width`` up to 16 samples; the shortest of those that are equally good counts.
+
+    Returns:
+        As :func:`_lag_at`.
+    """
+    found = [_lag_at(velocity, width << k) for k in range(5) if k == 0 or width << k <= _LARGEST_SCALE]
+    return max(found, key=lambda each: (each[0] is not None, each[2]))
+
+
+def _lag_at(velocity: Floats, width: int) -> tuple[float | None, int, int]:
+    """Find after how many samples ids follow their neighbours, at one time scale.
+
+    What is correlated are changes: the mean velocity over ``width`` samples less that over the ``width`` samples before
+    it. Velocities that are sampled faster than they change would be correlated at all lags.
 
     Returns:
         The median lag over the pairs whose peak is significant and not at 0 (``None`` if they are fewer than three),
@@ -266,11 +281,11 @@ def _lag(velocity: Floats, width: int) -> tuple[float | None, int, int]:
     """
     steps, ids = velocity.shape[:2]
     largest = min(_LARGEST_LAG, steps // 4)
-    if largest < 2 or ids < 2:
+    if largest < 2 or ids < 2 or steps < 4 * width:
         return None, 0, 0
     centred = np.nan_to_num(velocity - _mean_of_known(velocity))
     total = np.concatenate([np.zeros((1, ids, 3)), np.cumsum(centred, axis=0)])
-    centred = total[width:] - total[:-width]
+    centred = total[2 * width :] - 2 * total[width:-width] + total[: -2 * width]
     size = np.sqrt((centred**2).sum(axis=(0, 2)))
     centred = centred / np.where(size > 0, size, np.inf)[:, None]
     padded = 2 ** int(np.ceil(np.log2(steps + largest)))

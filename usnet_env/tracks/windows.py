@@ -23,7 +23,8 @@ class TrackWindow:
     """A window of recorded tracks, with what a :class:`usnet_env.Window` doesn't hold.
 
     Args:
-        window: what a detector takes. Its velocities are the differences of the positions, metres per step.
+        window: what a detector takes. Its velocities are the differences of the positions, metres per step, and its
+            ``step`` is in seconds.
         ids: the ids of the N UAVs of the window, as in the file.
         rows: ``(N,)`` int64, index of each in ``Tracks.ids``.
         start: seconds of the first instant after the start of the tracks.
@@ -93,7 +94,9 @@ def _cut(tracks: Tracks, number: NDArray[np.int64], first: int, length: int, lea
     both = seen[1:] & seen[:-1]
     velocity = np.where(both[..., None], np.diff(position, axis=0), 0.0)
     return TrackWindow(
-        window=Window(position.astype(np.float32), velocity.astype(np.float32), seen, np.ones(len(rows), bool)),
+        window=Window(
+            position.astype(np.float32), velocity.astype(np.float32), seen, np.ones(len(rows), bool), step=step
+        ),
         ids=tuple(tracks.ids[i] for i in rows),
         rows=rows.astype(np.int64),
         start=first * step,

@@ -1,0 +1,144 @@
+"""Networks from correlations and regressions of movement, and the UAV that flies in front."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from detectors.baselines.networks import Flight, NetworkDetector, Pairs, correlate_flights
+from detectors.series.designs import centre_columns, centre_past, scale_to_unit
+from detectors.series.regressions import correlate_at_lag, correlate_over_lags, explain_pairs
+from usnet_env.arrays import Floats
+from usnet_env.detection import Tags
+
+__all__ = ["DirectionalDelays", "FrontMost", "LaggedNetwork", "NetLagRegression"]
+
+
+def _directions(velocity: Floats) -> Floats:
+    speed = np.sqrt((velocity**2).sum(axis=-1, keepdims=True))
+    return np.where(speed > 0, velocity / np.where(speed > 0, speed, 1.0), 0.0)
+
+
+class DirectionalDelays(NetworkDetector):
+    """Directional correlation with a delay for each pair (Nagy, Akos, Biro and Vicsek, Nature 464, 2010).
+
+    C_ij(τ) is the mean scalar product of i's direction of flight and that of j τ steps earlier. The delay of a pair is
+    the τ from -L to L with the highest C_ij(τ); j leads i if it is positive. Directions are centred over the window.
+    The lead is max_{τ>0} C_ij(τ) - max_{τ>0} C_ji(τ) for a positive delay, otherwise 0.
+
+    Args:
+        max_lag: L in samples, at least 1.
+        max_delay: L in seconds instead.
+        level: expected share of those UAVs that seem to follow but don't.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    """
+
+    def pairs(self, flight: Flight, lags: int) -> Pairs:
+        """Correlate the directions of flight."""
+        direction = _directions(flight.velocity)
+        behind, delay = correlate_flights(direction, flight.seen, lags)
+        unit = scale_to_unit(centre_columns(direction, flight.seen))
+        together = correlate_at_lag(unit, unit, 0)
+        peak = np.maximum(behind, together) > np.maximum(together, behind.T)  # the highest value lies at a positive lag
+        net = behind - behind.T
+        return Pairs(behind, np.where(peak | peak.T, net, 0.0), delay)
+
+
+class LaggedNetwork(NetworkDetector):
+    """Network of time-lagged correlations of velocity, acceleration and direction.
+
+    After da Silva and Maia, Leadership Detection via Time-Lagged Correlation-Based Network Inference
+    (arXiv:2507.04917, 2025). The lagged correlations of the three series, the highest over the lags each, are averaged;
+    the lead of j over i is the average for i behind j less that for j behind i.
+
+    Args:
+        max_lag: the largest lag in samples, at least 1.
+        max_delay: the largest lag in seconds instead.
+        level: expected share of those UAVs that seem to follow but don't.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    """
+
+    def pairs(self, flight: Flight, lags: int) -> Pairs:
+        """Correlate velocities, accelerations and directions."""
+        later = flight.seen.copy()
+        later[1:] &= flight.seen[:-1]
+        later[0] = False
+        change = np.zeros_like(flight.velocity)
+        change[1:] = np.diff(flight.velocity, axis=0)
+        found = [
+            correlate_flights(series, seen, lags)
+            for series, seen in (
+                (flight.velocity, flight.seen),
+                (np.where(later[..., None], change, 0.0), later),
+                (_directions(flight.velocity), flight.seen),
+            )
+        ]
+        mean = np.mean([strength for strength, _ in found], axis=0)
+        return Pairs(mean, mean - mean.T, found[0][1])
+
+
+class NetLagRegression(NetworkDetector):
+    """Net time-lag regression: how much better j's past explains i's velocity than i's past explains j's.
+
+    The velocity of i is regressed on that of j at the lags 1 to L (ridge regression, one for each pair). The lead is
+    the difference of the explained shares of both directions.
+
+    Args:
+        max_lag: L in samples, at least 1; fewer in short windows.
+        max_delay: L in seconds instead.
+        level: expected share of those UAVs that seem to follow but don't.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    """
+
+    def pairs(self, flight: Flight, lags: int) -> Pairs:
+        """Regress all pairs."""
+        lags = max(1, min(lags, len(flight.velocity) // 8))
+        target = centre_columns(flight.velocity[lags:], flight.seen[lags:])
+        past: Floats = centre_past(flight.velocity, flight.seen, lags)
+        shares, _ = explain_pairs(past, [target], fitted=True)
+        return Pairs(shares[0], shares[0] - shares[0].T)
+
+
+class FrontMost(NetworkDetector):
+    """Names the UAV that flies in front of those that move like it.
+
+    j is in front of i by the mean cosine of the angle between the way from i to j and their common velocity. Two UAVs
+    move alike if the mean scalar product of their directions, at some lag from -L to L, is at least ``alike``, as in
+    Nagy et al. (2010); other pairs are not compared.
+
+    Args:
+        max_lag: L in samples, at least 1.
+        max_delay: L in seconds instead.
+        level: expected share of those UAVs that seem to follow but don't.
+        alike: the least correlation of directions, from 0 to 1.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    """
+
+    tags = Tags(most_uavs=10_000, least_steps=5)
+    _gated = False
+
+    alike: Annotated[float, Field(ge=0, le=1)] = 0.5
+
+    def pairs(self, flight: Flight, lags: int) -> Pairs:
+        """Compare the places of all pairs along their common velocity."""
+        course = scale_to_unit(_directions(flight.velocity))
+        behind = correlate_over_lags(course, course, lags)
+        alike = np.maximum(np.maximum(behind, behind.T), correlate_at_lag(course, course, 0))
+        ahead = np.zeros_like(behind)
+        for i in range(len(behind)):
+            both = flight.seen & flight.seen[:, [i]]
+            way = _directions(flight.place - flight.place[:, [i]])
+            common = _directions(flight.velocity + flight.velocity[:, [i]])
+            cosine = np.where(both, (way * common).sum(axis=-1), 0.0)
+            ahead[i] = cosine.sum(axis=0) / np.maximum(both.sum(axis=0), 1)
+        return Pairs(alike, np.where(alike >= self.alike, ahead, 0.0))

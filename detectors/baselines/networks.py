@@ -1,0 +1,324 @@
+"""Detectors from scores of all ordered pairs: who follows whom, by which delay, and which UAVs are sources.
+
+A subclass of :class:`NetworkDetector` measures each pair. What follows is the same for all of them: the scores are
+compared with those of surrogates in which no UAV leads, each follower gets one direct leader, and the heads are the
+sources of the resulting trees.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from detectors.base import Detector
+from detectors.parameters import Lags
+from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
+from detectors.series.regressions import correlate_at_lag
+from detectors.series.votes import spread
+from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.config import ArgumentError
+from usnet_env.detection import Detection, Tags
+from usnet_env.window import Window
+
+__all__ = ["Flight", "NetworkDetector", "Pairs", "correlate_flights", "find_trees", "reverse_blocks", "shift_half"]
+
+_LEAST_STEPS = 5
+_MOST_BLOCKS = 8
+_ROW_MAXIMA = 160  # of the surrogates together; each has one for each UAV
+_SURROGATES = (2, 20)  # fewest, most
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """The movement of n living UAVs in T steps.
+
+    Args:
+        velocity: ``(T, n, 3)`` float64, metres per step; 0 if unseen.
+        place: ``(T, n, 3)`` float64, metres, the middle of each step; 0 if unseen.
+        seen: ``(T, n)`` bool.
+    """
+
+    velocity: Floats
+    place: Floats
+    seen: Mask
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Scores of all ordered pairs; entry (i, j) is about i following j.
+
+    Args:
+        strength: ``(n, n)``, how closely i follows j; among those that lead i, the strongest is its direct leader.
+        lead: ``(n, n)``, by how much the evidence that i follows j exceeds that for the reverse; about 0 where neither
+            leads.
+        delay: ``(n, n)`` steps after which i follows j, or ``None`` if it isn't measured.
+    """
+
+    strength: Floats
+    lead: Floats
+    delay: Indices | None = None
+
+
+class NetworkDetector(Detector):
+    """Base class of detectors that score all pairs; the heads are UAVs that lead and are led by no UAV.
+
+    1. A subclass measures the ``strength`` with which UAV i follows UAV j, and the ``lead``: by how much this evidence
+       exceeds that for the reverse.
+    2. A pair is related if its strength exceeds that of surrogates in which half of the UAVs are shifted in time.
+       Detectors that compare places leave this out, because neighbours are in like places at all times.
+    3. The lead of related pairs is compared with that of other surrogates: the window is cut into up to 8 blocks, and
+       time is reversed in half of them, for all UAVs together. This keeps how UAVs move, and which move alike at the
+       same time, but a lead in the blocks that are not reversed is cancelled by those that are. i follows j if they are
+       related and the lead is higher.
+    4. Both thresholds control the share of UAVs that exceed them by chance (Benjamini and Hochberg, 1995), by a Gumbel
+       distribution with the mean and variance of the surrogates' row maxima.
+    5. The direct leader of i is the strongest of those that it follows, unless this closes a cycle. A head is the root
+       of a tree; a UAV that follows and is followed is a relay.
+
+    Args:
+        max_lag: the largest delay in samples, at least 1; a quarter of the window at most.
+        max_delay: the largest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
+        level: expected share of those UAVs that seem to follow but don't; in a window in which no UAV leads, the
+            probability that any is named.
+    """
+
+    tags = Tags(most_uavs=10_000, least_steps=_LEAST_STEPS, uses_positions=False)
+    _gated: ClassVar[bool] = True  # whether pairs must be related to be compared, step 2
+
+    max_lag: Lags = 4
+    max_delay: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    level: Annotated[float, Field(gt=0, lt=1)] = 0.01
+
+    @abstractmethod
+    def pairs(self, flight: Flight, lags: int) -> Pairs:
+        """Score all ordered pairs.
+
+        Args:
+            flight: n UAVs, at least 2.
+            lags: the largest delay in steps, at least 1.
+        """
+
+    def detect(self, window: Window) -> Detection:
+        """Name the heads of one window; none if no lead exceeds the threshold.
+
+        Returns:
+            Candidates (the heads); scores: of a head or a single UAV the sum of its followers' leads above the
+            threshold, relayed ones included, plus its mean lead over others; of a UAV that follows, minus its own lead;
+            clusters (trees; -1: in none); leader (the direct one; a head has its own index; -1: none); attention (the
+            lead, clipped at 0); and in ``extras``: ``root`` ``(N,)``, the head of each UAV's tree (-1: none), ``relay``
+            ``(N,)`` bool, ``delay`` ``(N,)`` steps after which each follows its leader (-1: unknown), ``threshold``,
+            ``heads``, and ``reasons``, a sentence for each of them.
+
+        Raises:
+            ArgumentError: an argument is refused, the window has more than 10,000 UAVs or fewer than 5 velocities, or
+                it doesn't know the step that ``max_delay`` needs.
+        """
+        self.check_arguments()
+        check_pairs(window.uavs)
+        steps = window.observation_steps
+        if steps < _LEAST_STEPS:
+            raise ArgumentError(f"window must hold at least {_LEAST_STEPS} velocities, got {steps}.")
+        lags = max(1, min(self._count_lags(window), steps // 4))
+        living = np.flatnonzero(window.alive & window.velocity_seen.any(axis=0))
+        if len(living) < 2:
+            return _describe(window, living, Pairs(*np.full((2, len(living), len(living)), -np.inf)), np.inf)
+        flight = _read_flight(window, living)
+        pairs, n = self._measure(flight, lags), len(living)
+        count = int(np.clip(math.ceil(_ROW_MAXIMA / n), *_SURROGATES))
+        related = self._relate(flight, pairs, lags, count) if self._gated else np.isfinite(pairs.strength)
+        either = related | related.T
+        rows = either.any(axis=1)
+        if not rows.any():
+            return _describe(window, living, pairs, np.inf)
+        maxima = [
+            np.where(either, self._measure(each, lags).lead, -np.inf).max(axis=1)[rows]
+            for each in reverse_blocks(flight, lags, count)
+        ]
+        lead = np.where(related, pairs.lead, -np.inf)
+        threshold = _Gumbel.fit(np.concatenate(maxima)).discover(lead[rows].max(axis=1), self.level)
+        return _describe(window, living, Pairs(pairs.strength, lead, pairs.delay), threshold)
+
+    def _relate(self, flight: Flight, pairs: Pairs, lags: int, count: int) -> Mask:
+        half = np.arange(len(pairs.strength)) % 2 == 0
+        shifted = [self._measure(each, lags).strength for each in shift_half(flight, half, count // 2)]
+        by_chance = [np.where(half[:, None] != half, each, -np.inf).max(axis=1) for each in shifted]
+        chance = _Gumbel.fit(np.concatenate(by_chance))
+        return pairs.strength > chance.discover(pairs.strength.max(axis=1), self.level)
+
+    def _measure(self, flight: Flight, lags: int) -> Pairs:
+        pairs = self.pairs(flight, lags)
+        for matrix in (pairs.lead, pairs.strength):
+            np.fill_diagonal(matrix, -np.inf)
+        return pairs
+
+    def _count_lags(self, window: Window) -> int:
+        if self.max_delay is None:
+            return self.max_lag
+        if window.step is None:
+            raise ArgumentError("max_delay must be None in a window that doesn't know its step, got a simulated one.")
+        return round(min(self.max_delay / window.step, window.observation_steps))
+
+
+def _read_flight(window: Window, living: Indices) -> Flight:
+    seen = window.velocity_seen[:, living]
+    position = window.position[:, living].astype(np.float64)
+    place = np.where(seen[..., None], (position[1:] + position[:-1]) / 2, 0.0)
+    middle = place.sum(axis=(0, 1)) / max(int(seen.sum()), 1)
+    velocity = np.where(seen[..., None], window.velocity[:, living], 0.0).astype(np.float64)
+    return Flight(velocity, np.where(seen[..., None], place - middle, 0.0), seen)
+
+
+def shift_half(flight: Flight, half: Mask, count: int) -> Iterator[Flight]:
+    """Yield ``count`` surrogates in which a half ``(n,)`` of the UAVs is shifted in time, circularly."""
+    for k in range(count):
+        late = len(flight.velocity) * (k + 1) // (count + 1)
+        moved = (
+            np.where(half[:, None] if values.ndim == 3 else half, np.roll(values, late, axis=0), values)
+            for values in (flight.velocity, flight.place, flight.seen)
+        )
+        yield Flight(*moved)
+
+
+def reverse_blocks(flight: Flight, lags: int, count: int) -> Iterator[Flight]:
+    """Yield up to ``count`` surrogates in which time is reversed in half of an even number of blocks.
+
+    Without a lead, a flight and its reversal in time look alike; so the lead of a pair by chance is distributed as in
+    the surrogates. Each chooses other blocks; the number of choices limits ``count``.
+    """
+    steps = len(flight.velocity)
+    blocks = 2 * max(1, min(_MOST_BLOCKS // 2, steps // (4 * (lags + 1))))
+    parts = np.array_split(np.arange(steps), blocks)
+    choices = [each for each in combinations(range(blocks), blocks // 2) if 0 in each]
+    for k in np.unique(np.linspace(0, len(choices) - 1, count).astype(int)):
+        order = np.concatenate([part[::-1] if b in choices[k] else part for b, part in enumerate(parts)])
+        sign = np.concatenate([np.full(len(part), -1.0 if b in choices[k] else 1.0) for b, part in enumerate(parts)])
+        yield Flight(flight.velocity[order] * sign[:, None, None], flight.place[order], flight.seen[order])
+
+
+@dataclass(frozen=True)
+class _Gumbel:
+    """The distribution of a maximum by chance: its location and scale."""
+
+    location: float
+    scale: float
+
+    @classmethod
+    def fit(cls, maxima: Floats) -> Self:
+        """The distribution with the mean and variance of ``maxima``."""
+        scale = math.sqrt(6) / math.pi * float(maxima.std())
+        return cls(float(maxima.mean()) - scale * float(np.euler_gamma), scale)
+
+    def quantile(self, level: float) -> float:
+        """The value that is exceeded with this probability."""
+        return self.location - self.scale * math.log(-math.log1p(-level))
+
+    def discover(self, values: Floats, level: float) -> float:
+        """The threshold above which at most the share ``level`` of the values are expected to be by chance.
+
+        It is that of Benjamini and Hochberg (Journal of the Royal Statistical Society B 57, 1995); infinite if there is
+        none. If all values are by chance, any of them exceeds it with probability ``level``.
+        """
+        ordered = np.sort(values)[::-1]
+        allowed = np.array([self.quantile(level * k / len(values)) for k in range(1, len(values) + 1)])
+        passed = np.flatnonzero(ordered > allowed)
+        return float(allowed[passed[-1]]) if len(passed) else math.inf
+
+
+def correlate_flights(series: Floats, seen: Mask, lags: int) -> tuple[Floats, Indices]:
+    """Correlate each UAV's series with each other's past.
+
+    Args:
+        series: ``(T, n, d)``.
+        seen: ``(T, n)`` bool.
+        lags: the largest lag.
+
+    Returns:
+        ``(n, n)`` largest correlation of i with the past of j over the lags 1 to ``lags``, and the lag ``(n, n)``.
+    """
+    unit = scale_to_unit(centre_columns(series, seen))
+    curves = np.stack([correlate_at_lag(unit, unit, lag) for lag in range(1, lags + 1)])
+    return curves.max(axis=0), curves.argmax(axis=0) + 1
+
+
+def find_trees(pairs: Pairs, threshold: float) -> tuple[Indices, Indices]:
+    """Give each follower its direct leader so that no cycle closes.
+
+    Args:
+        pairs: the scores.
+        threshold: a lead above it is significant.
+
+    Returns:
+        ``(n,)`` direct leader, -1 for UAVs that follow none, and ``(n,)`` root of the tree, the UAV's own index if it
+        follows none.
+    """
+    uavs = len(pairs.lead)
+    follows = pairs.lead > threshold
+    leader, root = np.full(uavs, -1), np.arange(uavs)
+    best = np.where(follows, pairs.lead, -np.inf).max(axis=1, initial=-np.inf)
+    for i in np.argsort(-best, kind="stable")[: int((best > -np.inf).sum())]:
+        ahead = np.flatnonzero(follows[i] & (root != i))
+        if len(ahead):
+            leader[i] = ahead[pairs.strength[i, ahead].argmax()]
+            root[root == i] = root[leader[i]]
+    return leader, root
+
+
+def _describe(window: Window, living: Indices, pairs: Pairs, threshold: float) -> Detection:
+    leader, root = find_trees(pairs, threshold)
+    uavs, n = window.uavs, len(living)
+    follows = leader >= 0
+    leads = np.bincount(leader[follows], minlength=n) > 0
+    heads = np.flatnonzero(leads & ~follows)
+    own = np.where(follows, pairs.lead.max(axis=1, initial=-np.inf), 0.0)
+    others = np.where(np.isfinite(pairs.lead), pairs.lead, 0.0)
+    support = np.bincount(root, np.where(follows, own - threshold, 0.0), n)
+    scores = np.where(follows, -own, support + others.sum(axis=0) / max(n - 1, 1))
+    in_tree = follows | leads
+    delay = np.full(n, -1)
+    if pairs.delay is not None:
+        delay[follows] = pairs.delay[np.flatnonzero(follows), leader[follows]]
+    direct = np.where(follows, leader, np.where(in_tree, np.arange(n), -1))
+    whole_root = np.where(in_tree, root, -1)
+    candidates = np.zeros(uavs, bool)
+    candidates[living[heads]] = True
+
+    def widen(values: NDArray[Any], fill: float = 0) -> NDArray[Any]:
+        return spread(values, living, uavs, fill)
+
+    def widen_indices(index: Indices) -> NDArray[Any]:
+        return widen(np.where(index >= 0, living[index], -1), -1)
+
+    return Detection(
+        candidates=candidates,
+        scores=widen(scores),
+        clusters=widen(np.where(in_tree, np.searchsorted(heads, whole_root), -1), -1),
+        leader=widen_indices(direct),
+        attention=spread(np.maximum(others, 0.0), living, uavs, pairs=True),
+        extras={
+            "root": widen_indices(whole_root),
+            "relay": widen(leads & follows),
+            "delay": widen(delay, -1),
+            "threshold": threshold,
+            "heads": living[heads],
+            "reasons": [_explain(int(head), leader, root, delay, window.step) for head in heads],
+        },
+    )
+
+
+def _explain(head: int, leader: Indices, root: Indices, delay: Indices, step: float | None) -> str:
+    direct, led = leader == head, (root == head) & (leader >= 0)
+    text = f"Leads {int(direct.sum())} directly"
+    if (relayed := int((led & ~direct).sum())) > 0:
+        text += f" and {relayed} through others"
+    if (known := delay[direct & (delay > 0)]).size:
+        late = float(np.median(known))
+        text += f", who follow after {late * step:g} s" if step is not None else f", who follow after {late:g} steps"
+    return f"{text}; no UAV leads it."

@@ -1,0 +1,127 @@
+"""Transfer entropy between velocities, estimated by nearest neighbours."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+from scipy.special import digamma
+
+from detectors.baselines.networks import Flight, NetworkDetector, Pairs, correlate_flights
+from detectors.series.designs import centre_columns, scale_to_unit
+from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.compiling import compiled
+
+__all__ = ["TransferEntropy", "estimate_transfer_entropy"]
+
+_MOST_ROWS = 200  # of a window; more are thinned out
+
+
+class TransferEntropy(NetworkDetector):
+    """Net transfer entropy: what j's past tells about i's velocity beyond i's own past, less the reverse.
+
+    The transfer entropy (Schreiber, Physical Review Letters 85, 2000) from j to i with the delay τ (Wibral et al., PLoS
+    ONE 8, 2013) is the conditional mutual information of v_i(t) and v_j(t - τ), given v_i(t - 1). It is estimated by
+    counting neighbours (Kraskov, Stögbauer and Grassberger, Physical Review E 69, 2004; Frenzel and Pompe, Physical
+    Review Letters 99, 2007). The delay of a pair is the lag with the highest correlation of velocities.
+
+    Args:
+        max_lag: the largest delay in samples, at least 1.
+        max_delay: the largest delay in seconds instead.
+        level: expected share of those UAVs that seem to follow but don't.
+        neighbours: k, the number of nearest neighbours, at least 1.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    """
+
+    neighbours: Annotated[int, Field(ge=1, le=20)] = 4
+
+    def pairs(self, flight: Flight, lags: int) -> Pairs:
+        """Estimate the transfer entropy of all pairs, in nats."""
+        _, delay = correlate_flights(flight.velocity, flight.seen, lags)
+        entropy = estimate_transfer_entropy(flight.velocity, flight.seen, delay, self.neighbours)
+        return Pairs(entropy, entropy - entropy.T, delay)
+
+
+def estimate_transfer_entropy(velocity: Floats, seen: Mask, delay: Indices, neighbours: int) -> Floats:
+    """Estimate the transfer entropy of all pairs.
+
+    Args:
+        velocity: ``(T, n, 3)``; of more than 200 times, 200 are used.
+        seen: ``(T, n)`` bool.
+        delay: ``(n, n)`` steps from j to i, at least 1.
+        neighbours: k.
+
+    Returns:
+        ``(n, n)`` nats; entry (i, j) is from j to i: 0 where a UAV never varies or too few times are seen.
+    """
+    unit = scale_to_unit(centre_columns(velocity, seen)) * np.sqrt(np.maximum(seen.sum(axis=0), 1))[:, None]
+    series = np.ascontiguousarray(unit.swapaxes(0, 1), np.float32)
+    first = int(delay.max(initial=1))
+    rows = np.unique(np.linspace(first, len(velocity) - 1, min(_MOST_ROWS, len(velocity) - first)).astype(np.int64))
+    entropy = np.zeros(delay.shape)
+    table = digamma(np.arange(len(rows) + 2).clip(1))
+    _estimate(series, seen.T.copy(), delay, rows, neighbours, table, entropy)
+    moves = (series != 0).any(axis=(1, 2))
+    return np.where(moves[:, None] & moves, entropy, 0.0)
+
+
+@compiled(fastmath={"nnan", "nsz", "arcp", "contract", "afn", "reassoc"}, error_model="numpy")
+def _estimate(series, seen, delay, rows, neighbours, table, entropy):  # type: ignore[no-untyped-def]  # see warping.py
+    uavs, many = len(series), len(rows)
+    present, own = np.empty((many, many), np.float32), np.empty((many, many), np.float32)
+    past = np.empty((many, many), np.float32)
+    far, nearest = np.empty(many, np.float32), np.empty(neighbours, np.float32)
+    good = np.empty(many, np.bool_)
+    unseen = np.float32(1e30)
+    for i in range(uavs):
+        _measure_distances(series[i], rows, present)
+        _measure_distances(series[i], rows - 1, own)
+        for j in range(uavs):
+            if i == j:
+                continue
+            late = delay[i, j]
+            for r in range(many):
+                good[r] = seen[i, rows[r]] and seen[i, rows[r] - 1] and seen[j, rows[r] - late]
+            used = good.sum()
+            if used <= neighbours + 1:
+                continue
+            _measure_distances(series[j], rows - late, past)
+            for r in range(many):
+                if not good[r]:
+                    past[r, :] = past[:, r] = unseen
+            total = 0.0
+            for r in range(many):
+                if not good[r]:
+                    continue
+                for s in range(many):
+                    far[s] = max(present[r, s], own[r, s], past[r, s])
+                far[r] = unseen
+                nearest[:] = unseen
+                for s in range(many):
+                    if far[s] < nearest[neighbours - 1]:
+                        k = neighbours - 1
+                        while k > 0 and nearest[k - 1] > far[s]:
+                            nearest[k] = nearest[k - 1]
+                            k -= 1
+                        nearest[k] = far[s]
+                limit = nearest[neighbours - 1]
+                alone = with_present = with_past = 0
+                for s in range(many):
+                    near = own[r, s] < limit
+                    alone += near & (past[r, s] < unseen)
+                    with_present += near & (present[r, s] < limit) & (past[r, s] < unseen)
+                    with_past += near & (past[r, s] < limit)
+                total += table[alone] - table[with_present] - table[with_past]  # the counts hold the row itself
+            entropy[i, j] = table[neighbours] + total / used
+
+
+@compiled(fastmath={"nnan", "nsz", "arcp", "contract", "afn", "reassoc"})
+def _measure_distances(series, times, squared):  # type: ignore[no-untyped-def]
+    """Squared distances between the rows of ``series`` ``(T, 3)`` at these times."""
+    x, y, z = series[times, 0], series[times, 1], series[times, 2]
+    for r in range(len(times)):
+        for s in range(len(times)):
+            squared[r, s] = (x[r] - x[s]) ** 2 + (y[r] - y[s]) ** 2 + (z[r] - z[s]) ** 2

@@ -1,0 +1,158 @@
+"""Following networks by dynamic time warping: FLICA and mFLICA (Amornbunchornvej et al., 2018)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from detectors.baselines.factions import compute_pagerank
+from detectors.baselines.networks import Flight, NetworkDetector, Pairs
+from detectors.series.designs import centre_columns, scale_to_unit
+from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.compiling import compiled
+from usnet_env.detection import Detection, Tags
+from usnet_env.window import Window
+
+__all__ = ["Flica", "Mflica", "warp_pairs"]
+
+
+class Mflica(NetworkDetector):
+    """Following network by dynamic time warping; the leaders of factions follow no UAV.
+
+    After Amornbunchornvej and Berger-Wolf, Framework for inferring leadership dynamics of complex movement from time
+    series (SIAM International Conference on Data Mining, 2018). Two tracks are warped onto each other: a path of pairs
+    of times (a, b), at most L apart, minimises the sum of squared distances between i at a and j at b. The lead of j
+    over i is the mean sign of a - b along the path. The published method takes one threshold for the lead from the
+    user; here it comes from surrogates, as in all detectors on networks.
+
+    Args:
+        max_lag: L in samples, at least 1.
+        max_delay: L in seconds instead.
+        level: expected share of those UAVs that seem to follow but don't.
+        series: what is warped: the ``"position"`` as published, or the ``"velocity"``, for followers that keep away
+            from where their leader was.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    """
+
+    tags = Tags(most_uavs=10_000, least_steps=5)
+    _gated = False
+
+    max_lag: Annotated[int, Field(ge=1, le=1000)] = 8
+    series: Literal["position", "velocity"] = "position"
+
+    def pairs(self, flight: Flight, lags: int) -> Pairs:
+        """Warp all pairs."""
+        if self.series == "velocity":
+            values = scale_to_unit(centre_columns(flight.velocity, flight.seen))
+        else:
+            values = flight.place
+        lead, cost, delay = warp_pairs(np.ascontiguousarray(values.swapaxes(0, 1)), flight.seen.T.copy(), lags)
+        spread = (centre_columns(values, flight.seen) ** 2).sum(axis=2).mean(axis=0)
+        total = spread[:, None] + spread
+        return Pairs(1.0 - cost / np.where(total > 0, total, 1.0), lead, np.maximum(delay, 1))
+
+
+class Flica(Mflica):
+    """Following network by dynamic time warping; the initiator is the UAV with the highest PageRank.
+
+    After Amornbunchornvej, Brugere, Strandburg-Peshkin, Farine, Crofoot and Berger-Wolf, Coordination event detection
+    and initiator identification in time series data (ACM Transactions on Knowledge Discovery from Data 12(5), 2018).
+    The network is that of :class:`Mflica`; one group with one leader is assumed, and all that follow any UAV follow it.
+    """
+
+    def detect(self, window: Window) -> Detection:
+        """Name the UAV with the highest PageRank in the network, or none if no UAV follows another one."""
+        whole = super().detect(window)
+        assert whole.attention is not None
+        network = np.where(whole.attention > whole.extras["threshold"], whole.attention, 0.0)
+        scores = np.where(window.alive, compute_pagerank(network), 0.0)
+        led = network.any(axis=1) | network.any(axis=0)
+        candidates = np.zeros(window.uavs, bool)
+        leader = np.full(window.uavs, -1)
+        if led.any():
+            head = int(np.where(led, scores, -1.0).argmax())
+            candidates[head] = True
+            leader = np.where(led, head, -1)
+        return Detection(candidates, scores, np.where(led, 0, -1), leader, whole.attention)
+
+
+def warp_pairs(values: Floats, seen: Mask, band: int) -> tuple[Floats, Floats, Indices]:
+    """Warp each pair of series onto each other.
+
+    Args:
+        values: ``(n, T, d)``.
+        seen: ``(n, T)`` bool; a time at which one of both is unseen costs nothing.
+        band: the largest difference of two times that are matched.
+
+    Returns:
+        ``(n, n)`` each: the mean sign of (time in i - time in j) along the path, the mean cost of its steps, and the
+        median of that difference, int64.
+    """
+    uavs = len(values)
+    lead, cost = np.zeros((uavs, uavs)), np.zeros((uavs, uavs))
+    delay = np.zeros((uavs, uavs), np.int64)
+    _warp(values, seen, band, lead, cost, delay)
+    return lead, cost, delay
+
+
+@compiled()
+def _warp(values, seen, band, lead, cost, delay):  # type: ignore[no-untyped-def]  # Numba infers the types
+    uavs, steps, axes = values.shape
+    width = 2 * band + 1
+    total = np.empty((steps, width))
+    came = np.empty((steps, width), np.int8)  # from: 0 both earlier, 1 i earlier, 2 j earlier
+    counts = np.empty(width, np.int64)
+    for i in range(uavs):
+        for j in range(i + 1, uavs):
+            for a in range(steps):
+                for c in range(width):
+                    b = a + c - band
+                    total[a, c] = np.inf
+                    if b < 0 or b >= steps:
+                        continue
+                    best, source = np.inf, 0
+                    if a == 0 and b == 0:
+                        best = 0.0
+                    if a > 0 and b > 0:
+                        best = total[a - 1, c]
+                    if a > 0 and c + 1 < width and total[a - 1, c + 1] < best:
+                        best, source = total[a - 1, c + 1], 1
+                    if b > 0 and c > 0 and total[a, c - 1] < best:
+                        best, source = total[a, c - 1], 2
+                    if seen[i, a] and seen[j, b]:
+                        for k in range(axes):
+                            best += (values[i, a, k] - values[j, b, k]) ** 2
+                    total[a, c] = best
+                    came[a, c] = source
+            a, c, length, sign = steps - 1, band, 0, 0
+            counts[:] = 0
+            while True:
+                length += 1
+                counts[c] += 1
+                if c < band:
+                    sign += 1
+                elif c > band:
+                    sign -= 1
+                if a == 0 and c == band:
+                    break
+                source = came[a, c]
+                if source == 0:
+                    a -= 1
+                elif source == 1:
+                    a -= 1
+                    c += 1
+                else:
+                    c -= 1
+            lead[i, j] = sign / length
+            lead[j, i] = -sign / length
+            cost[i, j] = cost[j, i] = total[steps - 1, band] / length
+            passed, c = counts[0], 0
+            while 2 * passed < length:
+                c += 1
+                passed += counts[c]
+            delay[i, j] = band - c
+            delay[j, i] = c - band

@@ -1,0 +1,166 @@
+"""Detectors on networks of pairs: sources, relays and direct leaders, and windows in which no UAV leads."""
+
+import numpy as np
+import pytest
+
+from detectors.baselines import (
+    DirectionalDelays,
+    Flica,
+    FrontMost,
+    LaggedNetwork,
+    Mflica,
+    NetLagRegression,
+    TransferEntropy,
+)
+from detectors.baselines.networks import Flight, Pairs, find_trees, reverse_blocks
+from detectors.baselines.transfer_entropy import estimate_transfer_entropy
+from detectors.baselines.warping import warp_pairs
+from usnet_env import ArgumentError, Window
+
+KINDS = [DirectionalDelays, LaggedNetwork, NetLagRegression, TransferEntropy]
+SHAPES = {
+    "star": [-1, 0, 0, 0, 0, -1, 5, 5, 5, 5],
+    "chain": [-1, 0, 1, 2, 3, -1, 5, 6, 7, 8],
+    "tree": [-1, 0, 0, 1, 1, -1, 5, 5, 6, 7],
+    "pairs": [-1, 0, -1, 2, -1, 4, -1, 6, -1, 8],
+}
+
+
+def window_of(velocity, step=None):
+    place = np.concatenate([np.zeros((1, *velocity.shape[1:])), np.cumsum(velocity, axis=0)])
+    return Window(place, velocity, np.ones(place.shape[:2], bool), np.ones(place.shape[1], bool), step=step)
+
+
+def lead_by(leader, delay, steps=200, noise=0.4, seed=0, smooth=0.6):
+    """Planar velocities ``(steps, n, 3)``: each copies its leader after its delay; leaders come before followers."""
+    rng = np.random.default_rng(seed)
+    fresh = rng.standard_normal((steps + 100, len(leader), 3)) * (1, 1, 0)
+    for t in range(1, len(fresh)):
+        fresh[t] = smooth * fresh[t - 1] + np.sqrt(1 - smooth**2) * fresh[t]
+    velocity = fresh.copy()
+    for i, (head, late) in enumerate(zip(leader, delay, strict=True)):
+        if head >= 0:
+            velocity[late:, i] = velocity[: len(fresh) - late, head] + noise * rng.standard_normal(
+                (len(fresh) - late, 3)
+            ) * (1, 1, 0)
+    return velocity[-steps:]
+
+
+def answer(detector, window):
+    detector.reset(0)
+    return detector.detect(window)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_heads_are_the_sources_of_stars_chains_and_trees(kind, shape):
+    leader = np.array(SHAPES[shape])
+    delay = np.array([0, 1, 3, 1, 2, 1, 2, 1, 1, 1])
+    right = 0
+    for seed in range(5):
+        found = answer(kind(), window_of(lead_by(leader, delay, seed=seed)))
+        right += np.array_equal(found.candidates, leader < 0)
+        if np.array_equal(found.candidates, leader < 0):
+            relay = np.isin(np.arange(10), leader) & (leader >= 0)
+            assert (found.scores[leader < 0] > 0).all()
+            assert (found.scores[leader >= 0] < 0).all()  # a relay is no head, however many it leads
+            np.testing.assert_array_equal(found.extras["root"], 5 * (np.arange(10) // 5)) if shape != "pairs" else None
+            if kind is not TransferEntropy:
+                direct = np.where(leader < 0, np.arange(10), leader)
+                assert (found.leader == direct).mean() >= 0.9
+                assert (found.extras["relay"] == relay).mean() >= 0.8
+    assert right >= (2 if kind is TransferEntropy else 4)
+
+
+def test_a_delay_per_pair_is_measured_and_told():
+    leader, delay = np.array([-1, 0, 0, 0]), np.array([0, 2, 5, 8])
+    window, seconds = (window_of(lead_by(leader, delay), step) for step in (None, 0.5))
+    for found in (answer(DirectionalDelays(max_lag=10), window), answer(DirectionalDelays(max_delay=5.0), seconds)):
+        assert found.extras["delay"].tolist() == [-1, 2, 5, 8]
+        assert np.flatnonzero(found.candidates).tolist() == [0]
+    assert found.extras["reasons"] == ["Leads 3 directly, who follow after 2.5 s; no UAV leads it."]
+    with pytest.raises(ArgumentError, match=r"^max_delay must be None .*\.$"):
+        answer(DirectionalDelays(max_delay=5.0), window)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, Mflica])
+def test_few_windows_without_a_leader_name_any(kind):
+    """Independent UAVs, and UAVs that copy a common route at the same time."""
+    named = 0
+    for seed in range(40):
+        velocity = lead_by([-1] * 8, [0] * 8, steps=100, seed=seed)
+        if seed % 2:
+            velocity = velocity + 2 * lead_by([-1], [0], steps=100, seed=1000 + seed)
+        named += answer(kind(), window_of(velocity)).candidates.any()
+    assert named <= 7  # 0.05 of 40 are 2; P(more than 7) < 0.001
+
+
+def test_surrogates_keep_what_is_simultaneous_and_cancel_leads():
+    velocity = lead_by([-1, 0, -1], [0, 1, 0])
+    velocity[:, 2] = velocity[:, 0]
+    flight = Flight(velocity, np.cumsum(velocity, axis=0), np.ones(velocity.shape[:2], bool))
+    surrogates = list(reverse_blocks(flight, 4, 10))
+    assert len(surrogates) == 10
+    own = DirectionalDelays().pairs(flight, 4).lead[1, 0]
+    for each in surrogates:
+        np.testing.assert_array_equal(each.velocity[:, 2], each.velocity[:, 0])
+        assert abs(DirectionalDelays().pairs(each, 4).lead[1, 0]) < 0.5 * own
+
+
+def test_trees_have_no_cycles():
+    lead = np.array([[-np.inf, 2.0, -1], [1.0, -np.inf, 3.0], [2.5, -3.0, -np.inf]])
+    leader, root = find_trees(Pairs(lead, lead), 0.0)
+    assert leader.tolist() == [-1, 2, 0]
+    assert root.tolist() == [0, 0, 0]
+
+
+def test_transfer_entropy_of_gaussian_series_is_the_known_one():
+    """For v_i(t) = v_j(t - 1) + noise of variance s² per axis in one axis it is 1/2 ln(1 + 1/s²)."""
+    rng = np.random.default_rng(0)
+    source = rng.standard_normal((6000, 3)) * (1, 0, 0)
+    for variance in (0.5, 2.0):
+        velocity = np.stack(
+            [source, np.roll(source, 1, axis=0) + np.sqrt(variance) * rng.standard_normal((6000, 3)) * (1, 0, 0)], 1
+        )
+        estimates = [
+            estimate_transfer_entropy(part, np.ones((200, 2), bool), np.ones((2, 2), np.int64), 4)
+            for part in np.split(velocity, 30)
+        ]
+        forward, back = np.mean(estimates, axis=0)[1, 0], np.mean(estimates, axis=0)[0, 1]
+        assert forward == pytest.approx(0.5 * np.log1p(1 / variance), rel=0.1)
+        assert abs(back) < 0.02
+
+
+def test_warping_finds_the_delay():
+    path = np.cumsum(lead_by([-1], [0], steps=120)[:, 0], axis=0)
+    pair = np.stack([path[6:], path[:-6]])
+    lead, cost, delay = warp_pairs(pair, np.ones(pair.shape[:2], bool), 10)
+    assert delay[1, 0] == -delay[0, 1] == 6
+    assert lead[1, 0] == -lead[0, 1] > 0.8
+    assert cost[0, 1] == cost[1, 0]
+
+
+def tandem(uavs=4, apart=6, steps=200, seed=0):
+    """UAVs on one path, each where the one before it was ``apart`` steps ago."""
+    rng = np.random.default_rng(seed)
+    course = np.cumsum(0.2 * rng.standard_normal(steps + apart * uavs + 1))
+    path = np.cumsum(np.stack([np.cos(course), np.sin(course), 0 * course], axis=1), axis=0)
+    place = np.stack([path[apart * (uavs - 1 - i) :][: steps + 1] for i in range(uavs)], axis=1)
+    place = place + 0.05 * rng.standard_normal(place.shape) * (1, 1, 0)
+    return Window(place, np.diff(place, axis=0), np.ones(place.shape[:2], bool), np.ones(uavs, bool))
+
+
+@pytest.mark.parametrize("detector", [FrontMost(), Mflica(), Flica(), FrontMost(max_lag=10)])
+def test_the_first_on_a_path_leads(detector):
+    found = answer(detector, tandem())
+    assert np.flatnonzero(found.candidates).tolist() == [0]
+    assert found.leader[0] == 0
+
+
+@pytest.mark.parametrize("kind", [*KINDS, FrontMost, Mflica, Flica])
+def test_short_windows_are_refused_and_two_uavs_answered(kind):
+    with pytest.raises(ArgumentError, match=r"^window must hold at least 5 velocities, got 4\.$"):
+        answer(kind(), window_of(np.ones((4, 3, 3))))
+    rng = np.random.default_rng(0)
+    for steps in (5, 8, 20):
+        answer(kind(), window_of(rng.standard_normal((steps, 2, 3))))

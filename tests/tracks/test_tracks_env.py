@@ -1,0 +1,97 @@
+"""``USNET/Tracks-v0``: recorded tracks window by window, scored by the file's leaders."""
+
+import csv
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from track_files import example
+
+from usnet_env import ArgumentError, Window, evaluate
+from usnet_env.evaluation import EvaluationResult
+from usnet_env.tracks import read_tracks
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    place = tmp_path_factory.mktemp("tracks") / "merging.csv"
+    with open(place, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([["id", "t", "x", "y", "leader"], *example().merging()])
+    return str(place)
+
+
+def make(file, **arguments):
+    return gym.make("USNET/Tracks-v0", **{"path": file, "step": 0.5, **arguments})
+
+
+def test_gymnasiums_checker_has_nothing_to_say(path):
+    check_env(make(path).unwrapped, skip_render_check=True)
+
+
+def test_windows_follow_in_the_order_of_time_and_nothing_is_destroyed(path):
+    env, cuts = make(path), list(read_tracks(path).resample(0.5).windows(100))
+    for cut in [*cuts, cuts[0]]:
+        observation, info = env.reset()
+        assert (info["start"], info["end"]) == (cut.start, cut.end)
+        assert env.observation_space.contains(observation)
+        window = Window.from_observation(observation)
+        assert window.step == 0.5
+        np.testing.assert_array_equal(window.velocity, cut.window.velocity)
+        after, reward, terminated, truncated, info = env.step(np.ones(14, np.int8))
+        assert (terminated, truncated, info["round"]) == (True, False, 1)
+        np.testing.assert_array_equal(after["alive"], observation["alive"])
+        assert reward == -info["J"] == -(1 + info["redundant"] / 14)
+        with pytest.raises(ArgumentError, match=r"^reset must be called first"):
+            env.step(np.ones(14, np.int8))
+
+
+def test_the_truth_is_the_column_of_leaders(path):
+    env = make(path)
+    heads = []
+    for _ in range(7):
+        env.reset()
+        truth = env.unwrapped.swarm
+        heads.append(np.flatnonzero(truth.head).tolist())
+        assert set(truth.leader) == set(heads[-1])  # of the head, not of the direct leader
+    assert heads == [[0, 1]] * 4 + [[0]] * 3
+
+
+def test_a_seed_draws_a_window(path):
+    env = make(path)
+    starts = [env.reset(seed=seed)[1]["start"] for seed in range(30)]
+    assert starts == [env.reset(seed=seed)[1]["start"] for seed in range(30)]
+    assert len(set(starts)) > 4
+
+
+def test_evaluate_scores_detectors_with_the_same_metrics_and_known_groups(path, tmp_path):
+    arguments = {"path": path, "step": 0.5}
+    result = evaluate(
+        "USNET/Tracks-v0", ["directional-delays", "none"], episodes=6, env_kwargs=arguments, out=tmp_path / "run"
+    )
+    good, none = result["directional-delays"], result["none"]
+    assert good["recall_first"]["mean"] >= 0.9
+    assert good["group_leader_first"]["mean"] >= 0.9
+    assert none["group_leader_first"]["mean"] < 0.2
+    again = EvaluationResult.load(tmp_path / "run")
+    assert again["none"]["group_leader_first"] == none["group_leader_first"]
+    assert "group_leader_first" not in evaluate("USNET/SingleCluster-v0", "none", episodes=1)["none"]
+
+
+def test_without_leaders_groups_are_not_scored(path, tmp_path):
+    rows = [line.rpartition(",")[0] for line in Path(path).read_text(encoding="utf-8").splitlines()]
+    (tmp_path / "bare.csv").write_text("\n".join(rows))
+    bare = {"path": str(tmp_path / "bare.csv"), "step": 0.5}
+    result = evaluate("USNET/Tracks-v0", "none", episodes=2, env_kwargs=bare)["none"]
+    assert "group_leader_first" not in result
+    assert result["J"]["mean"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [({"path": "nowhere.csv"}, "path"), ({"window": 10**5}, "length"), ({"step": 0}, "step"), ({"path": 3}, "path")],
+)
+def test_a_bad_argument_is_named(path, arguments, name):
+    with pytest.raises(ArgumentError, match=rf"^{name} must .*, got .*\.$"):
+        make(path, **arguments)

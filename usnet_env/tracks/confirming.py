@@ -1,0 +1,147 @@
+"""Confirm leaders: does a group follow its leader later, and does the leader follow no UAV itself?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.arrays import Floats, Mask
+from usnet_env.window import Window
+
+__all__ = ["confirm_lead", "confirm_leaders", "find_followers"]
+
+_LAGS = 4  # steps; the step of resampled tracks puts delays at 1 to 4 of them
+_BLOCKS = 8
+_LEAST_STEPS = 2 * _BLOCKS
+_LEVEL, _LEVEL_OUTSIDE = 0.05, 0.5
+_NEAREST, _SHIFTS = 5, 6
+
+
+def confirm_leaders(window: Window, leaders: Sequence[int], followers: Sequence[Sequence[int]]) -> Mask:
+    """Which of c leaders are confirmed, ``(c,)`` bool: by :func:`confirm_lead`, and not by :func:`find_followers`."""
+    sure = ~find_followers(window, leaders, followers)
+    for k in np.flatnonzero(sure):
+        sure[k] = confirm_lead(window, int(leaders[k]), followers[k])
+    return np.asarray(sure)
+
+
+def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
+    """Whether the mean velocity of the followers repeats that of the leader later, more than the reverse.
+
+    The lead is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4, where C is the correlation of the followers' mean velocity with
+    the leader's velocity τ steps earlier, both centred over the window. It is compared with the leads of 35 surrogates
+    in which time is reversed in 4 of 8 blocks: these keep what both do at the same time, and cancel leads. It must
+    exceed their standard deviation z times; z is the quantile of a normal distribution at 0.05 / n, because the leader
+    was chosen from the n members of its group. An animal that drives a herd and a flock with a common route have no
+    such lead.
+
+    Args:
+        window: the window.
+        leader: index of the leader.
+        followers: indices of those that follow it.
+
+    Returns:
+        Whether the lead is confirmed; false without followers, and true in a window of fewer than 16 steps, which is
+        too short for the test.
+    """
+    if not followers or window.observation_steps < _LEAST_STEPS:
+        return bool(followers)
+    seen = window.velocity_seen[:, followers]
+    count = seen.sum(axis=1)
+    mean = (window.velocity[:, followers] * seen[..., None]).sum(axis=1, dtype=np.float64)
+    mean /= np.maximum(count, 1)[:, None]
+    both = (count > 0) & window.velocity_seen[:, leader]
+    return _is_ahead(mean, window.velocity[:, leader].astype(np.float64), both, _LEVEL / (1 + len(followers)))
+
+
+def find_followers(window: Window, leaders: Sequence[int], followers: Sequence[Sequence[int]]) -> Mask:
+    """Which of the leaders follow another UAV in the first or the second half of a window.
+
+    If groups change within a window, a UAV that follows one head after another moves like neither of them through the
+    whole window, and may look like a head. In one of the halves it follows one head for most of the time. In each half,
+    those 5 UAVs are tested whose velocities are most correlated with its own, at any lag up to 4, if the correlation
+    exceeds those of 6 circular shifts in time: it follows one if :func:`confirm_lead`'s test says so. The level is 0.05
+    for all five; for a UAV outside of its group, which should not move like its head at all, any lead is enough.
+
+    Args:
+        window: the window.
+        leaders: c indices.
+        followers: the indices of those that follow each.
+
+    Returns:
+        ``(c,)`` bool; false in a window of fewer than 32 steps.
+    """
+    steps, follows, uavs = window.observation_steps, np.zeros(len(leaders), bool), np.asarray(leaders, np.int64)
+    if steps < 2 * _LEAST_STEPS or not len(uavs):
+        return follows
+    for half in (slice(0, steps // 2), slice(steps // 2, steps)):
+        velocity, seen = window.velocity[half], window.velocity_seen[half]
+        unit = _scale(velocity, seen)
+        best = _correlate(unit[:, uavs], unit)
+        best[np.arange(len(uavs)), uavs] = 0.0
+        late = len(unit) * np.arange(1, _SHIFTS + 1) // (_SHIFTS + 1)
+        chance = np.max([_correlate(np.roll(unit[:, uavs], k, axis=0), unit).max(axis=1) for k in late], axis=0)
+        for c in np.flatnonzero(~follows):
+            for other in np.argsort(-best[c], kind="stable")[:_NEAREST]:
+                if best[c, other] <= chance[c]:
+                    break
+                own, ahead = velocity[:, uavs[c]].astype(np.float64), velocity[:, other].astype(np.float64)
+                level = _LEVEL / _NEAREST if other in followers[c] else _LEVEL_OUTSIDE
+                follows[c] |= _is_ahead(own, ahead, seen[:, uavs[c]] & seen[:, other], level)
+    return follows
+
+
+def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
+    """Whether ``group`` ``(T, 3)`` repeats ``ahead`` ``(T, 3)`` later; ``both`` ``(T,)``: where both are seen."""
+    group, ahead = _centre(group, both), _centre(ahead, both)
+    by_chance = [_measure_lead(group[order] * sign, ahead[order] * sign) for order, sign in _reversals(len(group))]
+    deviation = float(np.sqrt(np.mean(np.square(by_chance))))
+    return _measure_lead(group, ahead) > max(0.0, -NormalDist().inv_cdf(level) * deviation)
+
+
+def _reversals(steps: int) -> Iterator[tuple[NDArray[np.intp], Floats]]:
+    """Orders ``(T,)`` of the steps, with time reversed in 4 of 8 blocks, and the sign ``(T, 1)`` of the velocities."""
+    parts = np.array_split(np.arange(steps), _BLOCKS)
+    for chosen in combinations(range(1, _BLOCKS), _BLOCKS // 2):  # the other 35 choices are these, reversed
+        order = np.concatenate([part[::-1] if b in chosen else part for b, part in enumerate(parts)])
+        yield (
+            order,
+            np.concatenate([np.full((len(part), 1), -1.0 if b in chosen else 1.0) for b, part in enumerate(parts)]),
+        )
+
+
+def _measure_lead(group: Floats, ahead: Floats) -> float:
+    """The lead in units of the product of both standard deviations."""
+    size = float(np.sqrt((group**2).sum() * (ahead**2).sum()))
+    later = [float((group[lag:] * ahead[:-lag]).sum()) for lag in range(1, _LAGS + 1)]
+    earlier = [float((ahead[lag:] * group[:-lag]).sum()) for lag in range(1, _LAGS + 1)]
+    return (max(later) - max(earlier)) / size if size else 0.0
+
+
+def _centre(values: Floats, seen: Mask) -> Floats:
+    """``values`` ``(T, 3)`` less their mean where they are seen, 0 elsewhere."""
+    return np.where(seen[:, None], values - values[seen].mean(axis=0), 0.0) if seen.any() else np.zeros_like(values)
+
+
+def _scale(velocity: NDArray[np.float32], seen: Mask) -> NDArray[np.float32]:
+    """Velocities ``(T, N, 3)`` centred over time and scaled to a squared sum of 1; 0 where unseen."""
+    known = np.maximum(seen.sum(axis=0), 1)[:, None]
+    centred = np.where(seen[..., None], velocity - (velocity * seen[..., None]).sum(axis=0) / known, 0.0)
+    size = np.sqrt((centred**2).sum(axis=(0, 2)))
+    return np.asarray(centred / np.where(size > 0, size, np.inf)[:, None], np.float32)
+
+
+def _correlate(some: NDArray[np.float32], others: NDArray[np.float32]) -> NDArray[np.float32]:
+    """``(c, N)`` largest correlation of series ``(T, c, 3)`` with those ``(T, N, 3)`` of others at the lags -4 to 4."""
+    steps = len(some)
+    first, second = (values.transpose(1, 0, 2).reshape(values.shape[1], -1) for values in (some, others))
+    curves = [
+        first[:, 3 * max(0, lag) : 3 * (steps + min(0, lag))]
+        @ second[:, 3 * max(0, -lag) : 3 * (steps - max(0, lag))].T
+        for lag in range(-_LAGS, _LAGS + 1)
+    ]
+    return np.asarray(np.max(curves, axis=0))

@@ -1,0 +1,212 @@
+"""The environment that replays recorded tracks: one window is one episode of one round."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pydantic import Field
+
+from usnet_env.arrays import Mask, Observation
+from usnet_env.config import ArgumentError, Config, list_arguments, optional_seed, takes_arguments
+from usnet_env.envs.game import Rules, check_options, parse_candidates
+from usnet_env.objectives import find_roots, group_leader_accuracy, hits_and_redundant
+from usnet_env.swarm import SwarmState
+from usnet_env.tracks.reading import read_tracks
+from usnet_env.tracks.tracks import Tracks
+from usnet_env.tracks.windows import TrackWindow
+
+__all__ = ["TracksEnv"]
+
+
+class TracksArguments(Config):
+    """The arguments of :class:`TracksEnv`."""
+
+    path: str = Field(description="file of tracks, as `usnet_env.tracks.read_tracks` takes it")
+    window: Annotated[int, Field(ge=1, le=10**6)] = Field(100, description="T_ob, steps of a window")
+    stride: Annotated[int, Field(ge=1, le=10**9)] | None = Field(
+        None, description="steps from the start of a window to the start of the next; `None`: those of a window"
+    )
+    step: Annotated[float, Field(gt=0, le=1e9)] | None = Field(
+        None, description="seconds of a step; `None`: chosen from the tracks"
+    )
+    columns: dict[str, str] | None = Field(None, description="names of columns by role, as `read_tracks` takes them")
+
+
+@list_arguments()
+class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
+    """Find the leaders in recorded tracks.
+
+    ## Description
+    A file of recorded tracks is resampled and cut into windows. An episode is one window and has one round: the agent
+    names its candidates for the heads, and nothing that it names changes the recording. The truth is the file's column
+    `leader`, the id that each id follows directly; an id follows the one that it has in most samples of the window. A
+    head leads at least one other id and follows none. Without such a column the truth has no heads, and nothing can be
+    scored but the number of candidates.
+
+    ## Action Space
+    `MultiBinary(N)`, N = the ids of the file: 1 for every candidate.
+
+    ## Observation Space
+    `Dict` of `position`, `velocity`, `seen`, `alive` and `round`, as in `USNET/MultiCluster-v0`, and `step`, `(1,)`
+    float32, the seconds of a step. An id that isn't seen in at least half of the steps of the window is not in it: its
+    `alive` is 0.
+
+    ## Rewards
+    −(1 + redundant / N), where redundant candidates are those that are no heads: −J_m of the one round. A head that is
+    not named costs nothing, because there is no second round: report `recall_first` and `success` beside J. `evaluate`
+    also reports `group_leader_first`, the share of the groups, taken as known, whose head has the highest score.
+
+    `info` holds `hits`, `redundant`, `round`, `success`, `is_success` and `J` as in `USNET/MultiCluster-v0`,
+    `over_budget`, always 0, and `start` and `end`, the times of the window as in the file.
+
+    ## Starting State
+    With a seed, a window is drawn: all are equally likely. Without a seed, the windows follow one another in the order
+    of time, and after the last comes the first.
+
+    ## Episode End
+    The episode terminates after one round. It is never truncated.
+
+    ## Arguments
+    {arguments}
+
+    ## Version History
+    * v0: first version
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+    problem = "P2"
+    rules = Rules(max_rounds=1)
+
+    @takes_arguments(TracksArguments)
+    def __init__(self, arguments: TracksArguments) -> None:
+        self.config = arguments
+        tracks = read_tracks(arguments.path, columns=arguments.columns)
+        self.tracks: Tracks = tracks.resample(arguments.step)
+        self.windows = list(self.tracks.windows(arguments.window, arguments.stride))
+        if not self.windows:
+            raise ArgumentError(
+                "path must hold a window in which at least 2 ids are seen together, got "
+                f"{arguments.path!r}, in which no window does."
+            )
+        instants, uavs = arguments.window + 1, len(self.tracks.ids)
+        far = float(max(np.abs(cut.window.position).max() for cut in self.windows)) + 1.0
+        self.observation_space = spaces.Dict(  # type: ignore[assignment]  # Dict is invariant
+            {
+                "position": spaces.Box(-far, far, (instants, uavs, 3), np.float32),
+                "velocity": spaces.Box(-2 * far, 2 * far, (instants - 1, uavs, 3), np.float32),
+                "seen": spaces.MultiBinary((instants, uavs)),
+                "alive": spaces.MultiBinary(uavs),
+                "round": spaces.Box(1, 2, (1,), np.float32),
+                "step": spaces.Box(0, 2 * float(self.tracks.step or 1.0), (1,), np.float32),
+            }
+        )
+        self.action_space = spaces.MultiBinary(uavs)
+        self._number = -1
+        self._over = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Show a window: with a seed a drawn one, otherwise the next.
+
+        Raises:
+            ArgumentError: the seed is not a whole number from 0, or there are options.
+        """
+        check_options(options)
+        super().reset(seed=optional_seed("seed", seed))
+        count = len(self.windows)
+        self._number = (self._number + 1) % count if seed is None else int(self.np_random.integers(count))
+        self._over = False
+        return self._observe(1), self._info(0, 0, 0, False)
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Score the candidates ``(N,)``; the tracks stay as they are.
+
+        Raises:
+            ArgumentError: the action has another shape or other values, or the episode has ended.
+        """
+        if self._over:
+            raise ArgumentError("reset must be called first, got a step in an episode that is over.")
+        candidates = parse_candidates(action, (len(self.tracks.ids),))
+        truth = self.swarm
+        hits, redundant = (int(each) for each in hits_and_redundant(truth.head, truth.alive, candidates))
+        self._over = True
+        found_all = hits == int(truth.head.sum())
+        info = self._info(hits, redundant, 1, found_all)
+        return self._observe(2), -info["J"], True, False, info
+
+    @property
+    def cut(self) -> TrackWindow:
+        """The present window with its ids and times."""
+        if self._number < 0:
+            raise ArgumentError("reset must be called first, got an environment that was never reset.")
+        return self.windows[self._number]
+
+    @property
+    def swarm(self) -> SwarmState:
+        """The truth of the present window for an evaluation, N ids; a detector must not use it."""
+        rows, uavs = self.cut.rows, len(self.tracks.ids)
+        alive = np.isin(np.arange(uavs), rows)
+        direct = np.full(uavs, -1)
+        if self.cut.leader is not None:
+            direct[rows] = np.where(self.cut.leader >= 0, rows[self.cut.leader], -1)
+        roots = find_roots(direct)
+        follows = (roots >= 0) & (roots != np.arange(uavs))
+        head = np.zeros(uavs, bool)
+        head[roots[follows]] = True
+        last = np.zeros((1, uavs, 3), np.float32)
+        last[0, rows] = self.cut.window.position[-1]
+        return SwarmState(
+            head=head,
+            decoy=alive & ~head & ~follows,
+            alive=alive,
+            leader=np.where(alive, roots, -1),
+            past_position=last,
+            past_velocity=np.zeros((0, uavs, 3), np.float32),
+            free=np.flatnonzero(alive & ~follows),
+            mobility_state=np.zeros((int((alive & ~follows).sum()), 0)),
+            parameters=np.zeros(0, np.float32),
+        )
+
+    def score_answer(self, scores: NDArray[np.float64]) -> dict[str, float | None]:
+        """The metrics that recorded groups allow: ``group_leader_first``, ``None`` if the window has no group.
+
+        Args:
+            scores: ``(N,)`` of the answer.
+        """
+        truth = self.swarm
+        return {"group_leader_first": group_leader_accuracy(truth.leader, scores) if truth.head.any() else None}
+
+    def action_masks(self) -> Mask:
+        """``(2 N,)`` bool for maskable agents: for each id whether 0 and whether 1 is allowed."""
+        alive = self.swarm.alive
+        return np.stack([np.ones_like(alive), alive], axis=1).reshape(-1)
+
+    def _observe(self, round: int) -> Observation:
+        cut, uavs = self.cut, len(self.tracks.ids)
+        whole: Observation = {
+            name: np.zeros(space.shape, space.dtype)
+            for name, space in self.observation_space.items()  # type: ignore[attr-defined]
+        }
+        for name in ("position", "velocity", "seen"):
+            whole[name][:, cut.rows] = getattr(cut.window, name)
+        whole["alive"][:] = np.isin(np.arange(uavs), cut.rows)
+        whole["round"][:], whole["step"][:] = round, cut.step
+        return whole
+
+    def _info(self, hits: int, redundant: int, round: int, success: bool) -> dict[str, Any]:
+        return {
+            "hits": hits,
+            "redundant": redundant,
+            "round": round,
+            "success": int(success),
+            "is_success": success,
+            "J": round + redundant / len(self.tracks.ids),
+            "over_budget": 0,
+            "start": self.tracks.file_time(self.cut.start),
+            "end": self.tracks.file_time(self.cut.end),
+        }
