@@ -44,6 +44,10 @@ def small_episode(**changes: Any) -> EpisodeRecord:
         "clusters": clusters,
         "leader_estimate": leader,
         "attention": attention,
+        "attention_heads": np.stack([attention, np.swapaxes(attention, 1, 2)], axis=1),
+        "probability": 0.1 + 0.8 * head * np.ones((ROUNDS, 1)),
+        "features": rng.normal(size=(ROUNDS, UAVS, 2)),
+        "reasons": [{"0": "Adds 21 nats to 4 followers.", "3": "Adds 2 nats."}, {"5": "Adds 30 nats."}],
         "problem": "P2",
         "env_id": "USNET/MultiCluster-v0",
         "seed": 0,
@@ -74,5 +78,9 @@ def large_episode(**changes: Any) -> EpisodeRecord:
         "clusters": None,
         "leader_estimate": None,
         "attention": None,
+        "attention_heads": None,
+        "probability": None,
+        "features": None,
+        "reasons": None,
     }
     return small_episode(**values | changes)
