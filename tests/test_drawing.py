@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from usnet_env import drawing
-from usnet_env.replay import recording
+from usnet_env.replay.scribe import lighten
 
 matplotlib = pytest.importorskip("matplotlib")
 
@@ -142,7 +142,7 @@ def test_no_two_cluster_colours_look_alike(eyes, view, least):
     colors = drawing.CLUSTER_COLORS
     rgb = np.array([[int(color[i : i + 2], 16) for i in (1, 3, 5)] for color in colors]) / 255
     if view == "dark":
-        rgb = recording._lighten(colors)[:, :3] / 255
+        rgb = lighten(colors)[:, :3] / 255
     lab = to_lab(rgb, eyes)
     away = np.linalg.norm(lab[:, None] - lab, axis=2) + 1000 * np.eye(len(colors))
     assert len(colors) >= 20

@@ -10,6 +10,8 @@ from usnet_env.replay import EpisodeRecord
 
 ROUNDS, SAMPLES, UAVS = 2, 21, 12
 HEADS, DECOY = (0, 5), 11
+#: Fields of what the detector thought, with one value for each round.
+MIND = ("clusters", "leader_estimate", "attention", "attention_heads", "probability", "features", "reasons")
 
 
 def small_episode(**changes: Any) -> EpisodeRecord:
@@ -75,12 +77,6 @@ def large_episode(**changes: Any) -> EpisodeRecord:
         "decoy": np.zeros(60, bool),
         "over_budget": [False],
         "seconds": [0.1],
-        "clusters": None,
-        "leader_estimate": None,
-        "attention": None,
-        "attention_heads": None,
-        "probability": None,
-        "features": None,
-        "reasons": None,
+        **dict.fromkeys(MIND),
     }
     return small_episode(**values | changes)

@@ -229,6 +229,12 @@ class EpisodeRecord:
         return self.alive & ~self.head & (self.decoy | (self.leader == np.arange(self.uavs)))
 
     @property
+    def orphans(self) -> NDArray[np.bool_]:
+        """``(R, N)`` bool: living followers whose head is destroyed in the round."""
+        behind = np.take_along_axis(self.fired, np.maximum(self.leader, 0), axis=1)
+        return self.alive & ~self.fired & (self.leader >= 0) & behind
+
+    @property
     def hits(self) -> NDArray[np.int64]:
         """``(R,)`` heads hit in each round."""
         return hits_and_redundant(self.head, self.alive, self.fired)[0]

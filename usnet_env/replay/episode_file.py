@@ -28,8 +28,9 @@ SMALL_BYTES, LARGEST_RATIO = 2**28, 20
 def write_episode_file(path: str | os.PathLike[str], words: Mapping[str, Any], arrays: Mapping[str, Any]) -> Path:
     """Write arrays and the plain values ``words`` as one compressed file; the file appears whole."""
     text = json.dumps({**words, "format": _FORMAT, "version": FORMAT_VERSION})
+    everything: dict[str, Any] = {**arrays, _METADATA: np.array(text)}
     with atomic_write(path) as aside, aside.open("wb") as file:
-        np.savez_compressed(file, **arrays, **{_METADATA: np.array(text)})
+        np.savez_compressed(file, **everything)
     return as_path("path", path)
 
 

@@ -21,7 +21,7 @@ from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.swarm import SwarmState
 from usnet_env.window import Window
 
-__all__ = ["Round", "record_episode"]
+__all__ = ["Round", "check_environment", "make_record", "record_episode"]
 
 
 @dataclass(frozen=True)
@@ -99,12 +99,12 @@ def _read_heads(answer: Detection) -> NDArray[np.float32] | None:
 
 
 def _flatten_features(answer: Detection) -> NDArray[np.float64] | None:
-    """``(N, 2)``: ``extras["features"]``, ``(N, …)``, in the plane of their two principal axes; ``None`` without them."""
+    """``(N, 2)``: ``extras["features"]``, ``(N, …)``, in the plane of their principal axes; ``None`` without them."""
     values = _read_numbers(answer, "features", 2)
     if values is None:
         return None
     flat = values.reshape(len(values), -1)
-    known = flat.any(axis=1)  # the features of destroyed UAVs are 0
+    known: NDArray[np.bool_] = np.any(flat, axis=1)  # the features of destroyed UAVs are 0
     centred = np.where(known[:, None], flat - flat[known].mean(axis=0) if known.any() else flat, 0.0)
     axes = np.linalg.svd(centred, full_matrices=False)[2][:2]
     plane = centred @ (axes * np.sign(axes[:, np.abs(axes).argmax(axis=1)].diagonal())[:, None]).T
@@ -151,9 +151,7 @@ def record_episode(
         ArgumentError: ``env`` is no environment of this project, another argument has another type, or an answer is no
             ``Detection`` for its N UAVs.
     """
-    game: Any = env.unwrapped if isinstance(env, gym.Env) else None
-    if not all(hasattr(game, name) for name in ("config", "rules", "problem")):
-        raise ArgumentError(f"env must be a USNET environment, got {quote(env)}.")
+    check_environment(env)
     if isinstance(detector, type) or not isinstance(detector, DetectorLike):
         raise ArgumentError(f"detector must have the methods detect(window) and reset(seed), got {quote(detector)}.")
     if on_round is not None and not callable(on_round):
@@ -181,8 +179,32 @@ def record_episode(
         rounds.append(played)
         if on_round is not None:
             on_round(_report(played, len(rounds), seconds[-1]))
+    label = label or detector_label(detector)
+    return make_record(env, rounds, seconds, seed, detector_seed, label, keep_attention=keep_attention)
+
+
+def check_environment(env: Any) -> None:
+    """Raise :class:`ArgumentError` if ``env`` is no environment of this project."""
+    game: Any = env.unwrapped if isinstance(env, gym.Env) else None
+    if not all(hasattr(game, name) for name in ("config", "rules", "problem")):
+        raise ArgumentError(f"env must be a USNET environment, got {quote(env)}.")
+
+
+def make_record(
+    env: gym.Env[Any, Any],
+    rounds: Sequence[PlayedRound[Detection]],
+    seconds: Sequence[float],
+    seed: int | None,
+    detector_seed: int | None,
+    label: str,
+    *,
+    keep_attention: bool = True,
+) -> EpisodeRecord:
+    """The record of the rounds of an episode; the arguments are those of :func:`record_episode`."""
     truths, answers = [played.truth for played in rounds], [played.answer for played in rounds]
+    windows = [Window.from_observation(played.observation) for played in rounds]
     uavs = windows[0].uavs
+    game: Any = env.unwrapped
     nowhere = np.full(uavs, -1)
     return EpisodeRecord(
         position=np.stack([window.position for window in windows]),
@@ -207,7 +229,7 @@ def record_episode(
         problem=game.problem,
         env_id=env.spec.id if env.spec is not None else type(game).__name__,
         seed=seed,
-        detector=label or detector_label(detector),
+        detector=label,
         detector_seed=detector_seed,
         config=_list_arguments(game.config) | _list_arguments(game.rules),
         versions=versions(),
