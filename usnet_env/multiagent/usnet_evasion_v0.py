@@ -278,7 +278,9 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         mobility, jitter, decoys, delay = np.asarray(action).tolist()
         head = np.flatnonzero(self._current_game().swarm.head[0])[self.heads.index(agent)]
         words = [self.manoeuvres.mobilities[mobility]] + ["jitter"] * bool(jitter)
-        words += [f"{decoys} decoys"] * bool(decoys) + [f"followers delayed by {delay} steps"] * bool(delay)
+        words += [f"{decoys} decoy{'s' * (decoys > 1)}"] * bool(decoys) + [
+            f"followers delayed by {delay} steps"
+        ] * bool(delay)
         return f"UAV {head}: {', '.join(words)}"
 
     def _observation(self, agent: str) -> Observation:

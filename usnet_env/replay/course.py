@@ -66,7 +66,7 @@ def _write_curve(scribe: Scribe, name: str, values: NDArray[np.float64]) -> None
     values = np.append(values, values[-1])
     path = f"{GAME}/{name}"
     scribe.send(path, rr.Scalars, rows, [1] * len(rows), scalars=values)
-    shown = {"colors": parse_color(color), "names": label}
+    shown = {"colors": parse_color(scribe.color or color), "names": label}
     line = rr.SeriesLines(widths=2, interpolation_mode="StepAfter", **shown)
     scribe.stream.log(scribe.root + path, line, rr.SeriesPoints(markers="circle", marker_sizes=5, **shown), static=True)
 

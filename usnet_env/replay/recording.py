@@ -18,11 +18,11 @@ import numpy as np
 from usnet_env.config import ArgumentError
 from usnet_env.drawing import MissingExtraError
 from usnet_env.files import as_path, atomic_write
-from usnet_env.replay.course import ABOUT, CURVES, GAME, write_course
+from usnet_env.replay.course import ABOUT, CURVES, write_course
 from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.layout import arrange_comparison, arrange_views
 from usnet_env.replay.mind import write_mind
-from usnet_env.replay.scribe import Scribe, parse_color
+from usnet_env.replay.scribe import Scribe
 from usnet_env.replay.story import explain_comparison
 from usnet_env.replay.world import write_world
 
@@ -110,7 +110,8 @@ def write_comparison(first: EpisodeRecord, second: EpisodeRecord, path: str | os
     labels = [f"{letter} {name}" if names[0] == names[1] else name for letter, name in zip("AB", names, strict=True)]
 
     def arrange(stream: rr.RecordingStream) -> Any:
-        scribes.extend(Scribe(record, stream, root) for record, root in zip(records, ("a/", "b/"), strict=True))
+        colors = (CURVES["precision"][1], CURVES["recall"][1])
+        scribes.extend(Scribe(*each) for each in zip(records, [stream] * 2, ("a/", "b/"), colors, strict=True))
         return arrange_comparison(scribes, labels)
 
     with _open_recording(path, f"{' and '.join(labels)}, seed {first.seed}", arrange) as stream:
@@ -118,10 +119,6 @@ def write_comparison(first: EpisodeRecord, second: EpisodeRecord, path: str | os
             for write in (write_world, write_mind, write_course):
                 write(scribe)
         rr = scribes[0].rr
-        for scribe, color in zip(scribes, (CURVES["precision"][1], CURVES["recall"][1]), strict=True):
-            for name in ("heads_left", "J"):  # in the colour of the detector, instead of that of the curve
-                line = rr.SeriesLines.from_fields(colors=[parse_color(color)])
-                stream.log(f"{scribe.root}{GAME}/{name}", line, static=True)
         text = rr.TextDocument(explain_comparison(records, labels), media_type=rr.MediaType.MARKDOWN)
         stream.log(ABOUT, text, static=True)
     return as_path("path", path)

@@ -92,12 +92,15 @@ class Scribe:
         record: the episode.
         stream: of the recording.
         root: the first part of all paths, such as ``"a/"``, if a recording holds several episodes.
+        color: of all curves of the episode; ``None``: each curve has its own.
     """
 
-    def __init__(self, record: EpisodeRecord, stream: rr.RecordingStream, root: str = "") -> None:
+    def __init__(
+        self, record: EpisodeRecord, stream: rr.RecordingStream, root: str = "", color: str | None = None
+    ) -> None:
         import rerun
 
-        self.rr, self.record, self.stream, self.root = rerun, record, stream, root
+        self.rr, self.record, self.stream, self.root, self.color = rerun, record, stream, root, color
         self.clock = Clock(record)
         self.boxes = _box(record)
         self.span = max(*(float((high - low).max()) for low, high in self.boxes), 1.0 if record.labelled else 1e-6)
