@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_episode import ROUNDS, SAMPLES, UAVS, small_episode
+from small_episode import MIND, ROUNDS, SAMPLES, UAVS, small_episode
 
 from usnet_env import ArgumentError
 from usnet_env.replay import animation
@@ -100,6 +100,7 @@ def test_tracks_grow(frames):
     assert first < second < third
 
 
+@pytest.mark.slow
 def test_the_same_record_gives_the_same_file(game, tmp_path):
     assert animate(small_episode(), tmp_path / "again.gif", frames=FRAMES).read_bytes() == game.read_bytes()
 
@@ -110,7 +111,7 @@ def test_a_uav_that_was_never_seen_and_a_single_round(tmp_path):
     seen[:, :, 2] = False
     values = {name: getattr(small, name)[:1] for name in ("position", "velocity", "alive", "leader", "candidates")}
     values |= {name: getattr(small, name)[:1] for name in ("scores", "objective", "over_budget", "seconds")}
-    values |= {name: getattr(small, name)[:1] for name in ("clusters", "leader_estimate", "attention")}
+    values |= {name: getattr(small, name)[:1] for name in MIND}
     path = animate(small_episode(**values, seen=seen[:1]), tmp_path / "one.gif", frames=2)
     assert len(frames_of(path)) == 5
 

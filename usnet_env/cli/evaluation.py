@@ -1,4 +1,4 @@
-"""``usnet evaluate`` and ``usnet demo``: play episodes and score detectors."""
+"""``usnet evaluate``: play episodes and score detectors."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ import click
 
 from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, add_place, describe_keys, parse_pairs
 from usnet_env.cli.output import PIPE_WIDTH, print_message, show
+from usnet_env.cli.replay import check_record_option, record_episodes
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from usnet_env.evaluation import EvaluationResult
 
-__all__ = ["demo", "evaluate"]
+__all__ = ["evaluate"]
 
 _TIME_LIMIT = 3600.0  # seconds
 
@@ -89,6 +90,9 @@ Arguments for --set:
     "--out", metavar="DIR", help="Folder for rows, summary and config; the same command resumes an interrupted run."
 )
 @click.option(
+    "--record", metavar="every=N|failures", help="Also write episode files to DIR/episodes, for `usnet replay`."
+)
+@click.option(
     "--trivial", is_flag=True, help="Also evaluate the trivial policies destroy-all, none, random and one-per-round."
 )
 @click.option("--all", "show_all", is_flag=True, help="Print all metrics, each with its interval.")
@@ -111,6 +115,7 @@ def evaluate(
     isolate: bool,
     secret: str | None,
     out: str | None,
+    record: str | None,
     trivial: bool,
     show_all: bool,
     as_json: bool,
@@ -125,6 +130,10 @@ def evaluate(
         raise click.UsageError("--suite gives the environments: it goes without --env and --set.")
     if cells and suite is None:
         raise click.UsageError("--cell names a cell of a suite: it needs --suite.")
+    if record is not None:
+        if suite is not None:
+            raise click.UsageError("--record keeps episodes of one environment: it goes without --suite.")
+        check_record_option(record, out)
     if time_limit is None and (backend != "serial" or isolate or suite is not None):
         time_limit = _TIME_LIMIT
     if out is not None:
@@ -182,6 +191,10 @@ def evaluate(
     if isolate and isinstance(result, evaluation.EvaluationResult):
         secret = result.config.get("secret", "not known: an earlier part of it was killed before its end")
         print_message(f"The secret of this run is {secret}.")
+    if record is not None and out is not None and isinstance(result, evaluation.EvaluationResult):
+        written = record_episodes(result, record, detectors, env_kwargs, out)
+        where = f"are in {out}/episodes; `usnet replay {out}` lists them" if written else "were written: none failed"
+        click.echo(f"{len(written)} episode files {where}.", err=True)
     if failure is not None:
         raise failure
     if out is not None and not as_json:
@@ -214,20 +227,3 @@ def _split_table(result: EvaluationResult) -> list[Table]:
             parts.append([])
         parts[-1].append(name)
     return [result.table(columns) for columns in parts]
-
-
-@click.command(short_help="Play one episode; save a replay and a picture of it.")
-@click.option("--out", default="runs/demo", show_default=True, metavar="DIR", help="Folder for the files.")
-@click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the episode.")
-@click.option("--detector", default="follow-mixture", show_default=True, metavar="NAME", help="Detector.")
-@click.option("--follow", default="f1", show_default=True, metavar="NAME", help="Strategy; see `usnet list follow`.")
-@click.option("--clusters", type=WholeNumber(1, 9_000), default=8, show_default=True, help="Number of clusters.")
-@click.option("--uavs", type=WholeNumber(3, 90_000), default=185, show_default=True, help="Number of UAVs.")
-@click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
-def demo(out: str, seed: int, detector: str, follow: str, clusters: int, uavs: int, open_viewer: bool) -> None:
-    """Play one episode of USNET/MultiCluster-v0, and save a replay and a picture of it."""
-    from usnet_env.replay.demo import open_replay, run_demo
-
-    files = run_demo(out, seed=seed, detector=detector, follow=follow, clusters=clusters, uavs=uavs)
-    if open_viewer and "replay" in files:
-        open_replay(files["replay"])

@@ -226,6 +226,14 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             position=sighting.position, seen=sighting.seen, candidates=candidates, title=title, **truth.roles()
         )
 
+    def describe_action(self, agent: str, action: Any) -> str:
+        """Describe what an agent chose, for replays; empty for an action that candidates and scores show."""
+        return ""
+
+    def list_observers(self) -> Floats | None:
+        """``(K, 4)``, position and sensing range of each observer in metres; ``None`` if the observer has no place."""
+        return None
+
     def close(self) -> None:
         """Do nothing: the game holds no resources."""
 

@@ -269,6 +269,18 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             )
         return values.astype(np.int64)
 
+    def describe_action(self, agent: str, action: Any) -> str:
+        """Describe the choice of a head in words; empty for the observer."""
+        if agent == OBSERVER:
+            return ""
+        mobility, jitter, decoys, delay = np.asarray(action).tolist()
+        head = np.flatnonzero(self._current_game().swarm.head[0])[self.heads.index(agent)]
+        words = [self.manoeuvres.mobilities[mobility]] + ["jitter"] * bool(jitter)
+        words += [f"{decoys} decoy{'s' * (decoys > 1)}"] * bool(decoys) + [
+            f"followers delayed by {delay} steps"
+        ] * bool(delay)
+        return f"UAV {head}: {', '.join(words)}"
+
     def _observation(self, agent: str) -> Observation:
         state = self._current_game()
         swarm = state.swarm

@@ -227,6 +227,10 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             raise ArgumentError(f"action of {agent} must hold {length} numbers from 0 to 1, got {quote(action)}.")
         return values.astype(np.float64)
 
+    def list_observers(self) -> Floats:
+        """``(K, 4)``, position and sensing range of each observer in metres."""
+        return np.array([[*each.position, each.sensing_range] for each in self._observers])
+
     def _fuse(self, votes: Floats, seen: Mask) -> Mask:
         """Apply the fusion rule, and check the candidates that it returns."""
         candidates = np.asarray(self.fusion.rule(votes, seen))
