@@ -344,7 +344,10 @@ def test_the_observers_view_has_no_trace_of_roles():
         ({"decoy_price": np.nan}, "decoy_price must be a finite number, got nan"),
         ({"delay_price": -1.0}, "delay_price must be greater than or equal to 0"),
         ({"follow": "none"}, "follow must be a follow strategy other than 'none', got 'none'"),
-        ({"follow": "reference", "memory": 16}, "follow must be a follow strategy with heads, got 'reference'"),
+        (
+            {"follow": "reference", "memory": 16},
+            "follow must be a follow strategy whose heads choose how to fly, got 'reference'",
+        ),
         ({"follow": "f3", "memory": 6}, "memory must be at least 7 for follow='f3' and most_delay=4, got 6"),
         ({"max_cycles": 1}, "max_cycles must be None or a whole number from 2, got 1"),
         ({"render_mode": "human"}, "render_mode must be 'rgb_array' or None, got 'human'"),

@@ -20,7 +20,7 @@ from usnet_env.swarm.field_follow import (
     UnequalDelays,
 )
 from usnet_env.swarm.field_kernels import DELAY, GAIN, KINDS, OFFSET, SALT, hash_draw
-from usnet_env.swarm.flock_follow import Couzin, Predator, Shepherd, Vicsek
+from usnet_env.swarm.flock_follow import Couzin, Informed, Predator, Shepherd, Vicsek
 from usnet_env.swarm.follow import FIELD_MODELS, follow_strategy
 
 NAMES = sorted(FIELD_MODELS)
@@ -404,6 +404,31 @@ def test_flocks_of_two_clusters_do_not_mix():
     two = advance(config, destroy(state, gone), [np.random.default_rng(1)])[1]
     kept = np.setdiff1d(np.arange(24), other)
     np.testing.assert_array_equal(one.position[0][:, kept], two.position[0][:, kept])
+
+
+def test_an_informed_minority_steers_its_flock_and_more_of_it_steer_it_better():
+    accuracy = []
+    for share in (0.05, 0.2, 0.5):
+        cosines = []
+        for seed in range(6):
+            strategy = Informed(share=share, preference=0.5)
+            state, window = fly(strategy, 4, seed, clusters=1, uavs=40, mobility="straight", formation="around")
+            assert state.head.sum() == max(1, round(share * 40))
+            assert (state.leader[~state.head] == -1).all()
+            course = state.reference_velocity[-1, 0]
+            cosines.append(float(unit(flown(window)[0].mean(axis=(0, 1))) @ course))
+        accuracy.append(np.mean(cosines))
+    assert accuracy[0] < accuracy[1] < accuracy[2]
+    assert accuracy[2] > 0.9
+
+
+def test_informed_heads_fly_in_the_flock():
+    """A head of an informed flock answers its neighbours: it does not fly straight to where it wants."""
+    state, window = fly(Informed(preference=0.5), clusters=1, uavs=24, mobility="straight", formation="around")
+    v, _ = flown(window)
+    course = state.reference_velocity[-1, 0]
+    cosine = (v[:, state.head] @ course).mean()
+    assert 0.1 < cosine < 0.99
 
 
 def test_a_predator_chases_and_the_flock_flees():

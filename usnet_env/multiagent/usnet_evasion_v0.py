@@ -127,8 +127,10 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         strategy = config.follow_strategy
         if strategy is None:
             raise ArgumentError("follow must be a follow strategy other than 'none', got 'none'.")
-        if not strategy.has_heads:
-            raise ArgumentError(f"follow must be a follow strategy with heads, got {quote(config.follow)}.")
+        if strategy.has_references:
+            raise ArgumentError(
+                f"follow must be a follow strategy whose heads choose how to fly, got {quote(config.follow)}."
+            )
         if strategy.lags + most_delay > config.memory:
             raise ArgumentError(
                 f"memory must be at least {strategy.lags + most_delay} for follow={quote(config.follow)} and "

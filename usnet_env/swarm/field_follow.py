@@ -396,6 +396,7 @@ class Reference(Slots):
     breaks = "every cluster has a head"
     parameters = ("pull", "near", "spread", "smoothing", "noise")
     has_heads = False
+    has_references = True
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """Every UAV of a cluster keeps a slot about the cluster's reference."""

@@ -12,7 +12,7 @@ from usnet_env.swarm.field_follow import FieldStrategy
 from usnet_env.swarm.formation import Roles
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
-__all__ = ["Couzin", "Flock", "Predator", "Shepherd", "Vicsek"]
+__all__ = ["Couzin", "Flock", "Informed", "Predator", "Shepherd", "Vicsek"]
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Flock(FieldStrategy):
         flight: distance at which a UAV flees a predator or driver, metres.
         flee: weight of the flight.
         standoff: distance of a driver from the middle of its flock, metres.
+        preference: weight of the course of the cluster's reference for its informed UAVs.
     """
 
     repulsion: float = 0.0
@@ -40,6 +41,7 @@ class Flock(FieldStrategy):
     flight: float = 0.0
     flee: float = 0.0
     standoff: float = 0.0
+    preference: float = 0.0
     chaser: ClassVar[int] = flock_kernels.NO_CHASER
 
     def fly(self, flight: TrajectoryBatch) -> None:
@@ -51,7 +53,9 @@ class Flock(FieldStrategy):
             np.float32(self.flight),
             np.float32(self.flee),
             np.float32(self.standoff),
+            np.float32(self.preference),
             self.table(flight),
+            flight.leader,
             flight.source,
             flight.bystander,
             flight.motion,
@@ -91,6 +95,36 @@ class Couzin(Flock):
 
 
 @dataclass(frozen=True)
+class Informed(Couzin):
+    """A Couzin flock with an informed minority: its heads fly in the flock, and also prefer a course that they know.
+
+    The course is that of a reference, which flies by the swarm's mobility. The other UAVs have no head of their own:
+    their ``leader`` is -1.
+
+    Args:
+        share: share of the UAVs of a cluster that are informed; at least one is.
+    """
+
+    equation = "informed i: v_{i,t+1} = norm(d_i / ‖d_i‖ + ω v_{r,t} + κ_n n), d_i as in couzin, r a reference"
+    citation = "Couzin et al. 2005, Nature 433:513"
+    breaks = "a head ignores the UAVs that it leads"
+    parameters = ("share", "preference", "repulsion", "alignment", "attraction", "attract", "noise")
+    share: float = 0.2
+    preference: float = 0.5
+    has_references = True
+
+    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
+        """Draw the informed UAVs of each cluster, the drawn head first."""
+        head, source, leader = roles.head.copy(), roles.source.copy(), roles.leader.copy()
+        for cluster, first in enumerate(roles.drawn):
+            members = np.append(first, rng.permutation(roles.members(cluster)))
+            informed = members[: max(1, round(self.share * len(members)))]
+            source[members], leader[members] = len(source) + cluster, -1
+            head[informed], leader[informed] = True, informed
+        return replace(roles, head=head, source=source, leader=leader, references=len(roles.drawn))
+
+
+@dataclass(frozen=True)
 class Predator(Couzin):
     """A Couzin flock with a head and a predator, which chases the nearest UAV of the flock; the flock flees it.
 
@@ -126,6 +160,7 @@ class Shepherd(Couzin):
     flee: float = 1.5
     standoff: float = 40.0
     has_heads = False
+    has_references = True
     chaser = flock_kernels.DRIVER
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:

@@ -109,8 +109,8 @@ def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position,
 
 @compiled(fastmath=_FAST, error_model="numpy")
 def fly_flock(
-    ranges, weights, chaser, flight_range, flight_weight, standoff, table, source, bystander, motion, start, noise,
-    position, velocity,
+    ranges, weights, chaser, flight_range, flight_weight, standoff, preference, table, leader, source, bystander,
+    motion, start, noise, position, velocity,
 ):  # fmt: skip
     """Followers fly by repulsion, or else by alignment and attraction, from the UAVs of their flock, and flee chasers.
 
@@ -121,7 +121,9 @@ def fly_flock(
         flight_range: metres; a chaser within it is fled from.
         flight_weight: weight of the direction away from a chaser.
         standoff: metres between a driver and the middle of its flock.
+        preference: weight of the course of the flock's reference for its heads, where they fly in the flock.
         table: ``(B, COLUMNS, N)`` float32, the numbers of each UAV.
+        leader: ``(B, N)`` int64, the own index of a head.
         source: as in ``TrajectoryBatch``, like the arguments that follow.
         bystander: ``(B, N)`` bool.
         motion: ``(B, N + R)`` int8.
@@ -213,6 +215,11 @@ def fly_flock(
                         x, y, z = middle[f, 0] - px[c], middle[f, 1] - py[c], middle[f, 2] - pz[c]
                         scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
                         x, y, z = x * scale, y * scale, z * scale
+                    if preference > _ZERO and leader[b, i] == i:
+                        scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
+                        x = scale * x + preference * velocity[b, t - 1, f, 0]
+                        y = scale * y + preference * velocity[b, t - 1, f, 1]
+                        z = scale * z + preference * velocity[b, t - 1, f, 2]
                     for k in range(chaser_count):
                         h = chasers[k]
                         dx, dy = px[c] - position[b, t, h, 0], py[c] - position[b, t, h, 1]

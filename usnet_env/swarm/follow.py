@@ -31,7 +31,7 @@ from usnet_env.swarm.field_follow import (
     Switching,
     UnequalDelays,
 )
-from usnet_env.swarm.flock_follow import Couzin, Predator, Shepherd, Vicsek
+from usnet_env.swarm.flock_follow import Couzin, Informed, Predator, Shepherd, Vicsek
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
@@ -226,6 +226,7 @@ FIELD_MODELS: dict[str, FieldStrategy] = {
     "cucker_smale": CuckerSmale(),
     "vicsek": Vicsek(),
     "couzin": Couzin(),
+    "informed": Informed(),
     "frontness": Frontness(),
     "part_time": PartTime(),
     "partial_turns": PartialTurns(),

@@ -63,7 +63,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     _check_types(config, None, rngs)
     episodes, uavs, memory = len(rngs), config.uavs, config.memory
     strategy = config.follow_strategy
-    references = 0 if strategy is None or strategy.has_heads else config.clusters
+    references = config.clusters if strategy is not None and strategy.has_references else 0
     others = config.bystanders + config.traffic
     count = uavs if strategy is None else config.clusters + config.decoys + others
     laws, all_uavs = _laws(config, count), uavs + references
@@ -84,7 +84,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
         roles = drawn if strategy is None else strategy.arrange(rng, drawn)
         head[b], decoy[b], bystander[b] = roles.head, roles.decoy, roles.bystander
         leader[b], source[b] = roles.leader, roles.source
-        by_mobility = ~drawn.bystander if strategy is None else roles.head | roles.decoy
+        by_mobility = ~drawn.bystander if strategy is None else roles.decoy | (roles.head if not references else False)
         free[b] = np.concatenate(
             [
                 np.flatnonzero(by_mobility),

@@ -57,14 +57,15 @@ class FollowStrategy(ABC):
         equation: the equation as text, for lists and documentation pages.
         lags: number of past head velocities that the strategy uses; ``memory`` T_0 must be at least this.
         noise: kappa_n, the scale of the noise.
-        has_heads: whether heads lead the clusters; otherwise each cluster has a reference, H_0 is empty, and the right
-            answer is the empty set.
+        has_heads: whether heads lead the clusters; otherwise H_0 is empty, and the right answer is the empty set.
+        has_references: whether each cluster has a reference, which flies by the swarm's mobility in place of its heads.
     """
 
     equation: str = ""
     lags: int = 1
     noise: float = KAPPA_NOISE
     has_heads: bool = True
+    has_references: bool = False
 
     def draw(self, rng: np.random.Generator) -> Singles:
         """Draw the parameters ``(P,)`` float32 of one episode; P is fixed, and 0 for most strategies."""
