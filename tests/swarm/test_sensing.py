@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from usnet_env import ArgumentError
+from usnet_env.envs import MultiClusterEnv
 from usnet_env.swarm import SwarmConfig, advance, start
+from usnet_env.swarm.config import SWAP_RANGE
 
 
 def observed(**arguments):
@@ -46,3 +49,60 @@ def test_sampling_every_kth_step_keeps_metres_per_step():
 def test_without_noise_the_observed_velocity_is_the_true_one():
     window = observed()
     np.testing.assert_allclose(np.linalg.norm(window.velocity, axis=-1), 1.0, atol=1e-6)
+
+
+def test_noise_with_a_memory_keeps_its_size_and_has_its_correlation():
+    truth, window = observed(), observed(position_noise=2.0, noise_memory=0.8)
+    noise = (window.position - truth.position)[0].astype(float)
+    assert noise.std() == pytest.approx(2.0, rel=0.05)
+    assert np.mean(noise[1:] * noise[:-1]) / noise.var() == pytest.approx(0.8, abs=0.03)
+    np.testing.assert_allclose(window.velocity, np.diff(window.position, axis=1), atol=1e-6)
+
+
+def test_missed_detections_come_in_bursts():
+    seen = observed(miss_rate=0.2, miss_burst=6.0, observation_steps=2000).seen[0]
+    assert seen.mean() == pytest.approx(0.8, abs=0.02)
+    ends = (~seen[:-1] & seen[1:]).sum()
+    assert (~seen).sum() / ends == pytest.approx(6.0, rel=0.1)
+    with pytest.raises(ArgumentError, match="miss_burst must be 0, or at least 1 and miss_rate"):
+        observed(miss_rate=0.9, miss_burst=2.0)
+
+
+def test_partial_tracks_begin_late_or_end_early():
+    window = observed(partial_tracks=0.5)
+    seen = window.seen[0]
+    changes = np.abs(np.diff(seen.astype(int), axis=0)).sum(axis=0)
+    assert set(changes) == {0, 1}
+    assert changes.mean() == pytest.approx(0.5, abs=0.2)
+    cut = changes == 1
+    assert (seen[0] | seen[-1]).all()
+    assert seen[0, cut].any()
+    assert seen[-1, cut].any()
+    assert not window.position[0][~seen].any()
+
+
+def test_near_uavs_exchange_their_identities():
+    truth, window = observed(formation="around"), observed(formation="around", swap_rate=0.005)
+    gap = np.linalg.norm(window.position[0, :, :, None] - truth.position[0, :, None], axis=-1)  # (instants, seen, true)
+    shown = gap.argmin(axis=2)
+    assert gap.min(axis=2).max() < 1e-3
+    for row in shown:
+        assert sorted(row) == list(range(82))
+    assert (shown[0] == np.arange(82)).mean() > 0.9
+    assert (shown[-1] != np.arange(82)).mean() > 0.05
+    jumps = np.linalg.norm(window.velocity[0], axis=-1)
+    assert jumps.max() <= SWAP_RANGE + 1.001
+    np.testing.assert_allclose(window.velocity, np.diff(window.position, axis=1), atol=1e-6)
+
+
+def test_the_sensor_of_a_batch_is_that_of_single_swarms():
+    config = SwarmConfig(
+        clusters=3, uavs=20, position_noise=1.0, noise_memory=0.5, miss_rate=0.1, miss_burst=3.0, partial_tracks=0.3,
+        swap_rate=0.01, formation="around", observation_steps=20,
+    )  # fmt: skip
+    rngs, alone = [np.random.default_rng(b) for b in range(5)], [np.random.default_rng(3)]
+    windows, window = (advance(config, start(config, each), each)[1] for each in (rngs, alone))
+    np.testing.assert_array_equal(windows.position[3], window.position[0])
+    np.testing.assert_array_equal(windows.seen[3], window.seen[0])
+    env = MultiClusterEnv(**config.model_dump())
+    assert env.observation_space.contains(env.reset(seed=0)[0])

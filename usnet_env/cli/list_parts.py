@@ -20,7 +20,18 @@ if TYPE_CHECKING:
 __all__ = ["list_"]
 
 _NARROWEST = 30  # columns of a description
-_PARTS = ("envs", "detectors", "follow", "mobility", "formation", "placement", "fusion", "clusterer", "suites")
+_PARTS = (
+    "envs",
+    "detectors",
+    "follow",
+    "mobility",
+    "kinematics",
+    "formation",
+    "placement",
+    "fusion",
+    "clusterer",
+    "suites",
+)
 
 
 @click.command(name="list", short_help="List envs, detectors, follow strategies and other parts.")

@@ -23,6 +23,7 @@ __all__ = ["DISTRIBUTION", "FieldDistribution", "FieldEnv", "FieldVectorEnv"]
 
 Weights = Mapping[str, float]
 Few = Annotated[int, Field(ge=0, le=100_000)]
+Share = Annotated[float, Field(ge=0, le=1)]
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,13 @@ class FieldDistribution:
         bystanders: smallest and largest number of bystanders.
         traffic: smallest and largest number of UAVs of civil traffic.
         jitter: probability of the head jitter.
-        clean: probability that positions have no noise, and, independently, that no detection is missed.
+        clean: probability that the sensor lacks a fault, for each of the faults that follow.
         position_noise: smallest and largest position noise otherwise, log-uniform, metres.
-        miss_rate: smallest and largest miss rate otherwise, uniform.
+        miss_rate: smallest and largest miss rate otherwise, uniform, as for all that follow.
+        noise_memory: smallest and largest memory of the noise.
+        miss_burst: smallest and largest mean length of a burst of missed detections, sampling instants.
+        partial_tracks: smallest and largest share of partial tracks.
+        swap_rate: smallest and largest rate of identity switches.
     """
 
     version: int = 1
@@ -72,6 +77,10 @@ class FieldDistribution:
     clean: float = 0.5
     position_noise: tuple[float, float] = (0.01, 0.1)
     miss_rate: tuple[float, float] = (0.01, 0.1)
+    noise_memory: tuple[float, float] = (0.3, 0.9)
+    miss_burst: tuple[float, float] = (2.0, 6.0)
+    partial_tracks: tuple[float, float] = (0.05, 0.2)
+    swap_rate: tuple[float, float] = (0.0002, 0.001)
 
     def draw(self, rng: np.random.Generator) -> dict[str, Any]:
         """Draw the arguments of one swarm. The order of the draws is part of the version."""
@@ -83,10 +92,12 @@ class FieldDistribution:
         for name in ("clusters", "decoys", "bystanders", "traffic"):
             drawn[name] = int(rng.integers(getattr(self, name)[0], getattr(self, name)[1] + 1))
         drawn["head_jitter"] = bool(rng.random() < self.jitter)
-        low, high = np.log(self.position_noise)
-        noise, noisy = float(np.exp(rng.uniform(low, high))), bool(rng.random() >= self.clean)
-        missed, misses = float(rng.uniform(*self.miss_rate)), bool(rng.random() >= self.clean)
-        return {**drawn, "position_noise": noise * noisy, "miss_rate": missed * misses}
+        for name in ("position_noise", "miss_rate", "noise_memory", "miss_burst", "partial_tracks", "swap_rate"):
+            low, high = getattr(self, name)
+            log = name == "position_noise"
+            value = float(np.exp(rng.uniform(np.log(low), np.log(high)))) if log else float(rng.uniform(low, high))
+            drawn[name] = value if rng.random() >= self.clean else 0.0
+        return drawn
 
     @property
     def largest(self) -> dict[str, Any]:
@@ -96,7 +107,8 @@ class FieldDistribution:
             "follow": "unequal_delays",
             "kinematics": "varied_speed",
             "position_noise": self.position_noise[1],
-            "miss_rate": self.miss_rate[1],
+            "swap_rate": self.swap_rate[1],
+            "miss_burst": self.miss_burst[0],
         }
 
 
@@ -127,6 +139,14 @@ class FieldArguments(OutputArguments, game.RoundArguments):
     miss_rate: Annotated[float, Field(ge=0, lt=1)] | None = Field(
         None, description="probability of a missed detection; ``None``: drawn"
     )
+    noise_memory: Annotated[float, Field(ge=0, lt=1)] | None = Field(
+        None, description="correlation of the noise from one instant to the next; ``None``: drawn"
+    )
+    miss_burst: Annotated[float, Field(ge=0, le=10_000)] | None = Field(
+        None, description="mean length of a burst of missed detections; ``None``: drawn"
+    )
+    partial_tracks: Share | None = Field(None, description="probability of a partial track; ``None``: drawn")
+    swap_rate: Share | None = Field(None, description="probability of an identity switch; ``None``: drawn")
 
     def make_config(self, drawn: dict[str, Any]) -> SwarmConfig:
         """The swarm with the given values where this config has ``None``."""
@@ -141,7 +161,7 @@ class FieldEnv(UsnetEnv):
     ## Description
     The game is that of `USNET/MultiCluster-v0`. What flies is drawn for each episode: the follow strategy (one of the
     [field models](../field.md)), the mobility of the heads, the kinematics of all UAVs, the initial positions, the
-    number of clusters, the decoys, bystanders and civil traffic, and the noise and missed detections of the sensor.
+    number of clusters, the decoys, bystanders and civil traffic, and the faults of the sensor.
     N and T_ob are fixed. The agent is not told what was drawn. In some episodes no UAV leads: H_0 is empty, the right
     answer is the empty set, and the game ends after one round.
 

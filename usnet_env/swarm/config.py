@@ -95,6 +95,20 @@ class SensorArguments(Config):
     miss_rate: Annotated[float, Field(ge=0, lt=1)] = Field(
         0.0, description="probability that a UAV is not detected at a sampling instant"
     )
+    noise_memory: Annotated[float, Field(ge=0, lt=1)] = Field(
+        0.0, description="correlation of the position noise from one sampling instant to the next"
+    )
+    miss_burst: Annotated[float, Field(ge=0, le=10_000)] = Field(
+        0.0, description="mean number of sampling instants that a UAV is missed in a row; 0: each by itself"
+    )
+    partial_tracks: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.0, description="probability that a track begins late or ends early in a window"
+    )
+    swap_rate: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.0,
+        description="probability that a UAV exchanges its identity with the nearest UAV within 20 m at a sampling "
+        "instant, until the end of the window",
+    )
 
 
 class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityArguments, SwarmArguments):
@@ -138,6 +152,11 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
                 f"uavs must be at least 3 * clusters + {apart} = {3 * self.clusters + sum(others.values())} "
                 f"(every head has at least 2 followers), got {self.uavs}."
             )
+        if self.miss_burst > 0 and self.miss_burst < max(1.0, self.miss_rate / (1.0 - self.miss_rate)):
+            raise ArgumentError(
+                f"miss_burst must be 0, or at least 1 and miss_rate / (1 - miss_rate) = "
+                f"{self.miss_rate / (1.0 - self.miss_rate):.3g}, got {self.miss_burst:g}."
+            )
         if (self.steps + self.memory) * self.uavs > _MAX_SAMPLES:
             raise ArgumentError(
                 f"observation_steps must keep (memory + observation_steps * sample_every) * uavs at or below "
@@ -176,7 +195,9 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
     def velocity_bound(self) -> float:
         """An upper bound in metres per step of all observed velocity coordinates."""
         fastest = max(1.0, self.kinematics_model.top_speed)  # before the first window all UAVs fly 1 m per step
-        return 1.001 * fastest + 2.0 * NOISE_BOUND * self.position_noise / self.sample_every
+        jump = (2.0 * NOISE_BOUND * self.position_noise + SWAP_RANGE * (self.swap_rate > 0)) / self.sample_every
+        return 1.001 * fastest + jump
 
 
+SWAP_RANGE = 20.0  # metres, the largest distance of two UAVs that exchange their identities
 NOISE_BOUND = 8.0  # observation noise is clipped at 8 standard deviations (one in 10^15 draws), so bounds are finite

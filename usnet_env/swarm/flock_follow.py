@@ -83,7 +83,7 @@ class Couzin(Flock):
     )
     citation = "Couzin et al. 2002, 2005, Nature 433:513"
     breaks = "followers copy a head and no other UAV"
-    parameters = ("repulsion", "alignment", "attraction", "attract", "noise")
+    parameters: ClassVar[tuple[str, ...]] = ("repulsion", "alignment", "attraction", "attract", "noise")
     repulsion: float = 5.0
     alignment: float = 40.0
     attraction: float = 100.0

@@ -40,34 +40,32 @@ def _build_cells(first, last, p, width, cell, bucket, following):
 
 
 @compiled(error_model="numpy")
-def _sum_cells(a, p, v, repel, align, attract, cell, bucket, following, sums):
+def _sum_cells(a, p, v, repel, align, attract, cell, bucket, following):
     """Sum over the UAVs in the 27 cells around UAV a: repulsion, alignment, attraction, and their three counts."""
-    sums[:] = _ZERO
-    outer = max(align, attract)
+    x, y, z, outer = p[0, a], p[1, a], p[2, a], max(align, attract)
+    rx, ry, rz, ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    repelled, aligned, attracted = _ZERO, _ZERO, _ZERO
     for i in range(cell[0, a] - 1, cell[0, a] + 2):
         for j in range(cell[1, a] - 1, cell[1, a] + 2):
             for k in range(cell[2, a] - 1, cell[2, a] + 2):
                 c = bucket[_hash_cell(i, j, k, len(bucket))]
                 while c >= 0:
-                    dx, dy, dz = p[0, c] - p[0, a], p[1, c] - p[1, a], p[2, c] - p[2, a]
+                    dx, dy, dz = p[0, c] - x, p[1, c] - y, p[2, c] - z
                     square = dx * dx + dy * dy + dz * dz
                     # Two cells may share a bucket: a UAV counts in its own cell only.
                     if square < outer and cell[0, c] == i and cell[1, c] == j and cell[2, c] == k:
                         inverse = _ONE / np.sqrt(square + _TINY)
                         if square < repel:
-                            sums[9] += _ONE
-                            sums[0], sums[1], sums[2] = (
-                                sums[0] - inverse * dx, sums[1] - inverse * dy, sums[2] - inverse * dz
-                            )  # fmt: skip
+                            repelled += _ONE
+                            rx, ry, rz = rx - inverse * dx, ry - inverse * dy, rz - inverse * dz
                         if square < align:
-                            sums[10] += _ONE
-                            sums[3], sums[4], sums[5] = sums[3] + v[0, c], sums[4] + v[1, c], sums[5] + v[2, c]
+                            aligned += _ONE
+                            ox, oy, oz = ox + v[0, c], oy + v[1, c], oz + v[2, c]
                         if square < attract:
-                            sums[11] += _ONE
-                            sums[6], sums[7], sums[8] = (
-                                sums[6] + inverse * dx, sums[7] + inverse * dy, sums[8] + inverse * dz
-                            )  # fmt: skip
+                            attracted += _ONE
+                            ax, ay, az = ax + inverse * dx, ay + inverse * dy, az + inverse * dz
                     c = following[c]
+    return rx, ry, rz, ox, oy, oz, ax, ay, az, repelled, aligned, attracted
 
 
 @compiled(error_model="numpy")
@@ -135,7 +133,7 @@ def fly_flock(
     episodes, steps, width, uavs = noise.shape[0], noise.shape[1], noise.shape[2], table.shape[2]
     label, order = np.empty(uavs, np.int64), np.empty(uavs, np.int64)
     first = np.empty(width + 1, np.int64)
-    p, v, sums = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32), np.empty(12, np.float32)
+    p, v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     repel, align, attract = ranges[0] * ranges[0], ranges[1] * ranges[1], ranges[2] * ranges[2]
     outer, plain = max(ranges[1], ranges[2]), max(repel, attract) == _ZERO
     cell, following = np.empty((3, uavs), np.int64), np.empty(uavs, np.int64)
@@ -176,11 +174,9 @@ def fly_flock(
                     ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
                     rx, ry, rz, repelled, aligned, attracted = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
                     if size > _SMALL:
-                        _sum_cells(low + c, p, v, repel, align, attract, cell, bucket[:small], following, sums)
-                        rx, ry, rz, ox, oy, oz = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
-                        ax, ay, az, repelled, aligned, attracted = (
-                            sums[6], sums[7], sums[8], sums[9], sums[10], sums[11]
-                        )  # fmt: skip
+                        rx, ry, rz, ox, oy, oz, ax, ay, az, repelled, aligned, attracted = _sum_cells(
+                            low + c, p, v, repel, align, attract, cell, bucket[:small], following
+                        )
                     elif plain:
                         for d in range(size):
                             dx, dy, dz = px[d] - px[c], py[d] - py[c], pz[d] - pz[c]

@@ -1,4 +1,4 @@
-"""The observer's sensor: sampling, position noise and missed detections."""
+"""The observer's sensor: sampling, position noise, missed detections, partial tracks and identity switches."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usnet_env.arrays import Mask, Singles
-from usnet_env.swarm.config import NOISE_BOUND, SwarmConfig
+from usnet_env.swarm.config import NOISE_BOUND, SWAP_RANGE, SwarmConfig
 
 __all__ = ["ObservationBatch", "sense"]
 
@@ -38,8 +38,11 @@ def sense(
     If every step is sampled without noise, the observed velocity is the true velocity. Otherwise it is the difference
     of two observed positions, divided by the number of steps between them.
 
+    Noise with a memory φ is an autoregressive process of order 1. Missed detections in bursts are a Markov chain of two
+    states (Gilbert 1960) with the miss rate as its stationary distribution.
+
     Args:
-        config: the sensor: ``sample_every`` k, ``position_noise`` and ``miss_rate`` are used.
+        config: the sensor: ``sample_every`` k and the fields of ``SensorArguments`` are used.
         position: ``(B, T_ob * k + 1, N, 3)`` float32, metres, the true positions from the start of the window.
         velocity: ``(B, T_ob * k, N, 3)`` float32, metres per step, the true velocities.
         alive: ``(B, N)`` bool.
@@ -49,13 +52,22 @@ def sense(
         The observed windows.
     """
     k = config.sample_every
-    differenced = k > 1 or config.position_noise > 0
+    differenced = k > 1 or config.position_noise > 0 or config.swap_rate > 0
     if k > 1:
         position = position[:, ::k]
+    if config.swap_rate > 0:
+        shown = np.empty_like(position)
+        for b, rng in enumerate(rngs):
+            shown[b] = _swap(position[b], alive[b], config.swap_rate, rng)
+        position = shown
     if config.position_noise > 0:
-        noise = np.empty(position.shape, np.float32)
+        noise: Singles = np.empty(position.shape, np.float32)
         for row, rng in zip(noise, rngs, strict=True):
             rng.standard_normal(out=row, dtype=np.float32)
+        if config.noise_memory > 0:
+            keep = np.float32(config.noise_memory)
+            for t in range(1, noise.shape[1]):
+                noise[:, t] = keep * noise[:, t - 1] + np.sqrt(1 - keep * keep) * noise[:, t]
         np.clip(noise, -NOISE_BOUND, NOISE_BOUND, out=noise)
         noise *= np.float32(config.position_noise)
         noise.swapaxes(1, 2)[~alive] = 0.0
@@ -67,8 +79,49 @@ def sense(
     seen = np.broadcast_to(alive[:, None], position.shape[:3]).copy()
     if config.miss_rate > 0:
         for row, rng in zip(seen, rngs, strict=True):
-            row &= rng.random(row.shape, dtype=np.float32) >= config.miss_rate
+            row &= _detect(rng.random(row.shape, dtype=np.float32), config.miss_rate, config.miss_burst)
+    if config.partial_tracks > 0:
+        for row, rng in zip(seen, rngs, strict=True):
+            row &= _cover(rng, row.shape[0], row.shape[1], config.partial_tracks)
+    if config.miss_rate > 0 or config.partial_tracks > 0:
         # `where` instead of a product: a product with 0 would keep the sign of the hidden value.
         position = np.where(seen[..., None], position, np.float32(0.0))
         velocity = np.where((seen[:, 1:] & seen[:, :-1])[..., None], velocity, np.float32(0.0))
     return ObservationBatch(position, velocity, seen, alive.copy())
+
+
+def _detect(drawn: Singles, rate: float, burst: float) -> Mask:
+    """Which UAVs are detected, ``(T_ob + 1, N)``, from uniform numbers of this shape."""
+    if burst == 0:
+        return drawn >= rate
+    detected = np.empty(drawn.shape, bool)
+    detected[0] = drawn[0] >= rate
+    for t in range(1, len(drawn)):
+        missed = np.where(detected[t - 1], rate / (burst * (1.0 - rate)), 1.0 - 1.0 / burst)
+        detected[t] = drawn[t] >= missed
+    return detected
+
+
+def _cover(rng: np.random.Generator, instants: int, uavs: int, share: float) -> Mask:
+    """Which instants the tracks cover, ``(T_ob + 1, N)``: a partial track begins or ends in the middle three fifths."""
+    partial, cut, early = rng.random(uavs) < share, rng.uniform(0.2, 0.8, uavs), rng.random(uavs) < 0.5
+    time = np.arange(instants)[:, None] / max(instants - 1, 1)
+    return ~partial | np.where(early, time <= cut, time >= cut)
+
+
+def _swap(position: Singles, alive: Mask, rate: float, rng: np.random.Generator) -> Singles:
+    """Positions ``(T_ob + 1, N, 3)`` by observed identity; a UAV switches at most once in an instant."""
+    swaps = (rng.random(position.shape[:2]) < rate) & alive
+    holder = np.arange(len(alive))  # the true UAV of each observed one
+    shown = np.empty_like(position)
+    for t, place in enumerate(position):
+        free = alive.copy()
+        for i in np.flatnonzero(swaps[t]):
+            distance = np.linalg.norm(place[holder] - place[holder[i]], axis=1)
+            distance[~free | (np.arange(len(alive)) == i)] = np.inf
+            j = int(distance.argmin())
+            if free[i] and distance[j] <= SWAP_RANGE:
+                holder[i], holder[j] = holder[j], holder[i]
+                free[i] = free[j] = False
+        shown[t] = place[holder]
+    return shown
