@@ -10,15 +10,13 @@ run in one thread, except VMAS, which uses PyTorch's threads.
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
+from speed_helpers import run, write_json
 
 import usnet_env  # noqa: F401  registers the environments
 from usnet_env.provenance import machine, versions
@@ -154,14 +152,13 @@ def peers(turns: int) -> dict[str, object]:
 
 def memory() -> dict[str, object]:
     """Peak resident memory of a process that plays 1,000 swarms of N=82 at once."""
-    program = (
-        "import resource, numpy as np, gymnasium as gym, usnet_env\n"
+    peak = run(
+        "import numpy as np, gymnasium as gym, usnet_env\n"
         "envs = gym.make_vec('USNET/MultiCluster-v0', num_envs=1000)\n"
         "observation, _ = envs.reset(seed=0)\n"
         "for _ in range(3): observation, *_ = envs.step(np.random.default_rng(0).random((1000, 82)) < 0.05)\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)\n"
+        "print(peak())\n"
     )
-    peak = int(subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout)
     return {"what": "peak resident bytes, 1,000 swarms of 82 UAVs", "bytes": peak}
 
 
@@ -188,10 +185,7 @@ def main() -> None:
         result["peers"] = peers(turns)
     if "memory" in parts:
         result["memory"] = memory()
-    text = json.dumps(result, indent=1)
-    aside = arguments.out.with_suffix(".part")
-    aside.write_text(text + "\n")
-    aside.replace(arguments.out)
+    write_json(arguments.out, result)
     for part in ("stepping", "field", "kinematics"):
         for name, row in result.get(part, {}).items():
             rate = row["uav_steps_per_second"] / 1e6
