@@ -291,6 +291,14 @@ RESULTS: tuple[Result, ...] = (
         ("OMP_NUM_THREADS=1 python benchmarks/tracks_speed.py",),
     ),
     Result(
+        "recorded tracks: leaders named in two public sets",
+        ("real_tracks.csv",),
+        (
+            "python examples/fetch_tracks.py ants cars --out data",
+            "OMP_NUM_THREADS=1 python benchmarks/real_tracks.py data",
+        ),
+    ),
+    Result(
         "speed and memory of the evaluator's store, summary and isolation",
         ("engine_speed.json",),
         ("OMP_NUM_THREADS=1 python benchmarks/engine_speed.py",),

@@ -156,6 +156,10 @@ def find_leaders(
     if isinstance(player, type) or not isinstance(player, DetectorLike):
         raise ArgumentError(f"detector must have the methods detect(window) and reset(seed), got {quote(player)}.")
     seed = whole_number("seed", seed, 0)
+    if not isinstance(confirm, bool):
+        raise ArgumentError(f"confirm must be True or False, got {quote(confirm)}.")
+    if on_window is not None and not callable(on_window):
+        raise ArgumentError(f"on_window must be a function or None, got {quote(on_window)}.")
     summary, groups, windows = _Summary(len(tracks.ids)), _Groups(), []
     for number, cut in enumerate(tracks.windows(length, stride)):
         start, end = tracks.file_time(cut.start), tracks.file_time(cut.end)
