@@ -11,7 +11,7 @@ INSTALLED := $(VENV)/.installed
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*##  *\(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
 
-demo: $(INSTALLED)  ## play one game; replay, picture and episode file go to runs/demo/
+demo: $(INSTALLED)  ## play one game; replay, page, picture and episode file go to runs/demo/
 	$(BIN)/usnet demo
 
 test: $(INSTALLED)  ## run the quick tests
@@ -42,8 +42,9 @@ bench: $(INSTALLED)  ## measure the speed of the simulator; numbers are in bench
 	$(BIN)/pip install --quiet --quiet --editable '.[bench]'
 	$(BIN)/python benchmarks/speed.py
 
-animation: $(INSTALLED)  ## play the game of the README and write docs/images/game.gif
-	$(BIN)/python docs/make_animation.py
+animation: $(INSTALLED)  ## play the demo and write docs/images/game.gif
+	$(BIN)/usnet demo
+	$(BIN)/usnet replay runs/demo/episode.npz --animation docs/images/game.gif
 
 docs: $(INSTALLED)  ## build the pages in docs/_build/
 	$(BIN)/sphinx-build -W --keep-going -q docs docs/_build

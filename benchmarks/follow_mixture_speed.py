@@ -18,13 +18,11 @@ ratio, and the median counts; what takes long has fewer turns, and says so.
 from __future__ import annotations
 
 import argparse
-import time
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from speed_helpers import peak_memory, play, write_json
-from speed_helpers import seconds as seconds_by
+from speed_helpers import peak_memory, play, seconds, write_json
 
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
@@ -43,8 +41,6 @@ SERIES = ("clusters fixed", "clusters in proportion")
 LARGEST = 10_000
 FOLLOWERS = 50
 PATIENCE = 30.0  # seconds after which a size is timed no further
-
-seconds = partial(seconds_by, clock=time.process_time)
 
 
 def swarm(env: MultiClusterEnv | SingleClusterEnv, seed: int) -> tuple[Window, np.ndarray]:

@@ -8,6 +8,8 @@ of all fourteen, of other seeds, were looked at; so none of them is new to it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,20 @@ from usnet_env.swarm import FollowInputs, FollowStrategy, register_follow_strate
 __all__ = ["FIRST_EIGHT", "IN_A_CLASS", "OUTSIDE_CLASSES", "STRATEGIES"]
 
 Array = NDArray[np.float32]
+Law = Callable[[FollowInputs], Array]
+
+_names = ["own_delays", "turned"]  # of all that are registered
+
+
+def registered(lags: int) -> Callable[[Law], Law]:
+    """Register a function under its name."""
+
+    def register(function: Law) -> Law:
+        register_follow_strategy(function.__name__, function, lags=lags)
+        _names.append(function.__name__)
+        return function
+
+    return register
 
 
 class OwnDelays(FollowStrategy):
@@ -44,16 +60,23 @@ class Turned(FollowStrategy):
         return inputs.head_velocity[:, 0] @ inputs.parameters.reshape(3, 3).T
 
 
+register_follow_strategy("own_delays", OwnDelays())
+register_follow_strategy("turned", Turned())
+
+
+@registered(lags=2)
 def saturated(inputs: FollowInputs) -> Array:
     """tanh(3 v) on every axis, over two lags."""
     return np.tanh(3.0 * (inputs.head_velocity[:, 0] + 0.5 * inputs.head_velocity[:, 1]))
 
 
+@registered(lags=2)
 def products(inputs: FollowInputs) -> Array:
     """The cross product of the head's last two velocities."""
     return 1.5 * np.cross(inputs.head_velocity[:, 0], inputs.head_velocity[:, 1])
 
 
+@registered(lags=2)
 def absolute(inputs: FollowInputs) -> Array:
     """|v| on every axis, minus 0.7 times the velocity before."""
     return np.abs(inputs.head_velocity[:, 0]) - 0.7 * inputs.head_velocity[:, 1]
@@ -62,18 +85,21 @@ def absolute(inputs: FollowInputs) -> Array:
 OFFSET = np.array([20.0, -15.0, 5.0], np.float32)
 
 
-def formation(inputs: FollowInputs) -> Array:
+@registered(lags=1)
+def formation_offset(inputs: FollowInputs) -> Array:
     """The head's velocity, plus a pull towards a place at a fixed offset from the head."""
     gap = inputs.head_position[:, 1] + OFFSET - inputs.own_position[:, 1]
     distance = np.sqrt((gap * gap).sum(axis=1, keepdims=True))
     return inputs.head_velocity[:, 0] + 0.5 * gap / np.maximum(distance, 5.0)
 
 
+@registered(lags=3)
 def median(inputs: FollowInputs) -> Array:
     """The axis-wise median of the head's last three velocities."""
     return np.median(inputs.head_velocity[:, :3], axis=1).astype(np.float32)
 
 
+@registered(lags=2)
 def pursuit(inputs: FollowInputs) -> Array:
     """The direction to the head's position two steps ago, plus half the sign of its velocity."""
     gap = inputs.head_position[:, 2] - inputs.own_position[:, 0]
@@ -81,6 +107,7 @@ def pursuit(inputs: FollowInputs) -> Array:
     return gap / np.maximum(distance, 1.0) + 0.5 * np.sign(inputs.head_velocity[:, 0])
 
 
+@registered(lags=1)
 def swerve(inputs: FollowInputs) -> Array:
     """The head's velocity, rotated about the vertical by an angle proportional to the distance."""
     gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
@@ -90,11 +117,13 @@ def swerve(inputs: FollowInputs) -> Array:
     return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
 
 
+@registered(lags=3)
 def majority(inputs: FollowInputs) -> Array:
     """On every axis the sign of the sum of the head's last three velocities."""
     return np.sign(inputs.head_velocity[:, :3].sum(axis=1))
 
 
+@registered(lags=2)
 def constant_turn(inputs: FollowInputs) -> Array:
     """Constant-turn prediction: the head's next velocity if it repeats the plane and the angle of its last turn."""
     now, before = inputs.head_velocity[:, 0], inputs.head_velocity[:, 1]
@@ -102,6 +131,7 @@ def constant_turn(inputs: FollowInputs) -> Array:
     return (2.0 * cosine * now - before).astype(np.float32)
 
 
+@registered(lags=2)
 def parallel_navigation(inputs: FollowInputs) -> Array:
     """Parallel navigation: the head's velocity (two lags), its component along the line of sight towards the head."""
     gap = inputs.head_position[:, 1] - inputs.own_position[:, 1]
@@ -112,6 +142,7 @@ def parallel_navigation(inputs: FollowInputs) -> Array:
     return (velocity + (np.abs(along) - along) * sight).astype(np.float32)
 
 
+@registered(lags=2)
 def track_guidance(inputs: FollowInputs) -> Array:
     """Track guidance: the head's course (two lags), plus a correction of the cross-track error."""
     course = inputs.head_velocity[:, 0] + inputs.head_velocity[:, 1]
@@ -121,6 +152,7 @@ def track_guidance(inputs: FollowInputs) -> Array:
     return (course + error / np.sqrt((error * error).sum(axis=1, keepdims=True) + 80.0**2)).astype(np.float32)
 
 
+@registered(lags=2)
 def limited_turn_rate(inputs: FollowInputs) -> Array:
     """A limited turn rate: from its last velocity towards the head's (two lags), by at most 0.9 radians a step."""
     own = inputs.own_position[:, 0] - inputs.own_position[:, 1]
@@ -133,22 +165,7 @@ def limited_turn_rate(inputs: FollowInputs) -> Array:
     return (np.cos(angle) * own + np.sin(angle) * aside / np.maximum(across, 1e-6)).astype(np.float32)
 
 
-STRATEGIES = (
-    "own_delays",
-    "turned",
-    "saturated",
-    "products",
-    "absolute",
-    "formation_offset",
-    "median",
-    "pursuit",
-    "swerve",
-    "majority",
-    "constant_turn",
-    "parallel_navigation",
-    "track_guidance",
-    "limited_turn_rate",
-)
+STRATEGIES = tuple(_names)
 #: The strategies of the first measurements of ``learned`` and ``follow-mixture``.
 FIRST_EIGHT = STRATEGIES[:8]
 #: A feature class of ``follow-mixture`` contains the first three exactly and the last two nearly; ``own_delays`` and
@@ -156,26 +173,3 @@ FIRST_EIGHT = STRATEGIES[:8]
 IN_A_CLASS = ("own_delays", "turned", "products", "formation_offset", "swerve")
 #: The others.
 OUTSIDE_CLASSES = tuple(name for name in STRATEGIES if name not in IN_A_CLASS)
-
-
-def _register() -> None:
-    register_follow_strategy("own_delays", OwnDelays())
-    register_follow_strategy("turned", Turned())
-    for name, function, lags in (
-        ("saturated", saturated, 2),
-        ("products", products, 2),
-        ("absolute", absolute, 2),
-        ("formation_offset", formation, 1),
-        ("median", median, 3),
-        ("pursuit", pursuit, 2),
-        ("swerve", swerve, 1),
-        ("majority", majority, 3),
-        ("constant_turn", constant_turn, 2),
-        ("parallel_navigation", parallel_navigation, 2),
-        ("track_guidance", track_guidance, 2),
-        ("limited_turn_rate", limited_turn_rate, 2),
-    ):
-        register_follow_strategy(name, function, lags=lags)
-
-
-_register()

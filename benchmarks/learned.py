@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
 from follow_mixture import Cell, label_of
@@ -48,12 +49,8 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
 
 
 def unseen_cells() -> list[dict[str, str]]:
-    return [
-        {"swarm": swarm, "follow": follow, "detector": detector}
-        for detector in DETECTORS
-        for swarm in SWARMS
-        for follow in FOLLOW
-    ]
+    games = product(DETECTORS, SWARMS, FOLLOW)
+    return [{"swarm": swarm, "follow": follow, "detector": detector} for detector, swarm, follow in games]
 
 
 BARE = [  # heads and decoys without the followers' jitter

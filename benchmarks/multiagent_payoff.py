@@ -6,6 +6,7 @@ OMP_NUM_THREADS=1 python benchmarks/multiagent_payoff.py      # writes benchmark
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
 from running import RESULTS, SEED, play_games
@@ -49,12 +50,8 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
 
 def cells() -> list[dict[str, Any]]:
     """Every strategy, observer and swarm policy."""
-    return [
-        {"follow": follow, "observer": observer, "swarm": swarm}
-        for follow in FOLLOW
-        for observer in OBSERVERS
-        for swarm in SWARMS
-    ]
+    games = product(FOLLOW, OBSERVERS, SWARMS)
+    return [{"follow": follow, "observer": observer, "swarm": swarm} for follow, observer, swarm in games]
 
 
 if __name__ == "__main__":

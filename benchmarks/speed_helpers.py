@@ -6,41 +6,20 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-
-import gymnasium as gym
-import numpy as np
 
 import usnet_env  # registers the environments
 from usnet_env.files import atomic_write
 
 ROOT = Path(__file__).parents[1]
-MEMORY = 4
 
 
-def seconds(function: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
-    """Measure the duration of a call in seconds of wall time, or of processor time (``time.process_time``)."""
-    begun = clock()
+def seconds(function: Callable[[], object]) -> float:
+    """Measure the processor seconds of a call."""
+    begun = time.process_time()
     function()
-    return clock() - begun
-
-
-def take_turns(contestants: Mapping[str, Callable[[], object]], turns: int) -> dict[str, np.ndarray]:
-    """Measure the processor seconds ``(turns,)`` of each contestant, one after another in each turn.
-
-    Each contestant runs once before the first turn, as the first call may compile code.
-    """
-    for contestant in contestants.values():
-        contestant()
-    taken = [[seconds(contestant, time.process_time) for contestant in contestants.values()] for _ in range(turns)]
-    return dict(zip(contestants, np.array(taken).T, strict=True))
-
-
-def window_of(env: str, seed: int = 0, **arguments: object) -> usnet_env.Window:
-    """Return the first window of an episode of ``USNET/<env>-v0``."""
-    observation, _ = gym.make(f"USNET/{env}-v0", **arguments).reset(seed=seed)
-    return usnet_env.Window.from_observation(observation)
+    return time.process_time() - begun
 
 
 def play(detector: object, window: usnet_env.Window) -> object:

@@ -1,4 +1,4 @@
-"""Write every published table from the committed rows: docs/results, benchmarks/README.md, and README.md's table.
+"""Write every published table from the committed rows: docs/results, and README.md's table.
 
     python benchmarks/tables.py            # write what differs
     python benchmarks/tables.py --check    # write nothing; exit with 1 and name the files that differ
@@ -15,7 +15,6 @@ import sys
 from pathlib import Path
 
 from result_pages import (
-    commands_page,
     cores,
     decoys,
     index,
@@ -52,7 +51,6 @@ PAGES = {
     "docs/results/multiagent.md": multiagent.text,
     "docs/results/real_tracks.md": real_tracks.text,
     "docs/results/speed.md": speed.text,
-    "benchmarks/README.md": commands_page.text,
     # Tables alone, which pages of docs include.
     "benchmarks/results/learned.md": lambda: table_alone(learned.games()),
     "benchmarks/results/ppo_observer.md": lambda: table_alone(learned.trained()),

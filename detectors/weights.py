@@ -6,25 +6,38 @@ file with another SHA-256 is refused.
 
 from __future__ import annotations
 
+import csv
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.files import atomic_write
 
-__all__ = ["arrays_of", "packaged_arrays", "packaged_record", "read_arrays", "write_arrays", "write_weights"]
+__all__ = [
+    "Checkpoint",
+    "arrays_of",
+    "packaged_arrays",
+    "packaged_record",
+    "read_arrays",
+    "record_training",
+    "write_losses",
+    "write_weights",
+]
 
 
-def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Tensor]) -> bytes:
+def _write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Tensor]) -> bytes:
     """Write arrays to a safetensors file atomically and return the bytes written."""
     data: bytes = save({name: value.detach().contiguous() for name, value in arrays.items()})
     with atomic_write(path) as aside:
@@ -52,7 +65,7 @@ def write_weights(
     final = Path(path)
     if final.suffix != ".safetensors":
         raise ArgumentError(f"path must be a name that ends in .safetensors, got {quote(str(path))}.")
-    data = write_arrays(final, arrays)
+    data = _write_arrays(final, arrays)
     record = {"sha256": sha256(data).hexdigest(), "training": dict(training), "metrics": dict(metrics)}
     with atomic_write(final.with_suffix(".json")) as aside:
         aside.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
@@ -114,3 +127,67 @@ def arrays_of(path: str, data: bytes) -> dict[str, Tensor]:
     except SafetensorError as error:
         raise ArgumentError(f"path must be a safetensors file, got {quote(path)}: {error}.") from None
     return arrays
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """The file ``checkpoint.safetensors`` of a training: arrays, the losses so far, and the settings.
+
+    Args:
+        folder: of the file.
+        settings: which must be equal for a training to resume from it.
+        every: number of steps between two checkpoints.
+
+    Raises:
+        ArgumentError: ``every`` is refused.
+    """
+
+    folder: Path
+    settings: Mapping[str, Any]
+    every: int
+
+    def __post_init__(self) -> None:
+        if isinstance(self.every, bool) or not isinstance(self.every, int) or self.every < 1:
+            raise ArgumentError(f"checkpoint_every must be a whole number from 1, got {quote(self.every)}.")
+
+    @property
+    def path(self) -> Path:
+        """Path of the file."""
+        return self.folder / "checkpoint.safetensors"
+
+    def _encode_settings(self) -> Tensor:
+        return torch.tensor(list(json.dumps(self.settings, sort_keys=True).encode()), dtype=torch.uint8)
+
+    def write(self, arrays: Mapping[str, Tensor], losses: Sequence[float]) -> None:
+        """Write the file atomically."""
+        own = {"losses": torch.tensor(losses, dtype=torch.float64), "training": self._encode_settings()}
+        _write_arrays(self.path, {**arrays, **own})
+
+    def read(self) -> tuple[dict[str, Tensor], list[float]]:
+        """Read the arrays and the losses; none if there is no file.
+
+        Raises:
+            ArgumentError: the file is broken or belongs to another training.
+        """
+        if not self.path.exists():
+            return {}, []
+        arrays = arrays_of(str(self.path), self.path.read_bytes())
+        if "losses" not in arrays or not torch.equal(arrays.get("training", torch.empty(0)), self._encode_settings()):
+            raise ArgumentError(
+                "out must hold no checkpoint of another training (use resume=False or another folder), got "
+                f"{quote(str(self.path))}."
+            )
+        return arrays, arrays["losses"].tolist()
+
+
+def write_losses(folder: Path, step: str, losses: Sequence[float]) -> None:
+    """Write ``losses.csv`` atomically: the loss of each step, from 1; ``step`` is the heading of their numbers."""
+    with atomic_write(folder / "losses.csv") as aside, aside.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([step, "loss"])
+        writer.writerows(enumerate(losses, start=1))
+
+
+def record_training(training: Config) -> dict[str, Any]:
+    """The settings of a training, and the versions that computed it."""
+    return {**training.model_dump(mode="json"), "torch": torch.__version__, "numpy": np.__version__}

@@ -1,19 +1,24 @@
-"""Generate the pages of the environments and games: each is the docstring of its class."""
+"""Generate the pages of the environments and games, each the docstring of its class, and the field's tables."""
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import inspect
 import re
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import usnet_env.envs
 from usnet_env.envs import ENVIRONMENTS
 from usnet_env.envs.registration import TRACKS
 from usnet_env.multiagent import GAMES
+from usnet_env.swarm.follow import FIELD_MODELS
+from usnet_env.swarm.kinematics import KINEMATICS
 from usnet_env.tracks.env import TracksEnv
 
-__all__ = ["environment_pages", "game_pages", "write_environment_pages"]
+__all__ = ["environment_pages", "field_tables", "game_pages", "write_environment_pages"]
 
 
 def environment_pages() -> dict[str, str]:
@@ -73,6 +78,25 @@ def _game_page(name: str) -> str:
 
 {sections}
 """
+
+
+def field_tables() -> list[str]:
+    """The two tables of docs/field.md, the field models and the kinematics models, one line each."""
+
+    def list_values(part: Any, names: Iterable[str]) -> str:
+        return ", ".join(f"`{name}={getattr(part, name)!r}`" for name in names) or "none"
+
+    follow = ["| name | equation | source | parameters | breaks the assumption |", "| --- | --- | --- | --- | --- |"]
+    for name, model in FIELD_MODELS.items():
+        cells = (f"`{model.equation}`", model.citation, list_values(model, model.parameters), model.breaks)
+        follow.append(f"| `{name}` | {' | '.join(cells)} |")
+    moves = ["| name | equation | source | parameters |", "| --- | --- | --- | --- |"]
+    for name, kinematics in KINEMATICS.items():
+        if dataclasses.is_dataclass(kinematics):
+            fields = [field.name for field in dataclasses.fields(kinematics)]
+            cells = (f"`{kinematics.equation}`", kinematics.source, list_values(kinematics, fields))
+            moves.append(f"| `{name}` | {' | '.join(cells)} |")
+    return ["\n".join(follow), "\n".join(moves)]
 
 
 def _docstring(described: type) -> tuple[str, str]:

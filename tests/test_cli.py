@@ -492,7 +492,7 @@ def test_demo_plays_and_leaves_its_files(run, tmp_path, monkeypatch):
     words = ["--follow", "f3", "--clusters", "2", "--uavs", "14", "--detector", "one-per-round", "--open"]
     status, out, err = run("demo", "--out", str(tmp_path / "demo"), *words)
     assert status == 0, err
-    assert "14 UAVs in 2 clusters, follow strategy f3, seed 0; detector one-per-round." in out
+    assert "14 UAVs in 2 clusters, follow strategy f3, seed 3; detector one-per-round." in out
     assert [words[1:] for words in opened] == [[str(tmp_path / "demo" / "replay.rrd")]]
     suffixes = {path.suffix for path in (tmp_path / "demo").iterdir()}
-    assert {".npz", ".rrd", ".png"} <= suffixes
+    assert suffixes == {".npz", ".rrd", ".png", ".html"}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from usnet_env import drawing
-from usnet_env.replay import recording
+from usnet_env.replay.scribe import lighten
 
 matplotlib = pytest.importorskip("matplotlib")
 
@@ -77,14 +77,14 @@ def test_round_marks():
     marks = drawing.round_marks(place, **values, candidates=named(0, 1, 3, 8), destroyed_at=np.ones((UAVS, 3)))
     who = {mark: np.flatnonzero(mask).tolist() for mark, mask in marks.items()}
     assert who == {
-        drawing.HEAD_MARK: [0, 4],
-        drawing.FOLLOWER_MARK: [1, 2, 5, 7],
-        drawing.LINK_MARK: [1, 2, 5, 7],
-        drawing.DECOY_MARK: [8],
-        drawing.HIT_MARK: [0],
-        drawing.REDUNDANT_MARK: [1, 3, 8],
-        drawing.MISSED_MARK: [4],
-        drawing.DESTROYED_MARK: [3],
+        drawing.maps.HEAD_MARK: [0, 4],
+        drawing.maps.FOLLOWER_MARK: [1, 2, 5, 7],
+        drawing.maps.LINK_MARK: [1, 2, 5, 7],
+        drawing.maps.DECOY_MARK: [8],
+        drawing.maps.HIT_MARK: [0],
+        drawing.maps.REDUNDANT_MARK: [1, 3, 8],
+        drawing.maps.MISSED_MARK: [4],
+        drawing.maps.DESTROYED_MARK: [3],
     }
 
 
@@ -92,9 +92,9 @@ def test_the_legend_explains_what_is_there_and_no_more():
     figure = drawing.draw_round(**scene(), candidates=named(0, 1), title="round 7")
     (axes,) = figure.axes
     texts = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert f"{drawing.HIT_MARK} (1)" in texts
-    assert f"{drawing.MISSED_MARK} (1)" in texts
-    assert not any(text.startswith(drawing.DESTROYED_MARK) for text in texts)
+    assert f"{drawing.maps.HIT_MARK} (1)" in texts
+    assert f"{drawing.maps.MISSED_MARK} (1)" in texts
+    assert not any(text.startswith(drawing.maps.DESTROYED_MARK) for text in texts)
     assert axes.get_title(loc="left") == "round 7"
     assert drawing.draw_round(**scene(), legend=False).axes[0].get_legend() is None
 
@@ -142,7 +142,7 @@ def test_no_two_cluster_colours_look_alike(eyes, view, least):
     colors = drawing.CLUSTER_COLORS
     rgb = np.array([[int(color[i : i + 2], 16) for i in (1, 3, 5)] for color in colors]) / 255
     if view == "dark":
-        rgb = recording._lighten(colors)[:, :3] / 255
+        rgb = lighten(colors)[:, :3] / 255
     lab = to_lab(rgb, eyes)
     away = np.linalg.norm(lab[:, None] - lab, axis=2) + 1000 * np.eye(len(colors))
     assert len(colors) >= 20
@@ -200,7 +200,7 @@ def test_frames_keep_their_axes_and_mark_the_destroyed_of_earlier_rounds():
 def test_the_title_of_a_frame_has_the_result_of_the_round(monkeypatch):
     titles = []
     monkeypatch.setattr(
-        drawing, "round_frame", lambda *_, title, **__: titles.append(title) or np.zeros((1, 1, 3), np.uint8)
+        drawing.frames, "round_frame", lambda *_, title, **__: titles.append(title) or np.zeros((1, 1, 3), np.uint8)
     )
     with gym.make("USNET/MultiCluster-v0", render_mode="rgb_array", clusters=3, uavs=20) as env:
         env.reset(seed=0)

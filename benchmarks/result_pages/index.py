@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 
 from detectors.studies import rounds, table2
 from result_pages.text import RESULTS, Row, mean_of, page, share, table
@@ -85,9 +86,14 @@ def _line(name: str) -> tuple[str, ...]:
     )
 
 
+@cache
+def _lines() -> list[Sequence[str]]:
+    return [_paper(), _algorithms(), *(_line(name) for name in DETECTORS)]
+
+
 def summary(short: bool = False) -> str:
     """The table of README.md, at most eight rows; ``short`` leaves out what the index says around it."""
-    lines = [_paper(), _algorithms(), *(_line(name) for name in DETECTORS)]
+    lines = _lines()
     caption = (
         "Means over f1–f7 with 95 % intervals, and n after the semicolon; a mean alone: all episodes were equal. "
         "*Head alone named*: higher is better. J_m: rounds plus redundant candidates divided by N; lower is better, "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 from result_pages.text import FORMER, RESULTS, Row, exact_of, mean_of, page, read_csv, share_of, source, table
 from usnet_env.evaluation.report import group_rows
@@ -69,12 +70,14 @@ def _variant(row: Row) -> tuple[str, str, str]:
     return row["tier"], "" if row["tier"] == "shifted" else variant, row["detector"]
 
 
+@cache
 def games() -> str:
     """The tables of learned.csv."""
     rows = read_csv(RESULTS / "learned.csv")
     return f"{pivot(rows, 'seed')}\n\n{exact(rows)}"
 
 
+@cache
 def trained() -> str:
     """The tables of ppo_observer.csv."""
     rows = read_csv(RESULTS / "ppo_observer.csv")

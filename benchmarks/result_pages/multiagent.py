@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 from result_pages.text import FORMER, RESULTS, Row, mean_of, page, read_csv, share_of, source, table
 from usnet_env.evaluation.report import group_rows
@@ -30,16 +31,19 @@ PAID = {"J": "J_m", "swarm_payoff": "J_m minus the price", "success": "all heads
 SEEN = {"J": "J_m", "success": "all heads hit", **FIRST, "seen_in_round_1": "UAVs seen in round 1"}
 
 
+@cache
 def payoff() -> str:
     """The table of multiagent_payoff.csv."""
     return means(read_csv(RESULTS / "multiagent_payoff.csv"), ("follow", "observer", "swarm"), {**PAID, **FIRST})
 
 
+@cache
 def trained() -> str:
     """The table of multiagent_ppo.csv."""
     return means(read_csv(RESULTS / "multiagent_ppo.csv"), ("detector", "follow", "swarm"), {**PAID, **CHOICES})
 
 
+@cache
 def observers() -> str:
     """The table of multiagent_observers.csv."""
     return means(read_csv(RESULTS / "multiagent_observers.csv"), ("range", "observers", "fusion"), SEEN)

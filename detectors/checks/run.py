@@ -7,31 +7,10 @@ import pickle
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
-from detectors.checks.answers import (
-    check_answers_with_a_detection,
-    check_batch,
-    check_large_swarm,
-    check_masked_uavs_are_never_candidates,
-    check_missing_samples,
-    check_scores_are_finite,
-    check_single_cluster,
-    check_smallest_swarm,
-)
+from detectors.checks import answers, global_state, repeatability
 from detectors.checks.arguments import check_constructor_only_stores, check_parameters_and_clone, check_pickling
 from detectors.checks.child import run_in_child
-from detectors.checks.global_state import (
-    SECONDS,
-    check_global_generators_untouched,
-    check_input_unchanged,
-    check_process_settings_untouched,
-    check_time_budget,
-)
 from detectors.checks.leakage import check_no_reach_for_truth, check_truth_nearby_changes_nothing
-from detectors.checks.repeatability import (
-    check_episodes_start_afresh,
-    check_permuting_uavs_permutes_the_answer,
-    check_same_seed_same_answer,
-)
 from detectors.checks.results import Check, CheckResult, DetectorChecksError, get_name, run_check
 from detectors.checks.seeds import check_seeds_reveal_no_heads
 from usnet_env.config import ArgumentError, quote, unknown_name
@@ -45,27 +24,27 @@ __all__ = ["CHECKS", "check_detector", "check_factory", "parametrize_with_checks
 #: All checks in the order in which they run. The first two come first because a detector may change the process in its
 #: first call only. Checks that explain failures of others follow; the slow checks come last.
 CHECKS: tuple[Check, ...] = (
-    check_process_settings_untouched,
-    check_global_generators_untouched,
+    global_state.check_process_settings_untouched,
+    global_state.check_global_generators_untouched,
     check_constructor_only_stores,
     check_parameters_and_clone,
-    check_answers_with_a_detection,
-    check_smallest_swarm,
-    check_single_cluster,
-    check_masked_uavs_are_never_candidates,
-    check_missing_samples,
-    check_scores_are_finite,
-    check_batch,
-    check_input_unchanged,
-    check_same_seed_same_answer,
-    check_episodes_start_afresh,
-    check_permuting_uavs_permutes_the_answer,
+    answers.check_answers_with_a_detection,
+    answers.check_smallest_swarm,
+    answers.check_single_cluster,
+    answers.check_masked_uavs_are_never_candidates,
+    answers.check_missing_samples,
+    answers.check_scores_are_finite,
+    answers.check_batch,
+    global_state.check_input_unchanged,
+    repeatability.check_same_seed_same_answer,
+    repeatability.check_episodes_start_afresh,
+    repeatability.check_permuting_uavs_permutes_the_answer,
     check_pickling,
     check_no_reach_for_truth,
     check_truth_nearby_changes_nothing,
     check_seeds_reveal_no_heads,
-    check_large_swarm,
-    check_time_budget,
+    answers.check_large_swarm,
+    global_state.check_time_budget,
 )
 _NAMES = tuple(check.__name__ for check in CHECKS)
 
@@ -74,7 +53,7 @@ def check_detector(
     detector: Any,
     *,
     expected_failed_checks: Mapping[str, str] | None = None,
-    seconds: float = SECONDS,
+    seconds: float = global_state.SECONDS,
     on_fail: Literal["raise"] | None = "raise",
     callback: Callable[[CheckResult], None] | None = None,
     child_process: bool = False,
@@ -140,7 +119,7 @@ def check_factory(
     name: str,
     *,
     expected_failed_checks: Mapping[str, str] | None = None,
-    seconds: float = SECONDS,
+    seconds: float = global_state.SECONDS,
     callback: Callable[[CheckResult], None] | None = None,
     time_limit: float | None = None,
     memory_limit: float | None = None,
@@ -175,7 +154,7 @@ def parametrize_with_checks(
     detectors: Iterable[Any],
     *,
     expected_failed_checks: Callable[[Any], Mapping[str, str] | None] | None = None,
-    seconds: float = SECONDS,
+    seconds: float = global_state.SECONDS,
 ) -> pytest.MarkDecorator:
     """Make a pytest decorator with one case per detector and check.
 
@@ -207,11 +186,11 @@ def parametrize_with_checks(
 
 
 def _list_checks(seconds: float) -> list[Check]:
-    """All checks, with the time budget bound to :func:`check_time_budget`."""
+    """All checks, with the time budget bound to :func:`detectors.checks.global_state.check_time_budget`."""
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not seconds > 0:
         raise ArgumentError(f"seconds must be a number above 0, got {quote(seconds)}.")
-    budget = functools.partial(check_time_budget, seconds=float(seconds))
-    return [budget if check is check_time_budget else check for check in CHECKS]
+    budget = functools.partial(global_state.check_time_budget, seconds=float(seconds))
+    return [budget if check is global_state.check_time_budget else check for check in CHECKS]
 
 
 def _validate_detector(detector: Any) -> Any:

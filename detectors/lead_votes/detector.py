@@ -119,7 +119,8 @@ class LeadVotes(Detector):
             Candidates; scores: with the gate, the number of followers of each UAV plus the head detector's score,
             scaled to a fraction below 1; without the gate, the head detector's score; clusters; leader; attention
             within the clusters; in ``extras``: ``count`` (M̂), ``proposed`` ``(N,)`` bool, the candidates before the
-            gate, and ``followed`` ``(N,)``, the number of followers of each UAV (0 without the gate).
+            gate, ``followed`` ``(N,)``, the number of followers of each UAV (0 without the gate), and ``features``,
+            those that were clustered, or ``None``.
         """
         clusterer = self.check_arguments()
         check_pairs(window.uavs)
@@ -140,6 +141,7 @@ class LeadVotes(Detector):
             score = followed + score / (1.0 + score.sum())
             candidates = self._keep_followed(proposed, followed, score, window.alive)
         extras = {"count": clustering.count, "proposed": proposed, "followed": followed}
+        extras["features"] = clustering.features
         return Detection(candidates, score, clustering.labels, leader, attention, extras)
 
     def _propose_heads(self, window: Window, clustering: Clustering) -> tuple[Mask, Floats, Indices, Floats]:

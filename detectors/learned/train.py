@@ -6,8 +6,6 @@ So a training that is resumed from its checkpoint gives exactly the result of an
 
 from __future__ import annotations
 
-import csv
-import json
 import math
 import os
 from collections.abc import Callable
@@ -22,9 +20,8 @@ from torch import Tensor
 
 from detectors.learned.inputs import Inputs, make_inputs
 from detectors.learned.network import Answer, HeadNetwork, NetworkSizes, draw_network
-from detectors.weights import arrays_of, write_arrays, write_weights
-from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.files import atomic_write
+from detectors.weights import Checkpoint, record_training, write_losses, write_weights
+from usnet_env.config import Config
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
@@ -33,7 +30,6 @@ __all__ = ["Example", "HeadTraining", "compute_loss", "draw_example", "draw_swar
 
 _START, _STEP, _HELD_OUT = range(3)  # purpose of a seed
 _HELD_OUT_SWARMS = 200
-_CHECKPOINT = "checkpoint.safetensors"
 _MOBILITIES = ("iid", "gauss_markov", "smooth_turn", "waypoint", "local_waypoint")
 
 Count = Annotated[int, Field(ge=1, le=10_000_000)]
@@ -181,28 +177,19 @@ def train_heads(
         ArgumentError: an argument is refused, ``out`` can't be written, or it holds a checkpoint with other settings.
     """
     training = HeadTraining() if training is None else training
-    if isinstance(checkpoint_every, bool) or not isinstance(checkpoint_every, int) or checkpoint_every < 1:
-        raise ArgumentError(f"checkpoint_every must be a whole number from 1, got {quote(checkpoint_every)}.")
-    folder = Path(out)
-    checkpoint = folder / _CHECKPOINT
+    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json"), checkpoint_every)
     network = draw_network(training.sizes(), int(_make_rng(training, _START).integers(2**63)))
     optimiser = torch.optim.AdamW(network.parameters(), lr=training.rate, weight_decay=training.decay)
-    losses: list[float] = []
-    if resume and checkpoint.exists():
-        losses = _read_checkpoint(checkpoint, training, network, optimiser)
+    losses = _read_checkpoint(checkpoint, network, optimiser) if resume else []
     while len(losses) < training.steps:
         losses.append(_run_step(training, len(losses), network, optimiser))
         progress(len(losses), training.steps)
         if len(losses) % checkpoint_every == 0 or len(losses) == training.steps:
-            _write_checkpoint(checkpoint, training, network, optimiser, losses)
-    with atomic_write(folder / "losses.csv") as aside, aside.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["step", "loss"])
-        writer.writerows((step, round(loss, 6)) for step, loss in enumerate(losses, start=1))
-    record = {**training.model_dump(mode="json"), "torch": torch.__version__, "numpy": np.__version__}
-    return write_weights(
-        folder / "learned.safetensors", network.state_dict(), record, _evaluate_network(training, network, losses)
-    )
+            _write_checkpoint(checkpoint, network, optimiser, losses)
+    write_losses(checkpoint.folder, "step", [round(loss, 6) for loss in losses])
+    metrics = _evaluate_network(training, network, losses)
+    path = checkpoint.folder / "learned.safetensors"
+    return write_weights(path, network.state_dict(), record_training(training), metrics)
 
 
 def _run_step(training: HeadTraining, step: int, network: HeadNetwork, optimiser: torch.optim.Optimizer) -> float:
@@ -247,35 +234,20 @@ def _evaluate_network(training: HeadTraining, network: HeadNetwork, losses: list
     }
 
 
-def _encode_training(training: HeadTraining) -> Tensor:
-    """Encode the settings as bytes; a checkpoint can only be resumed with equal settings."""
-    text = json.dumps(training.model_dump(mode="json"), sort_keys=True)
-    return torch.tensor(list(text.encode()), dtype=torch.uint8)
-
-
 def _write_checkpoint(
-    path: Path,
-    training: HeadTraining,
-    network: HeadNetwork,
-    optimiser: torch.optim.Optimizer,
-    losses: list[float],
+    checkpoint: Checkpoint, network: HeadNetwork, optimiser: torch.optim.Optimizer, losses: list[float]
 ) -> None:
     arrays = {f"network.{name}": value for name, value in network.state_dict().items()}
     for number, state in optimiser.state_dict()["state"].items():
         arrays |= {f"optimiser.{number}.{name}": value for name, value in state.items()}
-    arrays |= {"losses": torch.tensor(losses, dtype=torch.float64), "training": _encode_training(training)}
-    write_arrays(path, arrays)
+    checkpoint.write(arrays, losses)
 
 
-def _read_checkpoint(
-    path: Path, training: HeadTraining, network: HeadNetwork, optimiser: torch.optim.Optimizer
-) -> list[float]:
-    arrays = arrays_of(str(path), path.read_bytes())
-    if "losses" not in arrays or not torch.equal(arrays.get("training", torch.empty(0)), _encode_training(training)):
-        raise ArgumentError(
-            f"out must hold no checkpoint of another training (use resume=False or another folder), "
-            f"got {quote(str(path))}."
-        )
+def _read_checkpoint(checkpoint: Checkpoint, network: HeadNetwork, optimiser: torch.optim.Optimizer) -> list[float]:
+    """Set the network and the optimiser to the checkpoint's, if there is one, and return the losses so far."""
+    arrays, losses = checkpoint.read()
+    if not losses:
+        return losses
     network.load_state_dict(
         {name.removeprefix("network."): value for name, value in arrays.items() if name.startswith("network.")}
     )
@@ -285,5 +257,4 @@ def _read_checkpoint(
             _, number, entry = name.split(".")
             state.setdefault(int(number), {})[entry] = value
     optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
-    losses: list[float] = arrays["losses"].tolist()
     return losses

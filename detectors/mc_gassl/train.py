@@ -6,8 +6,6 @@ from its checkpoint to the very result it would have had, and can be prolonged l
 
 from __future__ import annotations
 
-import csv
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +14,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import torch
 from pydantic import Field
-from safetensors.torch import load, save
 
 from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, GruSizes, draw_parameters
@@ -24,9 +21,9 @@ from detectors.mc_gassl.meta import Clustered, OfflineTraining, Task, train_offl
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
 from detectors.mc_gassl.weights import NAMES, parameters_of, save_weights
+from detectors.weights import Checkpoint, record_training, write_losses
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.files import atomic_write
 from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
@@ -35,7 +32,6 @@ __all__ = ["MetaTraining", "draw_task", "online_losses", "start_of", "train_meta
 
 _START, _TASK, _EPISODE, _HELD_OUT, _MEASURE, _ONLINE = range(6)  # what a seed is for
 _HELD_OUT_TASKS = 20
-_CHECKPOINT = "checkpoint.safetensors"
 
 Count = Annotated[int, Field(ge=1, le=10_000_000)]
 Positive = Annotated[float, Field(gt=0)]
@@ -179,14 +175,16 @@ def train_meta(
             or of more episodes.
     """
     training = MetaTraining() if training is None else training
-    if isinstance(checkpoint_every, bool) or not isinstance(checkpoint_every, int) or checkpoint_every < 1:
-        raise ArgumentError(f"checkpoint_every must be a whole number from 1, got {quote(checkpoint_every)}.")
-    folder, settings, total = Path(out), training.offline(), training.strategies + training.episodes
-    parameters = start_of(training)
-    losses: list[float] = []
-    checkpoint = folder / _CHECKPOINT
-    if resume and checkpoint.exists():
-        parameters, losses = _read_checkpoint(checkpoint, training)
+    # A training can be prolonged: a checkpoint may be of fewer episodes.
+    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json", exclude={"episodes"}), checkpoint_every)
+    settings, total = training.offline(), training.strategies + training.episodes
+    arrays, losses = checkpoint.read() if resume else ({}, [])
+    if len(losses) > training.episodes:
+        raise ArgumentError(
+            f"episodes must be at least the {len(losses)} of the checkpoint in {quote(str(checkpoint.folder))}, "
+            f"got {training.episodes}."
+        )
+    parameters = parameters_of(str(checkpoint.path), arrays) if arrays else start_of(training)
     tasks = []
     for number in range(training.strategies):
         tasks.append(draw_task(training, _rng(training, _TASK, number)))
@@ -197,16 +195,11 @@ def train_meta(
             parameters, tasks, episodes, settings, lambda episode: _generator(training, _EPISODE, episode)
         )
         losses += more
-        _write_checkpoint(checkpoint, training, parameters, losses)
+        checkpoint.write(dict(zip(NAMES, parameters.tensors(), strict=True)), losses)
         progress(training.strategies + len(losses), total)
-    with atomic_write(folder / "losses.csv") as aside, aside.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["episode", "loss"])
-        writer.writerows(enumerate(losses, start=1))
-    record = {**training.model_dump(mode="json"), "torch": torch.__version__, "numpy": np.__version__}
-    return save_weights(
-        folder / f"{training.method}.safetensors", parameters, record, _metrics(training, parameters, losses)
-    )
+    write_losses(checkpoint.folder, "episode", losses)
+    path, metrics = checkpoint.folder / f"{training.method}.safetensors", _metrics(training, parameters, losses)
+    return save_weights(path, parameters, record_training(training), metrics)
 
 
 def _metrics(training: MetaTraining, parameters: GruParameters, losses: list[float]) -> dict[str, Any]:
@@ -229,34 +222,3 @@ def _metrics(training: MetaTraining, parameters: GruParameters, losses: list[flo
         "held_out_loss": float(np.mean(held_out["trained"])),
         "held_out_loss_of_random_start": float(np.mean(held_out["start"])),
     }
-
-
-def _identity(training: MetaTraining) -> torch.Tensor:
-    """What must be equal for a checkpoint to be gone on from, as bytes: everything but the number of episodes."""
-    text = json.dumps(training.model_dump(mode="json", exclude={"episodes"}), sort_keys=True)
-    return torch.tensor(list(text.encode()), dtype=torch.uint8)
-
-
-def _write_checkpoint(path: Path, training: MetaTraining, parameters: GruParameters, losses: list[float]) -> None:
-    arrays = dict(zip(NAMES, parameters.tensors(), strict=True))
-    arrays |= {"losses": torch.tensor(losses, dtype=torch.float64), "training": _identity(training)}
-    with atomic_write(path) as aside:
-        aside.write_bytes(save({name: value.contiguous() for name, value in arrays.items()}))
-
-
-def _read_checkpoint(path: Path, training: MetaTraining) -> tuple[GruParameters, list[float]]:
-    data = path.read_bytes()
-    parameters = parameters_of(str(path), data)
-    arrays = load(data)
-    if "losses" not in arrays or not torch.equal(arrays.get("training", torch.empty(0)), _identity(training)):
-        raise ArgumentError(
-            f"out must hold no checkpoint of another training (train from the start with resume=False, or elsewhere), "
-            f"got {quote(str(path))}."
-        )
-    losses: list[float] = arrays["losses"].tolist()
-    if len(losses) > training.episodes:
-        raise ArgumentError(
-            f"episodes must be at least the {len(losses)} of the checkpoint in {quote(str(path.parent))}, "
-            f"got {training.episodes}."
-        )
-    return parameters, losses

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from detectors.mc_gassl.gru import GruParameters
-from detectors.weights import arrays_of, packaged_arrays, packaged_record, read_arrays, write_weights
+from detectors.weights import packaged_arrays, packaged_record, read_arrays, write_weights
 from usnet_env.config import ArgumentError, quote
 
 __all__ = ["NAMES", "load_meta_weights", "load_weights", "meta_record", "parameters_of", "save_weights"]
@@ -39,12 +39,12 @@ def load_weights(path: str | os.PathLike[str]) -> GruParameters:
     Raises:
         ArgumentError: a file is missing or broken, or the weights are not those that the JSON names.
     """
-    return _parameters(str(path), read_arrays(path))
+    return parameters_of(str(path), read_arrays(path))
 
 
 def load_meta_weights() -> GruParameters:
     """The meta-trained weights that this package ships, made by :func:`detectors.mc_gassl.train.train_meta`."""
-    return _parameters(_META, packaged_arrays(_PACKAGE, _META))
+    return parameters_of(_META, packaged_arrays(_PACKAGE, _META))
 
 
 def meta_record() -> dict[str, Any]:
@@ -52,16 +52,12 @@ def meta_record() -> dict[str, Any]:
     return packaged_record(_PACKAGE, _META)
 
 
-def parameters_of(path: str, data: bytes) -> GruParameters:
-    """W from the bytes of a safetensors file with the arrays :data:`NAMES`, and maybe others.
+def parameters_of(path: str, arrays: Mapping[str, Tensor]) -> GruParameters:
+    """W from the arrays :data:`NAMES` of a file, which may hold others.
 
     Raises:
-        ArgumentError: the bytes are none, or hold other arrays; ``path`` is named.
+        ArgumentError: the arrays are not those of a GRU network; ``path`` is named.
     """
-    return _parameters(path, arrays_of(path, data))
-
-
-def _parameters(path: str, arrays: Mapping[str, Tensor]) -> GruParameters:
     if any(name not in arrays for name in NAMES):
         raise ArgumentError(f"path must hold the arrays {', '.join(NAMES)}, got {quote(path)} with {sorted(arrays)}.")
     parameters = GruParameters(*(arrays[name] for name in NAMES))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from usnet_env.cli.options import WholeNumber
+from usnet_env.cli.options import WholeNumber, add_place
 from usnet_env.cli.output import progress_bar, show_markdown
 
 if TYPE_CHECKING:
@@ -80,20 +80,24 @@ def _measurement(folder: str, unit: str, seed_of: str = "episodes") -> Option:
 
     def with_options(command: Callable[..., Reproduction[Any]]) -> Callable[..., Any]:
         @wraps(command)
-        def called(*, out: str, workers: int | None, **values: Any) -> None:
+        def called(*, out: str, workers: int | None, backend: str | None, address: str | None, **values: Any) -> None:
             from usnet_env.drawing import new_figure
+            from usnet_env.evaluation.engine import choose_place
+            from usnet_env.processes import Limits
 
             new_figure(1, 1)  # before anything is measured
             resume = f"Finished {unit} are kept in {out}: the same command continues from there."
             click.get_current_context().find_root().obj = resume
+            cores = 1 if backend == "serial" else os.cpu_count() or 1
+            place = choose_place(backend, workers or cores, Limits(), address)
             given = {name: value for name, value in values.items() if value not in ((), None)}
             with progress_bar(unit) as progress:
-                made = command(Path(out), workers=workers or os.cpu_count() or 1, progress=progress, **given)
+                made = command(Path(out), workers=place, progress=progress, **given)
             show_markdown(made.text)
             click.echo(f"Rows, tables and picture are in {out}.", err=True)
 
         workers = _number("--workers", 1, 256, None, "Number of processes; by default the number of cores.")
-        return _add_options(called, workers, _out_and_seed(folder, seed_of))
+        return _add_options(called, workers, add_place, _out_and_seed(folder, seed_of))
 
     return with_options
 

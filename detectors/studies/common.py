@@ -2,17 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypedDict, TypeVar
 
+from usnet_env.evaluation.suite import Place
 from usnet_env.plugins import make_detector
 
-__all__ = ["FOLLOW", "Reproduction", "check_detectors", "describe_flight", "name_flight", "swarm_arguments"]
+__all__ = [
+    "FOLLOW",
+    "Reproduction",
+    "Running",
+    "check_detectors",
+    "describe_flight",
+    "name_flight",
+    "swarm_arguments",
+]
 
 RowT = TypeVar("RowT")
 
 FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
+
+
+class Running(TypedDict, total=False):
+    """How the games of a study are played.
+
+    Args:
+        workers: number of processes, 1 by default, or a place.
+        progress: called with the number of games that are done, and of all games.
+    """
+
+    workers: int | Place
+    progress: Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from detectors.studies.common import FOLLOW, Reproduction
+from detectors.studies.common import FOLLOW, Reproduction, Running
 from usnet_env.config import ArgumentError, quote
 from usnet_env.drawing import CLUSTER_COLORS
 from usnet_env.envs import MultiClusterEnv
@@ -124,8 +124,7 @@ def reproduce(
     episodes: int = 1000,
     steps: int = _STEPS,
     seed: int = 2022,
-    workers: int = 1,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    **running: Unpack[Running],
 ) -> Reproduction[Row]:
     """Measure the off-line loss of meta and joint training, and the on-line loss from their results and a random start.
 
@@ -136,8 +135,7 @@ def reproduce(
         episodes: E of each training.
         steps: steps of on-line training on a swarm of each of f1 to f7, with its true clusters.
         seed: seed of the measurement.
-        workers: number of processes.
-        progress: called with the number of losses that are done, and of all losses.
+        running: ``workers`` and ``progress``, see :class:`Running`.
 
     Raises:
         ArgumentError: there are fewer than 2 trainings.
@@ -148,7 +146,7 @@ def reproduce(
     path = folder / f"losses-F{strategies}-E{episodes}-seed{seed}.csv"
     play = partial(train_start, seed=seed, strategies=strategies, episodes=episodes, steps=steps)
     suite = Suite(Cell, Row, play, number="step", order=("training", "start", "follow", "step"), digits=4)
-    rows = suite.run(tasks, path, workers=workers, progress=progress)
+    rows = suite.run(tasks, path, **running)
     text = report_losses(rows)
     keep_report(path, text, draw_losses(rows))
     return Reproduction(rows, text)

@@ -8,26 +8,16 @@ from dataclasses import dataclass
 from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
 from detectors.clustering import make_clusterer
-from detectors.studies.common import FOLLOW, Reproduction, describe_flight, name_flight, swarm_arguments
+from detectors.studies.common import FOLLOW, Reproduction, Running, describe_flight, name_flight, swarm_arguments
 from usnet_env.config import ArgumentError, unknown_name
 from usnet_env.envs import MultiClusterEnv
+from usnet_env.evaluation import report
 from usnet_env.evaluation.episode import episode_seeds
-from usnet_env.evaluation.report import (
-    COLOURS,
-    add_legend,
-    draw_intervals,
-    format_interval,
-    format_markdown,
-    group_rows,
-    keep_report,
-    make_panels,
-    mean_over_episodes,
-)
 from usnet_env.evaluation.suite import Game, Suite, read_rows, split_games
 from usnet_env.objectives import head_in_cluster, purity
 from usnet_env.window import Window
@@ -199,8 +189,7 @@ def reproduce(
     mobility: str = "iid",
     head_jitter: bool = False,
     seed: int = 2022,
-    workers: int = 1,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    **running: Unpack[Running],
 ) -> Reproduction[Row]:
     """Measure purity and head-in-cluster; after an interruption, the same call continues with the missing rows.
 
@@ -215,8 +204,7 @@ def reproduce(
         mobility: motion of the heads.
         head_jitter: whether the heads have the noise of the followers.
         seed: seed of the episodes. Nothing was tuned with the default seed, which the reports use.
-        workers: number of processes.
-        progress: called with the number of windows that are done, and of all windows.
+        running: ``workers`` and ``progress``, see :class:`Running`.
 
     Raises:
         ArgumentError: an argument is refused.
@@ -235,10 +223,10 @@ def reproduce(
     path = folder / f"purity{size}{name_flight(cells[0])}-seed{seed}.csv"
     order = ("follow", "clusters", "uavs", "clusterer", "features", "count", "episode")
     suite = Suite(Cell, Row, partial(cluster_windows, seed=seed), order=order, digits=4)
-    rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, workers=workers, progress=progress)
+    rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, **running)
     title = f"Purity and head-in-cluster, M={clusters}, N={uavs}, {describe_flight(cells[0])}"
     kept = read_rows(path, Row)
-    keep_report(path, report_methods(kept, title), draw_methods(kept, title))
+    report.keep_report(path, report_methods(kept, title), draw_methods(kept, title))
     return Reproduction(rows, report_methods(rows, "Purity and head-in-cluster"))
 
 
@@ -248,7 +236,7 @@ _PAPER = (
     "symmetric NMF and spectral clustering. The paper does not say whether these received raw metres or scaled inputs; "
     "the tables have both."
 )
-_COLOURS = dict(zip(CLUSTERERS, COLOURS, strict=True))
+_COLOURS = dict(zip(CLUSTERERS, report.COLOURS, strict=True))
 #: The four algorithms of the paper's picture: method, label, colour, marker. Metric learning is GRU and K-Means.
 _PAPER_METHODS = (
     (Method("kmeans", "raw", "given"), "K-Means, raw metres", _COLOURS["kmeans"], "o"),
@@ -275,8 +263,12 @@ def _format_label(method: Method) -> str:
 
 def _group_methods(rows: Sequence[Row]) -> dict[Method, dict[str, list[Row]]]:
     """Group the rows by method, then by follow strategy; ``"all"`` has the rows of all strategies."""
-    methods = group_rows(rows, lambda row: row.method)
-    return {method: {"all": own, **group_rows(own, lambda row: row.follow)} for method, own in methods.items()}
+    methods = report.group_rows(rows, lambda row: row.method)
+    return {method: {"all": own, **report.group_rows(own, lambda row: row.follow)} for method, own in methods.items()}
+
+
+def _format_mean(rows: Sequence[Row], field: str) -> str:
+    return report.format_interval(report.mean_over_episodes(rows, field)) if rows else ""
 
 
 def report_methods(rows: Sequence[Row], title: str) -> str:
@@ -299,13 +291,12 @@ def report_methods(rows: Sequence[Row], title: str) -> str:
             lines = []
             for method in _list_methods(rows, count):
                 own = grouped[method]
-                groups = [own.get(name, []) for name in ("all", *follows)]
-                means = [format_interval(mean_over_episodes(group, field)) if group else "" for group in groups]
-                found, seconds = (mean_over_episodes(own["all"], name) for name in ("found", "seconds"))
+                means = [_format_mean(own.get(name, ()), field) for name in ("all", *follows)]
+                found, seconds = (report.mean_over_episodes(own["all"], name) for name in ("found", "seconds"))
                 name = (method.clusterer, method.count, method.features, str(len(own["all"])))
-                lines.append((*name, *means, format_interval(found, ".1f"), f"{seconds.mean:.3f}"))
+                lines.append((*name, *means, report.format_interval(found, ".1f"), f"{seconds.mean:.3f}"))
             header = ("clusterer", "M", "features", "n", "all", *follows, "found", "s")
-            parts += ["", f"## {heading}, M {count}", "", *format_markdown(header, lines)] if lines else []
+            parts += ["", f"## {heading}, M {count}", "", *report.format_markdown(header, lines)] if lines else []
     return "\n".join([*parts, ""])
 
 
@@ -316,16 +307,16 @@ def draw_methods(rows: Sequence[Row], title: str) -> Figure:
     counts = [count for count in COUNTS if _list_methods(rows, count)]
     heights = [len(_list_methods(rows, count)) + 3 for count in counts]
     height = 0.24 * sum(heights) + 1.2
-    figure, grid = make_panels(14, height, len(counts), 2, sharex=True, height_ratios=heights)
+    figure, grid = report.make_panels(14, height, len(counts), 2, sharex=True, height_ratios=heights)
     for axes_row, count in zip(grid, counts, strict=True):
         methods = _list_methods(rows, count)
         for axes, (field, heading) in zip(axes_row, _METRICS.items(), strict=True):
             for place, method in enumerate(methods):
                 for name in follows:
                     if name in own[method]:
-                        mean = mean_over_episodes(own[method][name], field).mean
+                        mean = report.mean_over_episodes(own[method][name], field).mean
                         axes.plot([mean], [place], "o", ms=3, mfc="none", color="#999999", zorder=1)
-                every = mean_over_episodes(own[method]["all"], field)
+                every = report.mean_over_episodes(own[method]["all"], field)
                 ends = [[every.mean - every.low], [every.high - every.mean]]
                 axes.errorbar([every.mean], [place], xerr=ends, fmt="s", ms=6, color=_COLOURS[method.clusterer])
             axes.set_title(f"{heading}, M {count}", fontsize=10)
@@ -357,22 +348,22 @@ def draw_strategies(rows: Sequence[Row], title: str) -> Figure:
     if not methods:
         raise ArgumentError("rows must hold a method of the paper's picture with M given, got none.")
     places = [*sorted({row.follow for row in rows}), "all"]
-    figure, ((axes,),) = make_panels(11, 5.4)
+    figure, ((axes,),) = report.make_panels(11, 5.4)
     for number, (method, label, color, marker) in enumerate(methods):
         shift = 0.8 * ((number + 0.5) / len(methods) - 0.5)
         means = {
-            place + shift: mean_over_episodes(own[method][name], "purity")
+            place + shift: report.mean_over_episodes(own[method][name], "purity")
             for place, name in enumerate(places)
             if name in own[method]
         }
         fill, size = "white" if method.features == "raw" else color, 11 if marker == "*" else 6
-        draw_intervals(axes, means, fmt=marker, ms=size, mfc=fill, color=color, lw=1.2, label=label)
+        report.draw_intervals(axes, means, fmt=marker, ms=size, mfc=fill, color=color, lw=1.2, label=label)
     for edge in range(len(places) - 1):
         axes.axvline(edge + 0.5, color="#cccccc" if places[edge + 1] != "all" else "#777777", lw=0.8)
     axes.set_xticks(range(len(places)), places)
     axes.set(xlabel="follow strategy", ylabel="purity", xlim=(-0.5, len(places) - 0.5), ylim=(0, 1.03))
     axes.grid(axis="y", alpha=0.3)
-    add_legend(figure, [axes])
+    report.add_legend(figure, [axes])
     windows = len(own[methods[0][0]]["all"])
     figure.suptitle(
         f"{title}\nmeans with 95 % intervals, {windows} windows a method; M is given\n"

@@ -3,30 +3,20 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
 from detectors.studies import common
 from usnet_env.config import ArgumentError, unknown_name
 from usnet_env.envs import MultiClusterEnv
-from usnet_env.evaluation import TRIVIAL
+from usnet_env.evaluation import TRIVIAL, report
 from usnet_env.evaluation.metrics import RATES, episode_metrics
-from usnet_env.evaluation.report import (
-    COLOURS,
-    add_legend,
-    draw_intervals,
-    episode_means,
-    format_interval,
-    format_markdown,
-    keep_report,
-    make_panels,
-)
 from usnet_env.evaluation.statistics import Interval, mean_interval, rate_interval
 from usnet_env.evaluation.suite import Game, Suite, play_detector, read_rows, split_games
 from usnet_env.objectives import rounds_hits_and_redundant
@@ -157,8 +147,7 @@ def reproduce(
     head_jitter: bool = False,
     seed: int = 2022,
     isolate: bool = False,
-    workers: int = 1,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    **running: Unpack[common.Running],
 ) -> common.Reproduction[Row]:
     """Measure the studies' cells; an interrupted measurement continues where it stopped.
 
@@ -173,8 +162,7 @@ def reproduce(
         head_jitter: whether they have the followers' noise.
         seed: of the episodes; the reporting seed is one that nothing was tuned on.
         isolate: play each detector in a process of its own, which never holds an environment.
-        workers: processes.
-        progress: called with the episodes done and to do.
+        running: ``workers`` and ``progress``, see :class:`~detectors.studies.common.Running`.
 
     Raises:
         ArgumentError: an argument was refused.
@@ -190,9 +178,9 @@ def reproduce(
     path = folder / f"rounds{suffix}-seed{seed}.csv"
     order = ("follow", "clusters", "uavs", "detector", "episode")
     suite = Suite(Cell, Row, partial(play_games, seed=seed, isolate=isolate), order=order, digits=4)
-    rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, workers=workers, progress=progress)
+    rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, **running)
     title, kept = f"P2, {common.describe_flight(cells[0])}", read_rows(path, Row)
-    keep_report(path, report_studies(kept, title, not suffix), draw_studies(kept, title, not suffix))
+    report.keep_report(path, report_studies(kept, title, not suffix), draw_studies(kept, title, not suffix))
     return common.Reproduction(rows, report_studies(rows, "P2 (all columns are in the file)", not suffix, SHORT))
 
 
@@ -278,7 +266,7 @@ def measure_field(rows: Sequence[Row], field: str) -> Interval | None:
     """
     if field in RATES:
         return rate_interval([getattr(row, field) for row in rows]) if rows else None
-    values = episode_means(rows, field)
+    values = report.episode_means(rows, field)
     return mean_interval(values) if values else None
 
 
@@ -304,7 +292,7 @@ def find_by_round(rows: Sequence[Row], rounds: int) -> list[tuple[list[float], l
 def _format(interval: Interval | None, scale: float = 1) -> str:
     if interval is None:
         return "–"
-    return format_interval(interval, ".3g" if scale * interval.mean < 100 else ".0f", scale)
+    return report.format_interval(interval, ".3g" if scale * interval.mean < 100 else ".0f", scale)
 
 
 def _list_detectors(rows: Sequence[Row]) -> list[str]:
@@ -350,7 +338,7 @@ def report_studies(rows: Sequence[Row], title: str, with_paper: bool, columns: S
         if len(filled) > 1:
             for name in detectors:
                 lines += _make_line("all", name, [row for swarm in filled for row in _of(rows, swarm, name)], columns)
-        parts += format_markdown((None, "detector", "n", *(heading for _, heading, _ in columns)), lines)
+        parts += report.format_markdown((None, "detector", "n", *(heading for _, heading, _ in columns)), lines)
         if study == "example":
             parts += _report_rounds(_of(rows, swarms[0]), with_paper)
     return "\n".join([*parts, ""])
@@ -378,14 +366,14 @@ def _report_rounds(rows: Sequence[Row], with_paper: bool) -> list[str]:
         "",
         f"Candidates of a round / share of the {heads} heads found until then, %:",
         "",
-        *format_markdown(header, lines),
+        *report.format_markdown(header, lines),
     ]
 
 
 def draw_studies(rows: Sequence[Row], title: str, with_paper: bool) -> Figure:
     """One row of panels for each study: R, redundancy and J_m with 95 % intervals; the paper's bounds in grey."""
     studies = [study for study, swarms in STUDIES.items() if any(_of(rows, swarm) for swarm in swarms)]
-    figure, grid = make_panels(15, 3.6 * len(studies) + 0.8, len(studies), 3)
+    figure, grid = report.make_panels(15, 3.6 * len(studies) + 0.8, len(studies), 3)
     panels = (("rounds", "rounds R", 1), ("redundancy", "redundancy, %", 100), ("J", "J_m", 1))
     for axes_row, study in zip(grid, studies, strict=True):
         for axes, (field, label, scale) in zip(axes_row, panels, strict=True):
@@ -394,7 +382,7 @@ def draw_studies(rows: Sequence[Row], title: str, with_paper: bool) -> Figure:
         if study == "example":
             _draw_found(axes_row[0], _of(rows, STUDIES[study][0]), with_paper)
         axes_row[0].set_title(_TITLES[study], loc="left", fontsize=10)
-    add_legend(figure, [grid[0, 1]])
+    report.add_legend(figure, [grid[0, 1]])
     figure.suptitle(title)
     return figure
 
@@ -402,7 +390,7 @@ def draw_studies(rows: Sequence[Row], title: str, with_paper: bool) -> Figure:
 def _choose_look(detector: str, detectors: Sequence[str]) -> dict[str, Any]:
     if detector in TRIVIAL:
         return {"color": "#777777", "marker": _MARKS[detector], "label": detector}
-    return {"color": COLOURS[detectors.index(detector) % len(COLOURS)], "marker": "o", "label": detector}
+    return {"color": report.COLOURS[detectors.index(detector) % len(report.COLOURS)], "marker": "o", "label": detector}
 
 
 def _draw_panel(axes: Axes, rows: Sequence[Row], study: str, field: str, scale: float, with_paper: bool) -> None:
@@ -418,7 +406,7 @@ def _draw_panel(axes: Axes, rows: Sequence[Row], study: str, field: str, scale: 
         means = [measure_field(_of(rows, swarm, detector), field) for swarm in swarms]
         known = {place + shift: mean for place, mean in enumerate(means) if mean is not None}
         look = _choose_look(detector, detectors)
-        draw_intervals(axes, known, scale, ls="none", ms=5, lw=1.2, **look)
+        report.draw_intervals(axes, known, scale, ls="none", ms=5, lw=1.2, **look)
     axes.set_xticks(range(len(swarms)), [_name_place(study, swarm) for swarm in swarms])
     axes.grid(alpha=0.3)
     if field == "redundancy":

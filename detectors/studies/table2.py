@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
 from detectors.studies.common import (
     FOLLOW,
     Reproduction,
+    Running,
     check_detectors,
     name_flight,
     swarm_arguments,
@@ -247,8 +248,7 @@ def reproduce(
     mobility: str = "iid",
     head_jitter: bool = False,
     seed: int = 2022,
-    workers: int = 1,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    **running: Unpack[Running],
 ) -> Reproduction[Row]:
     """Measure the table's cells; an interrupted measurement continues where it stopped.
 
@@ -261,8 +261,7 @@ def reproduce(
         mobility: how the head flies.
         head_jitter: whether it has the followers' noise.
         seed: of the episodes; the reporting seed is one that nothing was tuned on.
-        workers: processes.
-        progress: called with the episodes done and to do.
+        running: ``workers`` and ``progress``, see :class:`Running`.
 
     Raises:
         ArgumentError: an argument was refused.
@@ -278,7 +277,7 @@ def reproduce(
     tasks = make_tasks(grid, lambda cell: episodes or (_MANY if cell.followers <= 15 else _FEW))
     suffix = (f"-decoys{decoys}" if decoys else "") + name_flight(grid[0])
     path = folder / f"episodes{suffix}-seed{seed}.csv"
-    rows = make_suite(seed).run(tasks, path, workers=workers, progress=progress)
+    rows = make_suite(seed).run(tasks, path, **running)
     table = fill_table(read_rows(path, Row))  # earlier measurements with the same seed stay in the table
     title = f"Detection rate, one cluster, {mobility} heads, {decoys} decoy{'s' if decoys != 1 else ''}"
     text = report_rates(table, title, not suffix)

@@ -50,6 +50,7 @@ def test_a_registered_detector_passes_all_checks(name):
     assert not [result.check for result in results if result.status == "skipped"]
 
 
+@pytest.mark.slow
 @parametrize_with_checks([make_detector("neural-granger(steps=2, times=4, gate=True)")], seconds=SECONDS)
 def test_neural_granger_with_its_gate(detector, check):
     check(detector)

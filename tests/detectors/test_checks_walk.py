@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from detectors.checks import CHECKS
+from usnet_env.cli import main
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "custom_detector"
@@ -105,7 +106,6 @@ def test_the_package_installs_and_its_detector_is_found_and_plays(run, tmp_path)
     assert "most-copied(clusters=3)" in evaluated.stdout
 
 
-def test_without_the_package_the_name_is_unknown(run):
-    done = run([sys.executable, "-m", "usnet_env", "evaluate", "--detector", "most-copied", "--episodes", "1"])
-    assert done.returncode == 2
-    assert "detector must be one of" in done.stderr
+def test_without_the_package_the_name_is_unknown(capsys):
+    assert main(["evaluate", "--detector", "most-copied", "--episodes", "1"]) == 2
+    assert "detector must be one of" in capsys.readouterr().err

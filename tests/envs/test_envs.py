@@ -532,7 +532,7 @@ def test_info_says_at_the_end_whether_the_episode_was_a_success(name):
     assert info["is_success"] is True
     assert env.reset(seed=0)[1]["is_success"] is False
     *_, info = env.step(np.zeros_like(heads))
-    assert info["is_success"] is False
+    assert info["is_success"] is not bool(heads.any())  # without heads no head is left
 
 
 @pytest.mark.parametrize("make", [gym.make, lambda name, **arguments: gym.make_vec(name, num_envs=2, **arguments)])

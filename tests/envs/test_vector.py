@@ -27,7 +27,7 @@ def test_equal_to_single_envs_over_many_episodes(name, arguments):
         arguments.pop("max_rounds", None)
     batch = gym.make_vec(f"usnet_env:{name}", num_envs=5, **arguments)
     singles = gym.make_vec(name, num_envs=5, vectorization_mode="sync", **arguments)
-    assert batch.unwrapped.__class__.__name__.endswith("ClusterVectorEnv")
+    assert batch.unwrapped.__class__.__name__.endswith("VectorEnv")
     one, other = batch.reset(seed=0), singles.reset(seed=0)
     same(one[0], other[0])
     same(one[1], other[1])

@@ -109,6 +109,20 @@ class NoDetection(Base):
         return window.alive
 
 
+def interrupt():
+    raise KeyboardInterrupt
+
+
+ENDS = {
+    "os._exit": lambda: os._exit(0),
+    "sys.exit": lambda: sys.exit(0),
+    "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
+    "hang": lambda: time.sleep(10_000),
+    "memory": lambda: np.ones(500_000_000),
+    "interrupt": interrupt,
+}
+
+
 class Ending(AllAlive):
     """Ends its process, hangs, or takes too much of something in the second round of an episode, or in its warm-up."""
 
@@ -119,18 +133,7 @@ class Ending(AllAlive):
     def detect(self, window):
         if window.round == 1 and not self.first:
             return Detection(np.zeros(window.uavs), np.zeros(window.uavs))
-        if self.how == "os._exit":
-            os._exit(0)
-        elif self.how == "sys.exit":
-            sys.exit(0)
-        elif self.how == "kill":
-            os.kill(os.getpid(), signal.SIGKILL)
-        elif self.how == "hang":
-            time.sleep(10_000)
-        elif self.how == "memory":
-            np.ones(500_000_000)
-        elif self.how == "interrupt":
-            raise KeyboardInterrupt
+        ENDS[self.how]()
         return super().detect(window)
 
 

@@ -8,14 +8,7 @@ from scipy.stats import binomtest, bootstrap, norm, permutation_test, trim_mean
 
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation import statistics
-from usnet_env.evaluation.statistics import (
-    holm,
-    interquartile_mean,
-    mean_interval,
-    paired_test,
-    performance_profile,
-    rate_interval,
-)
+from usnet_env.evaluation.statistics import holm, interquartile_mean, mean_interval, paired_test, rate_interval
 
 NUMBERS = st.floats(-1e6, 1e6)
 
@@ -171,7 +164,7 @@ def test_the_interval_of_the_interquartile_mean_is_that_of_the_slow_stratified_b
 def test_a_profile_is_that_of_the_slow_reference(sign):
     thresholds = [3.0, 0.5, 1.0, TASKS[1][7], 100.0, -1.0]  # in any order, and one that is a value
     tasks = [sign * task for task in TASKS]
-    ours = performance_profile(tasks, [sign * each for each in thresholds], lower_is_better=sign == -1)
+    ours = statistics.performance_profile(tasks, [sign * each for each in thresholds], lower_is_better=sign == -1)
     assert ours.share == pytest.approx(slow_profile(TASKS, thresholds))
     low, high = slow_bootstrap(TASKS, lambda parts: slow_profile(parts, thresholds), 1_000)
     assert ours.low == pytest.approx(low, abs=0.015)
@@ -179,7 +172,7 @@ def test_a_profile_is_that_of_the_slow_reference(sign):
     assert ours.thresholds.tolist() == [sign * each for each in thresholds]
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.25, 0.5, 3.0])
+@pytest.mark.parametrize("shift", [0.0, 0.5])
 def test_the_paired_test_is_scipy_s(shift, monkeypatch):
     sample = np.random.default_rng(5).normal(shift, 1.0, 30)
     theirs = permutation_test(

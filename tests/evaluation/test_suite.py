@@ -3,6 +3,7 @@
 import os
 import shutil
 import sys
+import time
 from dataclasses import asdict, dataclass
 from functools import partial
 from multiprocessing import parent_process
@@ -19,7 +20,7 @@ from usnet_env.evaluation import EvaluationError
 from usnet_env.evaluation.report import episode_means, format_interval, format_latex, format_markdown, group_rows
 from usnet_env.evaluation.statistics import Interval
 from usnet_env.evaluation.store import RowFile
-from usnet_env.evaluation.suite import Suite, list_games, play_detector, read_rows, split_games
+from usnet_env.evaluation.suite import Place, Suite, list_games, play_detector, read_rows, split_games
 from usnet_env.evaluation.table import columns_of
 
 
@@ -100,7 +101,10 @@ def test_a_folder_that_is_removed_during_the_run_is_an_error(tmp_path):
 def leave(games, power):
     """Play; the second task ends its process."""
     if games == TASKS[1]:
-        os._exit(0) if parent_process() is not None else sys.exit(0)
+        if parent_process() is None:
+            sys.exit(0)
+        time.sleep(1)  # the first task ends before
+        os._exit(0)
     return play(games, power)
 
 
@@ -110,6 +114,16 @@ def test_a_game_that_ends_its_process_is_named(tmp_path, workers):
     with pytest.raises(EvaluationError, match=reason):
         make_suite(leave).run(TASKS, tmp_path / "rows.csv", workers=workers)
     assert set(play(TASKS[0], 2)) <= set(read_rows(tmp_path / "rows.csv", Square))
+
+
+@pytest.mark.parametrize("backend", ["processes", pytest.param("ray", marks=pytest.mark.slow)])
+def test_every_backend_plays_the_same_rows(tmp_path, backend, monkeypatch):
+    if backend == "ray":
+        pytest.importorskip("ray")
+        monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (Path(__file__).parent, *sys.path))))
+    there = make_suite().run(TASKS, tmp_path / "there.csv", workers=Place(backend, 2))
+    assert there == make_suite().run(TASKS, tmp_path / "here.csv")
+    assert set(read_rows(tmp_path / "there.csv", Square)) == set(there)
 
 
 def test_rows_of_finished_tasks_survive_a_failure(tmp_path):

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from run_script import run_script
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples" / "frameworks"))
 
@@ -19,6 +20,18 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def script(request):
+    """What the module's example trains, and the lines that its script prints, with the arguments ``WORDS``."""
+    return run_script(request.module.example, *request.module.WORDS)
+
+
+@pytest.fixture(scope="module")
+def trained(script):
+    """What the script trains."""
+    return script[0]
 
 
 @pytest.fixture(scope="module", autouse=True)

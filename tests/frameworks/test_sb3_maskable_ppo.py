@@ -9,38 +9,29 @@ pytest.importorskip("sb3_contrib")
 import sb3_maskable_ppo as example
 from comparison import compare_detectors
 from how_copied import HowCopied, how_copied
-from run_script import run_script
 from sb3_contrib import RecurrentPPO
 from sb3_contrib.common.maskable.utils import get_action_masks
 
 from detectors.policy_detector import PolicyDetector
 from usnet_env.envs import MultiDiscreteCandidates
 
-
-@pytest.fixture(scope="module")
-def script():
-    return run_script(example, "--steps", "512", "--episodes", "2")
+WORDS = ("--steps", "512", "--episodes", "2")
 
 
-@pytest.fixture(scope="module")
-def begun(script):
-    return script[0]
-
-
-def test_it_trains(begun):
-    assert np.isfinite(begun.logger.name_to_value["train/loss"])
-    before, after = example.train(0).get_parameters()["policy"], begun.get_parameters()["policy"]
+def test_it_trains(trained):
+    assert np.isfinite(trained.logger.name_to_value["train/loss"])
+    before, after = example.train(0).get_parameters()["policy"], trained.get_parameters()["policy"]
     assert all(bool((before[name] != after[name]).any()) for name in before if name.endswith("weight"))
 
 
-def test_masks_are_found_behind_the_wrappers(begun):
-    begun.env.reset()
-    masks = get_action_masks(begun.env)
+def test_masks_are_found_behind_the_wrappers(trained):
+    trained.env.reset()
+    masks = get_action_masks(trained.env)
     assert masks.shape == (8, 2 * example.ARGUMENTS["uavs"])
     assert masks.dtype == bool
 
 
-def test_no_destroyed_uav_is_ever_drawn(begun):
+def test_no_destroyed_uav_is_ever_drawn(trained):
     env = HowCopied(gym.make(example.ENV, **{**example.ARGUMENTS, "clusters": 3, "max_rounds": 12}))
     dead_uavs = 0
     for seed in range(8):
@@ -48,7 +39,7 @@ def test_no_destroyed_uav_is_ever_drawn(begun):
         over = False
         while not over:
             alive = env.unwrapped.swarm.alive
-            action, _ = begun.predict(seen, action_masks=env.unwrapped.action_masks())
+            action, _ = trained.predict(seen, action_masks=env.unwrapped.action_masks())
             action[np.flatnonzero(action)[1:]] = 0  # one a round, so that games last
             assert not action[~alive].any()
             dead_uavs += int((~alive).sum())
@@ -59,8 +50,7 @@ def test_no_destroyed_uav_is_ever_drawn(begun):
 
 @pytest.mark.slow
 def test_it_learns():
-    trained = example.train(2048)
-    detectors = {"trained": PolicyDetector(trained.policy, observe=how_copied), "random": "random(count=2)"}
+    detectors = {"trained": PolicyDetector(example.train(2048).policy, observe=how_copied), "random": "random(count=2)"}
     scores = compare_detectors(example.ENV, example.ARGUMENTS, detectors, episodes=30)
     assert scores["trained"]["J"]["mean"] < 2.0 < scores["random"]["J"]["mean"]
 

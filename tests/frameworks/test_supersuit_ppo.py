@@ -10,11 +10,12 @@ import supersuit
 import supersuit_ppo as example
 from how_copied import how_copied
 from observers_game import ARGUMENTS, compare_detectors
-from run_script import run_script
 
 from detectors.policy_detector import PolicyDetector
 from usnet_env.multiagent import usnet_observers_v0
 from usnet_env.multiagent.wrappers import MultiDiscreteVotes
+
+WORDS = ("--steps", "768", "--games", "2")
 
 
 @pytest.fixture(scope="module")
@@ -22,13 +23,7 @@ def untrained():
     return example.train(0)
 
 
-@pytest.fixture(scope="module")
-def script():
-    return run_script(example, "--steps", "768", "--games", "2")
-
-
-def test_it_trains(untrained, script):
-    trained = script[0]
+def test_it_trains(untrained, trained):
     assert trained.n_envs == 4 * ARGUMENTS["observers"]
     assert np.isfinite(trained.logger.name_to_value["train/loss"])
     before, after = untrained.get_parameters()["policy"], trained.get_parameters()["policy"]

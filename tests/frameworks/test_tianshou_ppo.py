@@ -11,7 +11,6 @@ import torch
 from comparison import compare_detectors
 from copied_network import Bits, CopiedNetwork
 from how_copied import how_copied
-from run_script import run_script
 from tianshou.algorithm.modelfree.reinforce import ProbabilisticActorPolicy
 from tianshou.data import Collector, VectorReplayBuffer
 from tianshou.env import DummyVectorEnv, PettingZooEnv
@@ -19,19 +18,11 @@ from tianshou.env import DummyVectorEnv, PettingZooEnv
 from detectors.policy_detector import PolicyDetector
 from usnet_env.multiagent import usnet_observers_v0
 
-
-@pytest.fixture(scope="module")
-def script():
-    return run_script(example, "--epochs", "1", "--episodes", "2", "--seed", "3")
+WORDS = ("--epochs", "1", "--episodes", "2", "--seed", "3")
 
 
-@pytest.fixture(scope="module")
-def begun(script):
-    return script[0]
-
-
-def test_it_trains(begun):
-    actor, result = begun
+def test_it_trains(trained):
+    actor, result = trained
     assert result.train_step == example.BATCH
     assert result.train_episode > 0
     torch.manual_seed(3)
@@ -39,8 +30,8 @@ def test_it_trains(begun):
     assert all(bool((after != before).any() and after.isfinite().all()) for after, before in pairs)
 
 
-def test_the_same_seed_trains_the_same_actor(begun):
-    first, again = (actor.state_dict() for actor, _ in (begun, example.train(1, seed=3)))
+def test_the_same_seed_trains_the_same_actor(trained):
+    first, again = (actor.state_dict() for actor, _ in (trained, example.train(1, seed=3)))
     assert all(torch.equal(first[name], again[name]) for name in first)
 
 

@@ -15,7 +15,6 @@ with warnings.catch_warnings():  # TorchRL's own, of its own import
 import torch
 import torchrl_ppo as example
 from comparison import compare_detectors
-from run_script import run_script
 from torchrl.envs import ExplorationType, GymWrapper, check_env_specs, set_exploration_type
 
 from detectors.policy_detector import PolicyDetector
@@ -23,11 +22,7 @@ from usnet_env.envs import ENVIRONMENTS, MultiDiscreteCandidates
 from usnet_env.envs.wrappers import BoxMasks
 
 SMALL = {"observation_steps": 12}
-
-
-@pytest.fixture(scope="module")
-def script():
-    return run_script(example, "--steps", str(example.BATCH), "--episodes", "2")
+WORDS = ("--steps", str(example.BATCH), "--episodes", "2")
 
 
 @pytest.fixture(scope="module")

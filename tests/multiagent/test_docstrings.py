@@ -8,24 +8,11 @@ from small_games import GAMES
 
 import usnet_env.envs
 
-SECTIONS = [
-    "Description",
-    "Action Space",
-    "Observation Space",
-    "Rewards",
-    "Starting State",
-    "Episode End",
-    "Arguments",
-    "Version History",
-]
-
 
 @pytest.mark.parametrize("game", list(GAMES))
 def test_a_docstring_lists_the_arguments_with_their_defaults(game):
     kind = GAMES[game].parallel_env
     docstring = inspect.getdoc(kind)
-    titles = re.findall(r"^## (.+)$", docstring, re.MULTILINE)
-    assert [title for title in titles if title in SECTIONS] == SECTIONS
     section = docstring.partition("## Arguments")[2].partition("## ")[0]
     table, _, shared = section.partition("and of `USNET/MultiCluster-v0`:")
     rows = dict(re.findall(r"^\| `(\w+)` \| `?(.+?)`? \|", table, re.MULTILINE))

@@ -83,7 +83,7 @@ def test_truthful_heads_fly_as_in_the_single_agent_game(follow, seed):
     "strategy", [*follow_strategies().values(), FollowFunction(lambda one: one.head_velocity[:, 0])]
 )
 def test_a_delay_of_zero_is_the_strategy_itself(strategy):
-    config, state, rngs = a_swarm(follow=strategy)
+    config, state, rngs = a_swarm(follow=strategy, memory=12)
     late = config.model_copy(update={"follow": DelayedFollow(strategy, np.zeros(20, np.int64))})
     twin = [np.random.default_rng(0)]
     start(config, twin)
@@ -344,6 +344,7 @@ def test_the_observers_view_has_no_trace_of_roles():
         ({"decoy_price": np.nan}, "decoy_price must be a finite number, got nan"),
         ({"delay_price": -1.0}, "delay_price must be greater than or equal to 0"),
         ({"follow": "none"}, "follow must be a follow strategy other than 'none', got 'none'"),
+        ({"follow": "reference", "memory": 16}, "follow must be a follow strategy with heads, got 'reference'"),
         ({"follow": "f3", "memory": 6}, "memory must be at least 7 for follow='f3' and most_delay=4, got 6"),
         ({"max_cycles": 1}, "max_cycles must be None or a whole number from 2, got 1"),
         ({"render_mode": "human"}, "render_mode must be 'rgb_array' or None, got 'human'"),

@@ -6,17 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pettingzoo
+import pettingzoo_suites as suites
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
-from pettingzoo_suites import (
-    api_test,
-    max_cycles_test,
-    parallel_api_test,
-    parallel_seed_test,
-    render_test,
-    seed_test,
-    state_test,
-)
 from small_games import GAMES, drawn, episode, small
 
 from usnet_env.multiagent import register_games
@@ -36,24 +28,24 @@ both_games = pytest.mark.parametrize("game", list(GAMES))
 
 @both_games
 def test_parallel_api(game):
-    parallel_api_test(small(game), num_cycles=50)
+    suites.parallel_api_test(small(game), num_cycles=50)
 
 
 @both_games
 @pytest.mark.parametrize("form", ["env", "raw_env"])
 def test_aec_api(game, form):
-    api_test(small(game, form), num_cycles=20)
+    suites.api_test(small(game, form), num_cycles=20)
 
 
 @both_games
 def test_seeds(game):
-    seed_test(lambda: small(game, "env"), num_cycles=10)
-    parallel_seed_test(lambda: small(game), num_cycles=10)
+    suites.seed_test(lambda: small(game, "env"), num_cycles=10)
+    suites.parallel_seed_test(lambda: small(game), num_cycles=10)
 
 
 @both_games
 def test_state(game):
-    state_test(small(game, "env"), small(game), num_cycles=4)
+    suites.state_test(small(game, "env"), small(game), num_cycles=4)
 
 
 @both_games
@@ -63,7 +55,7 @@ def test_render(game):
     def make(render_mode):  # PettingZoo's test makes a "human" env and doesn't use it
         return small(game, "env", render_mode=None if render_mode == "human" else render_mode)
 
-    render_test(make)
+    suites.render_test(make)
 
 
 @both_games
@@ -73,7 +65,7 @@ def test_max_cycles(game):
         parallel_env=lambda max_cycles: small(game, shot_budget=1, max_cycles=max_cycles),
         env=lambda max_cycles: small(game, "env", shot_budget=1, max_cycles=max_cycles),
     )
-    max_cycles_test(module)
+    suites.max_cycles_test(module)
 
 
 @both_games
@@ -173,8 +165,8 @@ def test_a_copy_in_mid_game_goes_on_alike(game, copied):
 
 @both_games
 def test_discrete_actions_pass_pettingzoo_too(game):
-    parallel_api_test(DiscreteActions(small(game)), num_cycles=50)
-    parallel_seed_test(lambda: DiscreteActions(small(game)), num_cycles=10)
+    suites.parallel_api_test(DiscreteActions(small(game)), num_cycles=50)
+    suites.parallel_seed_test(lambda: DiscreteActions(small(game)), num_cycles=10)
 
 
 @both_games

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_episode import ROUNDS, SAMPLES, UAVS, small_episode
+from small_episode import MIND, ROUNDS, SAMPLES, UAVS, small_episode
 
 from usnet_env import ArgumentError
+from usnet_env.replay import animation
 from usnet_env.replay.animation import animate, scenes
 
 pytest.importorskip("matplotlib")
@@ -99,6 +100,7 @@ def test_tracks_grow(frames):
     assert first < second < third
 
 
+@pytest.mark.slow
 def test_the_same_record_gives_the_same_file(game, tmp_path):
     assert animate(small_episode(), tmp_path / "again.gif", frames=FRAMES).read_bytes() == game.read_bytes()
 
@@ -109,7 +111,7 @@ def test_a_uav_that_was_never_seen_and_a_single_round(tmp_path):
     seen[:, :, 2] = False
     values = {name: getattr(small, name)[:1] for name in ("position", "velocity", "alive", "leader", "candidates")}
     values |= {name: getattr(small, name)[:1] for name in ("scores", "objective", "over_budget", "seconds")}
-    values |= {name: getattr(small, name)[:1] for name in ("clusters", "leader_estimate", "attention")}
+    values |= {name: getattr(small, name)[:1] for name in MIND}
     path = animate(small_episode(**values, seen=seen[:1]), tmp_path / "one.gif", frames=2)
     assert len(frames_of(path)) == 5
 
@@ -129,9 +131,11 @@ def test_bad_arguments_are_refused_before_anything_is_written(tmp_path, monkeypa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_mp4_needs_ffmpeg_and_says_so(tmp_path):
+@pytest.mark.parametrize("rate", [1, pytest.param(animation._MP4_RATE, marks=pytest.mark.slow)])
+def test_an_mp4_needs_ffmpeg_and_says_so(tmp_path, monkeypatch, rate):
     from matplotlib.animation import writers
 
+    monkeypatch.setattr(animation, "_MP4_RATE", rate)  # frames of a second, each of which is drawn
     path = tmp_path / "game.mp4"
     if writers.is_available("ffmpeg"):
         assert animate(small_episode(), path, frames=2).stat().st_size > 1000

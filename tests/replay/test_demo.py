@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from usnet_env import ArgumentError
-from usnet_env.replay import EpisodeRecord
+from usnet_env.replay import EpisodeRecord, demo
 from usnet_env.replay.demo import run_demo
 
 pytest.importorskip("matplotlib")
@@ -17,7 +17,7 @@ pytest.importorskip("matplotlib")
 
 def run(folder, **arguments):
     text = io.StringIO()
-    small = {"clusters": 2, "uavs": 14, "detector": "one-per-round"}
+    small = {"clusters": 2, "uavs": 14, "detector": "one-per-round", "observation_steps": 30}
     files = run_demo(folder, console=Console(file=text, width=200), **small | arguments)
     return files, text.getvalue()
 
@@ -34,6 +34,7 @@ def test_the_demo_plays_prints_and_keeps_an_episode(played):
         "episode": "episode.npz",
         "replay": "replay.rrd",
         "picture": "episode.png",
+        "page": "report.html",
     }
     assert all(path.stat().st_size > 1000 for path in files.values())
     record = EpisodeRecord.load(files["episode"])
@@ -60,8 +61,8 @@ def test_the_same_seed_plays_the_same_episode(played, tmp_path):
 def test_without_rerun_the_rest_is_written(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     files, text = run(tmp_path)
-    assert set(files) == {"episode", "picture"}
-    assert {path.name for path in tmp_path.iterdir()} == {"episode.npz", "episode.png"}
+    assert set(files) == {"episode", "picture", "page"}
+    assert {path.name for path in tmp_path.iterdir()} == {"episode.npz", "episode.png", "report.html"}
     assert "pip install 'usnet[replay]'" in text
 
 
@@ -78,3 +79,15 @@ def test_refuses_in_one_sentence_and_writes_nothing(tmp_path, arguments, name):
     with pytest.raises(ArgumentError, match=rf"^{name} must"):
         run(tmp_path / "demo", **arguments)
     assert not (tmp_path / "demo").exists()
+
+
+def test_the_game_of_the_demo_has_an_error_and_a_recovery(tmp_path, monkeypatch):
+    """Without arguments: three to five rounds, a redundant candidate or a missed head, and all heads in the end."""
+    for name in ("write_recording", "write_picture", "write_episode_page"):
+        monkeypatch.setattr(demo, name, lambda record, path: path)
+    files = run_demo(tmp_path, console=Console(file=io.StringIO()))
+    record = EpisodeRecord.load(files["episode"])
+    assert 3 <= record.rounds <= 5
+    assert record.redundant.sum() > 0
+    assert record.heads_left[0] > 0 == record.heads_left[-1]
+    assert record.config["mobility"] == "gauss_markov"

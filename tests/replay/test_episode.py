@@ -17,7 +17,8 @@ from usnet_env import ArgumentError
 from usnet_env.files import atomic_write
 from usnet_env.replay import EpisodeRecord
 
-VERSION_1 = Path(__file__).parent / "data" / "episode-version-1.npz"  # small_episode() before attention was kept
+DATA = Path(__file__).parent / "data"  # small_episode() as earlier versions of the file held it
+LATER = ("attention_heads", "probability", "features", "reasons")  # fields that version 4 added
 
 
 @pytest.fixture(scope="module")
@@ -43,12 +44,10 @@ def test_round_trip_is_exact(tmp_path, episode):
 
 
 def test_what_a_detector_did_not_give_stays_none(tmp_path):
-    bare = small_episode(clusters=None, leader_estimate=None, attention=None, seed=None, detector_seed=None)
+    absent = ("clusters", "leader_estimate", "attention", *LATER, "seed", "detector_seed")
+    bare = small_episode(**dict.fromkeys(absent))
     loaded = EpisodeRecord.load(bare.save(tmp_path / "e.npz"))
-    assert loaded.clusters is None
-    assert loaded.leader_estimate is None
-    assert loaded.attention is None
-    assert loaded.seed is None
+    assert {name for name in absent if getattr(loaded, name) is None} == set(absent)
     assert same(loaded, bare)
 
 
@@ -164,10 +163,10 @@ def test_the_file_holds_the_links_for_readers_without_this_class(tmp_path, episo
         assert own.tolist() == episode.communication_links(number).tolist()
 
 
-def test_files_of_version_1_still_open():
-    old = EpisodeRecord.load(VERSION_1)
-    assert old.attention is None
-    assert same(old, small_episode(attention=None, versions=old.versions))
+@pytest.mark.parametrize(("version", "absent"), [(1, ("attention", *LATER)), (3, LATER)])
+def test_files_of_earlier_versions_still_open(version, absent):
+    old = EpisodeRecord.load(DATA / f"episode-version-{version}.npz")
+    assert same(old, small_episode(**dict.fromkeys(absent), versions=old.versions))
     assert old.topology_matrix(1, 9, head=5).shape == (18, 5)
 
 
@@ -187,6 +186,12 @@ def test_arrays_are_read_only(episode):
         ({"leader_estimate": np.full((ROUNDS, UAVS), -2)}, "leader_estimate"),
         ({"attention": np.zeros((ROUNDS, UAVS))}, "attention"),
         ({"attention": np.full((ROUNDS, UAVS, UAVS), np.inf)}, "attention"),
+        ({"attention_heads": np.zeros((ROUNDS, UAVS, UAVS))}, "attention_heads"),
+        ({"probability": np.zeros(UAVS)}, "probability"),
+        ({"features": np.zeros((ROUNDS, UAVS, 3))}, "features"),
+        ({"reasons": [{"0": "why"}]}, "reasons"),
+        ({"choices": [{"head_0": 1}, {}]}, "choices"),
+        ({"observers": np.zeros((2, 3))}, "observers"),
         ({"candidates": np.full((ROUNDS, UAVS), 2)}, "candidates"),
         ({"alive": np.ones((ROUNDS, UAVS), bool)}, "alive"),
         ({"decoy": np.arange(UAVS) == 0}, "decoy"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_episode import ROUNDS, UAVS, large_episode, small_episode
+from small_episode import MIND, ROUNDS, UAVS, large_episode, small_episode
 
 from usnet_env import ArgumentError
 from usnet_env.replay import draw_episode, write_picture
@@ -20,7 +20,7 @@ def titles(figure):
 def long_episode(rounds, **changes):
     """``rounds`` rounds without candidates."""
     small = small_episode()
-    repeated = ("position", "velocity", "seen", "leader", "scores", "clusters", "leader_estimate", "attention")
+    repeated = ("position", "velocity", "seen", "leader", "scores", *MIND[:-1])
     values = {
         **{name: np.repeat(getattr(small, name)[:1], rounds, axis=0) for name in repeated},
         "alive": np.ones((rounds, UAVS), bool),
@@ -28,6 +28,7 @@ def long_episode(rounds, **changes):
         "objective": np.arange(rounds) + 1.0,
         "over_budget": np.zeros(rounds, bool),
         "seconds": np.zeros(rounds),
+        "reasons": None,
     }
     return small_episode(**values | changes)
 

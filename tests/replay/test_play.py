@@ -134,3 +134,21 @@ def test_refuses_other_answers(says):
 def test_refuses_other_environments():
     with pytest.raises(ArgumentError, match="env must be a USNET environment"):
         record_episode(gym.make("CartPole-v1"), Scripted(), 0, None)
+
+
+def test_the_mind_of_the_detector_is_recorded():
+    """Values of extras that have another form are left out."""
+    heads, others = roles(0)
+    features = np.random.default_rng(0).normal(size=(16, 3, 4))
+    extras = {"probability": np.linspace(0, 1, 16), "features": features, "attention_heads": np.ones((2, 16, 16))}
+    extras |= {"heads": heads[:1], "reasons": ["Because."]}
+    record = record_episode(multi(), Scripted((others[0],), heads, extras=extras), 0, 7)
+    np.testing.assert_array_equal(record.probability[0], extras["probability"])
+    assert record.attention_heads.shape == (2, 2, 16, 16)
+    assert record.reasons == ({str(heads[0]): "Because."},) * 2
+    flat = features.reshape(16, -1)
+    spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)[:2]
+    np.testing.assert_allclose(np.linalg.norm(record.features[1], axis=0), spread, rtol=1e-5)
+    odd = {"probability": "none", "features": np.ones(3), "attention_heads": np.ones(3)}
+    bare = record_episode(multi(), Scripted(heads, extras=odd), 0, 7)
+    assert bare.probability is bare.features is bare.attention_heads is bare.reasons is None

@@ -87,7 +87,7 @@ def test_orphans_take_the_nearest_remaining_head(seed, uavs, share):
     alive = rng.random(uavs) >= share
     position = rng.uniform(0, 1000, (uavs, 3)).astype(np.float32)
     leader = roles.leader.copy()
-    remerge(roles.head[None], alive[None], roles.decoy[None], position[None], leader[None])
+    remerge(roles.head[None], alive[None], roles.decoy[None], position[None], leader[None], leader[None].copy())
     remaining = np.flatnonzero(roles.head & alive)
     for i in range(uavs):
         if roles.head[i] or not alive[i] or alive[roles.leader[i]]:

@@ -1,4 +1,4 @@
-"""The command line: ``usnet evaluate``, ``demo``, ``detect``, ``list``, and the commands of other packages.
+"""The command line: ``usnet evaluate``, ``demo``, ``replay``, ``detect``, ``list``, and the commands of other packages.
 
 ``reproduce``, ``train`` and ``check-detector`` belong to the package ``detectors``, and are found by their entry
 points. Every refusal or failure is one sentence on standard error, without a traceback. Each command imports its heavy
@@ -18,9 +18,10 @@ import click
 
 from usnet_env.cli.commands import CommandGroup
 from usnet_env.cli.detect import detect
-from usnet_env.cli.evaluation import demo, evaluate
+from usnet_env.cli.evaluation import evaluate
 from usnet_env.cli.list_parts import list_
 from usnet_env.cli.output import print_message
+from usnet_env.cli.replay import compare, demo, replay, report
 from usnet_env.config import ArgumentError
 
 __all__ = ["main"]
@@ -34,7 +35,7 @@ def _usnet() -> None:
     """Simulate UAV swarms, find their cluster heads with detectors, and score the detectors."""
 
 
-for _command in (evaluate, demo, detect, list_):
+for _command in (evaluate, demo, detect, list_, replay, compare, report):
     _usnet.add_command(_command)
 
 

@@ -1,23 +1,24 @@
-"""``usnet evaluate`` and ``usnet demo``: play episodes and score detectors."""
+"""``usnet evaluate``: play episodes and score detectors."""
 
 from __future__ import annotations
 
 import json
 import sys
 import warnings
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, describe_keys, parse_pairs
+from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, add_place, describe_keys, parse_pairs
 from usnet_env.cli.output import PIPE_WIDTH, print_message, show
+from usnet_env.cli.replay import check_record_option, record_episodes
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from usnet_env.evaluation import EvaluationResult
 
-__all__ = ["demo", "evaluate"]
+__all__ = ["evaluate"]
 
 _TIME_LIMIT = 3600.0  # seconds
 
@@ -29,6 +30,7 @@ Examples:
       --set follow=f3 clusters=3 uavs=40 mobility=gauss_markov
   usnet evaluate --env USNET/SingleCluster-v0 --detector gassl \\
       --episodes 5 --set followers=10 decoys=1
+  usnet evaluate --suite controls --detector factions --out runs/controls
 
 \b
 Arguments for --set:
@@ -40,11 +42,11 @@ Arguments for --set:
 @click.option(
     "--env",
     "env_id",
-    default="USNET/MultiCluster-v0",
-    show_default=True,
     metavar="ID",
-    help="Environment; see `usnet list envs`.",
+    help="Environment; see `usnet list envs`.  [default: USNET/MultiCluster-v0]",
 )
+@click.option("--suite", metavar="NAME", help="Play all cells of a suite, isolated; see `usnet list suites`.")
+@click.option("--cell", "cells", multiple=True, metavar="NAME", help="Cell of the suite. May be repeated.")
 @click.option(
     "--detector",
     "detectors",
@@ -61,16 +63,17 @@ Arguments for --set:
     help="Arguments of the environment, see below. May be repeated.",
 )
 @click.option(
-    "--episodes", type=WholeNumber(1, 1_000_000), default=100, show_default=True, help="Episodes for each detector."
+    "--episodes",
+    type=WholeNumber(1, 1_000_000),
+    help="Episodes for each detector.  [default: 100, or those of the suite]",
 )
-@click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the evaluation.")
-@click.option("--workers", type=WholeNumber(1, 4_096), default=1, show_default=True, help="Number of processes.")
 @click.option(
-    "--backend",
-    type=click.Choice(["serial", "processes", "ray"]),
-    help="Play in this process, in child processes, or on the nodes of a Ray cluster.  [default: processes]",
+    "--seed",
+    type=WholeNumber(0, 2**63 - 1),
+    help="Seed of the evaluation.  [default: 0, or that of the suite]",
 )
-@click.option("--address", metavar="ADDRESS", help="Address of the Ray cluster; by default one starts on this machine.")
+@click.option("--workers", type=WholeNumber(1, 4_096), default=1, show_default=True, help="Number of processes.")
+@add_place
 @click.option(
     "--time-limit",
     type=PositiveNumber(),
@@ -87,6 +90,9 @@ Arguments for --set:
     "--out", metavar="DIR", help="Folder for rows, summary and config; the same command resumes an interrupted run."
 )
 @click.option(
+    "--record", metavar="every=N|failures", help="Also write episode files to DIR/episodes, for `usnet replay`."
+)
+@click.option(
     "--trivial", is_flag=True, help="Also evaluate the trivial policies destroy-all, none, random and one-per-round."
 )
 @click.option("--all", "show_all", is_flag=True, help="Print all metrics, each with its interval.")
@@ -94,11 +100,13 @@ Arguments for --set:
 @click.pass_context
 def evaluate(
     ctx: click.Context,
-    env_id: str,
+    env_id: str | None,
+    suite: str | None,
+    cells: tuple[str, ...],
     detectors: tuple[str, ...],
     settings: tuple[str, ...],
-    episodes: int,
-    seed: int,
+    episodes: int | None,
+    seed: int | None,
     workers: int,
     backend: str | None,
     address: str | None,
@@ -107,6 +115,7 @@ def evaluate(
     isolate: bool,
     secret: str | None,
     out: str | None,
+    record: str | None,
     trivial: bool,
     show_all: bool,
     as_json: bool,
@@ -117,46 +126,75 @@ def evaluate(
     ends its process has failed; the other detectors play to the end.
     """
     env_kwargs = parse_pairs(settings)
-    if time_limit is None and (backend != "serial" or isolate):
+    if suite is not None and (env_id is not None or env_kwargs):
+        raise click.UsageError("--suite gives the environments: it goes without --env and --set.")
+    if cells and suite is None:
+        raise click.UsageError("--cell names a cell of a suite: it needs --suite.")
+    if record is not None:
+        if suite is not None:
+            raise click.UsageError("--record keeps episodes of one environment: it goes without --suite.")
+        check_record_option(record, out)
+    if time_limit is None and (backend != "serial" or isolate or suite is not None):
         time_limit = _TIME_LIMIT
     if out is not None:
         ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes from there."
     from usnet_env import evaluation
 
-    failure: evaluation.EvaluationError | None = None
+    how: dict[str, Any] = {
+        "workers": workers,
+        "backend": backend,
+        "address": address,
+        "trivial": trivial,
+        "out": out,
+        "progress": sys.stderr is not None and sys.stderr.isatty(),
+        "time_limit": time_limit,
+        "memory_limit": memory_limit,
+        "secret": secret,
+    }
+    failure: Exception | None = None
+    result: evaluation.EvaluationResult | evaluation.SuiteResult
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RuntimeWarning)
         try:
-            result = evaluation.evaluate(
-                env_id,
-                list(detectors),
-                episodes=episodes,
-                seed=seed,
-                env_kwargs=env_kwargs,
-                workers=workers,
-                backend=backend,
-                address=address,
-                trivial=trivial,
-                out=out,
-                progress=sys.stderr is not None and sys.stderr.isatty(),
-                time_limit=time_limit,
-                memory_limit=memory_limit,
-                isolate=isolate,
-                secret=secret,
-            )
+            if suite is not None:
+                result = evaluation.evaluate_suite(
+                    suite, list(detectors), cells=cells or None, episodes=episodes, seed=seed, **how
+                )
+            else:
+                result = evaluation.evaluate(
+                    "USNET/MultiCluster-v0" if env_id is None else env_id,
+                    list(detectors),
+                    episodes=100 if episodes is None else episodes,
+                    seed=seed or 0,
+                    env_kwargs=env_kwargs,
+                    isolate=isolate,
+                    **how,
+                )
         except evaluation.EvaluationError as error:
             if error.result is None:
                 raise
             result, failure = error.result, error  # the other detectors have played to the end
     for warning in caught:
         print_message(str(warning.message))
-    if as_json:
+    if isinstance(result, evaluation.SuiteResult):
+        if as_json:
+            click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
+        else:
+            show(result.ranking())
+            click.echo(result.to_markdown() if show_all else "", nl=False)
+        for cell, text in result.failures.items():
+            print_message(f"{cell}: {text}")
+    elif as_json:
         click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
     else:
         _print_result(result, show_all)
-    if isolate:
+    if isolate and isinstance(result, evaluation.EvaluationResult):
         secret = result.config.get("secret", "not known: an earlier part of it was killed before its end")
         print_message(f"The secret of this run is {secret}.")
+    if record is not None and out is not None and isinstance(result, evaluation.EvaluationResult):
+        written = record_episodes(result, record, detectors, env_kwargs, out)
+        where = f"are in {out}/episodes; `usnet replay {out}` lists them" if written else "were written: none failed"
+        click.echo(f"{len(written)} episode files {where}.", err=True)
     if failure is not None:
         raise failure
     if out is not None and not as_json:
@@ -189,20 +227,3 @@ def _split_table(result: EvaluationResult) -> list[Table]:
             parts.append([])
         parts[-1].append(name)
     return [result.table(columns) for columns in parts]
-
-
-@click.command(short_help="Play one episode; save a replay and a picture of it.")
-@click.option("--out", default="runs/demo", show_default=True, metavar="DIR", help="Folder for the files.")
-@click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the episode.")
-@click.option("--detector", default="follow-mixture", show_default=True, metavar="NAME", help="Detector.")
-@click.option("--follow", default="f1", show_default=True, metavar="NAME", help="Strategy; see `usnet list follow`.")
-@click.option("--clusters", type=WholeNumber(1, 9_000), default=8, show_default=True, help="Number of clusters.")
-@click.option("--uavs", type=WholeNumber(3, 90_000), default=185, show_default=True, help="Number of UAVs.")
-@click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
-def demo(out: str, seed: int, detector: str, follow: str, clusters: int, uavs: int, open_viewer: bool) -> None:
-    """Play one episode of USNET/MultiCluster-v0, and save a replay and a picture of it."""
-    from usnet_env.replay.demo import open_replay, run_demo
-
-    files = run_demo(out, seed=seed, detector=detector, follow=follow, clusters=clusters, uavs=uavs)
-    if open_viewer and "replay" in files:
-        open_replay(files["replay"])

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["list_"]
 
 _NARROWEST = 30  # columns of a description
-_PARTS = ("envs", "detectors", "follow", "mobility", "formation", "placement", "fusion", "clusterer")
+_PARTS = ("envs", "detectors", "follow", "mobility", "formation", "placement", "fusion", "clusterer", "suites")
 
 
 @click.command(name="list", short_help="List envs, detectors, follow strategies and other parts.")
@@ -54,6 +54,11 @@ def _describe_parts(part: str) -> list[tuple[str, str]]:
         from usnet_env.plugins import list_detectors
 
         return [(entry.name, f"{entry.description} {_format_tags(entry)}".rstrip()) for entry in list_detectors()]
+    if part == "suites":
+        from usnet_env.evaluation import list_suites
+
+        suites = list_suites().values()
+        return [(each.name, f"{each.purpose} ({len(each.cells)} cells, version {each.version})") for each in suites]
     if part != "envs":
         rows = [(name, _describe_part(registry, name)) for registry in [_find_registry(part)] for name in registry]
         control = ("none", "no UAV follows: followers fly like heads (a control)")

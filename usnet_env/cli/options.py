@@ -13,7 +13,7 @@ import click
 
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["PairsCommand", "PositiveNumber", "WholeNumber", "describe_keys", "parse_pairs"]
+__all__ = ["PairsCommand", "PositiveNumber", "WholeNumber", "add_place", "describe_keys", "parse_pairs"]
 
 _WHOLE = re.compile(r"[-+]?[0-9]+\Z")
 _REAL = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
@@ -53,6 +53,20 @@ class PositiveNumber(click.ParamType):  # type: ignore[type-arg]  # generic in t
             option = param.opts[0] if param is not None else "value"
             raise ArgumentError(f"{option} must be a positive number, got {quote(value)}.")
         return number
+
+
+def add_place(command: Any) -> Any:
+    """Add the options ``--backend`` and ``--address`` to a command: where its episodes are played."""
+    backend = click.option(
+        "--backend",
+        type=click.Choice(["serial", "processes", "ray"]),
+        help="Play in this process, in child processes, or on the nodes of a Ray cluster.  [default: processes]",
+    )
+    return backend(
+        click.option(
+            "--address", metavar="ADDRESS", help="Address of the Ray cluster; by default one starts on this machine."
+        )(command)
+    )
 
 
 class PairsCommand(click.Command):

@@ -1,5 +1,6 @@
-"""The Gymnasium environments of the paper's problems P1 and P2, single and vectorised."""
+"""The Gymnasium environments of the paper's problems P1 and P2 and of the field, single and vectorised."""
 
+from usnet_env.envs.field import FieldEnv, FieldVectorEnv
 from usnet_env.envs.registration import ENVIRONMENTS, register_environments
 from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
 from usnet_env.envs.vector import MultiClusterVectorEnv, SingleClusterVectorEnv, UsnetVectorEnv
@@ -7,6 +8,8 @@ from usnet_env.envs.wrappers import MultiDiscreteCandidates
 
 __all__ = [
     "ENVIRONMENTS",
+    "FieldEnv",
+    "FieldVectorEnv",
     "MultiClusterEnv",
     "MultiClusterVectorEnv",
     "MultiDiscreteCandidates",

@@ -213,7 +213,8 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
     if rules.problem == "P1":
         # J_s = 1{hit} - |C| is the sum of the cost of a miss and the cost of every candidate beyond the first.
         shots = fired.sum(axis=1)
-        missed = np.where(shots > 0, hits - 1.0, -1.0)  # decision (k): an empty set scores -1
+        empty = -swarm.head.any(axis=1).astype(float)  # decision (k): -1, or 0 in a swarm that no UAV leads
+        missed = np.where(shots > 0, hits - 1.0, empty)
         extra = -np.maximum(shots - 1, 0.0)
         terms = {"reward_hit": missed, "reward_redundancy": price * extra}
         objective = missed + extra
@@ -259,12 +260,13 @@ def truth_info(swarm: SwarmState) -> dict[str, NDArray[Any]]:
         swarm: B swarms, or one without the leading axis.
 
     Returns:
-        ``head``, ``decoy`` ``(B, N)`` int8, ``leader`` ``(B, N)`` int64 and ``heads_left`` ``(B,)`` int64.
+        ``head``, ``decoy`` ``(B, N)`` int8, ``leader``, ``direct`` ``(B, N)`` int64 and ``heads_left`` ``(B,)`` int64.
     """
     return {
         "head": swarm.head.astype(np.int8),
         "decoy": swarm.decoy.astype(np.int8),
         "leader": swarm.leader,
+        "direct": swarm.direct,
         "heads_left": swarm.heads_left,
     }
 

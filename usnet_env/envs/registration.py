@@ -18,6 +18,12 @@ ENVIRONMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "USNET/MultiCluster-M8-v0": ("MultiCluster", {"clusters": 8, "uavs": 185}),
     "USNET/MultiCluster-Smooth-v0": ("MultiCluster", {"mobility": "gauss_markov", "head_jitter": True}),
     "USNET/MultiCluster-NoFollowers-v0": ("MultiCluster", {"follow": "none"}),
+    "USNET/Field-v0": ("Field", {}),
+    "USNET/Field-Delays-v0": ("Field", {"follow": "unequal_delays"}),
+    "USNET/Field-Chain-v0": ("Field", {"follow": "chain"}),
+    "USNET/Field-Pigeons-v0": ("Field", {"follow": "pigeons"}),
+    "USNET/Field-Flock-v0": ("Field", {"follow": "couzin"}),
+    "USNET/Field-Shepherd-v0": ("Field", {"follow": "shepherd"}),
 }
 
 

@@ -15,13 +15,13 @@ from usnet_env.config import ArgumentError, list_arguments, optional_seed, quote
 from usnet_env.drawing import EpisodeFrames, describe_frame
 from usnet_env.envs import game
 from usnet_env.swarm import SwarmConfig, SwarmState
-from usnet_env.swarm.config import MobilityArguments, SensorArguments, SwarmArguments
+from usnet_env.swarm.config import BystanderArguments, MobilityArguments, SensorArguments, SwarmArguments
 
-__all__ = ["MultiClusterEnv", "SingleClusterEnv", "UsnetEnv"]
+__all__ = ["INFO", "OBSERVATION", "MultiClusterEnv", "OutputArguments", "SingleClusterEnv", "UsnetEnv"]
 
 
-# Parts of the docstrings of both environments.
-_OBSERVATION = """`Dict` of
+# Parts of the docstrings of all environments.
+OBSERVATION = """`Dict` of
 
     | key | shape | dtype | unit | meaning |
     | --- | --- | --- | --- | --- |
@@ -30,7 +30,7 @@ _OBSERVATION = """`Dict` of
     | `seen` | `(T_ob + 1, N)` | int8 | | 1 if the UAV was detected |
     | `alive` | `(N,)` | int8 | | 1 unless destroyed; indices never change |
     | `round` | `(1,)` | float32 | | number of the round, from 1 |"""
-_INFO = """`info` holds, at every step and all zero at reset:
+INFO = """`info` holds, at every step and all zero at reset:
 
     | key | meaning |
     | --- | --- |
@@ -44,10 +44,14 @@ _INFO = """`info` holds, at every step and all zero at reset:
 class OutputArguments(game.RenderArguments):
     """The arguments about the output of an environment: ``info`` and pictures."""
 
-    reveal_truth: bool = Field(False, description="``info`` also holds ``head``, ``decoy``, ``leader``, ``heads_left``")
+    reveal_truth: bool = Field(
+        False, description="``info`` also holds ``head``, ``decoy``, ``leader``, ``direct``, ``heads_left``"
+    )
 
 
-class SingleClusterArguments(OutputArguments, game.ShotArguments, SensorArguments, MobilityArguments, SwarmArguments):
+class SingleClusterArguments(
+    OutputArguments, game.ShotArguments, SensorArguments, BystanderArguments, MobilityArguments, SwarmArguments
+):
     """The arguments of :class:`SingleClusterEnv`."""
 
     followers: Annotated[int, Field(ge=2, le=90_000)] = Field(15, description="m, number of followers, at least 2")
@@ -58,7 +62,7 @@ class MultiClusterArguments(OutputArguments, game.RoundArguments, SwarmConfig):
 
 
 class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
-    """Base class of :class:`SingleClusterEnv` and :class:`MultiClusterEnv`.
+    """Base class of :class:`SingleClusterEnv`, :class:`MultiClusterEnv` and :class:`FieldEnv`.
 
     Attributes:
         config: the swarm and its observer.
@@ -112,7 +116,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         """
         game.check_options(options)
         super().reset(seed=optional_seed("seed", seed))
-        state = game.start_games(self.config, [self.np_random])
+        state = game.start_games(self._draw_config(), [self.np_random])
         metrics = game.initial_info(self.rules, state)
         self._last_round, self._frames = None, EpisodeFrames()
         return self._observe(state), self._info(metrics)
@@ -142,6 +146,10 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         self._last_round = (self._window, before.swarm, candidates, title)
         observation = self._observe(state)
         return observation, reward, bool(state.terminated[0]), bool(state.truncated[0]), self._info(result.metrics)
+
+    def _draw_config(self) -> SwarmConfig:
+        """The swarm of the next episode."""
+        return self.config
 
     def _observe(self, state: game.GameState) -> Observation:
         self._game, observation = game.observe_windows(self.config, state, [self.np_random])
@@ -226,7 +234,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         )
 
 
-@list_arguments(observation=_OBSERVATION, info=_INFO)
+@list_arguments(observation=OBSERVATION, info=INFO)
 class SingleClusterEnv(UsnetEnv):
     """P1: find the head of one cluster in one round.
 
@@ -270,12 +278,12 @@ class SingleClusterEnv(UsnetEnv):
 
     @takes_arguments(SingleClusterArguments)
     def __init__(self, arguments: SingleClusterArguments) -> None:
-        uavs = arguments.followers + 1 + arguments.decoys
+        uavs = arguments.followers + 1 + arguments.decoys + arguments.bystanders + arguments.traffic
         config = arguments.part(SwarmConfig, clusters=1, uavs=uavs)
         super().__init__(config, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
 
 
-@list_arguments(observation=_OBSERVATION, info=_INFO)
+@list_arguments(observation=OBSERVATION, info=INFO)
 class MultiClusterEnv(UsnetEnv):
     """P2: find all heads of a swarm with unknown clusters, in few rounds and with few redundant candidates.
 

@@ -54,7 +54,7 @@ class Place:
 
     backend: str | None
     workers: int
-    limits: Limits
+    limits: Limits = Limits()  # noqa: RUF009  # frozen
     address: str | None = None
 
 

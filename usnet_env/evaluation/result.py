@@ -11,19 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote, unknown_name
-from usnet_env.evaluation import tables
+from usnet_env.evaluation import statistics, tables
 from usnet_env.evaluation.metrics import LOWER_IS_BETTER, OPTIONAL_METRICS, RATES
-from usnet_env.evaluation.statistics import (
-    CONFIDENCE,
-    Interval,
-    Profile,
-    holm,
-    interquartile_mean,
-    mean_interval,
-    paired_test,
-    performance_profile,
-    rate_interval,
-)
+from usnet_env.evaluation.statistics import CONFIDENCE, Interval, Profile, mean_interval
 from usnet_env.evaluation.store import KEYS, last_secret, load_run
 from usnet_env.evaluation.table import RowTable
 from usnet_env.files import as_path
@@ -65,7 +55,7 @@ def summarise(rows: RowTable) -> Summary:
                 values = values[~np.isnan(values)]
                 if not len(values):
                     continue
-            interval = rate_interval(values) if name in RATES else mean_interval(values)
+            interval = statistics.rate_interval(values) if name in RATES else mean_interval(values)
             metrics[name] = interval._asdict()
         entries.append({"detector": label, "episodes": int(own.sum()), "metrics": metrics})
     return entries
@@ -235,11 +225,17 @@ class EvaluationResult:
         for label in (a, *others):
             self[label]  # refuses an unknown one
         pairs = [self._pair(a, other, metric) for other in others]
-        adjusted = holm([paired_test(differences) for differences in pairs])
+        adjusted = statistics.holm([statistics.paired_test(differences) for differences in pairs])
         level = 1 - (1 - CONFIDENCE) / max(1, len(others))
         found = [
             Comparison(
-                a, other, metric, len(differences), *mean_interval(differences, confidence=level), p, len(others)
+                a,
+                other,
+                metric,
+                len(differences),
+                *mean_interval(differences, confidence=level),
+                p,
+                len(others),
             )
             for other, differences, p in zip(others, pairs, adjusted, strict=True)
         ]
@@ -314,7 +310,7 @@ def interquartile_means(results: Sequence[EvaluationResult], metric: str = "J") 
     Raises:
         ArgumentError: there is no such metric, or a result lacks a detector of the first one.
     """
-    return {label: interquartile_mean(strata) for label, strata in _strata(results, metric).items()}
+    return {label: statistics.interquartile_mean(strata) for label, strata in _strata(results, metric).items()}
 
 
 def performance_profiles(
@@ -341,4 +337,4 @@ def performance_profiles(
         pooled = np.concatenate([values for own in strata.values() for values in own])
         thresholds = np.linspace(pooled.min(), pooled.max(), _THRESHOLDS).tolist()
     lower = results[0]._lower_is_better(metric)
-    return {label: performance_profile(own, thresholds, lower) for label, own in strata.items()}
+    return {label: statistics.performance_profile(own, thresholds, lower) for label, own in strata.items()}

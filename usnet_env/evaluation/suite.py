@@ -13,15 +13,16 @@ import gymnasium as gym
 from usnet_env.config import ArgumentError
 from usnet_env.envs.play import PlayedRound
 from usnet_env.evaluation.agents import Agent, Answer, as_agent
+from usnet_env.evaluation.engine import Place
 from usnet_env.evaluation.episode import episode_seeds, play_agent, warm_up
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.isolation import IsolatedAgent
 from usnet_env.evaluation.store import RowFile
 from usnet_env.evaluation.table import RowTable, columns_of, read_table
 from usnet_env.plugins import make_detector
-from usnet_env.processes import Limits, ProcessDied, ProcessPool, SendError
+from usnet_env.processes import Backend, Limits, ProcessDied, SendError, make_backend
 
-__all__ = ["Game", "Suite", "list_games", "play_detector", "read_rows", "split_games"]
+__all__ = ["Game", "Place", "Suite", "list_games", "play_detector", "read_rows", "split_games"]
 
 CellT = TypeVar("CellT")
 RowT = TypeVar("RowT")
@@ -57,7 +58,7 @@ class Suite(Generic[CellT, RowT]):
         tasks: Sequence[Sequence[Game[CellT]]],
         path: Path,
         *,
-        workers: int = 1,
+        workers: int | Place = 1,
         progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> list[RowT]:
         """Play all tasks of which ``path`` lacks a row; rows are written as they come.
@@ -65,7 +66,8 @@ class Suite(Generic[CellT, RowT]):
         Args:
             tasks: games that one process plays in one go, as :func:`split_games` returns them.
             path: CSV file of the rows. Its name should hold whatever its rows do not say, such as the seed.
-            workers: number of processes; the rows are the same for any number of them, seconds apart.
+            workers: number of processes, or a :class:`Place` that also names a backend. The rows do not depend on it,
+                except for measured seconds.
             progress: called with the number of games that are done, and of all games.
 
         Returns:
@@ -166,24 +168,28 @@ def _other_rows(path: Path) -> ArgumentError:
 
 
 def _played(
-    play: Callable[[Sequence[Game[CellT]]], Iterable[RowT]], tasks: Sequence[Sequence[Game[CellT]]], workers: int
+    play: Callable[[Sequence[Game[CellT]]], Iterable[RowT]],
+    tasks: Sequence[Sequence[Game[CellT]]],
+    workers: int | Place,
 ) -> Generator[list[RowT], None, None]:
-    """Play the tasks in this process if there is one worker or task, else in others."""
-    if workers == 1 or len(tasks) < 2:
-        for task in tasks:
-            try:
-                yield list(play(task))
-            except SystemExit as error:
-                raise _failure(task, error) from error
+    """Play the tasks in this process if there is one worker or task and no other backend is asked for."""
+    place = workers if isinstance(workers, Place) else Place(None, workers)
+    backend = place.backend or ("serial" if place.workers == 1 or len(tasks) < 2 else "processes")
+    if not tasks:
         return
-    with ProcessPool[Sequence[Game[CellT]], Iterable[RowT]](play, min(workers, len(tasks))) as pool:
+    begun: list[Sequence[Game[CellT]]] = []
+    noted = (begun.append(task) or task for task in tasks)  # type: ignore[func-returns-value]
+    pool: Backend[Sequence[Game[CellT]], Iterable[RowT]]
+    with closing(make_backend(backend, play, min(place.workers, len(tasks)), place.limits, place.address)) as pool:
         try:
-            for outcome in pool.run(tasks):
+            for outcome in pool.run(noted):
                 if isinstance(outcome.error, Exception) and not isinstance(outcome.error, ProcessDied):
                     raise outcome.error
                 if outcome.error is not None:
                     raise _failure(outcome.task, outcome.error)
                 yield list(cast(Iterable[RowT], outcome.result))
+        except SystemExit as error:  # in this process, during the last task that was begun
+            raise _failure(begun[-1], error) from error
         except SendError as error:
             raise EvaluationError(
                 f"{error}. A worker process imports the script that started it, so a script must start a suite "

@@ -15,7 +15,7 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Mask, Observation, Singles
 from usnet_env.config import ArgumentError, optional_seed, quote
 from usnet_env.drawing import EpisodeFrames, MissingExtraError, describe_frame
-from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules
+from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules, check_options
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 from usnet_env.swarm.config import SizeArguments, SwarmArguments
@@ -28,11 +28,11 @@ except ImportError:
     raise MissingExtraError("Games with several agents need PettingZoo: pip install 'usnet[multiagent]'.") from None
 
 __all__ = [
-    "IGNORED_OPTIONS",
     "AECEnv",
     "BaseParallelWrapper",
     "GameArguments",
     "RoundRecord",
+    "Start",
     "Step",
     "UsnetParallelEnv",
     "make_aec_forms",
@@ -40,11 +40,11 @@ __all__ = [
 ]
 
 
-#: Keys of ``options`` that ``reset`` ignores: PettingZoo's own tests of an environment pass this one.
-IGNORED_OPTIONS = ("options",)
-Step = tuple[
-    dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, int | float]]
-]
+Infos = dict[str, dict[str, int | float]]
+#: Observations and infos by agent.
+Start = tuple[dict[str, Observation], Infos]
+#: Observations, rewards, terminations, truncations and infos by agent.
+Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,12 +160,21 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             raise ArgumentError("reset must be called first, got a game that was never reset.")
         return self._game
 
-    def _get_generator(self, seed: int | None) -> np.random.Generator:
+    def _get_generator(self, seed: int | None = None) -> np.random.Generator:
         """Return the game's generator, created anew if there is none or if a seed is given."""
-        checked = optional_seed("seed", seed)
-        if checked is not None or self._rng is None:
-            self._rng = seeding.np_random(checked)[0]
+        if seed is not None or self._rng is None:
+            self._rng = seeding.np_random(seed)[0]
         return self._rng
+
+    def _begin(self, seed: int | None, options: Mapping[str, Any] | None) -> np.random.Generator:
+        """Check the arguments of ``reset``, let all agents live, and return the game's generator.
+
+        PettingZoo's own tests pass an option ``"options"``, which is ignored.
+        """
+        check_options(options, ("options",))
+        generator = self._get_generator(optional_seed("seed", seed))
+        self.agents, self.last_round = list(self.possible_agents), None
+        return generator
 
     def _check_actions(self, actions: Any) -> dict[str, Any]:
         """Check that there is one action for each living agent, and return the actions."""
@@ -216,6 +225,14 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return self._frames.render(
             position=sighting.position, seen=sighting.seen, candidates=candidates, title=title, **truth.roles()
         )
+
+    def describe_action(self, agent: str, action: Any) -> str:
+        """Describe what an agent chose, for replays; empty for an action that candidates and scores show."""
+        return ""
+
+    def list_observers(self) -> Floats | None:
+        """``(K, 4)``, position and sensing range of each observer in metres; ``None`` if the observer has no place."""
+        return None
 
     def close(self) -> None:
         """Do nothing: the game holds no resources."""

@@ -26,6 +26,7 @@ from usnet_env.swarm import (
     advance,
     kernels,
 )
+from usnet_env.swarm.formation import Roles
 from usnet_env.swarm.mobility import MOBILITIES
 from usnet_env.swarm.simulator import JITTER
 from usnet_env.swarm.trajectory import TrajectoryBatch
@@ -175,9 +176,22 @@ class DelayedFollow(FollowStrategy):
         """The noise kappa_n of the strategy."""
         return self.strategy.noise
 
+    @property
+    def has_heads(self) -> bool:  # type: ignore[override]  # follows from the fields
+        """Whether heads lead the clusters."""
+        return self.strategy.has_heads
+
+    def draw_for(self, rng: np.random.Generator, uavs: int) -> Singles:
+        """Draw the parameters of the strategy."""
+        return self.strategy.draw_for(rng, uavs)
+
     def draw(self, rng: np.random.Generator) -> Singles:
         """Draw the parameters of the strategy."""
         return self.strategy.draw(rng)
+
+    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
+        """Arrange the swarm as the strategy does."""
+        return self.strategy.arrange(rng, roles)
 
     def direction(self, inputs: FollowInputs) -> Singles:
         """Return the direction of the strategy, whose inputs are then those of the ghost."""
@@ -194,15 +208,20 @@ class DelayedFollow(FollowStrategy):
         position, velocity, noise = (
             np.pad(array, widened) for array in (flight.position, flight.velocity, flight.noise)
         )
-        leader = np.pad(flight.leader, [(0, 0), (0, many)])
+        behind = [(0, 0), (0, many)]
+        leader, source = np.pad(flight.leader, behind), np.pad(flight.source, behind)
         for number, head in enumerate(heads):
             ghost, late = uavs + number, int(self.delay[head])
             position[:, late : flight.start + 1, ghost] = flight.position[:, : flight.start + 1 - late, head]
             velocity[:, late:, ghost] = flight.velocity[:, :-late, head]
-            leader[leader == head] = ghost
-            leader[:, ghost] = ghost
+            for copied in (leader, source):
+                copied[copied == head] = ghost
+                copied[:, ghost] = ghost
         kind = np.pad(flight.motion, [(0, 0), (0, many)], constant_values=kernels.FREE)
-        self.strategy.fly(TrajectoryBatch(position, velocity, noise, kind, leader, flight.parameters))
+        bystander = np.pad(flight.bystander, behind)
+        self.strategy.fly(
+            TrajectoryBatch(position, velocity, noise, kind, leader, flight.parameters, source, bystander, flight.clock)
+        )
         flight.position[...] = position[:, :, :uavs]
         flight.velocity[...] = velocity[:, :, :uavs]
 

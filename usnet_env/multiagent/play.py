@@ -122,6 +122,8 @@ def play_game(
     returns = dict.fromkeys(env.possible_agents, 0.0)
     prices = dict.fromkeys(env.possible_agents, 0.0)
     rounds: list[RoundRecord] = []
+    choices: list[dict[str, str]] = []  # of the agents before each round
+    chosen_now: dict[str, str] = {}
     seconds: list[float] = []
     redundant = 0
     first = info = infos[env.possible_agents[0]]
@@ -129,14 +131,18 @@ def play_game(
         began = time.perf_counter()
         actions = {agent: agents[agent].act(observations[agent]) for agent in env.agents}
         spent = time.perf_counter() - began
+        flown, words = chosen_now, {agent: env.describe_action(agent, action) for agent, action in actions.items()}
         observations, rewards, _, _, infos = env.step(actions)
         for agent, reward in rewards.items():
             returns[agent] += reward
             prices[agent] += float(infos[agent].get("price", 0.0))
+        costs = {agent: f"; price {infos[agent]['price']:.3g}" if "price" in infos[agent] else "" for agent in words}
+        chosen_now = {agent: text + costs[agent] for agent, text in words.items() if text and agent in env.agents}
         info = infos[env.possible_agents[0]]
         redundant += int(info["redundant"])
         if env.last_round is not None:  # None after the opening step, which is not a round
             rounds.append(env.last_round)
+            choices.append(flown)
             seconds.append(spent)
             first = info if len(rounds) == 1 else first
     return GameResult(
@@ -148,12 +154,17 @@ def play_game(
         first_hits=int(first["hits"]),
         first_redundant=int(first["redundant"]),
         redundant=redundant,
-        record=_make_record(env, rounds, seconds, seed, label),
+        record=_make_record(env, rounds, choices, seconds, seed, label),
     )
 
 
 def _make_record(
-    env: UsnetParallelEnv, rounds: list[RoundRecord], seconds: list[float], seed: int, label: str
+    env: UsnetParallelEnv,
+    rounds: list[RoundRecord],
+    choices: list[dict[str, str]],
+    seconds: list[float],
+    seed: int,
+    label: str,
 ) -> dict[str, Any]:
     config = {name: getattr(env.config, name) for name in type(env.config).model_fields} | env.rules.model_dump()
     return {
@@ -169,6 +180,8 @@ def _make_record(
         "decoy": env.swarm.decoy,  # of the whole episode; a decoy of one window has itself as leader in it
         "over_budget": np.array([each.over_budget for each in rounds]),
         "seconds": np.array(seconds),
+        "choices": choices if any(choices) else None,
+        "observers": env.list_observers(),
         "problem": "P2",
         "env_id": str(env.metadata["name"]),
         "seed": seed,

@@ -13,9 +13,9 @@ from usnet_env.arrays import Floats, Indices, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
-    IGNORED_OPTIONS,
     GameArguments,
     RoundRecord,
+    Start,
     Step,
     UsnetParallelEnv,
     make_aec_forms,
@@ -127,6 +127,8 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         strategy = config.follow_strategy
         if strategy is None:
             raise ArgumentError("follow must be a follow strategy other than 'none', got 'none'.")
+        if not strategy.has_heads:
+            raise ArgumentError(f"follow must be a follow strategy with heads, got {quote(config.follow)}.")
         if strategy.lags + most_delay > config.memory:
             raise ArgumentError(
                 f"memory must be at least {strategy.lags + most_delay} for follow={quote(config.follow)} and "
@@ -152,9 +154,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         self._flown = np.zeros(clusters, np.int64)  # the mobility of each head in the window before
         self._decoys = np.empty(0, np.intp)  # the followers that are decoys in the current window
 
-    def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, int | float]]]:
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Start:
         """Start a game; its first step is the opening.
 
         Args:
@@ -168,12 +168,10 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         Raises:
             ArgumentError: the seed is not a whole number from 0, or there are options.
         """
-        game.check_options(options, IGNORED_OPTIONS)
-        self._game = game.start_games(self.config, [self._get_generator(seed)])
+        self._game = game.start_games(self.config, [self._begin(seed, options)])
         self._flown = np.zeros(self.config.clusters, np.int64)
         self._decoys = np.empty(0, np.intp)
-        self._sighting, self.last_round = None, None
-        self.agents = list(self.possible_agents)
+        self._sighting = None
         metrics = game.initial_info(self.rules, self._game)
         infos = {agent: {**to_scalars(metrics), "price": 0.0} for agent in self.agents}
         return {agent: self._observation(agent) for agent in self.agents}, infos
@@ -220,7 +218,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
 
     def _fly_next_window(self, plan: Plan) -> None:
         state = self._current_game()
-        rngs = [self._get_generator(None)]
+        rngs = [self._get_generator()]
         self._decoys = select_decoys(state.swarm, plan)[0]
         swarm, sighting, self._flown = fly_window(self.config, self.manoeuvres, state.swarm, self._flown, plan, rngs)
         self._game = game.GameState(swarm, state.rounds, state.redundant, state.terminated, state.truncated)
@@ -270,6 +268,18 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
                 f"got {quote(action)}."
             )
         return values.astype(np.int64)
+
+    def describe_action(self, agent: str, action: Any) -> str:
+        """Describe the choice of a head in words; empty for the observer."""
+        if agent == OBSERVER:
+            return ""
+        mobility, jitter, decoys, delay = np.asarray(action).tolist()
+        head = np.flatnonzero(self._current_game().swarm.head[0])[self.heads.index(agent)]
+        words = [self.manoeuvres.mobilities[mobility]] + ["jitter"] * bool(jitter)
+        words += [f"{decoys} decoy{'s' * (decoys > 1)}"] * bool(decoys) + [
+            f"followers delayed by {delay} steps"
+        ] * bool(delay)
+        return f"UAV {head}: {', '.join(words)}"
 
     def _observation(self, agent: str) -> Observation:
         state = self._current_game()

@@ -12,9 +12,9 @@ from usnet_env.arrays import Floats, Mask, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent.base import (
-    IGNORED_OPTIONS,
     GameArguments,
     RoundRecord,
+    Start,
     Step,
     UsnetParallelEnv,
     make_aec_forms,
@@ -127,9 +127,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         self._sightings: list[ObservationBatch] = []
         self._messages = np.zeros((observers, size), np.float32)
 
-    def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, int | float]]]:
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Start:
         """Start a game and observe its first window.
 
         Args:
@@ -144,15 +142,12 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         Raises:
             ArgumentError: the seed is not a whole number from 0, or there are options.
         """
-        game.check_options(options, IGNORED_OPTIONS)
-        rng = self._get_generator(seed)
+        rng = self._begin(seed, options)
         placement_rng, *noise_rngs = rng.spawn(1 + self.sensor_config.observers)
         positions = self.sensor_config.draw_positions(placement_rng)
         ranges = self.sensor_config.expand("sensing_range")
         self._observers = [Observer(*parts) for parts in zip(positions, ranges, self._sensors, noise_rngs, strict=True)]
         self._messages = np.zeros_like(self._messages)
-        self.last_round = None
-        self.agents = list(self.possible_agents)
         state = game.start_games(self.config, [rng])
         metrics = game.initial_info(self.rules, state)
         self._sense_next_window(state)
@@ -203,7 +198,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
 
     def _sense_next_window(self, state: game.GameState) -> None:
         """Fly the next window and observe it with each observer; after the end of the game all windows are empty."""
-        self._game, truth = game.observe_windows(self._flight, state, [self._get_generator(None)])
+        self._game, truth = game.observe_windows(self._flight, state, [self._get_generator()])
         if state.terminated[0]:
             self._sightings = [self._empty_window() for _ in self._observers]
         else:
@@ -231,6 +226,10 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         if values.shape != (length,) or values.dtype.kind not in "biuf" or not ((values >= 0) & (values <= 1)).all():
             raise ArgumentError(f"action of {agent} must hold {length} numbers from 0 to 1, got {quote(action)}.")
         return values.astype(np.float64)
+
+    def list_observers(self) -> Floats:
+        """``(K, 4)``, position and sensing range of each observer in metres."""
+        return np.array([[*each.position, each.sensing_range] for each in self._observers])
 
     def _fuse(self, votes: Floats, seen: Mask) -> Mask:
         """Apply the fusion rule, and check the candidates that it returns."""

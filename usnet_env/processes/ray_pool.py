@@ -144,11 +144,7 @@ class RayPool(Generic[TaskT, ResultT]):
     def run(
         self, tasks: Iterable[TaskT], is_wanted: Callable[[TaskT], bool] = every_task
     ) -> Generator[Outcome[TaskT, ResultT], None, None]:
-        """Run all tasks; the outcomes come in the order in which they are finished.
-
-        Args:
-            tasks: read one after the other, a few ahead of the outcomes.
-            is_wanted: whether a task should still be run that a worker had received when it ended.
+        """Run all tasks, see :meth:`Backend.run`; the tasks that a worker had received when it ended are run again.
 
         Raises:
             SendError: the function cannot be unpickled in another process, or no worker could start.

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+from usnet_env.replay.animation import animate
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.figure import draw_episode, write_picture
 from usnet_env.replay.play import Round, record_episode
-from usnet_env.replay.recording import write_recording
+from usnet_env.replay.record_replay import RecordReplay
+from usnet_env.replay.recording import write_comparison, write_recording
 
-__all__ = ["EpisodeRecord", "Round", "draw_episode", "record_episode", "write_picture", "write_recording"]
+__all__ = [
+    "EpisodeRecord",
+    "RecordReplay",
+    "Round",
+    "animate",
+    "draw_episode",
+    "record_episode",
+    "write_comparison",
+    "write_picture",
+    "write_recording",
+]

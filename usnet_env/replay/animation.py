@@ -1,12 +1,15 @@
 """An animation of one game: what the detector sees beside the truth, round by round, as a GIF or MP4.
 
 It is made from the neutral episode file alone. Matplotlib is an extra (``pip install 'usnet[render]'``) and brings
-Pillow, which writes the GIF; an MP4 needs the program ffmpeg.
+Pillow, which writes the GIF, and moviepy, which brings the program ffmpeg for the MP4.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
+import shutil
+import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,13 +22,13 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, new_figure
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.story import format_count
+from usnet_env.replay.story import describe_ending, describe_remerge, describe_verdict, format_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Scene", "animate", "scenes"]
+__all__ = ["Painter", "Scene", "animate", "scenes"]
 
 _WIDTH, _HEIGHT, _DPI = 9.6, 6.0, 100  # inches, pixels per inch
 _PANEL, _LEFT, _BOTTOM = 4.55, 0.2, 0.52  # inches: side of a map, margins
@@ -71,33 +74,6 @@ def _score(record: EpisodeRecord, played: int) -> str:
     return f"hits {hits} of {int(record.head.sum())}     redundant {redundant}     J {objective}"
 
 
-def _verdict(record: EpisodeRecord, r: int) -> str:
-    """The outcome of round ``r`` (from 0) in one sentence."""
-    named, hits, redundant = int(record.candidates[r].sum()), int(record.hits[r]), int(record.redundant[r])
-    if record.over_budget[r]:
-        return f"{named} candidates exceed the shot budget: no UAV is destroyed."
-    if not named:
-        return "Without candidates no UAV is destroyed."
-    right = f"{hits} {'is a head' if hits == 1 else 'are heads'} (hit)"
-    wrong = f"{redundant} {'is' if redundant == 1 else 'are'} not (redundant)"
-    parts = [right] * (hits > 0) + [wrong] * (redundant > 0)
-    return f"{', '.join(parts)}. {'It is' if named == 1 else f'All {named} are'} destroyed."
-
-
-def _ending(record: EpisodeRecord) -> str:
-    """The outcome of the game in one sentence."""
-    left = int(record.heads_left[-1])
-    result = "All heads are destroyed" if not left else f"{format_count(left, 'head')} not found"
-    best = "1 is best" if record.problem == "P2" else "0 is best"
-    return f"{result} after {format_count(record.rounds, 'round')}: J = {record.objective[-1]:.2f} ({best})."
-
-
-def _orphans(record: EpisodeRecord, r: int) -> NDArray[np.bool_]:
-    """``(N,)`` bool, living followers whose head was destroyed in round ``r`` (from 0)."""
-    fired, leader = record.fired[r], record.leader[r]
-    return np.asarray(record.alive[r] & ~fired & (leader >= 0) & fired[leader])
-
-
 def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
     """The frames of an episode in their order.
 
@@ -117,25 +93,28 @@ def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
         named = int(record.candidates[r].sum())
         name = f"It names {format_count(named, 'UAV')} as {'a head' if named == 1 else 'heads'}."
         yield Scene(number, _NAME, _READ_SECONDS, name, before, samples)
-        yield Scene(number, _DESTROY, _READ_SECONDS, _verdict(record, r), after, samples)
-        orphans = int(_orphans(record, r).sum())
+        yield Scene(number, _DESTROY, _READ_SECONDS, describe_verdict(record, number), after, samples)
         if number == record.rounds:
-            yield Scene(number, _END, _END_SECONDS, _ending(record), after, samples)
-        elif orphans:
-            join = "joins" if orphans == 1 else "join"
-            text = f"{format_count(orphans, 'follower')} without a head {join} the nearest remaining head."
+            yield Scene(number, _END, _END_SECONDS, describe_ending(record), after, samples)
+        elif record.orphans[r].any():
+            text = describe_remerge(record, number)
             for turn in np.linspace(0.0, 1.0, _LINK_FRAMES):
                 seconds = _READ_SECONDS if turn == 1.0 else _STEP_SECONDS
                 yield Scene(number, _REMERGE, seconds, text, after, samples, float(turn))
 
 
-class _Painter:
-    """Draws scenes of one record into one figure with fixed axes."""
+class Painter:
+    """Draws scenes of one record into one figure with fixed axes.
+
+    Args:
+        record: the episode.
+    """
 
     def __init__(self, record: EpisodeRecord) -> None:
         self.record = record
         self.figure = new_figure(_WIDTH, _HEIGHT, _DPI)
         self.artists: list[Any] = []
+        self.background: Any = None
         gap = _WIDTH - 2 * (_PANEL + _LEFT)
         self.observed, self.truth = (
             self._panel(_LEFT + place * (_PANEL + gap), title)
@@ -234,7 +213,7 @@ class _Painter:
         record, r = self.record, scene.round - 1
         head, candidates = record.head, record.candidates[r]
         gone = ~record.alive[r] | (record.fired[r] & (scene.phase >= _DESTROY))
-        leader, orphan = record.leader[r].copy(), _orphans(record, r) & (scene.phase >= _DESTROY)
+        leader, orphan = record.leader[r].copy(), record.orphans[r] & (scene.phase >= _DESTROY)
         colors, _ = cluster_colors(head, leader)
         end = place[np.maximum(leader, 0), :2].copy()
         if scene.phase == _REMERGE:
@@ -291,13 +270,28 @@ class _Painter:
 
     def pixels(self, scene: Scene) -> NDArray[np.uint8]:
         """:meth:`draw` as ``(H, W, 3)`` uint8."""
-        canvas: Any = self.draw(scene).canvas
-        canvas.draw()
+        canvas: Any = self.figure.canvas
+        if self.background is None:  # what all frames share is drawn once
+            canvas.draw()
+            self.background = canvas.copy_from_bbox(self.figure.bbox)
+        self.draw(scene)
+        canvas.restore_region(self.background)
+        for artist in sorted(self.artists, key=lambda each: float(each.get_zorder())):
+            self.figure.draw_artist(artist)
         return np.array(canvas.buffer_rgba())[..., :3].copy()
+
+    def maps(self, scene: Scene) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """The two maps alone, what the detector sees and the truth, ``(H, W, 3)`` uint8 each."""
+        frame = self.pixels(scene)
+        cut = []
+        for axes in (self.observed, self.truth):
+            box = axes.bbox
+            cut.append(frame[len(frame) - int(box.y1) : len(frame) - int(box.y0), int(box.x0) : int(box.x1)])
+        return cut[0], cut[1]
 
 
 def _write_gif(record: EpisodeRecord, shown: list[Scene], path: Path) -> None:
-    painter = _Painter(record)
+    painter = Painter(record)
     from PIL import Image  # comes with matplotlib, whose absence the painter reports
 
     frames = [Image.fromarray(painter.pixels(scene)) for scene in shown]
@@ -312,16 +306,33 @@ def _write_gif(record: EpisodeRecord, shown: list[Scene], path: Path) -> None:
     reduced[0].save(path, format="GIF", save_all=True, append_images=reduced[1:], duration=durations, loop=0)
 
 
-def _write_mp4(record: EpisodeRecord, shown: list[Scene], path: Path) -> None:
-    from matplotlib.animation import FFMpegWriter
+def _find_ffmpeg() -> str | None:
+    """The path of ffmpeg: of the one that moviepy installs, or the system's; ``None`` without any."""
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
 
-    painter = _Painter(record)
-    writer = FFMpegWriter(fps=_MP4_RATE, extra_args=["-f", "mp4", "-pix_fmt", "yuv420p"])
-    with writer.saving(painter.figure, os.fspath(path), _DPI):
+        return str(get_ffmpeg_exe())
+    except (ImportError, RuntimeError):
+        return shutil.which("ffmpeg")
+
+
+def _write_mp4(record: EpisodeRecord, shown: list[Scene], path: Path, ffmpeg: str) -> None:
+    painter = Painter(record)
+    height, width = painter.pixels(shown[0]).shape[:2]
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(_MP4_RATE), "-i", "-"]
+    target = ["-f", "mp4", "-pix_fmt", "yuv420p", "-crf", "26", os.fspath(path)]
+    process = subprocess.Popen(
+        [ffmpeg, "-loglevel", "error", "-y", *source, *target], stdin=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdin is not None
+    with contextlib.suppress(BrokenPipeError):  # its exit status says why
         for scene in shown:
-            painter.draw(scene)
+            frame = painter.pixels(scene).tobytes()
             for _ in range(max(1, round(scene.seconds * _MP4_RATE))):
-                writer.grab_frame()
+                process.stdin.write(frame)
+    _, said = process.communicate()
+    if process.returncode:
+        raise OSError(f"ffmpeg failed: {' '.join(said.decode(errors='replace').split())}")
 
 
 def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int = 20) -> Path:
@@ -350,12 +361,12 @@ def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int 
     if suffix not in (".gif", ".mp4"):
         raise ArgumentError(f"path must end in .gif or .mp4, got {quote(os.fspath(path))}.")
     shown = list(scenes(record, frames))
-    if suffix == ".mp4":
-        new_figure(1, 1)  # says so if matplotlib is missing
-        from matplotlib.animation import writers
-
-        if not writers.is_available("ffmpeg"):
-            raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(os.fspath(path))}.")
+    ffmpeg = _find_ffmpeg()
+    if suffix == ".mp4" and ffmpeg is None:
+        raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(os.fspath(path))}.")
     with atomic_write(path) as aside:
-        (_write_gif if suffix == ".gif" else _write_mp4)(record, shown, aside)
+        if suffix == ".gif" or ffmpeg is None:
+            _write_gif(record, shown, aside)
+        else:
+            _write_mp4(record, shown, aside, ffmpeg)
     return Path(path)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import shutil
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -18,11 +17,13 @@ from usnet_env.drawing import MissingExtraError
 from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.replay.figure import write_picture
+from usnet_env.replay.page import write_episode_page
 from usnet_env.replay.play import Round, record_episode
 from usnet_env.replay.recording import write_recording
 from usnet_env.replay.story import describe_outcome
+from usnet_env.replay.viewer import find_viewer
 
-__all__ = ["open_replay", "run_demo"]
+__all__ = ["DEMO", "PAPER_EXAMPLE", "run_demo"]
 
 _ROW = "{:>5}  {:>10}  {:>9}  {:>9}  {:>10}  {:>7}"
 
@@ -32,52 +33,44 @@ def _format_row(this: Round) -> str:
     return row + ("  over the shot budget: no UAV destroyed" if this.over_budget else "")
 
 
-def _find_viewer() -> str:
-    """The command that opens a replay: ``rerun`` if the shell finds it, else the path of the one beside this Python."""
-    beside = Path(sys.executable).with_name("rerun")
-    return "rerun" if shutil.which("rerun") or not beside.exists() else os.path.relpath(beside)
-
-
-def open_replay(path: str | os.PathLike[str]) -> None:
-    """Open a replay in the Rerun viewer, in a process that continues after this one.
-
-    Args:
-        path: the file of the replay.
-    """
-    # The output is discarded, so that the viewer writes nothing into the terminal of a program that has ended.
-    subprocess.Popen(
-        [_find_viewer(), os.fspath(path)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+#: The game of the demo: five clusters of UAVs that fly smoothly. The detector finds three heads in round 1 and names a
+#: follower, too; it needs two more rounds for the other heads.
+DEMO: dict[str, Any] = {
+    "clusters": 5,
+    "uavs": 60,
+    "follow": "f3",
+    "mobility": "gauss_markov",
+    "head_jitter": True,
+    "formation": "around",
+    "observation_steps": 60,
+}
+#: The paper's example: Algorithm 2 on 8 clusters of 185 UAVs.
+PAPER_EXAMPLE: dict[str, Any] = {"clusters": 8, "uavs": 185, "follow": "f1"}
+SEED, PAPER_SEED = 3, 0
 
 
 def run_demo(
     out: str | os.PathLike[str] = "runs/demo",
     *,
-    clusters: int = 8,
-    uavs: int = 185,
-    follow: str = "f1",
-    seed: int = 0,
-    detector: str = "follow-mixture",
+    seed: int | None = None,
+    detector: str | None = None,
+    paper_example: bool = False,
     console: Console | None = None,
+    **arguments: Any,
 ) -> dict[str, Path]:
     """Play one episode of ``USNET/MultiCluster-v0``, print a line for each round, and keep the episode.
 
     Args:
-        out: folder for ``episode.npz`` (the neutral record), ``replay.rrd`` (for the Rerun viewer) and ``episode.png``.
-            Without its extra, a replay or picture is left out, and a line says which extra is missing.
-        clusters: M.
-        uavs: N.
-        follow: name of the follow strategy.
-        seed: seed of the swarm; the detector's seed is derived from it.
-        detector: name of the detector.
+        out: folder for ``episode.npz`` (the neutral record), ``replay.rrd`` (for the Rerun viewer), ``episode.png`` and
+            ``report.html``. Without its extra, a file is left out, and a line says which extra is missing.
+        seed: seed of the swarm; the detector's seed is derived from it. ``None``: the seed of the game that shows most.
+        detector: name of the detector; ``None``: ``lagged-correlation``, or ``mc-gassl`` with ``paper_example``.
+        paper_example: play the paper's example, M = 8 and N = 185 with f1, by Algorithm 2; this takes minutes.
         console: where to print; by default standard output.
+        arguments: of the environment, such as ``clusters``, instead of those of :data:`DEMO`.
 
     Returns:
-        The paths of the written files, by ``"episode"``, ``"replay"`` and ``"picture"``.
+        The paths of the written files, by ``"episode"``, ``"replay"``, ``"picture"`` and ``"page"``.
 
     Raises:
         ArgumentError: the environment or the registry of detectors refuses an argument, or ``out`` can't be written to.
@@ -90,13 +83,15 @@ def run_demo(
     def say(text: str = "", style: str | None = None) -> None:
         console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
-    seed = whole_number("seed", seed, 0)
-    player = make_detector(detector)
-    env = gym.make("USNET/MultiCluster-v0", clusters=clusters, uavs=uavs, follow=follow)
+    seed = whole_number("seed", (PAPER_SEED if paper_example else SEED) if seed is None else seed, 0)
+    player = make_detector(detector or ("mc-gassl" if paper_example else "lagged-correlation"))
+    game = (PAPER_EXAMPLE if paper_example else DEMO) | arguments
+    env = gym.make("USNET/MultiCluster-v0", **game)
     detector_seed = int(np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(1)[0])
     say("Who leads this swarm?", style="bold")
     say(
-        f"{uavs} UAVs in {clusters} clusters, follow strategy {follow}, seed {seed}; detector {detector_label(player)}."
+        f"{game['uavs']} UAVs in {game['clusters']} clusters, follow strategy {game['follow']}, seed {seed}; "
+        f"detector {detector_label(player)}."
     )
     say()
     say(_ROW.format("round", "candidates", "heads hit", "redundant", "heads left", "seconds"), style="dim")
@@ -106,7 +101,11 @@ def run_demo(
 
     written = {"episode": record.save(folder / "episode.npz")}
     say(f"episode  {written['episode']}  (the whole record; read it with usnet_env.replay.EpisodeRecord.load)")
-    makers = {"replay": (write_recording, "replay.rrd"), "picture": (write_picture, "episode.png")}
+    makers: dict[str, tuple[Callable[..., Path], str]] = {
+        "replay": (write_recording, "replay.rrd"),
+        "picture": (write_picture, "episode.png"),
+        "page": (write_episode_page, "report.html"),
+    }
     for name, (make, file) in makers.items():
         try:
             with console.status(f"writing the {name}"):
@@ -116,6 +115,6 @@ def run_demo(
         else:
             say(
                 f"{name:<7}  {written[name]}"
-                + (f"  (open: {_find_viewer()} {written[name]})" if name == "replay" else "")
+                + (f"  (open: {find_viewer()} {written[name]})" if name == "replay" else "")
             )
     return written

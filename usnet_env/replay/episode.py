@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -15,21 +14,13 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, is_whole_number, plain_text, quote, whole_number
 from usnet_env.drawing import last_seen_position
-from usnet_env.files import as_path, atomic_write
 from usnet_env.objectives import hits_and_redundant
+from usnet_env.replay.episode_file import FORMAT_VERSION, read_episode_file, write_episode_file
 from usnet_env.window import frozen_array
 
 __all__ = ["FORMAT_VERSION", "EpisodeRecord", "check_record"]
 
-#: Version 2 added ``attention`` and ``communication_links``, version 3 ``labelled``; older files are read as well.
-FORMAT_VERSION = 3
-_READABLE = (1, 2, 3)
-_FORMAT = "usnet-episode"
-_METADATA = "metadata"
-
 MOST_SEED = 2**128 - 1  # the seeds that NumPy draws from the operating system have 128 bits
-#: What :meth:`EpisodeRecord.load` unpacks at most without ``max_bytes``: 256 MiB, or this multiple of the file's size.
-SMALL_BYTES, LARGEST_RATIO = 2**28, 20
 _LINKS = "communication_links"  # derived from ``leader`` when a file is written, compared when it is read
 
 
@@ -60,17 +51,12 @@ def _list_links(leader: NDArray[np.int64], followers: NDArray[np.bool_], heads: 
     return np.column_stack([linked, leader[linked]])
 
 
-def _check_size(loaded: np.lib.npyio.NpzFile, file_bytes: int, max_bytes: int | None) -> None:
-    """Refuse a file whose arrays need more than ``max_bytes``, before any of them is unpacked."""
-    most = max(SMALL_BYTES, LARGEST_RATIO * file_bytes) if max_bytes is None else max_bytes
-    archive = loaded.zip
-    assert archive is not None  # it is until the file is closed
-    needed = sum(member.file_size for member in archive.infolist())
-    if needed > most:
-        raise ArgumentError(
-            f"max_bytes must be at least the {needed} bytes that the arrays of this file of {file_bytes} bytes need, "
-            f"got {most}."
-        )
+def _convert_to_texts(name: str, value: Any, rounds: int) -> tuple[dict[str, str], ...]:
+    """Check texts of every round, each by the name of what it is about."""
+    good = isinstance(value, Sequence) and len(value) == rounds and all(isinstance(each, Mapping) for each in value)
+    if not good or not all(isinstance(word, str) for each in value for word in (*each, *each.values())):
+        raise ArgumentError(f"{name} must hold for each of {rounds} rounds a mapping of texts, got {quote(value)}.")
+    return tuple(dict(each) for each in value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +89,13 @@ class EpisodeRecord:
             or ``None``.
         attention: ``(R, N, N)`` float32, the detector's attention weights: row i holds the weights of UAV i on all
             UAVs (the paper's α_{i,i'}); or ``None``.
+        attention_heads: ``(R, H, N, N)`` float32, the weights of each of the detector's H attention heads, or ``None``.
+        probability: ``(R, N)`` float64, the detector's probability that each UAV is a head, or ``None``.
+        features: ``(R, N, 2)`` float32, the feature space in which the detector clustered, in the plane of its two
+            principal axes; or ``None``.
+        reasons: for each round a sentence by UAV (``"17"``): why the detector takes it for a head; or ``None``.
+        choices: for each round a text by agent: what the agents of a game of several agents chose, or ``None``.
+        observers: ``(K, 4)`` float64, position and sensing range of each observer in metres, or ``None``.
         problem: ``"P1"`` or ``"P2"``.
         env_id: the environment's registered id.
         seed: the environment's seed; ``None``: not seeded.
@@ -132,6 +125,12 @@ class EpisodeRecord:
     clusters: NDArray[np.int64] | None = None
     leader_estimate: NDArray[np.int64] | None = None
     attention: NDArray[np.float32] | None = None
+    attention_heads: NDArray[np.float32] | None = None
+    probability: NDArray[np.float64] | None = None
+    features: NDArray[np.float32] | None = None
+    reasons: Sequence[Mapping[str, str]] | None = None
+    choices: Sequence[Mapping[str, str]] | None = None
+    observers: NDArray[np.float64] | None = None
     problem: str = "P2"
     env_id: str = ""
     seed: int | None = None
@@ -171,8 +170,19 @@ class EpisodeRecord:
                 "leader_estimate",
                 _freeze_whole_numbers("leader_estimate", self.leader_estimate, (rounds, uavs), -1, uavs - 1),
             )
-        if self.attention is not None:
-            put("attention", frozen_array("attention", self.attention, np.float32, (rounds, uavs, uavs)))
+        optional: dict[str, tuple[Any, tuple[int | None, ...]]] = {
+            "attention": (np.float32, (rounds, uavs, uavs)),
+            "attention_heads": (np.float32, (rounds, None, uavs, uavs)),
+            "probability": (np.float64, (rounds, uavs)),
+            "features": (np.float32, (rounds, uavs, 2)),
+            "observers": (np.float64, (None, 4)),
+        }
+        for name, (kind, shape) in optional.items():
+            if (value := getattr(self, name)) is not None:
+                put(name, frozen_array(name, value, kind, shape))
+        for name in ("reasons", "choices"):
+            if (value := getattr(self, name)) is not None:
+                put(name, _convert_to_texts(name, value, rounds))
         self._check_labels()
         for name in ("config", "versions"):
             put(name, _convert_to_json(name, getattr(self, name)))
@@ -212,6 +222,17 @@ class EpisodeRecord:
     def fired(self) -> NDArray[np.bool_]:
         """``(R, N)`` bool: candidates that were shot at; none in a round over budget."""
         return self.candidates & ~self.over_budget[:, None]
+
+    @property
+    def decoys(self) -> NDArray[np.bool_]:
+        """``(R, N)`` bool: living decoys, also those of one window in the game of evasion, which lead themselves."""
+        return self.alive & ~self.head & (self.decoy | (self.leader == np.arange(self.uavs)))
+
+    @property
+    def orphans(self) -> NDArray[np.bool_]:
+        """``(R, N)`` bool: living followers whose head is destroyed in the round."""
+        behind = np.take_along_axis(self.fired, np.maximum(self.leader, 0), axis=1)
+        return self.alive & ~self.fired & (self.leader >= 0) & behind
 
     @property
     def hits(self) -> NDArray[np.int64]:
@@ -350,11 +371,7 @@ class EpisodeRecord:
         values = {item.name: getattr(self, item.name) for item in fields(self)}
         arrays: dict[str, Any] = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
         words = {name: values[name] for name in values if name not in arrays and values[name] is not None}
-        words |= {"format": _FORMAT, "version": FORMAT_VERSION}
-        with atomic_write(path) as aside, aside.open("wb") as file:
-            derived: dict[str, Any] = {_LINKS: self._all_links(), _METADATA: np.array(json.dumps(words))}
-            np.savez_compressed(file, **arrays, **derived)
-        return as_path("path", path)
+        return write_episode_file(path, words, {**arrays, _LINKS: self._all_links()})
 
     def _all_links(self) -> NDArray[np.int64]:
         """``(L, 3)`` round, follower and head of every communication link of the episode."""
@@ -381,37 +398,9 @@ class EpisodeRecord:
                 than ``max_bytes``.
         """
         most = None if max_bytes is None else whole_number("max_bytes", max_bytes, 1)
-        place = as_path("path", path)
-        where = quote(os.fspath(place))
-        foreign = ArgumentError(f"path must be an episode file of this project, got {where}.")
+        where, words, arrays = read_episode_file(path, most)
         try:
-            with place.open("rb") as file:
-                if not zipfile.is_zipfile(file):  # np.load would read the whole array of another kind of file
-                    raise foreign
-                file.seek(0)
-                loaded = np.load(file, allow_pickle=False)
-                if not isinstance(loaded, np.lib.npyio.NpzFile) or _METADATA not in loaded.files:
-                    raise foreign
-                _check_size(loaded, os.fstat(file.fileno()).st_size, most)
-                arrays: dict[str, Any] = {name: loaded[name] for name in loaded.files}
-            words = json.loads(str(arrays.pop(_METADATA)))
-        except ArgumentError:
-            raise
-        except FileNotFoundError:
-            raise ArgumentError(f"path must be an episode file, got {where}, which does not exist.") from None
-        except Exception as error:  # a damaged header makes NumPy raise whatever Python's own tokenizer raises
-            why = " ".join(str(error).split()) or type(error).__name__
-            raise ArgumentError(f"path must be an intact episode file, got {where}, not readable: {why}.") from None
-        if not isinstance(words, dict) or words.pop("format", None) != _FORMAT:
-            raise foreign
-        version = words.pop("version", None)
-        if version not in _READABLE:
-            raise ArgumentError(
-                f"path must be an episode file of a version up to {FORMAT_VERSION}, got {where} of version "
-                f"{quote(version)}."
-            )
-        try:
-            links = arrays.pop(_LINKS) if version > 1 else None
+            links = arrays.pop(_LINKS) if words.pop("version") > 1 else None
             record = cls(**words, **arrays)
             if links is not None and not np.array_equal(links, record._all_links()):
                 raise ArgumentError(f"{_LINKS} must agree with leader; it does not.")

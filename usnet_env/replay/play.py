@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.swarm import SwarmState
 from usnet_env.window import Window
 
-__all__ = ["Round", "record_episode"]
+__all__ = ["Round", "check_environment", "make_record", "record_episode"]
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,54 @@ def _report(played: PlayedRound[Detection], number: int, seconds: float) -> Roun
     )
 
 
+def _stack(values: Sequence[NDArray[Any] | None], absent: NDArray[Any] | None = None) -> Any:
+    """Stack an optional part of the answers; ``absent`` (or zeros) where a round lacks it, ``None`` if all do."""
+    given = [value for value in values if value is not None]
+    if not given or len({value.shape for value in given}) > 1:
+        return None
+    blank = np.zeros_like(given[0]) if absent is None else absent
+    return np.stack([blank if value is None else value for value in values])
+
+
+def _read_numbers(answer: Detection, name: str, axes: int) -> NDArray[np.float64] | None:
+    """A finite array of ``extras`` whose first axis counts the UAVs; ``None`` if the answer has no such array."""
+    try:
+        values = np.asarray(answer.extras.get(name), np.float64)
+    except (TypeError, ValueError):
+        return None
+    good = values.ndim >= axes and values.shape[:1] == answer.scores.shape and np.isfinite(values).all()
+    return values if good else None
+
+
+def _read_heads(answer: Detection) -> NDArray[np.float32] | None:
+    """``(H, N, N)``: the weights of each attention head, ``extras["attention_heads"]``; ``None`` without them."""
+    values = np.asarray(answer.extras.get("attention_heads", 0.0), np.float32)
+    good = values.ndim == 3 and values.shape[1:] == (len(answer.scores),) * 2 and np.isfinite(values).all()
+    return values if good else None
+
+
+def _flatten_features(answer: Detection) -> NDArray[np.float64] | None:
+    """``(N, 2)``: ``extras["features"]``, ``(N, …)``, in the plane of their principal axes; ``None`` without them."""
+    values = _read_numbers(answer, "features", 2)
+    if values is None:
+        return None
+    flat = values.reshape(len(values), -1)
+    known: NDArray[np.bool_] = np.any(flat, axis=1)  # the features of destroyed UAVs are 0
+    centred = np.where(known[:, None], flat - flat[known].mean(axis=0) if known.any() else flat, 0.0)
+    axes = np.linalg.svd(centred, full_matrices=False)[2][:2]
+    plane = centred @ (axes * np.sign(axes[:, np.abs(axes).argmax(axis=1)].diagonal())[:, None]).T
+    return np.pad(plane, ((0, 0), (0, 2 - plane.shape[1])))
+
+
+def _list_reasons(answers: Sequence[Detection]) -> list[dict[str, str]] | None:
+    """The sentences of ``extras["reasons"]`` by the UAVs of ``extras["heads"]``; ``None`` if no answer has any."""
+    rounds = []
+    for answer in answers:
+        named, given = answer.extras.get("heads", ()), answer.extras.get("reasons", ())
+        rounds.append({str(int(i)): str(why) for i, why in zip(named, given, strict=False)})
+    return rounds if any(rounds) else None
+
+
 def record_episode(
     env: gym.Env[Any, Any],
     detector: DetectorLike,
@@ -93,7 +141,8 @@ def record_episode(
         detector_seed: seed of the detector.
         on_round: called with the report of every round.
         label: name of the detector in the record; by default its name in tables, see ``detector_label``.
-        keep_attention: record the attention, if the detector gives any: N² numbers a round.
+        keep_attention: record the attention, if the detector gives any: N² numbers a round, and N² for each of its
+            attention heads.
 
     Returns:
         The record of the whole episode.
@@ -102,9 +151,7 @@ def record_episode(
         ArgumentError: ``env`` is no environment of this project, another argument has another type, or an answer is no
             ``Detection`` for its N UAVs.
     """
-    game: Any = env.unwrapped if isinstance(env, gym.Env) else None
-    if not all(hasattr(game, name) for name in ("config", "rules", "problem")):
-        raise ArgumentError(f"env must be a USNET environment, got {quote(env)}.")
+    check_environment(env)
     if isinstance(detector, type) or not isinstance(detector, DetectorLike):
         raise ArgumentError(f"detector must have the methods detect(window) and reset(seed), got {quote(detector)}.")
     if on_round is not None and not callable(on_round):
@@ -132,16 +179,33 @@ def record_episode(
         rounds.append(played)
         if on_round is not None:
             on_round(_report(played, len(rounds), seconds[-1]))
+    label = label or detector_label(detector)
+    return make_record(env, rounds, seconds, seed, detector_seed, label, keep_attention=keep_attention)
+
+
+def check_environment(env: Any) -> None:
+    """Raise :class:`ArgumentError` if ``env`` is no environment of this project."""
+    game: Any = env.unwrapped if isinstance(env, gym.Env) else None
+    if not all(hasattr(game, name) for name in ("config", "rules", "problem")):
+        raise ArgumentError(f"env must be a USNET environment, got {quote(env)}.")
+
+
+def make_record(
+    env: gym.Env[Any, Any],
+    rounds: Sequence[PlayedRound[Detection]],
+    seconds: Sequence[float],
+    seed: int | None,
+    detector_seed: int | None,
+    label: str,
+    *,
+    keep_attention: bool = True,
+) -> EpisodeRecord:
+    """The record of the rounds of an episode; the arguments are those of :func:`record_episode`."""
     truths, answers = [played.truth for played in rounds], [played.answer for played in rounds]
+    windows = [Window.from_observation(played.observation) for played in rounds]
     uavs = windows[0].uavs
-
-    def collect(name: str, absent: NDArray[Any]) -> Any:
-        """Stack an optional part of the answers; ``absent`` where a round lacks it, ``None`` if all rounds do."""
-        values = [getattr(answer, name) for answer in answers]
-        if all(value is None for value in values):
-            return None
-        return np.stack([absent if value is None else value for value in values])
-
+    game: Any = env.unwrapped
+    nowhere = np.full(uavs, -1)
     return EpisodeRecord(
         position=np.stack([window.position for window in windows]),
         velocity=np.stack([window.velocity for window in windows]),
@@ -155,13 +219,17 @@ def record_episode(
         decoy=truths[0].decoy,
         over_budget=np.array([bool(played.info["over_budget"]) for played in rounds]),
         seconds=np.array(seconds),
-        clusters=collect("clusters", np.full(uavs, -1)),
-        leader_estimate=collect("leader", np.full(uavs, -1)),
-        attention=collect("attention", np.zeros((uavs, uavs))) if keep_attention else None,
+        clusters=_stack([answer.clusters for answer in answers], nowhere),
+        leader_estimate=_stack([answer.leader for answer in answers], nowhere),
+        attention=_stack([answer.attention for answer in answers], np.zeros((uavs, uavs))) if keep_attention else None,
+        attention_heads=_stack([_read_heads(answer) for answer in answers]) if keep_attention else None,
+        probability=_stack([_read_numbers(answer, "probability", 1) for answer in answers], np.zeros(uavs)),
+        features=_stack([_flatten_features(answer) for answer in answers], np.zeros((uavs, 2))),
+        reasons=_list_reasons(answers),
         problem=game.problem,
         env_id=env.spec.id if env.spec is not None else type(game).__name__,
         seed=seed,
-        detector=label or detector_label(detector),
+        detector=label,
         detector_seed=detector_seed,
         config=_list_arguments(game.config) | _list_arguments(game.rules),
         versions=versions(),

@@ -2,13 +2,39 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.replay.episode import EpisodeRecord
 
-__all__ = ["describe_outcome", "describe_round", "format_count", "rank_scores"]
+__all__ = [
+    "HIT",
+    "LEADER",
+    "MISSED",
+    "OTHER",
+    "REDUNDANT",
+    "describe_ending",
+    "describe_outcome",
+    "describe_remerge",
+    "describe_round",
+    "describe_verdict",
+    "explain_comparison",
+    "explain_replay",
+    "explain_uav",
+    "format_count",
+    "mark_words",
+    "rank_scores",
+    "tell_round",
+]
 
+#: What a UAV is in a round: a candidate that is a head, one that is not, a head that is no candidate, or another UAV;
+#: and a candidate where the truth is not known.
+HIT, REDUNDANT, MISSED, OTHER, LEADER = "hit", "redundant", "missed", "other", "leader"
+
+_MOST_LISTED = 30  # rows of the table of a round's candidates
 _FEWEST_SCORES, _MOST_SCORES, _UNMARKED = 12, 40, 5
 
 
@@ -57,3 +83,185 @@ def rank_scores(record: EpisodeRecord, number: int) -> NDArray[np.intp]:
     count = min(max(marked + _UNMARKED, _FEWEST_SCORES), _MOST_SCORES)
     shown = living[np.lexsort((-scores[living], ~named[living], ~record.head[living]))][:count]
     return shown[np.lexsort((shown, ~named[shown], -scores[shown]))]
+
+
+def mark_words(record: EpisodeRecord, number: int) -> NDArray[np.object_]:
+    """``(N,)``: what each UAV is in a round (from 1), such as :data:`HIT`."""
+    r = number - 1
+    named, target = record.candidates[r], record.head & record.alive[r]
+    words = np.full(record.uavs, OTHER, object)
+    if not record.labelled:
+        words[named] = LEADER
+        return words
+    words[named & target], words[named & ~target], words[target & ~named] = HIT, REDUNDANT, MISSED
+    return words
+
+
+def describe_verdict(record: EpisodeRecord, number: int) -> str:
+    """The outcome of a round (from 1) in one or two sentences."""
+    r = number - 1
+    named, hits, redundant = int(record.candidates[r].sum()), int(record.hits[r]), int(record.redundant[r])
+    if record.over_budget[r]:
+        return f"{named} candidates exceed the shot budget: no UAV is destroyed."
+    if not named:
+        return "Without candidates no UAV is destroyed."
+    right = f"{hits} {'is a head' if hits == 1 else 'are heads'} (hit)"
+    wrong = f"{redundant} {'is' if redundant == 1 else 'are'} not (redundant)"
+    parts = [right] * (hits > 0) + [wrong] * (redundant > 0)
+    return f"{', '.join(parts)}. {'It is' if named == 1 else f'All {named} are'} destroyed."
+
+
+def describe_remerge(record: EpisodeRecord, number: int) -> str:
+    """What the followers of the heads that were destroyed in a round (from 1) do, in one sentence."""
+    orphans = int(record.orphans[number - 1].sum())
+    join = "joins" if orphans == 1 else "join"
+    return f"{format_count(orphans, 'follower')} without a head {join} the nearest remaining head."
+
+
+def describe_ending(record: EpisodeRecord) -> str:
+    """The outcome of the game in one sentence."""
+    left = int(record.heads_left[-1])
+    result = "All heads are destroyed" if not left else f"{format_count(left, 'head')} not found"
+    best = "1 is best" if record.problem == "P2" else "0 is best"
+    return f"{result} after {format_count(record.rounds, 'round')}: J = {record.objective[-1]:.2f} ({best})."
+
+
+def explain_uav(record: EpisodeRecord, number: int, uav: int) -> str:
+    """Why the detector takes a UAV for a head in a round (from 1): its own reason, or what its answer shows."""
+    r = number - 1
+    if record.reasons is not None and (own := record.reasons[r].get(str(uav))):
+        return own
+    others = record.alive[r] & (np.arange(record.uavs) != uav)
+    parts = []
+    if record.leader_estimate is not None:
+        behind = int((record.leader_estimate[r][others] == uav).sum())
+        parts.append(format_count(behind, "follower"))
+    if record.attention is not None and record.attention[r].any():
+        weight = float(record.attention[r][others, uav].sum())
+        parts.append(f"gets {weight:.3g} of the attention of {int(others.sum())}")
+    rank = int((record.scores[r][record.alive[r]] > record.scores[r, uav]).sum()) + 1
+    return "; ".join([*parts, f"score rank {rank} of {int(record.alive[r].sum())}"]) + "."
+
+
+def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tuple[str, str, str, str]:
+    """Tell a round (from 1) in Markdown: as it is in the window, with the answer, the destruction and the re-merge.
+
+    Args:
+        record: the episode.
+        number: of the round.
+        names: of all UAVs.
+    """
+    r = number - 1
+    steps = record.position.shape[1] - 1
+    start = f"**Round {number} of {record.rounds}:** the detector watches {steps} steps. To it, all UAVs look alike."
+    if not record.labelled:
+        start = f"**Window {number} of {record.rounds}:** {steps} steps."
+    if record.choices is not None and record.choices[r]:
+        lines = [f"- {agent}, {text}" for agent, text in record.choices[r].items()]
+        start = "\n".join([start, "", "What the heads chose for this window:", "", *lines])
+    words = mark_words(record, number)
+    order = [i for i in np.argsort(-record.scores[r], kind="stable").tolist() if words[i] != OTHER]
+    lines = []
+    for i in order[:_MOST_LISTED]:
+        sure = "" if record.probability is None else f"p {record.probability[r, i]:.2f}, "
+        why = explain_uav(record, number, i)
+        lines.append(f"- **{names[i]}** {words[i]}, {sure}score {record.scores[r, i]:.3g}: {why}")
+    lines += [f"- … and {len(order) - _MOST_LISTED} more"] * (len(order) > _MOST_LISTED)
+    marked = "\n".join(lines)
+    named = int(record.candidates[r].sum())
+    kind = ("leader" if named == 1 else "leaders") if not record.labelled else "a head" if named == 1 else "heads"
+    story = [start, f"It names {format_count(named, 'UAV')} as {kind}."]
+    if record.labelled:
+        end = describe_ending(record) if number == record.rounds else _tell_remerge(record, number, names)
+        story += [describe_verdict(record, number), end]
+    told = ["\n\n".join([*story[: k + 1], *([marked] if k else [])]) + "\n" for k in range(len(story))]
+    return told[0], told[1], told[-2 if record.labelled else -1], told[-1]
+
+
+def _tell_remerge(record: EpisodeRecord, number: int, names: Sequence[str]) -> str:
+    """Which followers join which head after a round (from 1), in Markdown."""
+    r = number - 1
+    orphans = np.flatnonzero(record.orphans[r])
+    if not len(orphans):
+        return "No follower has lost its head."
+    moves = Counter(zip(record.leader[r][orphans].tolist(), record.leader[r + 1][orphans].tolist(), strict=True))
+    lines = [
+        f"- {format_count(count, 'follower')} of {names[old]} "
+        + (f"{'joins' if count == 1 else 'join'} {names[new]}" if new >= 0 else "stay without a head")
+        for (old, new), count in moves.most_common()
+    ]
+    return "\n".join([describe_remerge(record, number), "", *lines])
+
+
+def _link(path: str, word: str) -> str:
+    """A link that selects an entity in the viewer."""
+    return f"[{word}](recording://{path})"
+
+
+def explain_replay(record: EpisodeRecord) -> str:
+    """Explain a recording in Markdown."""
+    by = f"**{record.detector or 'A detector'}** on {record.env_id or 'an episode'}"
+    if not record.labelled:
+        return f"""# Leaders and followers
+
+{by}. {describe_outcome(record)}
+
+{record.uavs} recorded tracks in {format_count(record.rounds, "window")}. **Press play.** The truth is not known:
+colours, links and marks show what the detector found.
+
+- {_link("world/verdict/leader", "leader")}, green spheres: leaders in this window
+- {_link("world/swarm/heads", "heads")}, large points: leaders in this or another window
+- {_link("world/swarm/followers", "followers")}: the others, in the colour of the leader that they follow, or grey
+- {_link("world/swarm/links", "links")} and {_link("world/swarm/tracks", "tracks")}; the bars are
+  {_link("scores/bars", "scores")}, highest first
+"""
+    lines = [
+        f"- {_link('world/verdict/hit', 'hit')}, green spheres: candidates that are heads",
+        f"- {_link('world/verdict/redundant', 'redundant')}, orange boxes: candidates that are not",
+        f"- {_link('world/verdict/missed', 'missed')}, white spheres: heads that it did not name",
+        f"- {_link('world/swarm/destroyed', 'destroyed')}: grey crosses",
+    ]
+    present = {word for number in range(1, record.rounds + 1) for word in mark_words(record, number)} | {"destroyed"}
+    lines = [line for line in lines if line.partition("[")[2].partition("]")[0] in present]
+    if record.decoys.any():
+        lines.append(f"- {_link('world/swarm/decoys', 'decoys')}, yellow diamonds: fly like heads, without followers")
+    if record.observers is not None:
+        lines.append(f"- {_link('world/observers', 'observers')} with circles of their sensing ranges")
+    size = "probability" if record.probability is not None else "score"
+    attention = (
+        f", {_link('world/found/attention', 'attention')} as white lines" if record.attention is not None else ""
+    )
+    return f"""# Who leads this swarm?
+
+{by}, seed {record.seed}. {describe_outcome(record)}
+
+{record.uavs} UAVs fly in {format_count(int(record.head.sum()), "cluster")}; in each, the followers follow one head.
+**Press play.** In each round the detector watches, names candidates, they are destroyed, and followers without a head
+join another one.
+
+**Left: what the detector sees**, equal dots. With the answer: {_link("world/found/candidates", "candidates")}, blue
+spheres; {_link("world/found/uavs", "groups")} that it found in colours of its own, larger for a higher {size};
+{_link("world/found/links", "leaders")} that it found{attention}.
+
+**Right: the truth**: {_link("world/swarm/heads", "heads")}, large, and {_link("world/swarm/followers", "followers")} in
+the colour of their head; {_link("world/swarm/links", "links")}.
+
+{chr(10).join(lines)}
+
+Click a word to select it; the eye beside its name in the left panel hides or shows it.
+"""
+
+
+def explain_comparison(records: Sequence[EpisodeRecord], labels: Sequence[str]) -> str:
+    """Explain a recording of two episodes in Markdown."""
+    rows = "\n".join(f"- **{label}:** {describe_outcome(each)}" for label, each in zip(labels, records, strict=True))
+    first = records[0]
+    return f"""# Two detectors, one swarm
+
+{first.env_id or "An episode"}, seed {first.seed}: {first.uavs} UAVs, {format_count(int(first.head.sum()), "head")}.
+
+{rows}
+
+**Press play.** Above: what each detector sees, and its answer. In the middle: the truth, with hits (green), redundant
+candidates (orange boxes) and missed heads (white). The swarms differ after a round in which other UAVs were destroyed.
+"""

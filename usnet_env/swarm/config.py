@@ -10,9 +10,17 @@ from pydantic import Field, model_validator
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm.follow import FollowStrategy, check_strategy, follow_strategy
 from usnet_env.swarm.formation import FARTHEST, FORMATIONS
+from usnet_env.swarm.kinematics import KINEMATICS, Kinematics
 from usnet_env.swarm.mobility import Mobility, mobility
 
-__all__ = ["MobilityArguments", "SensorArguments", "SizeArguments", "SwarmArguments", "SwarmConfig"]
+__all__ = [
+    "BystanderArguments",
+    "MobilityArguments",
+    "SensorArguments",
+    "SizeArguments",
+    "SwarmArguments",
+    "SwarmConfig",
+]
 
 _MAX_SAMPLES = 100_000_000  # limit of (T_ob * sample_every + memory) * N: 2.4 GB of positions and velocities
 
@@ -48,17 +56,33 @@ class MobilityArguments(Config):
         "iid", description="how heads and decoys move: ``iid``, ``gauss_markov``, ``smooth_turn``, ``waypoint``, …"
     )
     head_jitter: bool = Field(False, description="add the followers' noise κ_n n to heads and decoys")
+    kinematics: str | Kinematics = Field(
+        "unit",
+        description="how every UAV flies in the direction that it wants: ``unit`` (1 m per step), ``varied_speed``, "
+        "``lagged``, ``limited``, ``layered``, …",
+    )
+
+
+class BystanderArguments(Config):
+    """UAVs that have nothing to do with the clusters."""
+
+    bystanders: Annotated[int, Field(ge=0, le=100_000)] = Field(
+        0, description="number of UAVs that fly on their own, with smooth turns"
+    )
+    traffic: Annotated[int, Field(ge=0, le=100_000)] = Field(
+        0, description="number of UAVs of civil traffic, in straight and level corridors"
+    )
 
 
 class SizeArguments(Config):
     """The size of a swarm with several clusters."""
 
     clusters: Count = Field(5, description="M, number of clusters")
-    uavs: Count = Field(82, description="N, number of UAVs, decoys included")
+    uavs: Count = Field(82, description="N, number of UAVs, decoys, bystanders and traffic included")
     cluster_sizes: Sequence[Annotated[int, Field(ge=2, le=100_000)]] | None = Field(
         None,
-        description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys``; "
-        "``None``: drawn for each episode",
+        description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys`` − "
+        "``bystanders`` − ``traffic``; ``None``: drawn for each episode",
     )
 
 
@@ -73,10 +97,10 @@ class SensorArguments(Config):
     )
 
 
-class SwarmConfig(SensorArguments, SizeArguments, MobilityArguments, SwarmArguments):
+class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityArguments, SwarmArguments):
     """A swarm of M clusters with N UAVs, and its observer. Lengths in metres, times in steps.
 
-    ``follow`` and ``mobility`` may also be objects.
+    ``follow``, ``mobility`` and ``kinematics`` may also be objects.
 
     Raises:
         ArgumentError: an argument has the wrong type or is out of range.
@@ -87,12 +111,17 @@ class SwarmConfig(SensorArguments, SizeArguments, MobilityArguments, SwarmArgume
         strategy = self.follow_strategy
         if not isinstance(self.mobility, Mobility):
             mobility(self.mobility)
+        if not isinstance(self.kinematics, Kinematics):
+            KINEMATICS.find(self.kinematics)
         FORMATIONS.find(self.formation)
         if strategy is not None and check_strategy(strategy).lags > self.memory:
             raise ArgumentError(
                 f"memory must be at least {strategy.lags} for follow={quote(self.follow)}, got {self.memory}."
             )
-        followers = self.uavs - self.clusters - self.decoys
+        others = {"decoys": self.decoys, "bystanders": self.bystanders, "traffic": self.traffic}
+        others = {name: count for name, count in others.items() if count or name == "decoys"}
+        apart = " + ".join(others)
+        followers = self.uavs - self.clusters - sum(others.values())
         if self.cluster_sizes is not None:
             if len(self.cluster_sizes) != self.clusters:
                 raise ArgumentError(
@@ -101,12 +130,12 @@ class SwarmConfig(SensorArguments, SizeArguments, MobilityArguments, SwarmArgume
                 )
             if sum(self.cluster_sizes) != followers:
                 raise ArgumentError(
-                    f"cluster_sizes must add up to uavs - clusters - decoys = {followers}, "
+                    f"cluster_sizes must add up to uavs - clusters - {apart.replace('+', '-')} = {followers}, "
                     f"got {quote(list(self.cluster_sizes))} with the sum {sum(self.cluster_sizes)}."
                 )
         if followers < 2 * self.clusters:
             raise ArgumentError(
-                f"uavs must be at least 3 * clusters + decoys = {3 * self.clusters + self.decoys} "
+                f"uavs must be at least 3 * clusters + {apart} = {3 * self.clusters + sum(others.values())} "
                 f"(every head has at least 2 followers), got {self.uavs}."
             )
         if (self.steps + self.memory) * self.uavs > _MAX_SAMPLES:
@@ -134,14 +163,20 @@ class SwarmConfig(SensorArguments, SizeArguments, MobilityArguments, SwarmArgume
         """The mobility as an object."""
         return self.mobility if isinstance(self.mobility, Mobility) else mobility(self.mobility)
 
+    @property
+    def kinematics_model(self) -> Kinematics:
+        """The kinematics as an object."""
+        return self.kinematics if isinstance(self.kinematics, Kinematics) else KINEMATICS.find(self.kinematics)
+
     def position_bound(self, rounds: int) -> float:
         """An upper bound in metres of all observed coordinates within ``rounds`` rounds."""
         travelled = self.memory + rounds * self.steps
-        return FARTHEST + travelled + NOISE_BOUND * self.position_noise
+        return FARTHEST + max(1.0, self.kinematics_model.top_speed) * travelled + NOISE_BOUND * self.position_noise
 
     def velocity_bound(self) -> float:
         """An upper bound in metres per step of all observed velocity coordinates."""
-        return 1.001 + 2.0 * NOISE_BOUND * self.position_noise / self.sample_every
+        fastest = max(1.0, self.kinematics_model.top_speed)  # before the first window all UAVs fly 1 m per step
+        return 1.001 * fastest + 2.0 * NOISE_BOUND * self.position_noise / self.sample_every
 
 
 NOISE_BOUND = 8.0  # observation noise is clipped at 8 standard deviations (one in 10^15 draws), so bounds are finite

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ __all__ = [
     "Formation",
     "Roles",
     "check_place",
+    "draw_corridors",
     "draw_roles",
     "formations",
     "random_cluster_sizes",
@@ -26,6 +27,7 @@ __all__ = [
 ]
 
 ARENA = (1000.0, 1000.0, 100.0)  # metres, the box of the paper's simulations
+CORRIDORS = 3  # of civil traffic
 AROUND_RADIUS = 60.0  # metres; equals kappa_r of f6, so that `around` followers start within the range of their head
 FARTHEST = max(ARENA) + AROUND_RADIUS  # metres, the largest initial coordinate
 
@@ -37,12 +39,40 @@ class Roles:
     Args:
         head: ``(N,)`` bool, H_0.
         decoy: ``(N,)`` bool.
-        leader: ``(N,)`` int64, the head of each follower; a head's and a decoy's own index.
+        leader: ``(N,)`` int64, the head of each follower; the own index of a head, decoy or bystander; -1 for a UAV of
+            a cluster that no UAV leads.
+        bystander: ``(N,)`` bool, the UAVs that no head leads, decoys excluded: bystanders, traffic, and the predators
+            and drivers of a follow strategy.
+        traffic: ``(N,)`` bool, the bystanders that are civil traffic.
+        source: ``(N,)`` int64, the UAV that each UAV copies, by default its leader; from N on, a reference: a point
+            that flies like a head and that no sensor sees.
+        references: R, number of references.
+        drawn: ``(M,)`` int64, the heads as drawn, in the order of the clusters.
     """
 
     head: Mask
     decoy: Mask
     leader: Indices
+    bystander: Mask = field(default_factory=lambda: np.empty(0, bool))
+    traffic: Mask = field(default_factory=lambda: np.empty(0, bool))
+    source: Indices = field(default_factory=lambda: np.empty(0, np.int64))
+    references: int = 0
+    drawn: Indices = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def __post_init__(self) -> None:
+        uavs = len(self.leader)
+        for name, array in (
+            ("bystander", np.zeros(uavs, bool)),
+            ("traffic", np.zeros(uavs, bool)),
+            ("source", self.leader.copy()),
+        ):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, array)
+
+    def members(self, cluster: int) -> Indices:
+        """The followers of a cluster, as drawn, in the order of their indices."""
+        head = self.drawn[cluster]
+        return np.flatnonzero((self.leader == head) & (np.arange(len(self.leader)) != head))
 
 
 def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int) -> Indices:
@@ -57,30 +87,52 @@ def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int
 
 
 def draw_roles(
-    rng: np.random.Generator, clusters: int, uavs: int, decoys: int, cluster_sizes: Sequence[int] | None
+    rng: np.random.Generator,
+    clusters: int,
+    uavs: int,
+    decoys: int,
+    cluster_sizes: Sequence[int] | None,
+    bystanders: int = 0,
+    traffic: int = 0,
 ) -> Roles:
     """Draw the roles. Indices are permuted at random, so an index carries no information about the role.
 
     Args:
         rng: the episode's generator.
         clusters: M.
-        uavs: N, decoys included.
+        uavs: N, decoys, bystanders and traffic included.
         decoys: number of UAVs that move like heads but have no followers.
         cluster_sizes: m_j, number of followers of each cluster, or ``None``: drawn at random.
+        bystanders: number of UAVs that fly on their own.
+        traffic: number of UAVs of civil traffic.
     """
-    sizes = (
-        np.asarray(cluster_sizes)
-        if cluster_sizes is not None
-        else random_cluster_sizes(rng, clusters, uavs - clusters - decoys)
+    followers = uavs - clusters - decoys - bystanders - traffic
+    sizes = np.asarray(cluster_sizes) if cluster_sizes is not None else random_cluster_sizes(rng, clusters, followers)
+    heads, decoy_indices, followed, others, civil = np.split(
+        rng.permutation(uavs), np.cumsum([clusters, decoys, followers, bystanders])
     )
-    order = rng.permutation(uavs)
-    heads, decoy_indices, followers = order[:clusters], order[clusters : clusters + decoys], order[clusters + decoys :]
-    head, decoy = np.zeros(uavs, bool), np.zeros(uavs, bool)
+    head, decoy, bystander, in_traffic = (np.zeros(uavs, bool) for _ in range(4))
     head[heads] = True
     decoy[decoy_indices] = True
+    bystander[others] = bystander[civil] = in_traffic[civil] = True
     leader = np.arange(uavs)
-    leader[followers] = np.repeat(heads, sizes)
-    return Roles(head, decoy, leader)
+    leader[followed] = np.repeat(heads, sizes)
+    return Roles(head, decoy, leader, bystander, in_traffic, drawn=heads)
+
+
+def draw_corridors(rng: np.random.Generator, uavs: int) -> tuple[Floats, Floats]:
+    """Draw civil traffic: positions ``(uavs, 3)`` in metres and directions ``(uavs, 3)`` in level, straight corridors.
+
+    Three corridors cross the arena at random places, headings and altitudes. The UAVs of a corridor fly in both
+    directions, at most 400 m from its middle, 5 m apart from its axis on average.
+    """
+    middle = rng.uniform(0.0, ARENA, (CORRIDORS, 3))
+    heading = rng.uniform(-np.pi, np.pi, CORRIDORS)
+    axis = np.stack([np.cos(heading), np.sin(heading), np.zeros(CORRIDORS)], axis=1)
+    corridor = rng.integers(CORRIDORS, size=uavs)
+    along = rng.uniform(-400.0, 400.0, (uavs, 1))
+    place = middle[corridor] + along * axis[corridor] + rng.normal(0.0, 5.0, (uavs, 3))
+    return np.clip(place, -FARTHEST, FARTHEST), axis[corridor] * rng.choice([-1.0, 1.0], (uavs, 1))
 
 
 def _uniform(rng: np.random.Generator, roles: Roles) -> Floats:
@@ -95,7 +147,7 @@ def _around(rng: np.random.Generator, roles: Roles) -> Floats:
     direction = rng.standard_normal((uavs, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     offset = AROUND_RADIUS * np.cbrt(rng.uniform(size=(uavs, 1))) * direction
-    followers = ~(roles.head | roles.decoy)
+    followers = ~(roles.head | roles.decoy | roles.bystander)
     return np.where(followers[:, None], position[roles.leader] + offset, position)
 
 

@@ -348,15 +348,33 @@ def integrate(start, position, velocity):
 
 
 @compiled()
-def remerge(head, alive, decoy, position, leader):
+def _nearest(position, i, heads, count):
+    """The one of the first ``count`` UAVs in ``heads`` that is nearest to UAV i; -1 if there is none."""
+    nearest, best = -1, np.inf
+    for j in range(count):
+        dx = position[i, 0] - position[heads[j], 0]
+        dy = position[i, 1] - position[heads[j], 1]
+        dz = position[i, 2] - position[heads[j], 2]
+        distance = float(dx * dx + dy * dy + dz * dz)
+        if distance < best:
+            nearest, best = heads[j], distance
+    return nearest
+
+
+@compiled()
+def remerge(head, alive, apart, position, leader, source):
     """Assign every living follower of a destroyed head to the nearest remaining head; -1 if no head remains.
+
+    A follower that copied a destroyed follower copies the nearest living one above it, and joins a head only if there
+    is none. A predator whose prey has lost its head chases the UAVs of the nearest head.
 
     Args:
         head: ``(B, N)`` bool.
         alive: ``(B, N)`` bool.
-        decoy: ``(B, N)`` bool.
+        apart: ``(B, N)`` bool, the decoys and bystanders.
         position: ``(B, N, 3)`` float32, metres, the present positions.
         leader: ``(B, N)`` int64, updated in place.
+        source: ``(B, N)`` int64, the UAV that each UAV copies, updated in place.
     """
     episodes, uavs = leader.shape
     heads = np.empty(uavs, np.int64)
@@ -367,16 +385,18 @@ def remerge(head, alive, decoy, position, leader):
                 heads[count] = i
                 count += 1
         for i in range(uavs):
-            if head[b, i] or decoy[b, i] or not alive[b, i]:
+            if head[b, i] or not alive[b, i] or source[b, i] == i:
                 continue
-            if leader[b, i] >= 0 and alive[b, leader[b, i]]:
+            above = source[b, i]
+            while 0 <= above < uavs and not alive[b, above] and source[b, above] != above:
+                above = source[b, above]
+            if above < 0 or (above < uavs and not alive[b, above]):
+                above = _nearest(position[b], i, heads, count)
+            source[b, i] = above
+        for i in range(uavs):
+            if head[b, i] or apart[b, i] or not alive[b, i]:
                 continue
-            nearest, best = -1, np.inf
-            for j in range(count):
-                dx = position[b, i, 0] - position[b, heads[j], 0]
-                dy = position[b, i, 1] - position[b, heads[j], 1]
-                dz = position[b, i, 2] - position[b, heads[j], 2]
-                distance = float(dx * dx + dy * dy + dz * dz)
-                if distance < best:
-                    nearest, best = heads[j], distance
-            leader[b, i] = nearest
+            above = source[b, i]
+            while 0 <= above < uavs and source[b, above] != above:
+                above = source[b, above]
+            leader[b, i] = above if 0 <= above < uavs and head[b, above] else -1

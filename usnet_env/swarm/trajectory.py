@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import AxisLength, Indices, Singles
+from usnet_env.arrays import AxisLength, Indices, Mask, Singles
 
 __all__ = ["TrajectoryBatch"]
 
@@ -16,14 +16,20 @@ __all__ = ["TrajectoryBatch"]
 class TrajectoryBatch:
     """B swarms with a past of L steps and S steps to simulate; ``position`` and ``velocity`` are filled in place.
 
+    Behind the N UAVs of a swarm stand its R references, points that fly like heads and that no sensor sees. Only field
+    models have them; otherwise R is 0.
+
     Args:
-        position: ``(B, L + S + 1, N, 3)`` float32, metres; the first L + 1 instants are given.
-        velocity: ``(B, L + S, N, 3)`` float32, metres per step; the first L steps are given, and all steps of the free
-            UAVs (heads and decoys).
-        noise: ``(B, S, N, 3)`` float32, the followers' n ~ N(0, I), before the scaling by kappa_n.
-        motion: ``(B, N)`` int8, how each UAV moves: ``kernels.DESTROYED``, ``FREE`` or ``FOLLOWS``.
+        position: ``(B, L + S + 1, N + R, 3)`` float32, metres; the first L + 1 instants are given.
+        velocity: ``(B, L + S, N + R, 3)`` float32, metres per step; the first L steps are given, and all
+            steps of the free UAVs.
+        noise: ``(B, S, N + R, 3)`` float32, the followers' n ~ N(0, I), before the scaling by kappa_n.
+        motion: ``(B, N + R)`` int8, how each UAV moves: ``kernels.DESTROYED``, ``FREE`` or ``FOLLOWS``.
         leader: ``(B, N)`` int64, the head of each follower.
         parameters: ``(B, P)`` float32, the follow strategy's parameters of each episode.
+        source: ``(B, N)`` int64, the UAV or reference (from N on) that each UAV copies; for f1 to f7 its head.
+        bystander: ``(B, N)`` bool, the UAVs that no head leads, decoys excluded.
+        clock: ``(B,)`` int64, number of steps that each swarm has flown before step L.
     """
 
     position: Singles
@@ -32,6 +38,9 @@ class TrajectoryBatch:
     motion: NDArray[np.int8]
     leader: Indices
     parameters: Singles
+    source: Indices = field(default_factory=lambda: np.empty((0, 0), np.int64))
+    bystander: Mask = field(default_factory=lambda: np.empty((0, 0), bool))
+    clock: Indices = field(default_factory=lambda: np.empty(0, np.int64))
 
     @property
     def flight(self) -> tuple[NDArray[np.int8], Indices, int, Singles]:

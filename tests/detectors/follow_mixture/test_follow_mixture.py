@@ -141,7 +141,7 @@ def test_followers_of_one_head_are_a_group_and_heads_are_single():
 @pytest.mark.parametrize(
     ("seed", "config"),
     [
-        (795, {"uavs": 700, "clusters": 4}),
+        pytest.param(795, {"uavs": 700, "clusters": 4}, marks=pytest.mark.slow),
         pytest.param(797, {"uavs": 1500, "clusters": 100, "observation_steps": 60}, marks=pytest.mark.slow),
         (800, {"uavs": 500, "clusters": 10, "decoys": 50}),
     ],

@@ -4,7 +4,7 @@ import literal
 import numpy as np
 import pytest
 import torch
-from gassl_windows import cluster
+from single_cluster_windows import cluster
 
 from detectors.gassl import Gassl
 from detectors.gassl.agat import AgatSizes, draw_agat

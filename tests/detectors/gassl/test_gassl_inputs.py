@@ -3,7 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from gassl_windows import changed, cluster, without
+from single_cluster_windows import changed, cluster, without
 
 from detectors.baselines.trivial import NoCandidates
 from detectors.gassl.topology_matrix import build_batch, topology_matrix

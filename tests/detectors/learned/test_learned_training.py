@@ -1,6 +1,5 @@
 """Training of the learned detector: the same weights whether interrupted or not, a loss that falls, files that hold."""
 
-import csv
 import json
 from hashlib import sha256
 from importlib.resources import files
@@ -8,6 +7,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 import torch
+from interrupted_training import Interrupted, read_losses, same_files, stop_at, unchanged_generators
 from safetensors.torch import load, save
 
 from detectors.checks.windows import simulate_window
@@ -31,32 +31,17 @@ SMALL = {
 }
 
 
-class Interrupted(Exception):
-    """Stands for whatever ends a training early."""
-
-
-def stop_at(limit):
-    def progress(done, total):
-        if done >= limit:
-            raise Interrupted
-
-    return progress
-
-
 def test_interrupted_training_goes_on_to_the_identical_result(tmp_path):
     training = HeadTraining(**SMALL)
-    before = torch.random.get_rng_state(), np.random.get_state()[1].tobytes()  # noqa: NPY002  # must stay as it is
-    whole = train_heads(tmp_path / "whole", training)
-    with pytest.raises(Interrupted):
-        train_heads(tmp_path / "parts", training, stop_at(5), checkpoint_every=4)
-    assert not (tmp_path / "parts" / "learned.safetensors").exists()
-    calls = []
-    parts = train_heads(tmp_path / "parts", training, lambda *call: calls.append(call), checkpoint_every=4)
+    with unchanged_generators():
+        whole = train_heads(tmp_path / "whole", training)
+        with pytest.raises(Interrupted):
+            train_heads(tmp_path / "parts", training, stop_at(5), checkpoint_every=4)
+        assert not (tmp_path / "parts" / "learned.safetensors").exists()
+        calls = []
+        train_heads(tmp_path / "parts", training, lambda *call: calls.append(call), checkpoint_every=4)
     assert calls == [(5, 6), (6, 6)]
-    for name in ("learned.safetensors", "learned.json", "losses.csv", "checkpoint.safetensors"):
-        assert (whole.parent / name).read_bytes() == (parts.parent / name).read_bytes()
-    assert torch.equal(before[0], torch.random.get_rng_state())
-    assert before[1] == np.random.get_state()[1].tobytes()  # noqa: NPY002
+    same_files(tmp_path / "whole", tmp_path / "parts")
     with pytest.raises(ArgumentError, match="out must hold no checkpoint of another training"):
         train_heads(tmp_path / "parts", HeadTraining(**{**SMALL, "seed": 1}))
     anew = train_heads(tmp_path / "parts", HeadTraining(**{**SMALL, "seed": 1}), resume=False)
@@ -67,13 +52,9 @@ def test_a_short_training_lowers_the_loss_and_writes_what_it_did(tmp_path):
     training = HeadTraining(**{**SMALL, "steps": 30, "swarms": 2, "width": 16, "rate": 1e-2})
     path = train_heads(tmp_path, training)
     record = json.loads((tmp_path / "learned.json").read_text())
-    assert record["training"] == {
-        **training.model_dump(mode="json"),
-        "torch": torch.__version__,
-        "numpy": np.__version__,
-    }
-    with (tmp_path / "losses.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    versions = {"torch": torch.__version__, "numpy": np.__version__}
+    assert record["training"] == training.model_dump(mode="json") | versions
+    rows = read_losses(tmp_path)
     assert [int(row["step"]) for row in rows] == list(range(1, 31))
     losses = [float(row["loss"]) for row in rows]
     metrics = record["metrics"]
@@ -142,9 +123,3 @@ def test_changed_or_foreign_weights_are_refused(tmp_path):
 def test_bad_settings_are_refused(bad):
     with pytest.raises(ArgumentError, match=next(iter(bad))):
         HeadTraining(**bad)
-
-
-@pytest.mark.parametrize("bad", [0, 1.5, True])
-def test_a_bad_checkpoint_interval_is_refused(tmp_path, bad):
-    with pytest.raises(ArgumentError, match="checkpoint_every"):
-        train_heads(tmp_path, HeadTraining(**SMALL), checkpoint_every=bad)

@@ -1,69 +1,17 @@
 """MC-GASSL as a detector: whole games by Algorithm 2, other stages, and small or empty clusters."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from swarm_games import ANY_GAME, InOrder, Known, game, play_any, played
 
 import usnet_env
-from detectors.clustering import Clustering
 from detectors.gassl import Gassl
 from detectors.mc_gassl import McGassl
 from usnet_env import ArgumentError
 
 SMALL = {"gassl": {"steps": 2}}
-
-
-def game(seed=0, **arguments):
-    """The environment and the first window of a swarm."""
-    arguments = {"follow": "f1", "clusters": 2, "uavs": 14, "observation_steps": 40} | arguments
-    env = gym.make("USNET/MultiCluster-v0", **arguments).unwrapped
-    observation, _ = env.reset(seed=seed)
-    return env, usnet_env.Window.from_observation(observation)
-
-
-def played(detector, seed=0, **arguments):
-    """A whole game: detections round by round, and the last info."""
-    env, window = game(seed, **arguments)
-    detector.reset(seed)
-    detections, over, info = [], False, {}
-    while not over:
-        detections.append(detector.detect(window))
-        assert not (detections[-1].candidates & ~window.alive).any()
-        observation, _, terminated, truncated, info = env.step(detections[-1].candidates)
-        window = usnet_env.Window.from_observation(observation)
-        over = terminated or truncated
-    return detections, info
-
-
-def part_of(window, alive):
-    """The window if only some UAVs are alive."""
-    return usnet_env.Window(window.position, window.velocity, window.seen & alive, alive, 3)
-
-
-class InOrder:
-    """A clusterer that divides the living UAVs by index into ``count`` clusters."""
-
-    def __init__(self, count=1):
-        self.count = count
-
-    def cluster(self, window, rng):
-        living = np.flatnonzero(window.alive)
-        labels = np.full(window.uavs, -1)
-        labels[living] = np.arange(len(living)) * self.count // len(living)
-        return Clustering(labels, self.count)
-
-
-class Known:
-    """A clusterer that knows the clusters."""
-
-    def __init__(self, leader):
-        self.leader = leader
-
-    def cluster(self, window, rng):
-        labels = np.unique(self.leader, return_inverse=True)[1]
-        return Clustering(labels, int(labels.max()) + 1)
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
@@ -150,17 +98,6 @@ def test_the_candidate_of_a_small_cluster_is_random():
     assert named == set(range(14))
 
 
-@pytest.mark.parametrize("alive", [0, 1, 2])
-def test_fewer_than_three_living_uavs(alive):
-    _, window = game()
-    some = np.arange(14) < alive
-    detector = McGassl(**SMALL)
-    detector.reset(0)
-    answer = detector.detect(part_of(window, some))
-    assert answer.candidates.sum() == min(1, alive)
-    assert not (answer.candidates & ~some).any()
-
-
 def test_a_random_start_is_not_the_meta_trained_one():
     _, window = game()
     losses = {}
@@ -178,22 +115,9 @@ def test_there_is_one_loss_for_each_step_of_online_training(steps):
     assert len(detector.detect(game()[1]).extras["online_loss"]) == steps
 
 
-def test_the_seed_decides():
-    _, window = game()
-    answers = []
-    for _ in range(2):
-        detector = McGassl(**SMALL)
-        detector.reset(7)
-        answers.append(detector.detect(window))
-    for field in ("candidates", "scores", "clusters", "leader", "attention"):
-        np.testing.assert_array_equal(getattr(answers[0], field), getattr(answers[1], field))
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"clusterer": "k-means"}, "clusterer must be one of"),
-        ({"clusterer": 3}, "clusterer must be a name or have cluster"),
         ({"gru_mode": "last"}, "gru_mode must be one of"),
         ({"start": "cold"}, "start must be one of"),
         ({"sampling": "easy"}, "sampling must "),
@@ -233,37 +157,19 @@ def test_a_window_in_which_all_is_masked_teaches_nothing():
     np.testing.assert_array_equal(detector.detect(window).scores, undisturbed.detect(window).scores)
 
 
-ANY_GAME = given(
-    uavs=st.integers(3, 40),
-    clusters=st.integers(1, 8),
-    follow=st.sampled_from(["f1", "f4", "f6", "f7", "none"]),
-    steps=st.integers(6, 40),
-    miss_rate=st.sampled_from([0.0, 0.3]),
-    decoys=st.integers(0, 2),
-    rounds=st.integers(1, 4),
-    clusterer=st.sampled_from(["kmeans", "spectral", "agglomerative", "hdbscan", "snmf"]),
-    features=st.sampled_from(["gru", "raw"]),
-    seed=st.integers(0, 2**31 - 1),
-)
+CLUSTERERS = st.sampled_from(["kmeans", "spectral", "agglomerative", "hdbscan", "snmf"])
+FEATURES = st.sampled_from(["gru", "raw"])
 
 
-def play_any(uavs, clusters, follow, steps, miss_rate, decoys, rounds, clusterer, features, seed):
-    clusters = max(1, min(clusters, (uavs - decoys) // 3)) if follow != "none" else 1
-    uavs = max(uavs, 3 * clusters + decoys)
+def play(clusterer, features, **arguments):
     count = "own" if clusterer == "hdbscan" else "gap-one-se"
-    detector = McGassl(clusterer=clusterer, features=features, count=count, **SMALL)
-    detections, info = played(
-        detector, seed, uavs=uavs, clusters=clusters, follow=follow, observation_steps=steps, miss_rate=miss_rate,
-        decoys=decoys, max_rounds=rounds,
-    )  # fmt: skip
-    assert 1 <= len(detections) <= rounds
-    assert info["round"] == len(detections)
+    play_any(McGassl(clusterer=clusterer, features=features, count=count, **SMALL), **arguments)
 
 
 @settings(max_examples=8, deadline=None)
-@ANY_GAME
+@given(clusterer=CLUSTERERS, features=FEATURES, **ANY_GAME)
 def test_any_game_is_played_to_its_end(**arguments):
-    play_any(**arguments)
+    play(**arguments)
 
 
 def test_a_cluster_of_which_no_velocity_was_seen():
@@ -280,6 +186,6 @@ def test_a_cluster_of_which_no_velocity_was_seen():
 
 @pytest.mark.slow
 @settings(max_examples=500, deadline=None)
-@ANY_GAME
+@given(clusterer=CLUSTERERS, features=FEATURES, **ANY_GAME)
 def test_hundreds_of_games_are_played_to_their_end(**arguments):
-    play_any(**arguments)
+    play(**arguments)

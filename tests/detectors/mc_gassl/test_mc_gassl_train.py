@@ -1,11 +1,11 @@
 """Off-line training: the same weights whether interrupted or not, and better than a random start."""
 
-import csv
 import json
 
 import numpy as np
 import pytest
 import torch
+from interrupted_training import Interrupted, read_losses, same_files, stop_at, unchanged_generators
 
 from detectors.mc_gassl.train import MetaTraining, draw_task, train_meta
 from detectors.mc_gassl.weights import load_weights
@@ -14,33 +14,18 @@ from usnet_env.config import ArgumentError
 SMALL = {"strategies": 3, "episodes": 12, "uavs": 16, "clusters": 3, "observation_steps": 12, "times": 2, "anchors": 20}
 
 
-class Interrupted(Exception):
-    """Stands for whatever ends a training early."""
-
-
-def stop_at(limit):
-    def progress(done, total):
-        if done >= limit:
-            raise Interrupted
-
-    return progress
-
-
 @pytest.mark.parametrize("method", ["meta", "joint"])
 def test_interrupted_training_goes_on_to_the_identical_result(tmp_path, method):
     training = MetaTraining(method=method, **SMALL)
-    before = torch.random.get_rng_state(), np.random.get_state()[1].tobytes()  # noqa: NPY002  # must stay as it is
-    whole = train_meta(tmp_path / "whole", training, checkpoint_every=100)
-    with pytest.raises(Interrupted):
-        train_meta(tmp_path / "parts", training, stop_at(3 + 5), checkpoint_every=5)
-    assert not (tmp_path / "parts" / f"{method}.safetensors").exists()
-    calls = []
-    parts = train_meta(tmp_path / "parts", training, lambda *call: calls.append(call), checkpoint_every=5)
+    with unchanged_generators():
+        train_meta(tmp_path / "whole", training, checkpoint_every=100)
+        with pytest.raises(Interrupted):
+            train_meta(tmp_path / "parts", training, stop_at(3 + 5), checkpoint_every=5)
+        assert not (tmp_path / "parts" / f"{method}.safetensors").exists()
+        calls = []
+        train_meta(tmp_path / "parts", training, lambda *call: calls.append(call), checkpoint_every=5)
     assert calls == [(1, 15), (2, 15), (3, 15), (13, 15), (15, 15)]
-    for name in (f"{method}.safetensors", f"{method}.json", "losses.csv", "checkpoint.safetensors"):
-        assert (whole.parent / name).read_bytes() == (parts.parent / name).read_bytes()
-    assert torch.equal(before[0], torch.random.get_rng_state())
-    assert before[1] == np.random.get_state()[1].tobytes()  # noqa: NPY002
+    same_files(tmp_path / "whole", tmp_path / "parts")
 
 
 def test_training_can_be_prolonged_but_not_cut_short_or_changed(tmp_path):
@@ -62,13 +47,9 @@ def test_what_is_written(tmp_path):
     path = train_meta(tmp_path, training)
     record = json.loads((tmp_path / "meta.json").read_text())
     assert load_weights(path).width == 3
-    assert record["training"] == {
-        **training.model_dump(mode="json"),
-        "torch": torch.__version__,
-        "numpy": np.__version__,
-    }
-    with (tmp_path / "losses.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    versions = {"torch": torch.__version__, "numpy": np.__version__}
+    assert record["training"] == training.model_dump(mode="json") | versions
+    rows = read_losses(tmp_path)
     assert [int(row["episode"]) for row in rows] == list(range(1, 13))
     losses = [float(row["loss"]) for row in rows]
     assert record["metrics"]["last_loss"] == pytest.approx(np.mean(losses[-6:]))

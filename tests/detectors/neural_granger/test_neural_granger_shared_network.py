@@ -53,21 +53,26 @@ def test_one_network_serves_clusters_that_fly_in_different_directions():
     assert (found.gain[follower] > 0.25).float().mean() > 0.7
 
 
-def test_a_second_pass_mends_a_wrong_head():
+SHORT = PerCandidate(steps=80)  # enough for an easy swarm
+
+
+@pytest.mark.parametrize("settings", [SHORT, pytest.param(PerCandidate(), marks=pytest.mark.slow)])
+def test_a_second_pass_mends_a_wrong_head(settings):
     batch, head = swarm("f1")
     heads = head.unique()
     followers = (head != torch.arange(12)).nonzero()[:, 0]
     wrong = head.clone()
     moved = followers[head[followers] == heads[0]][:1]
     wrong[moved] = heads[1]
-    found = follow_by_shared_network(batch, wrong, heads, PerCandidate(), generator(), passes=2)
+    found = follow_by_shared_network(batch, wrong, heads, settings, generator(), passes=2)
     np.testing.assert_array_equal(found.leader[followers], head[followers])
 
 
-def test_without_followers_there_is_no_gain():
+@pytest.mark.parametrize("settings", [SHORT, pytest.param(PerCandidate(), marks=pytest.mark.slow)])
+def test_without_followers_there_is_no_gain(settings):
     batch, _ = swarm("none")
     head = torch.tensor([0] * 6 + [6] * 6)
-    found = follow_by_shared_network(batch, head, torch.arange(12), PerCandidate(), generator())
+    found = follow_by_shared_network(batch, head, torch.arange(12), settings, generator())
     assert found.count_followers(0.4).max() < 2
 
 

@@ -1,11 +1,13 @@
-"""Windows of single clusters for the tests of GASSL, and the heads of the clusters."""
+"""Windows of single clusters, their heads, and what the tests of GASSL and neural-granger do with the answers."""
 
 from __future__ import annotations
 
 import gymnasium as gym
 import numpy as np
+import torch
 
 import usnet_env
+from detectors.neural_granger.inputs import Samples, build_samples
 
 
 def cluster(seed=0, follow="f1", followers=4, **arguments):
@@ -23,14 +25,39 @@ def clusters(count, first_seed=0, **arguments):
 
 
 def named(detections):
-    """The first candidate of each detection."""
-    return np.array([int(np.flatnonzero(d.candidates)[0]) for d in detections])
+    """The candidate of each detection; -1 where none is named."""
+    return np.array([int(np.flatnonzero(d.candidates)[0]) if d.candidates.any() else -1 for d in detections])
+
+
+def rate(found, heads):
+    """The share of detections that name the head."""
+    return float((named(found) == heads).mean())
+
+
+def same(one, two):
+    """Both detections are equal in all parts."""
+    for name in ("candidates", "scores", "leader", "attention"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+    assert one.extras.keys() == two.extras.keys()
+    for name, value in one.extras.items():
+        np.testing.assert_array_equal(value, two.extras[name])
+
+
+def samples(windows, memory=4) -> Samples:
+    return build_samples(windows, [np.arange(window.uavs) for window in windows], memory, torch.device("cpu"))
 
 
 def changed(window, **arrays):
     """The same window with some arrays replaced."""
     parts = {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round")}
     return usnet_env.Window(**{**parts, **arrays})
+
+
+def renumbered(windows, order):
+    """The windows with the UAVs in another order."""
+    return [
+        changed(w, position=w.position[:, order], velocity=w.velocity[:, order], seen=w.seen[:, order]) for w in windows
+    ]
 
 
 def without(window, gone):

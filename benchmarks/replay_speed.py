@@ -1,0 +1,65 @@
+"""Measure time, size and memory of writing a recording of 1,000 UAVs and 10 rounds.
+
+    python benchmarks/replay_speed.py
+
+The result is in ``benchmarks/results/replay_speed.json``.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import gymnasium as gym
+import rerun  # noqa: F401  # its import is not measured
+
+import usnet_env.envs  # noqa: F401  # registers the environments
+from usnet_env import make_detector
+from usnet_env.provenance import versions
+from usnet_env.replay import record_episode, write_recording
+
+UAVS, CLUSTERS, ROUNDS = 1_000, 20, 10
+TARGET = Path(__file__).parent / "results" / "replay_speed.json"
+
+
+def read_memory() -> float:
+    """Resident memory of this process in megabytes."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096 / 1e6
+
+
+def main() -> None:
+    env = gym.make("USNET/MultiCluster-v0", clusters=CLUSTERS, uavs=UAVS, follow="f3", max_rounds=ROUNDS)
+    record = record_episode(env, make_detector("random"), seed=0, detector_seed=1)
+    before, peak, running = read_memory(), [0.0], True
+
+    def watch() -> None:
+        while running:
+            peak[0] = max(peak[0], read_memory())
+            time.sleep(0.005)
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        path = write_recording(record, Path(folder) / "replay.rrd")
+        seconds, size = time.perf_counter() - began, path.stat().st_size
+    running = False
+    thread.join()
+    result = {
+        "uavs": UAVS,
+        "rounds": record.rounds,
+        "seconds": round(seconds, 2),
+        "file_MB": round(size / 1e6, 1),
+        "memory_beyond_the_game_MB": round(peak[0] - before, 1),
+        "versions": versions(["rerun-sdk"]),
+    }
+    TARGET.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    print(json.dumps(result, indent=2))
+
+
+if __name__ == "__main__":
+    main()

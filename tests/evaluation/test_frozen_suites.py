@@ -1,0 +1,109 @@
+"""Frozen suites: their files do not change without a new version, and detectors are compared on all cells."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from usnet_env import ArgumentError
+from usnet_env.evaluation import SuiteResult, evaluate_suite, list_suites, load_suite
+from usnet_env.evaluation.environments import find_environment, make_environment
+
+HASHES = json.loads((Path(__file__).parent / "data" / "suite_hashes.json").read_text())
+SUITE = """
+version: 2
+purpose: A test.
+episodes: 2
+seed: 4711
+tuning_seed: 7
+arguments: {clusters: 2, uavs: 12, observation_steps: 20, max_rounds: 3}
+cells:
+  plain:
+  other: {follow: f4}
+"""
+
+
+class Raising:
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        raise RuntimeError("no answer today")
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "own.yaml"
+    path.write_text(SUITE)
+    return path
+
+
+def test_no_file_changed_without_a_new_version():
+    """A changed file needs a new version, and a line of its own in tests/evaluation/data/suite_hashes.json."""
+    for name, suite in list_suites().items():
+        assert HASHES[name][str(suite.version)] == suite.digest
+        assert suite.version == max(map(int, HASHES[name]))
+
+
+def test_every_cell_can_be_made():
+    for suite in list_suites().values():
+        for cell in suite.cells.values():
+            make_environment(find_environment(cell.env), cell.arguments).close()
+
+
+def test_seeds_of_suites_differ():
+    suites = list_suites().values()
+    seeds = [seed for suite in suites for seed in (suite.seed, suite.tuning_seed)]
+    assert len(set(seeds)) == len(seeds)
+
+
+def test_a_suite_of_ones_own_is_played_kept_and_read(path, tmp_path):
+    played = evaluate_suite(path, ["lagged-regression", "none"], isolate=False, out=tmp_path / "run")
+    assert played.suite.label == "own (version 2)"
+    assert list(played.results) == ["plain", "other"]
+    assert {entry["episodes"] for entry in played.summary} == {4}
+    assert played.results["other"].config["seed"] == 4711
+    lines = played.to_markdown().splitlines()
+    assert lines[0] == "| own | lagged-regression | none |"
+    assert len(lines) == 5
+    assert played.cell("plain", "none", "J").mean == 3.0
+    read = SuiteResult.load(tmp_path / "run", path)
+    assert read.to_markdown("J") == played.to_markdown("J")
+    more = evaluate_suite(path, "none", cells=["other"], episodes=3, isolate=False, out=tmp_path / "run")
+    assert more.cell("other", "none", "rounds").mean == 3.0
+
+
+def test_a_detector_that_fails_in_a_cell_does_not_stop_the_others(path):
+    played = evaluate_suite(path, [Raising(), "none"], isolate=False)
+    assert set(played.failures) == {"plain", "other"}
+    assert "no answer today" in played.failures["plain"]
+    assert [entry["detector"] for entry in played.summary] == ["none"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[1", "suite must be a YAML file that can be read"),
+        ("a: 1", "suite must be a YAML file with a mapping of cells"),
+        (SUITE + "  last: {follow: f99}\n", "follow must be one of"),
+        (SUITE.replace("seed: 4711", "seed: 4"), "seed must be greater than or equal to 1000, got 4."),
+        (SUITE.replace("purpose: A test.", ""), "suite must have purpose, got none in own.yaml."),
+        (SUITE + "extra: 3\n", "extra is not an argument of FrozenSuite"),
+        (SUITE.replace("plain:", "plain: 3"), "plain must map names to arguments, got 3 in own.yaml."),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_sentence_before_anything_is_played(path, tmp_path, text, message):
+    path.write_text(text)
+    with pytest.raises(ArgumentError) as refused:
+        evaluate_suite(path, "none", out=tmp_path / "run")
+    assert str(refused.value).startswith(message)
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_unknown_name_is_refused():
+    with pytest.raises(ArgumentError, match=r"suite must be one of .*paper.*\(did you mean 'paper'\?\)"):
+        load_suite("papr")
+    with pytest.raises(ArgumentError, match="cells must be one of"):
+        evaluate_suite("paper", "none", cells=["f9"])

@@ -1,0 +1,72 @@
+"""The page of an episode: what it says, and in a real browser that it loads without errors and its scrubber works."""
+
+from __future__ import annotations
+
+import html
+import re
+import shutil
+import subprocess
+
+import pytest
+from small_episode import MIND, small_episode
+
+from usnet_env.replay.page import write_episode_page, write_page
+
+pytest.importorskip("matplotlib")
+
+BROWSER = next(
+    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
+)
+#: At the end of the page: move the scrubber, and write what is seen before and after into the page.
+PROBE = """<script>
+const slider = document.querySelector("input"), img = document.querySelector("img"), first = img.src;
+const words = () => document.querySelector(".now").textContent;
+const before = words();
+slider.value = slider.max; slider.dispatchEvent(new Event("input"));
+document.body.insertAdjacentHTML("beforeend", `<pre id="probe">${[window.failed || "no error", first !== img.src,
+  before !== words(), img.naturalWidth > 100, document.documentElement.scrollWidth <= innerWidth].join()}</pre>`);
+</script>"""
+WATCH = "<script>window.onerror = (text) => { window.failed = text; };</script>"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    return write_episode_page(small_episode(), tmp_path_factory.mktemp("page") / "report.html")
+
+
+def test_the_page_holds_everything_and_loads_nothing(page):
+    text = page.read_text()
+    assert not re.search(r"""(src|href)=["'](?!data:image/png;base64,|episode\.npz)""", text)
+    assert "http" not in re.sub("base64,[^'\"]*", "", text)
+    words = html.unescape(re.sub("<[^>]*>", " ", text))
+    assert "All 2 heads found in 2 rounds with 1 redundant candidate: J = 2.083" in words
+    assert "redundant. Adds 2 nats." in words
+    assert page.stat().st_size < 1_000_000
+    assert "prefers-color-scheme: dark" in text
+
+
+def test_names_cannot_break_the_page(tmp_path):
+    record = small_episode(detector="<b>&amp;</script>", **dict.fromkeys(MIND))
+    text = write_page("a < b", {"x": record}, tmp_path / "e.html").read_text()
+    assert "&lt;b&gt;&amp;amp;&lt;/script&gt;" in text
+    assert "<title>a &lt; b</title>" in text
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
+@pytest.mark.parametrize("size", ["1280,900", "500,900"])
+def test_the_scrubber_changes_the_picture_in_a_browser(page, tmp_path, size):
+    text = page.read_text()
+    copy = tmp_path / "probe.html"
+    copy.write_text(text.replace("<body>", f"<body>{WATCH}").replace("</body>", f"{PROBE}</body>"))
+    words = [
+        BROWSER,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        f"--window-size={size}",
+        "--dump-dom",
+        copy.as_uri(),
+    ]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True)
+    assert re.search('id="probe">(.*?)</pre>', done.stdout)[1] == "no error,true,true,true,true"

@@ -1,0 +1,68 @@
+"""Episodes of every model and version, as numbers on disk.
+
+    python tests/swarm/frozen_episodes.py       # adds what is missing to data/frozen_episodes.json
+
+An entry is never changed: a model that flies differently gets a new ``version``, and so a new entry. The numbers are
+positions rather than a hash of them, because processors and libraries may differ in the last bit of a float.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usnet_env.envs.field import DISTRIBUTION
+from usnet_env.swarm import SwarmConfig, advance, destroy, start
+from usnet_env.swarm.follow import FIELD_MODELS
+from usnet_env.swarm.kinematics import KINEMATICS
+
+__all__ = ["FILE", "make_entries"]
+
+FILE = Path(__file__).parent / "data" / "frozen_episodes.json"
+
+
+def fly(**arguments: Any) -> list[float]:
+    """Positions of four UAVs in the middle and at the end of two windows with a destruction between them."""
+    config = SwarmConfig(
+        **{
+            "clusters": 3, "uavs": 30, "memory": 12, "observation_steps": 30, "formation": "around",
+            "mobility": "gauss_markov", **arguments,
+        }
+    )  # fmt: skip
+    rng = np.random.default_rng(7)
+    state, places = start(config, [rng]), []
+    for _ in range(2):
+        state, window = advance(config, state, [rng])
+        places.append(window.position[0, [15, 30]][:, [3, 9, 17, 28]])
+        gone = np.zeros((1, 30), bool)
+        gone[0, [1, 5, 20]] = True
+        gone[0, np.flatnonzero(state.head[0])[:1]] = True
+        state = destroy(state, gone)
+    return np.round(np.concatenate(places).ravel().astype(float), 3).tolist()
+
+
+def make_entries() -> dict[str, Callable[[], Any]]:
+    """What makes each entry, by its name: kind, model and version."""
+    entries: dict[str, Callable[[], Any]] = {
+        **{
+            f"follow {name} {model.version}": lambda name=name: fly(follow=name) for name, model in FIELD_MODELS.items()
+        },
+        **{
+            f"kinematics {name} {KINEMATICS[name].version}": lambda name=name: fly(follow="f2", kinematics=name)
+            for name in ("unit", "varied_speed", "lagged", "limited", "layered")
+        },
+        "bystanders 1": lambda: fly(follow="f2", bystanders=6, traffic=7),
+        f"distribution {DISTRIBUTION.version}": lambda: [DISTRIBUTION.draw(np.random.default_rng(s)) for s in range(4)],
+    }
+    return entries
+
+
+if __name__ == "__main__":
+    frozen = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
+    frozen |= {name: make() for name, make in make_entries().items() if name not in frozen}
+    lines = ",\n".join(f" {json.dumps(name)}: {json.dumps(entry)}" for name, entry in sorted(frozen.items()))
+    FILE.write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")

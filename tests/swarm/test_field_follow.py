@@ -1,0 +1,525 @@
+"""Field models: each by its behaviour, against a slow reading of its equation, and a batch against single swarms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from usnet_env import ArgumentError
+from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
+from usnet_env.swarm import SwarmConfig, advance, destroy, follow_strategies, start
+from usnet_env.swarm.field_follow import (
+    Chain,
+    CuckerSmale,
+    Frontness,
+    PartialTurns,
+    PartTime,
+    Pigeons,
+    Reference,
+    Switching,
+    UnequalDelays,
+)
+from usnet_env.swarm.field_kernels import DELAY, GAIN, KINDS, OFFSET, SALT, hash_draw
+from usnet_env.swarm.flock_follow import Couzin, Predator, Shepherd, Vicsek
+from usnet_env.swarm.follow import FIELD_MODELS, follow_strategy
+
+NAMES = sorted(FIELD_MODELS)
+
+
+def fly(follow, rounds=1, seed=0, **arguments):
+    """The last of some windows of a swarm, and the state before it, as single episodes."""
+    config = SwarmConfig(**{"follow": follow, "memory": 12, "clusters": 2, "uavs": 24, **arguments})
+    rngs = [np.random.default_rng(seed)]
+    state = start(config, rngs)
+    for _ in range(rounds):
+        before = state
+        state, window = advance(config, state, rngs)
+    return before.episode(), window
+
+
+def flown(window):
+    return window.velocity[0].astype(float), window.position[0].astype(float)
+
+
+def table_of(state):
+    return state.parameters.reshape(7, -1)
+
+
+def unit(x):
+    return x / np.linalg.norm(x, axis=-1, keepdims=True)
+
+
+def members_of(state, i):
+    """The living UAVs of the flock of UAV i: the same end of the chain of sources."""
+
+    def top(a):
+        follows = ~(state.head | state.decoy)
+        while a < len(state.source) and follows[a] and state.source[a] not in (a, -1):
+            a = state.source[a]
+        return a
+
+    return [j for j in np.flatnonzero(state.alive & ~state.bystander) if top(j) == top(i)]
+
+
+def best_delay(led, flew, most=20):
+    """The delay at which the cosine of two tracks is largest (Nagy et al. 2010)."""
+    return max(range(1, most), key=lambda d: (unit(led[most - d : -d]) * unit(flew[most:])).sum(axis=1).mean())
+
+
+def test_every_model_says_what_it_is_and_where_it_is_from():
+    assert set(NAMES) <= set(follow_strategies())
+    for model in FIELD_MODELS.values():
+        assert model.equation
+        assert model.citation
+        assert model.breaks
+        assert model.version >= 1
+    with pytest.raises(ArgumentError, match="direction must be that of f1 to f7, got the field model Chain"):
+        Chain().direction(None)
+
+
+# Copies
+
+
+def test_delays_differ_between_followers():
+    state, window = fly(UnequalDelays(gains=(1, 1)), observation_steps=300)
+    v, _ = flown(window)
+    delay = table_of(state)[DELAY]
+    followers = np.flatnonzero(~state.head)
+    measured = [best_delay(v[:, state.leader[i]], v[:, i]) for i in followers]
+    np.testing.assert_array_equal(measured, delay[followers])
+    assert len(set(measured)) > 5
+
+
+def test_gains_and_noise_differ_between_followers():
+    state, window = fly("unequal_delays", observation_steps=2000)
+    v, _ = flown(window)
+    gain, delay = table_of(state)[GAIN], table_of(state)[DELAY].astype(int)
+    for i in np.flatnonzero(~state.head)[:5]:
+        led, d = v[:, state.leader[i]], delay[i]
+        wanted = (1 - gain[i]) * v[d - 1 : -1, i] + gain[i] * led[: len(v) - d]
+        error = v[d:, i] - unit(wanted)
+        size = np.sqrt((error**2).sum(axis=1).mean() / 2) * np.linalg.norm(wanted, axis=1).mean()
+        assert size == pytest.approx(table_of(state)[2, i], rel=0.35)
+
+
+def links_of(state, i, links):
+    """The UAVs above UAV i and the delays to them, as the equation of the models of copying says."""
+    above, late, a, delay = [], [], i, 0
+    while len(above) < links and not state.head[a]:
+        delay += int(table_of(state)[DELAY, a])
+        a = state.source[a]
+        above.append(a)
+        late.append(delay)
+    return above, late
+
+
+@pytest.mark.parametrize("name", ["unequal_delays", "chain", "pigeons", "cucker_smale", "part_time", "partial_turns"])
+def test_copies_obey_their_equation(name):
+    model = replace(FIELD_MODELS[name], noise=0.0, idle_noise=0.0, noises=(1, 1))
+    model = model if name != "unequal_delays" else replace(model, noise=1e-9)
+    state, window = fly(model, formation="around")
+    v, p = flown(window)
+    gain, salt = table_of(state)[GAIN], table_of(state)[SALT]
+    for i in np.flatnonzero(~state.head)[::3]:
+        above, late = links_of(state, i, model.links)
+        for t in range(max(late), 90):
+            clock = int(state.clock) + 12 + t
+            asked = {"part_time": state.leader[i], "partial_turns": i}.get(name)
+            if asked is not None and hash_draw(salt[asked], clock // model.block) >= model.share:
+                wanted = v[t - 1, i]
+            elif name == "cucker_smale":
+                late = [1] * len(above)
+                near = [(np.linalg.norm(p[t, a] - p[t, i]) / model.scale) ** 2 for a in above]
+                weight = [model.strength / len(near) / (1 + square) ** 0.4 for square in near]
+                wanted = v[t - 1, i] + sum(w * (v[t - 1, a] - v[t - 1, i]) for w, a in zip(weight, above, strict=True))
+            else:
+                copied = np.mean([v[t - d, a] for d, a in zip(late, above, strict=True)], axis=0)
+                wanted = (1 - gain[i]) * v[t - 1, i] + gain[i] * copied
+            if t:
+                np.testing.assert_allclose(v[t, i], unit(wanted), atol=2e-3)
+
+
+def depth_of(state, i):
+    return 0 if state.head[i] else 1 + depth_of(state, state.source[i])
+
+
+@pytest.mark.parametrize("depth", [1, 2, 3])
+def test_a_chain_of_command_has_its_depth(depth):
+    state, window = fly(Chain(depth=depth), uavs=40, observation_steps=200)
+    v, _ = flown(window)
+    depths = [depth_of(state, i) for i in range(40)]
+    assert max(depths) == depth
+    for i in range(40):
+        a = i
+        while not state.head[a]:
+            a = state.source[a]
+        assert a == state.leader[i]
+        if depths[i]:
+            assert best_delay(v[:, state.leader[i]], v[:, i]) == depths[i]
+    np.testing.assert_array_equal(state.direct, state.source)
+
+
+def test_pigeons_delays_add_up_along_the_hierarchy():
+    state, window = fly(replace(Pigeons(), gains=(1, 1), links=1), uavs=20, clusters=1, observation_steps=300)
+    v, _ = flown(window)
+    delay = table_of(state)[DELAY].astype(int)
+    total = np.zeros(20, int)
+    for i in range(20):
+        a = i
+        while not state.head[a]:
+            total[i] += delay[a]
+            a = state.source[a]
+    followers = np.flatnonzero(~state.head & (total < 18))
+    measured = [best_delay(v[:, state.leader[i]], v[:, i]) for i in followers]
+    np.testing.assert_array_equal(measured, total[followers])
+    assert np.isin(state.source, np.flatnonzero(~state.head)).any()  # followers lead followers
+
+
+def test_a_hierarchical_flock_reaches_the_course_of_its_head():
+    state, window = fly("cucker_smale", formation="around", mobility="straight", rounds=2)
+    v, _ = flown(window)
+    along = (v[-20:] * v[-20:, state.leader]).sum(axis=-1)
+    assert along.min() > 0.95
+    far = fly(CuckerSmale(scale=0.01), formation="around", mobility="straight")[1]
+    assert (far.velocity[0, -1] * far.velocity[0, -1][state.leader]).sum(axis=-1).min() < 0.9
+
+
+def copying(v, state, i):
+    """The steps in which UAV i copies its leader, by the cosine."""
+    return (v[1:, i] * v[:-1, state.leader[i]]).sum(axis=1) > 0.95
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7])
+def test_heads_lead_a_share_of_the_time(share):
+    state, window = fly(PartTime(share=share), observation_steps=1500)
+    v, _ = flown(window)
+    for h in np.flatnonzero(state.head):
+        together = np.array([copying(v, state, i) for i in np.flatnonzero(state.leader == h) if i != h])
+        assert together.mean() == pytest.approx(share, abs=0.12)
+        assert (together.std(axis=0) < 0.4).mean() > 0.9  # all followers of a head at the same time
+
+
+def test_only_some_followers_answer_a_turn():
+    state, window = fly(PartialTurns(share=0.5), observation_steps=1500)
+    v, _ = flown(window)
+    together = np.array([copying(v, state, i) for i in np.flatnonzero(~state.head)])
+    np.testing.assert_allclose(together.mean(axis=1), 0.5, atol=0.15)
+    assert together.std(axis=0).mean() > 0.3  # each by itself
+    changes = np.flatnonzero(np.diff(together[0].astype(int)))
+    assert len(changes) < 2 * 1500 / PartialTurns().block
+
+
+# Several strategies
+
+
+@pytest.mark.parametrize("name", ["mixed", "switching"])
+def test_followers_fly_by_f1_to_f6(name):
+    model = replace(FIELD_MODELS[name], noise=0.0)
+    state, window = fly(model, observation_steps=120)
+    v, p = flown(window)
+    salt, kinds = table_of(state)[SALT], set()
+    for i in np.flatnonzero(~state.head)[::2]:
+        h = state.leader[i]
+        for t in range(4, 119):
+            block = (int(state.clock) + 12 + t) // model.block
+            kind = int(KINDS * hash_draw(salt[i], 0) if name == "mixed" else KINDS * hash_draw(salt[h], block))
+            kinds.add(kind)
+            past = v[t - 3 : t, h][::-1]
+            gap = p[t - 1, h] - p[t - 1, i]
+            wanted = [
+                past[0],
+                past[:2].sum(axis=0),
+                past.sum(axis=0),
+                (past[:2] ** 2).sum(axis=0),
+                (past**2).sum(axis=0),
+                past[0] + (np.linalg.norm(gap) > 60) * unit(gap),
+            ][kind]
+            np.testing.assert_allclose(v[t, i], unit(wanted), atol=3e-3)
+    assert len(kinds) >= 4
+
+
+def test_a_cluster_switches_within_a_window():
+    state, window = fly(Switching(noise=0.0), observation_steps=300)
+    v, _ = flown(window)
+    for h in np.flatnonzero(state.head):
+        i = np.flatnonzero((state.leader == h) & ~state.head)[0]
+        by_f1 = np.linalg.norm(v[1:, i] - v[:-1, h], axis=1) < 1e-3
+        assert 0 < by_f1.mean() < 1
+
+
+# Formations
+
+
+def slot_gap(model, state, v, p, t, i, source_v, source_p):
+    course = unit(source_v[t - model.smoothing : t].sum(axis=0))
+    level = unit(np.array([-course[1], course[0], 0.0]))
+    frame = np.stack([course, level, np.cross(course, level)], axis=1)
+    return source_p[t] + frame @ table_of(state)[OFFSET:, i].astype(float) - p[t, i]
+
+
+def test_formations_obey_their_equation():
+    model = Frontness(noise=0.0)
+    state, window = fly(model, formation="around", mobility="gauss_markov", rounds=2)
+    v, p = flown(window)
+    for i in np.flatnonzero(~state.head)[::4]:
+        h = state.leader[i]
+        for t in range(12, 90):
+            gap = slot_gap(model, state, v, p, t, i, v[:, h], p[:, h])
+            wanted = v[t - 1, h] + model.pull * gap / max(np.linalg.norm(gap), model.near)
+            np.testing.assert_allclose(v[t, i], unit(wanted), atol=5e-3)
+
+
+def test_heads_are_in_front_in_the_middle_or_behind():
+    ahead = []
+    for place in (-1, 0, 1):
+        arguments = {"formation": "around", "mobility": "gauss_markov", "rounds": 6, "observation_steps": 200}
+        state, window = fly(Frontness(place=place), **arguments)
+        v, p = flown(window)
+        gaps = [
+            (p[t, h] - p[t, (state.leader == h) & ~state.head]) @ unit(v[t - 12 : t, h].sum(axis=0))
+            for h in np.flatnonzero(state.head)
+            for t in range(20, 200, 10)
+        ]
+        ahead.append(np.mean(np.concatenate(gaps)))
+    assert ahead[0] < -3 < 0 < ahead[1] < 20 < 35 < ahead[2]  # followers are late, so the middle is a little in front
+
+
+def test_the_place_of_the_head_is_drawn():
+    offsets = [start_of("frontness", seed).parameters.reshape(7, -1)[OFFSET].mean() for seed in range(30)]
+    assert {int(np.round(offset / 40)) for offset in offsets} == {-1, 0, 1}
+
+
+def start_of(follow, seed=0, **arguments):
+    config = SwarmConfig(**{"follow": follow, "memory": 12, "clusters": 2, "uavs": 24, **arguments})
+    return start(config, [np.random.default_rng(seed)]).episode()
+
+
+@pytest.mark.parametrize("name", ["reference", "shepherd"])
+def test_swarms_that_no_uav_leads_have_no_heads_and_one_round(name):
+    env = MultiClusterEnv(follow=name, memory=12, clusters=2, uavs=24, reveal_truth=True, observation_steps=20)
+    observation, info = env.reset(seed=0)
+    assert not info["head"].any()
+    assert (info["leader"][~env.swarm.bystander] == -1).all()
+    assert (info["direct"][~env.swarm.bystander] == -1).all()
+    assert observation["seen"].all()
+    candidates = np.zeros(24, np.int8)
+    candidates[:2] = 1
+    _, reward, terminated, truncated, info = env.step(candidates)
+    assert (terminated, truncated, info["hits"], info["redundant"]) == (True, False, 0, 2)
+    assert reward == pytest.approx(-(1 + 2 / 24))
+    single = SingleClusterEnv(follow=name, memory=12, observation_steps=20)
+    for named, expected in ((0, 0.0), (1, -1.0), (3, -3.0)):
+        single.reset(seed=0)
+        candidates = np.zeros(16, np.int8)
+        candidates[:named] = 1
+        _, reward, terminated, _, info = single.step(candidates)
+        assert terminated
+        assert reward == info["J"] == expected
+
+
+def test_a_formation_keeps_its_shape_about_a_reference():
+    arguments = {"formation": "around", "mobility": "waypoint", "rounds": 4, "clusters": 1}
+    state, window = fly(Reference(noise=0.02), **arguments)
+    _, p = flown(window)
+    slots = table_of(state)[OFFSET:].T
+    gaps = np.linalg.norm(p[-1][:, None] - p[-1][None], axis=-1)
+    wanted = np.linalg.norm(slots[:, None] - slots[None], axis=-1)
+    assert np.corrcoef(gaps.ravel(), wanted.ravel())[0, 1] > 0.8
+    assert state.reference_position.shape == (13, 1, 3)
+    assert not state.head.any()
+
+
+# Flocks
+
+
+def flock_direction(model, state, v, p, t, i, members):
+    """The direction of one UAV, neighbour by neighbour."""
+    gap = {j: p[t, j] - p[t, i] for j in members if j != i}
+    distance = {j: np.linalg.norm(gap[j]) for j in gap}
+    close = [j for j in gap if distance[j] < model.repulsion]
+    aligned = [*(j for j in gap if distance[j] < model.alignment), i]
+    attracted = [j for j in gap if distance[j] < model.attraction]
+    if close:
+        wanted = unit(-sum(gap[j] / distance[j] for j in close))
+    elif len(aligned) > 1 or attracted:
+        wanted = model.align * np.mean([v[t - 1, j] for j in aligned], axis=0)
+        wanted = wanted + model.attract * sum(gap[j] / distance[j] for j in attracted) / max(len(attracted), 1)
+    else:
+        wanted = unit(p[t, members].mean(axis=0) - p[t, i])
+    for h in np.flatnonzero(state.bystander):
+        away = p[t, i] - p[t, h]
+        if np.linalg.norm(away) < model.flight:
+            wanted = wanted + model.flee * unit(away)
+    return wanted
+
+
+@pytest.mark.parametrize(("uavs", "clusters"), [(24, 2), (300, 1)])  # searched as a whole, and by cells
+@pytest.mark.parametrize("name", ["vicsek", "couzin", "predator", "shepherd"])
+def test_flocks_obey_their_equation(name, uavs, clusters):
+    model = replace(FIELD_MODELS[name], noise=0.0)
+    state, window = fly(
+        model, uavs=uavs, clusters=clusters, formation="around", mobility="gauss_markov", observation_steps=25
+    )
+    v, p = flown(window)
+    for i in np.flatnonzero(~(state.head | state.bystander))[:: uavs // 12]:
+        members = members_of(state, i)
+        for t in range(1, 25, 4):
+            wanted = unit(flock_direction(model, state, v, p, t, i, members))
+            np.testing.assert_allclose(v[t, i], wanted, atol=0.01)
+
+
+def order(model, seed=0, **arguments):
+    """The order parameter of a flock: the length of the mean direction."""
+    arguments = {"formation": "around", "mobility": "straight", "rounds": 2, "clusters": 1, "uavs": 40, **arguments}
+    _, window = fly(model, seed=seed, **arguments)
+    return np.linalg.norm(window.velocity[0, -20:].astype(float).mean(axis=1), axis=1).mean()
+
+
+def test_the_order_of_a_vicsek_flock_falls_with_the_noise():
+    orders = [np.mean([order(Vicsek(noise=noise), seed) for seed in range(3)]) for noise in (0.05, 0.5, 1.5, 5.0)]
+    assert orders == sorted(orders, reverse=True)
+    assert orders[0] > 0.9
+    assert orders[-1] < 0.5
+
+
+def test_couzin_flocks_keep_together_and_apart():
+    state, window = fly("couzin", formation="around", mobility="smooth_turn", rounds=4, clusters=1)
+    _, p = flown(window)
+    gaps = np.linalg.norm(p[-1][:, None] - p[-1][None], axis=-1)
+    followers = np.flatnonzero(~state.head)
+    nearest = np.partition(gaps, 1, axis=1)[:, 1]
+    assert np.median(nearest[followers]) > 0.4 * Couzin().repulsion
+    assert np.median(gaps[np.ix_(followers, followers)]) < Couzin().attraction
+
+
+def test_flocks_of_two_clusters_do_not_mix():
+    """The flight of a cluster doesn't change if the other one is destroyed, head and all."""
+    config = SwarmConfig(follow="couzin", memory=12, clusters=2, uavs=24, formation="around")
+    state = start(config, [np.random.default_rng(0)])
+    head = np.flatnonzero(state.head[0])[0]
+    other = np.flatnonzero(state.leader[0] != head)
+    gone = np.zeros((1, 24), bool)
+    gone[0, other] = True
+    one = advance(config, state, [np.random.default_rng(1)])[1]
+    two = advance(config, destroy(state, gone), [np.random.default_rng(1)])[1]
+    kept = np.setdiff1d(np.arange(24), other)
+    np.testing.assert_array_equal(one.position[0][:, kept], two.position[0][:, kept])
+
+
+def test_a_predator_chases_and_the_flock_flees():
+    arguments = {"formation": "around", "mobility": "smooth_turn", "rounds": 3, "clusters": 2}
+    state, window = fly("predator", **arguments)
+    v, p = flown(window)
+    assert state.bystander.sum() == 2
+    assert not (state.bystander & state.head).any()
+    for q in np.flatnonzero(state.bystander):
+        prey = np.flatnonzero(state.alive & ~state.bystander & (state.leader == state.source[q]))
+        gaps = p[:-1, prey] - p[:-1, None, q]
+        nearest = gaps[np.arange(len(v)), np.linalg.norm(gaps, axis=-1).argmin(axis=1)]
+        assert (unit(nearest) * v[:, q]).sum(axis=1).mean() > 0.9
+    assert Predator().flee > 0
+
+
+def test_a_shepherd_drives_its_flock():
+    """The flock moves where the mobility wants it, and the driver is behind it."""
+    arguments = {"formation": "around", "mobility": "straight", "rounds": 6, "clusters": 1}
+    state, window = fly("shepherd", **arguments)
+    _, p = flown(window)
+    wanted = state.reference_velocity[-1, 0]
+    driver = int(np.flatnonzero(state.bystander)[0])
+    flock = np.flatnonzero(~state.bystander)
+    moved = p[-1, flock].mean(axis=0) - p[0, flock].mean(axis=0)
+    assert unit(moved) @ wanted > 0.7
+    assert (p[-1, driver] - p[-1, flock].mean(axis=0)) @ wanted < 0
+    assert Shepherd().standoff > 0
+
+
+# All models
+
+
+@pytest.mark.parametrize("kinematics", ["unit", "limited"])
+@pytest.mark.parametrize("name", NAMES)
+def test_episode_b_of_a_batch_is_the_single_swarm(name, kinematics):
+    config = SwarmConfig(
+        follow=name, kinematics=kinematics, memory=12, clusters=3, uavs=60, decoys=2, bystanders=2, traffic=2,
+        observation_steps=25, formation="around", mobility="gauss_markov",
+    )  # fmt: skip
+    seeds = list(range(45))
+    rngs, alone = [np.random.default_rng(s) for s in seeds], [np.random.default_rng(seeds[40])]
+    batch, single = start(config, rngs), start(config, alone)
+    shooter = np.random.default_rng(1)
+    for _ in range(3):
+        batch, windows = advance(config, batch, rngs)
+        single, window = advance(config, single, alone)
+        for key in ("position", "velocity", "seen"):
+            np.testing.assert_array_equal(getattr(windows, key)[40], getattr(window, key)[0], err_msg=key)
+        assert np.isfinite(windows.velocity).all()
+        candidates = shooter.random(batch.alive.shape) < 0.2
+        for b in range(45):
+            candidates[b, np.flatnonzero(batch.head[b] & batch.alive[b])[:1]] = False
+        batch, single = destroy(batch, candidates), destroy(single, candidates[40:41])
+    for key, array in single.arrays().items():
+        np.testing.assert_array_equal(batch.arrays()[key][40], array[0], err_msg=key)
+
+
+@pytest.mark.parametrize("name", ["chain", "pigeons", "couzin", "predator"])
+def test_after_a_destruction_every_follower_has_a_living_leader(name):
+    config = SwarmConfig(follow=name, memory=12, clusters=3, uavs=40, decoys=1, bystanders=2)
+    rng = np.random.default_rng(0)
+    state = start(config, [rng])
+    for _ in range(3):
+        before = state
+        candidates = rng.random((1, 40)) < 0.2
+        candidates[0, np.flatnonzero((state.head & state.alive)[0])[-1]] = False
+        state = destroy(state, candidates)
+        one, old = state.episode(), before.episode()
+        for i in np.flatnonzero(one.alive & ~(one.head | one.decoy | one.bystander)):
+            assert one.alive[one.source[i]]
+            assert one.head[one.leader[i]]
+            assert one.alive[one.leader[i]]
+            assert one.leader[one.source[i]] == one.leader[i]
+            if one.alive[old.source[i]]:
+                assert one.source[i] == old.source[i]
+        state, _ = advance(config, state, [rng])
+
+
+def test_a_destroyed_sub_head_is_replaced_by_the_one_above_it():
+    config = SwarmConfig(follow=Chain(depth=2), memory=12, clusters=1, uavs=15)
+    state = start(config, [np.random.default_rng(0)])
+    one = state.episode()
+    sub_head = next(i for i in range(15) if one.source[i] == one.leader[i] != i and (one.source == i).any())
+    gone = np.zeros((1, 15), bool)
+    gone[0, sub_head] = True
+    after = destroy(state, gone).episode()
+    led = np.flatnonzero(one.source == sub_head)
+    np.testing.assert_array_equal(after.source[led], one.leader[led])
+    np.testing.assert_array_equal(after.leader[led], one.leader[led])
+
+
+def test_bystanders_and_traffic_are_no_heads_and_follow_no_uav():
+    config = SwarmConfig(follow="f1", clusters=2, uavs=40, bystanders=5, traffic=6, head_jitter=True)
+    rngs = [np.random.default_rng(0)]
+    state = start(config, rngs)
+    _, window = advance(config, state, rngs)
+    one, v = state.episode(), window.velocity[0].astype(float)
+    assert one.bystander.sum() == 11
+    assert not (one.bystander & (one.head | one.decoy)).any()
+    np.testing.assert_array_equal(one.leader[one.bystander], np.flatnonzero(one.bystander))
+    assert not np.isin(one.leader[~one.bystander], np.flatnonzero(one.bystander)).any()
+    straight = np.ptp(v, axis=0).max(axis=1) < 1e-5
+    assert straight.sum() == 6
+    assert one.bystander[straight].all()
+    assert np.abs(v[:, straight, 2]).max() < 1e-6
+    courses = {tuple(np.round(np.abs(v[0, i, :2]), 3)) for i in np.flatnonzero(straight)}
+    assert len(courses) <= 3  # three corridors, both ways
+    with pytest.raises(ArgumentError, match=r"uavs must be at least 3 \* clusters \+ decoys \+ traffic = 36"):
+        SwarmConfig(clusters=2, uavs=20, traffic=30)
+
+
+def test_a_swarm_without_field_models_is_as_before():
+    """The arrays that field models need have their defaults."""
+    state = start_of(follow_strategy("f1"))
+    np.testing.assert_array_equal(state.source, state.leader)
+    np.testing.assert_array_equal(state.direct, state.leader)
+    assert not state.bystander.any()
+    assert state.reference_position.shape[1] == state.kinematic_state.shape[1] == 0

@@ -1,0 +1,110 @@
+"""The commands that show episodes: from a run with recorded failures to a replay and a page."""
+
+from __future__ import annotations
+
+import subprocess
+
+import pytest
+
+from usnet_env.cli import main
+from usnet_env.replay import EpisodeRecord
+
+SMALL = ["--set", "clusters=2", "uavs=12", "observation_steps=20", "max_rounds=3"]
+
+
+@pytest.fixture
+def run(capsys):
+    def runner(*words):
+        status = main([str(word) for word in words])
+        output = capsys.readouterr()
+        return status, output.out, output.err
+
+    return runner
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A run of two detectors with the episodes 0 and 2 of each."""
+    out = tmp_path_factory.mktemp("recorded") / "run"
+    detectors = ["--detector", "one-per-round", "--detector", "random(count=2)"]
+    words = ["evaluate", *detectors, "--episodes", "3", "--backend", "serial", *SMALL]
+    assert main([*words, "--out", str(out), "--record", "every=2"]) == 0
+    return out
+
+
+def test_every_second_episode_is_recorded_as_it_was_played(run, recorded):
+    names = sorted(path.name for path in (recorded / "episodes").iterdir())
+    assert names == [f"{detector}-{k}.npz" for detector in ("one-per-round", "random_count=2") for k in (0, 2)]
+    status, out, _ = run("replay", recorded)
+    assert status == 0
+    assert all(name in out for name in ("one-per-round-2.npz", "random(count=2)", "heads left"))
+    (row,) = [
+        line for line in (recorded / "episodes.csv").read_text().splitlines() if line.startswith("one-per-round,2,")
+    ]
+    record = EpisodeRecord.load(recorded / "episodes" / "one-per-round-2.npz")
+    assert f",{record.seed}," in row
+    assert record.detector == "one-per-round"
+
+
+def test_failures_are_recorded_and_shown_in_three_commands(run, tmp_path, monkeypatch):
+    pytest.importorskip("rerun")
+    monkeypatch.chdir(tmp_path)
+    play = ["evaluate", "--detector", "random(count=1)", "--episodes", "2", "--backend", "serial", *SMALL]
+    status, _, err = run(*play, "--out", "runs/mine", "--record", "failures")
+    assert status == 0, err
+    assert "2 episode files are in runs/mine/episodes; `usnet replay runs/mine` lists them." in err
+    assert run("replay", "runs/mine")[0] == 0
+    opened = []
+    monkeypatch.setattr(subprocess, "Popen", lambda words, **_: opened.append(words))
+    status, out, err = run("replay", "runs/mine", "--episode", "1", "--open")
+    assert status == 0, err
+    assert "random(count=1) on USNET/MultiCluster-v0" in out
+    assert "  1: 1 candidate" in out
+    assert [words[1:] for words in opened] == [["runs/mine/episodes/random_count=1-1.rrd"]]
+
+
+@pytest.mark.slow
+def test_an_animation_and_a_comparison(run, recorded, tmp_path):
+    pytest.importorskip("rerun")
+    one, other = (recorded / "episodes" / f"{name}-0.npz" for name in ("one-per-round", "random_count=2"))
+    status, out, _ = run("replay", one, "--animation", tmp_path / "game.gif")
+    assert status == 0
+    assert (tmp_path / "game.gif").read_bytes().startswith(b"GIF89a")
+    assert not one.with_suffix(".rrd").exists()
+    status, out, _ = run("compare", one, other, "--rrd", tmp_path / "both.rrd")
+    assert status == 0
+    assert (tmp_path / "both.rrd").stat().st_size > 1000
+    assert "one-per-round: " in out
+
+
+@pytest.mark.slow
+def test_the_page_of_a_run_has_the_ranking_and_links_to_its_episodes(run, recorded, tmp_path):
+    pytest.importorskip("matplotlib")
+    status, _, _ = run("report", recorded, "--html", tmp_path / "page.html")
+    assert status == 0
+    text = (tmp_path / "page.html").read_text()
+    assert text.count("<section>") == 4
+    assert "one-per-round-2.npz" in text
+    assert "has the lowest J" in text or "have the lowest" in text
+
+
+def refusal(run, *words):
+    status, out, err = run(*words)
+    assert (status, out) == (2, "")
+    assert err.startswith("usnet: ")
+    assert err.count("\n") == 1
+    return err
+
+
+def test_refusals_are_one_sentence(run, recorded, tmp_path):
+    assert "--record must be every=NUMBER or failures, got 'all'" in refusal(
+        run, "evaluate", "--detector", "none", "--out", tmp_path / "x", "--record", "all"
+    )
+    assert "got no --out" in refusal(run, "evaluate", "--detector", "none", "--record", "failures")
+    assert "--episode must be the number of a recorded episode, got 1" in refusal(
+        run, "replay", recorded, "--episode", "1"
+    )
+    assert "path must be an episode file or a folder with some" in refusal(run, "replay", tmp_path)
+    assert "got no --screenshot" in refusal(run, "replay", recorded, "--round", "1")
+    (tmp_path / "broken.npz").write_bytes(b"PK")
+    assert "broken.npz" in refusal(run, "replay", tmp_path / "broken.npz")

@@ -1,0 +1,252 @@
+"""``usnet demo``, ``replay``, ``compare`` and ``report``: play, keep and show episodes."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from usnet_env.cli.options import WholeNumber
+from usnet_env.cli.output import print_message, show
+from usnet_env.config import ArgumentError, quote
+
+if TYPE_CHECKING:
+    from usnet_env.evaluation import EvaluationResult
+
+__all__ = ["check_record_option", "compare", "demo", "record_episodes", "replay", "report"]
+
+EPISODES = "episodes"  # the folder of the episode files of a run
+_MOST_FAILURES, _MOST_ON_PAGE = 20, 6
+_EVERY = re.compile(r"every=([1-9][0-9]{0,8})\Z")
+
+_DEMO_EXAMPLES = """
+\b
+Examples:
+  usnet demo --open
+  usnet demo --detector learned --clusters 8 --uavs 185 --follow f1
+  usnet demo --paper-example --out runs/paper
+"""  # click reads the control characters: they keep the lines
+_REPLAY_EXAMPLES = """
+\b
+Examples:
+  usnet replay runs/demo/episode.npz --open
+  usnet replay runs/mine                      (lists the episodes of a run)
+  usnet replay runs/mine --episode 7 --animation game.gif
+  usnet replay runs/demo --screenshot answer.png --round 1
+"""
+
+
+@click.command(short_help="Play one episode; save a replay, a page and pictures.", epilog=_DEMO_EXAMPLES)
+@click.option("--out", default="runs/demo", show_default=True, metavar="DIR", help="Folder for the files.")
+@click.option("--seed", type=WholeNumber(0, 2**63 - 1), help="Seed of the episode.  [default: 3]")
+@click.option("--detector", metavar="NAME", help="Detector.  [default: lagged-correlation]")
+@click.option("--follow", metavar="NAME", help="Strategy; see `usnet list follow`.  [default: f3]")
+@click.option("--clusters", type=WholeNumber(1, 9_000), help="Number of clusters.  [default: 5]")
+@click.option("--uavs", type=WholeNumber(3, 90_000), help="Number of UAVs.  [default: 60]")
+@click.option("--paper-example", is_flag=True, help="Play the paper's example, 185 UAVs and mc-gassl; takes minutes.")
+@click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
+def demo(out: str, seed: int | None, detector: str | None, paper_example: bool, open_viewer: bool, **game: Any) -> None:
+    """Play one episode of USNET/MultiCluster-v0 with UAVs that fly smoothly, and keep it.
+
+    The detector errs in round 1 and recovers. The folder gets an episode file, a replay, a page and a picture.
+    """
+    from usnet_env.replay.demo import run_demo
+    from usnet_env.replay.viewer import open_replay
+
+    given = {name: value for name, value in game.items() if value is not None}
+    files = run_demo(out, seed=seed, detector=detector, paper_example=paper_example, **given)
+    if open_viewer and "replay" in files:
+        open_replay(files["replay"])
+
+
+def _find_episodes(place: Path) -> list[Path]:
+    """The episode files of a folder: its own, or those of a run."""
+    for folder in (place, place / EPISODES):
+        if found := sorted(folder.glob("*.npz"), key=lambda path: [int(n) for n in re.findall(r"\d+", path.stem)][-1:]):
+            return found
+    raise ArgumentError(
+        f"path must be an episode file or a folder with some, got {quote(str(place))}; `usnet evaluate --out DIR "
+        "--record every=10` writes them."
+    )
+
+
+def _choose_episode(place: Path, episode: int | None) -> Path | None:
+    """The episode file that was asked for; ``None`` if there are several."""
+    if not place.is_dir():
+        return place
+    found = _find_episodes(place)
+    if episode is not None:
+        found = [path for path in found if re.search(rf"(?:\D|\A)0*{episode}\Z", path.stem)]
+        if not found:
+            raise ArgumentError(f"--episode must be the number of a recorded episode, got {episode}.")
+    return found[0] if len(found) == 1 else None
+
+
+@click.command(short_help="Show a recorded episode: replay, screenshot, animation.", epilog=_REPLAY_EXAMPLES)
+@click.argument("path", type=click.Path(path_type=Path))
+@click.option("--episode", type=WholeNumber(0, 10**9), help="Number of the episode in a folder of several.")
+@click.option("--rrd", type=click.Path(path_type=Path), help="Replay to write.  [default: beside the file]")
+@click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
+@click.option("--screenshot", metavar="PNG", help="Picture of the viewer to take; needs no screen.")
+@click.option("--round", "number", type=WholeNumber(1, 10**6), help="Round of the screenshot.  [default: 1]")
+@click.option("--step", type=WholeNumber(0, 10**9), help="Step of its window.  [default: when the answer is given]")
+@click.option("--animation", metavar="GIF|MP4", help="Animation to write, .gif or .mp4.")
+def replay(
+    path: Path,
+    episode: int | None,
+    rrd: Path | None,
+    open_viewer: bool,
+    screenshot: str | None,
+    number: int | None,
+    step: int | None,
+    animation: str | None,
+) -> None:
+    """Show a recorded episode.
+
+    PATH is an episode file (.npz), or the folder of a run or a demo. A folder with several episodes is listed, unless
+    --episode chooses one.
+    """
+    if screenshot is None and (number, step) != (None, None):
+        raise ArgumentError("--round and --step must be given together with --screenshot, got no --screenshot.")
+    from usnet_env.replay import EpisodeRecord, animate, write_recording
+    from usnet_env.replay.story import describe_outcome, describe_round
+    from usnet_env.replay.viewer import find_time, find_viewer, open_replay, take_screenshot
+
+    file = _choose_episode(path, episode)
+    if file is None:
+        _list_episodes(_find_episodes(path))
+        return
+    record = EpisodeRecord.load(file)
+    click.echo(f"{record.detector or 'A detector'} on {record.env_id or 'an episode'}, seed {record.seed}")
+    for each in range(1, record.rounds + 1):
+        click.echo(f"  {each}: {describe_round(record, each)}")
+    click.echo(describe_outcome(record))
+    if animation is not None:
+        click.echo(f"animation  {animate(record, animation)}")
+    if animation is None or rrd is not None or open_viewer or screenshot is not None:
+        written = write_recording(record, rrd or file.with_suffix(".rrd"))
+        click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
+        if screenshot is not None:
+            when = find_time(record, number or 1, step)
+            click.echo(f"screenshot {take_screenshot([written], screenshot, when)}")
+        if open_viewer:
+            open_replay(written)
+
+
+def _list_episodes(files: Sequence[Path]) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from usnet_env.replay import EpisodeRecord
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for name in ("file", "detector", "seed", "rounds", "J", "heads left"):
+        table.add_column(name, overflow="fold")
+    for file in files:
+        record = EpisodeRecord.load(file)
+        numbers = (record.seed, record.rounds, f"{record.objective[-1]:.3f}", record.heads_left[-1])
+        table.add_row(str(file), record.detector, *map(str, numbers))
+    show(table)
+
+
+@click.command(short_help="Show two detectors on the same swarm, side by side.")
+@click.argument("first", metavar="A.npz")
+@click.argument("second", metavar="B.npz")
+@click.option("--rrd", default="comparison.rrd", show_default=True, metavar="FILE", help="Replay to write.")
+@click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
+def compare(first: str, second: str, rrd: str, open_viewer: bool) -> None:
+    """Write one replay of two episode files that began with the same swarm."""
+    from usnet_env.replay import EpisodeRecord, write_comparison
+    from usnet_env.replay.story import describe_outcome
+    from usnet_env.replay.viewer import find_viewer, open_replay
+
+    one, other = EpisodeRecord.load(first), EpisodeRecord.load(second)
+    written = write_comparison(one, other, rrd)
+    for record in (one, other):
+        click.echo(f"{record.detector}: {describe_outcome(record)}")
+    click.echo(f"replay  {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
+    if open_viewer:
+        open_replay(written)
+
+
+@click.command(short_help="Write a page of a run or an episode for any browser.")
+@click.argument("path", type=click.Path(path_type=Path))
+@click.option("--html", "page", type=click.Path(path_type=Path), help="Page to write.  [default: PATH/report.html]")
+def report(path: Path, page: Path | None) -> None:
+    """Write one self-contained page: scores, and for each recorded episode an animation and its rounds.
+
+    PATH is the folder of `usnet evaluate --out`, or of a demo, or an episode file. The page opens without a network.
+    """
+    from usnet_env.evaluation import EvaluationResult
+    from usnet_env.replay import EpisodeRecord
+    from usnet_env.replay.page import write_page
+
+    folder = path if path.is_dir() else path.parent
+    result = EvaluationResult.load(folder) if (folder / "run.json").exists() and path.is_dir() else None
+    files = _find_episodes(path) if path.is_dir() and (result is None or (folder / EPISODES).is_dir()) else []
+    files = files or ([] if path.is_dir() else [path])
+    page = page or folder / "report.html"
+    records = {file.stem: EpisodeRecord.load(file) for file in files[:_MOST_ON_PAGE]}
+    links = {file.stem: Path(os.path.relpath(file, page.parent)).as_posix() for file in files}
+    tables = [] if result is None else [result._repr_html_(), f"<p>{result.conclusion()}</p>"]
+    title = "Who leads this swarm?" if result is None else f"Detectors on {result.config['env']}"
+    click.echo(f"page  {write_page(title, records, page, links=links, tables=tables)}")
+    if len(files) > _MOST_ON_PAGE:
+        print_message(f"the page shows {_MOST_ON_PAGE} of {len(files)} recorded episodes.")
+
+
+def check_record_option(wanted: str, out: str | None) -> None:
+    """Refuse a value of ``--record`` that is neither ``every=NUMBER`` nor ``failures``, or one without ``--out``."""
+    if wanted != "failures" and not _EVERY.match(wanted):
+        raise ArgumentError(f"--record must be every=NUMBER or failures, got {quote(wanted)}.")
+    if out is None:
+        raise ArgumentError("--record must be given together with --out, got no --out.")
+
+
+def _choose_rows(result: EvaluationResult, wanted: str) -> list[dict[str, Any]]:
+    """The rows whose episodes are recorded."""
+    every = _EVERY.match(wanted)
+    if every:
+        return [row for row in result.rows if row["episode"] % int(every[1]) == 0]
+    chosen = []
+    for entry in result.summary:
+        rows = [row for row in result.rows if row["detector"] == entry["detector"] and not row["exact"]]
+        better = 1 if "Single" in str(result.config["env"]) else -1  # J_s is 0 at best, J_m is lowest at best
+        chosen += sorted(rows, key=lambda row: (better * row["J"], row["episode"]))[:_MOST_FAILURES]
+    return chosen
+
+
+def record_episodes(
+    result: EvaluationResult, wanted: str, detectors: Sequence[str], env_kwargs: dict[str, Any], out: str
+) -> list[Path]:
+    """Play chosen episodes of a run again, from the seeds in their rows, and write their episode files.
+
+    Args:
+        result: of the run.
+        wanted: ``"every=10"`` or ``"failures"``: the 20 worst episodes of each detector whose round 1 was not exact.
+        detectors: the detectors of the command; those of an earlier one are not recorded.
+        env_kwargs: arguments of the environment.
+        out: folder of the run.
+    """
+    import gymnasium as gym
+
+    from usnet_env.plugins import detector_label, make_detector
+    from usnet_env.replay import record_episode
+
+    players = {detector_label(each): each for each in (*detectors, *result.config["detectors"])}
+    written = []
+    for row in _choose_rows(result, wanted):
+        label = row["detector"]
+        name = re.sub(r"[^\w.=-]+", "_", label).strip("_")
+        env = gym.make(result.config["env"], **env_kwargs)
+        seeds = row["swarm_seed"], row["detector_seed"]
+        record = record_episode(env, make_detector(players[label]), *seeds, label=label)
+        env.close()
+        if abs(float(record.objective[-1]) - float(row["J"])) > 1e-9:
+            print_message(f"{label} answered episode {row['episode']} differently when it was played again.")
+        written.append(record.save(Path(out) / EPISODES / f"{name}-{row['episode']}.npz"))
+    return written

@@ -1,0 +1,47 @@
+"""Drawing of a swarm and a round, used by the environments' ``render`` and by the figures of the replay.
+
+Matplotlib is an optional dependency (``pip install 'usnet[render]'``), imported when a figure is drawn. Its global
+state (pyplot, ``rcParams``) is not changed.
+"""
+
+from __future__ import annotations
+
+from usnet_env.drawing.frames import EpisodeFrames, describe_frame, round_frame
+from usnet_env.drawing.maps import (
+    CLUSTER_COLORS,
+    HIT,
+    MISSED,
+    NO_CLUSTER_COLOR,
+    REDUNDANT,
+    Limits,
+    MissingExtraError,
+    cluster_colors,
+    dashed_ring,
+    draw_legend,
+    draw_round,
+    last_seen_position,
+    limits_around,
+    new_figure,
+    round_marks,
+)
+
+__all__ = [
+    "CLUSTER_COLORS",
+    "HIT",
+    "MISSED",
+    "NO_CLUSTER_COLOR",
+    "REDUNDANT",
+    "EpisodeFrames",
+    "Limits",
+    "MissingExtraError",
+    "cluster_colors",
+    "dashed_ring",
+    "describe_frame",
+    "draw_legend",
+    "draw_round",
+    "last_seen_position",
+    "limits_around",
+    "new_figure",
+    "round_frame",
+    "round_marks",
+]

@@ -1,0 +1,240 @@
+"""The field environment: in every episode another swarm, drawn from a documented distribution."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import numpy as np
+from gymnasium.vector import SyncVectorEnv
+from pydantic import Field
+
+from usnet_env.arrays import Mask, Observation
+from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments, whole_number
+from usnet_env.envs import game
+from usnet_env.envs.usnet import INFO, OBSERVATION, OutputArguments, UsnetEnv
+from usnet_env.envs.vector import MOST_ENVS
+from usnet_env.swarm import FollowStrategy, Kinematics, Mobility, SwarmConfig
+from usnet_env.swarm.config import Count
+
+__all__ = ["DISTRIBUTION", "FieldDistribution", "FieldEnv", "FieldVectorEnv"]
+
+Weights = Mapping[str, float]
+Few = Annotated[int, Field(ge=0, le=100_000)]
+
+
+@dataclass(frozen=True)
+class FieldDistribution:
+    """The distribution of the swarms of ``USNET/Field-v0``. All draws are independent.
+
+    Args:
+        version: increases when a draw changes.
+        follow: weight of each follow strategy.
+        mobility: weight of each mobility.
+        kinematics: weight of each kinematics model.
+        formation: weight of each formation.
+        clusters: smallest and largest M; each is equally likely, as for the numbers that follow.
+        decoys: smallest and largest number of decoys.
+        bystanders: smallest and largest number of bystanders.
+        traffic: smallest and largest number of UAVs of civil traffic.
+        jitter: probability of the head jitter.
+        clean: probability that positions have no noise, and, independently, that no detection is missed.
+        position_noise: smallest and largest position noise otherwise, log-uniform, metres.
+        miss_rate: smallest and largest miss rate otherwise, uniform.
+    """
+
+    version: int = 1
+    follow: Weights = field(
+        default_factory=lambda: {
+            **dict.fromkeys(
+                ("unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale", "vicsek", "couzin"), 1.0
+            ),
+            **dict.fromkeys(("frontness", "part_time", "partial_turns", "predator"), 1.0),
+            **dict.fromkeys(("shepherd", "reference"), 0.5),  # swarms that no UAV leads
+        }
+    )
+    mobility: Weights = field(
+        default_factory=lambda: {
+            "gauss_markov": 3.0, "smooth_turn": 2.0, "waypoint": 2.0, "local_waypoint": 2.0, "iid": 1.0
+        }
+    )  # fmt: skip
+    kinematics: Weights = field(
+        default_factory=lambda: dict.fromkeys(("unit", "varied_speed", "lagged", "limited", "layered"), 1.0)
+    )
+    formation: Weights = field(default_factory=lambda: {"around": 3.0, "uniform": 1.0})
+    clusters: tuple[int, int] = (2, 6)
+    decoys: tuple[int, int] = (0, 2)
+    bystanders: tuple[int, int] = (0, 6)
+    traffic: tuple[int, int] = (0, 6)
+    jitter: float = 0.5
+    clean: float = 0.5
+    position_noise: tuple[float, float] = (0.01, 0.1)
+    miss_rate: tuple[float, float] = (0.01, 0.1)
+
+    def draw(self, rng: np.random.Generator) -> dict[str, Any]:
+        """Draw the arguments of one swarm. The order of the draws is part of the version."""
+        drawn: dict[str, Any] = {}
+        for name in ("follow", "mobility", "kinematics", "formation"):
+            weights: Weights = getattr(self, name)
+            share = np.array(list(weights.values()))
+            drawn[name] = list(weights)[int(rng.choice(len(share), p=share / share.sum()))]
+        for name in ("clusters", "decoys", "bystanders", "traffic"):
+            drawn[name] = int(rng.integers(getattr(self, name)[0], getattr(self, name)[1] + 1))
+        drawn["head_jitter"] = bool(rng.random() < self.jitter)
+        low, high = np.log(self.position_noise)
+        noise, noisy = float(np.exp(rng.uniform(low, high))), bool(rng.random() >= self.clean)
+        missed, misses = float(rng.uniform(*self.miss_rate)), bool(rng.random() >= self.clean)
+        return {**drawn, "position_noise": noise * noisy, "miss_rate": missed * misses}
+
+    @property
+    def largest(self) -> dict[str, Any]:
+        """The arguments of a swarm with the largest bounds of the observation, and the most UAVs beside followers."""
+        return {
+            **{name: getattr(self, name)[1] for name in ("clusters", "decoys", "bystanders", "traffic")},
+            "follow": "unequal_delays",
+            "kinematics": "varied_speed",
+            "position_noise": self.position_noise[1],
+            "miss_rate": self.miss_rate[1],
+        }
+
+
+DISTRIBUTION = FieldDistribution()
+
+
+class FieldArguments(OutputArguments, game.RoundArguments):
+    """The arguments of :class:`FieldEnv`; what is ``None`` is drawn for each episode."""
+
+    uavs: Count = Field(82, description="N, number of UAVs")
+    observation_steps: Count = Field(100, description="T_ob, number of velocity samples in a window")
+    sample_every: Annotated[int, Field(ge=1, le=1000)] = Field(1, description="the observer samples every k-th step")
+    memory: Annotated[int, Field(ge=1, le=1000)] = Field(
+        12, description="T_0, number of past steps that a follow strategy may use, and of unobserved steps in a round"
+    )
+    follow: str | FollowStrategy | None = Field(None, description="follow strategy; ``None``: drawn")
+    mobility: str | Mobility | None = Field(None, description="how heads and decoys move; ``None``: drawn")
+    kinematics: str | Kinematics | None = Field(None, description="how UAVs fly; ``None``: drawn")
+    formation: str | None = Field(None, description="initial positions; ``None``: drawn")
+    clusters: Count | None = Field(None, description="M, number of clusters; ``None``: drawn")
+    decoys: Few | None = Field(None, description="number of decoys; ``None``: drawn")
+    bystanders: Few | None = Field(None, description="number of UAVs that fly on their own; ``None``: drawn")
+    traffic: Few | None = Field(None, description="number of UAVs of civil traffic; ``None``: drawn")
+    head_jitter: bool | None = Field(None, description="noise of heads and decoys; ``None``: drawn")
+    position_noise: Annotated[float, Field(ge=0, le=1000)] | None = Field(
+        None, description="standard deviation of the observed positions, m; ``None``: drawn"
+    )
+    miss_rate: Annotated[float, Field(ge=0, lt=1)] | None = Field(
+        None, description="probability of a missed detection; ``None``: drawn"
+    )
+
+    def make_config(self, drawn: dict[str, Any]) -> SwarmConfig:
+        """The swarm with the given values where this config has ``None``."""
+        own = {name: getattr(self, name) for name in FieldArguments.model_fields if name in SwarmConfig.model_fields}
+        return SwarmConfig(**{name: drawn[name] if value is None else value for name, value in own.items()})
+
+
+@list_arguments(observation=OBSERVATION, info=INFO)
+class FieldEnv(UsnetEnv):
+    """P2 in the field: find all heads of a swarm that is another one in every episode.
+
+    ## Description
+    The game is that of `USNET/MultiCluster-v0`. What flies is drawn for each episode: the follow strategy (one of the
+    [field models](../field.md)), the mobility of the heads, the kinematics of all UAVs, the initial positions, the
+    number of clusters, the decoys, bystanders and civil traffic, and the noise and missed detections of the sensor.
+    N and T_ob are fixed. The agent is not told what was drawn. In some episodes no UAV leads: H_0 is empty, the right
+    answer is the empty set, and the game ends after one round.
+
+    `usnet_env.envs.field.DISTRIBUTION` is the distribution; any part of it can be fixed by an argument.
+
+    ## Action Space
+    `MultiBinary(N)`: 1 for every candidate. A candidate that is already destroyed counts as redundant. Integers,
+    booleans and floats are accepted if they are 0 or 1.
+
+    ## Observation Space
+    {observation}
+
+    The bounds are those of the fastest UAVs and the largest noise of the distribution.
+
+    ## Rewards
+    −(1 + `redundancy_price` · redundant / N) per round, as in `USNET/MultiCluster-v0`. An empty set counts as a round.
+    A set of more than `shot_budget` candidates destroys no UAV; the round counts and `info["over_budget"]` is 1.
+
+    {info}
+    | `J` | J_m of the rounds played so far, at price 1 |
+    | `over_budget` | 1 if the round had more candidates than `shot_budget` |
+    | `reward_round` | the part of the reward for the round, −1 |
+    | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
+
+    ## Starting State
+    Drawn from the distribution. `config` is the swarm of the present episode, for evaluation only.
+
+    ## Episode End
+    The episode terminates when no head is left, and after the first round if no UAV leads. It is truncated after
+    `max_rounds` rounds.
+
+    ## Arguments
+    {arguments}
+
+    ## Version History
+    * v0: first version, distribution 1
+    """
+
+    @takes_arguments(FieldArguments)
+    def __init__(self, arguments: FieldArguments) -> None:
+        self._arguments = arguments
+        config = arguments.make_config({**DISTRIBUTION.draw(np.random.default_rng(0)), **DISTRIBUTION.largest})
+        super().__init__(config, arguments.part(game.Rules, problem="P2"), arguments)
+
+    def _draw_config(self) -> SwarmConfig:
+        """Draw the swarm of the next episode. All parts are drawn, so a fixed one doesn't change the others."""
+        self.config = self._arguments.make_config(DISTRIBUTION.draw(self.np_random))
+        return self.config
+
+    def get_state(self) -> dict[str, Any]:
+        """A copy of the complete state of the episode as plain arrays and numbers."""
+        return {**super().get_state(), "arguments": self._arguments.model_dump()}
+
+    def set_state(self, state: dict[str, Any]) -> Observation:
+        """Restore a state from :meth:`get_state` of an environment with the same arguments.
+
+        Args:
+            state: the saved state.
+
+        Returns:
+            The observation at that moment.
+
+        Raises:
+            ArgumentError: the state is of an environment with other arguments, or is not a state.
+        """
+        if not isinstance(state, dict) or state.get("arguments") != self._arguments.model_dump():
+            raise ArgumentError(
+                f"state must come from get_state of an environment with the same arguments, got {quote(state)}."
+            )
+        self.config = SwarmConfig(**copy.deepcopy(state["config"]))
+        return super().set_state(state)
+
+
+class FieldVectorEnv(SyncVectorEnv):
+    """B games of :class:`FieldEnv`, one after another; see ``gym.make_vec("usnet_env:USNET/Field-v0", num_envs=B)``.
+
+    Args:
+        num_envs: B.
+        arguments: the arguments of the single environment except ``render_mode``.
+
+    Raises:
+        ArgumentError: an argument has the wrong type or is out of range.
+    """
+
+    def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
+        if arguments.get("render_mode") is not None:
+            raise ArgumentError(
+                "render_mode must be None for a vector environment; use a single environment to render."
+            )
+        count = whole_number("num_envs", num_envs, 1, MOST_ENVS)
+        super().__init__([lambda: FieldEnv(**arguments)] * count)
+
+    def action_masks(self) -> Mask:
+        """``(B, 2 N)`` bool, the masks of :meth:`UsnetEnv.action_masks` of each game."""
+        played: list[Any] = [env.unwrapped for env in self.envs]
+        return np.stack([each.action_masks() for each in played])

@@ -1,0 +1,249 @@
+"""Frozen suites: lists of environments that detectors are compared on, each kept in a YAML file with a version.
+
+A file of ``usnet_env/evaluation/suites`` never changes without a new version, so a result on ``controls`` version 1
+means the same wherever it was measured. A file of your own works the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from importlib.resources import files
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import yaml
+from pydantic import Field
+
+from usnet_env.config import ArgumentError, Config, quote, unknown_name
+from usnet_env.evaluation import tables
+from usnet_env.evaluation.environments import find_environment, make_environment
+from usnet_env.evaluation.errors import EvaluationError
+from usnet_env.evaluation.metrics import RATES
+from usnet_env.evaluation.report import format_interval, format_markdown
+from usnet_env.evaluation.result import EvaluationResult, Summary, summarise
+from usnet_env.evaluation.runner import evaluate
+from usnet_env.evaluation.statistics import Interval
+from usnet_env.evaluation.store import COLUMNS
+from usnet_env.evaluation.table import RowTable
+from usnet_env.files import as_path, atomic_write
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+__all__ = ["FrozenSuite", "SuiteResult", "evaluate_suite", "list_suites", "load_suite"]
+
+_FOLDER = files("usnet_env.evaluation") / "suites"
+_FAILURES = "failures.yaml"  # in the folder of a run: which detector failed in which cell
+
+
+class Cell(Config):
+    """One setting: an environment and its arguments."""
+
+    env: str
+    arguments: dict[str, Any] = Field(default_factory=dict)
+
+
+class FrozenSuite(Config):
+    """A list of settings, and the seeds of their episodes."""
+
+    name: str = Field(description="name of the file, without its suffix")
+    digest: str = Field(description="SHA-256 of the file, as 64 hexadecimal digits")
+    version: Annotated[int, Field(ge=1, le=10_000)] = Field(description="it grows with every change of the file")
+    purpose: str = Field(description="what the suite is for, in one sentence")
+    episodes: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="episodes of a cell in published tables")
+    seed: Annotated[int, Field(ge=1000, lt=2**63)] = Field(description="seed of published tables")
+    tuning_seed: Annotated[int, Field(ge=0, lt=1000)] = Field(
+        description="seed for tuning a detector; the swarms of the two seeds have nothing in common"
+    )
+    cells: Annotated[dict[str, Cell], Field(min_length=1)] = Field(description="the settings by name")
+
+    @property
+    def label(self) -> str:
+        """Name and version."""
+        return f"{self.name} (version {self.version})"
+
+
+def list_suites() -> dict[str, FrozenSuite]:
+    """The suites of this package, by name."""
+    names = sorted(entry.name.removesuffix(".yaml") for entry in _FOLDER.iterdir() if entry.name.endswith(".yaml"))
+    return {name: load_suite(name) for name in names}
+
+
+def load_suite(suite: str | PathLike[str]) -> FrozenSuite:
+    """Read a suite.
+
+    Args:
+        suite: the name of a suite of this package, or the path of a YAML file.
+
+    Raises:
+        ArgumentError: there is no such suite, or the file does not describe one; the message names its first fault.
+    """
+    path = as_path("suite", suite)
+    if path.suffix in (".yaml", ".yml"):
+        name, source = path.stem, path
+    else:
+        name, source = str(suite), _FOLDER / f"{suite}.yaml"  # type: ignore[assignment]
+        if not source.is_file():
+            known = [entry.name.removesuffix(".yaml") for entry in _FOLDER.iterdir() if entry.name.endswith(".yaml")]
+            raise unknown_name("suite", str(suite), known)
+    try:
+        data = source.read_bytes()
+        content = yaml.safe_load(data)
+    except (OSError, yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
+        raise ArgumentError(f"suite must be a YAML file that can be read, got {quote(str(suite))}: {reason}.") from None
+    text = f"in {path.name}"
+    if not isinstance(content, dict) or not isinstance(content.get("cells"), dict) or not content["cells"]:
+        raise ArgumentError(f"suite must be a YAML file with a mapping of cells, got {quote(content)} {text}.")
+    shared, env = content.pop("arguments", None) or {}, content.pop("env", "USNET/MultiCluster-v0")
+    cells = {}
+    for cell, own in {"arguments": shared, **content.pop("cells")}.items():
+        if not isinstance(own or {}, dict):
+            raise ArgumentError(f"{cell} must map names to arguments, got {quote(own)} {text}.")
+        if cell != "arguments":
+            arguments = {**shared, **(own or {})}
+            cells[cell] = Cell(env=arguments.pop("env", env), arguments=arguments)
+    content |= {"name": name, "digest": sha256(data).hexdigest(), "cells": cells}
+    if missing := sorted(FrozenSuite.model_fields.keys() - content):
+        raise ArgumentError(f"suite must have {', '.join(missing)}, got none {text}.")
+    return FrozenSuite(**content)
+
+
+def evaluate_suite(
+    suite: str | PathLike[str] | FrozenSuite,
+    detector: Any,
+    *,
+    cells: Sequence[str] | None = None,
+    episodes: int | None = None,
+    seed: int | None = None,
+    isolate: bool = True,
+    out: str | PathLike[str] | None = None,
+    **how: Any,
+) -> SuiteResult:
+    """Evaluate detectors in every cell of a suite.
+
+    Args:
+        suite: a name, the path of a YAML file, or what :func:`load_suite` returns.
+        detector: as of :func:`usnet_env.evaluate`.
+        cells: names of the cells to play; ``None`` for all.
+        episodes: number of episodes of each cell; ``None`` for that of the suite.
+        seed: seed of the episodes; ``None`` for that of the suite's published tables.
+        isolate: whether each detector plays in a process of its own without an environment.
+        out: folder; each cell is a run in a folder of its own, which the same call resumes.
+        how: further arguments of :func:`usnet_env.evaluate`.
+
+    Returns:
+        The results of all cells. A detector that fails in a cell has no result there, and the result's ``failures``
+        say why.
+
+    Raises:
+        ArgumentError: an argument was refused, by the suite or by :func:`usnet_env.evaluate`.
+    """
+    chosen = suite if isinstance(suite, FrozenSuite) else load_suite(suite)
+    for name in cells or ():
+        if name not in chosen.cells:
+            raise unknown_name("cells", name, chosen.cells)
+    for cell in chosen.cells.values():  # a fault in the last cell should not end a run of hours
+        make_environment(find_environment(cell.env), cell.arguments).close()
+    folder = None if out is None else as_path("out", out)
+    results, failures = {}, {}
+    for name in cells or chosen.cells:
+        cell = chosen.cells[name]
+        try:
+            results[name] = evaluate(
+                cell.env,
+                detector,
+                episodes=chosen.episodes if episodes is None else episodes,
+                seed=chosen.seed if seed is None else seed,
+                env_kwargs=cell.arguments,
+                isolate=isolate,
+                out=None if folder is None else folder / name,
+                **how,
+            )
+        except EvaluationError as error:
+            failures[name] = str(error)
+            if error.result is not None:
+                results[name] = error.result
+        if folder is not None:
+            _write_failures(folder, failures)
+    return SuiteResult(chosen, results, failures)
+
+
+def _write_failures(folder: Path, failures: Mapping[str, str]) -> None:
+    with atomic_write(folder / _FAILURES) as aside:
+        aside.write_text(yaml.safe_dump(dict(failures), allow_unicode=True), encoding="utf-8")
+
+
+@dataclass(frozen=True, repr=False)
+class SuiteResult:
+    """The results of a suite.
+
+    Args:
+        suite: the suite.
+        results: the result of each cell that was played.
+        failures: why a detector has no result in a cell, by cell.
+    """
+
+    suite: FrozenSuite
+    results: Mapping[str, EvaluationResult]
+    failures: Mapping[str, str]
+
+    @classmethod
+    def load(cls, folder: str | PathLike[str], suite: str | PathLike[str] | FrozenSuite) -> SuiteResult:
+        """Read the folder of a suite that was played, finished or not.
+
+        Raises:
+            ArgumentError: the folder holds no run of a cell, or a file in it is broken.
+        """
+        chosen = suite if isinstance(suite, FrozenSuite) else load_suite(suite)
+        root = as_path("folder", folder)
+        results = {name: EvaluationResult.load(root / name) for name in chosen.cells if (root / name).is_dir()}
+        if not results:
+            raise ArgumentError(f"folder must hold runs of the suite {chosen.name}, got {quote(str(root))}.")
+        failures = root / _FAILURES
+        return cls(chosen, results, yaml.safe_load(failures.read_text(encoding="utf-8")) if failures.exists() else {})
+
+    def __repr__(self) -> str:
+        return f"<SuiteResult of {self.suite.label}: {len(self.results)} cells, {len(self.detectors)} detectors>"
+
+    @cached_property
+    def detectors(self) -> list[str]:
+        """The labels of all detectors."""
+        return list(dict.fromkeys(entry["detector"] for each in self.results.values() for entry in each.summary))
+
+    def cell(self, name: str, detector: str, metric: str = "exact") -> Interval | None:
+        """The mean of a metric in a cell, with its interval; ``None`` where the detector has no result."""
+        for entry in self.results[name].summary:
+            if entry["detector"] == detector and metric in entry["metrics"]:
+                return Interval(**entry["metrics"][metric])
+        return None
+
+    @cached_property
+    def summary(self) -> Summary:
+        """The mean of each metric over all episodes of all cells, for each detector that has a result in every cell.
+
+        It has the form of ``EvaluationResult.summary``. Cells with the same number of episodes have the same weight.
+        """
+        complete = [each for each in self.detectors if all(self.cell(name, each, "J") for name in self.results)]
+        pooled = RowTable(COLUMNS, (row for result in self.results.values() for row in result.rows))
+        return [entry for entry in summarise(pooled) if entry["detector"] in complete]
+
+    def ranking(self) -> Table:
+        """The detectors by their mean J over all cells, as a table for a terminal of 80 columns."""
+        return tables.ranking_table(self.summary, f"{self.suite.label}, {len(self.results)} cells")
+
+    def to_markdown(self, metric: str = "exact") -> str:
+        """A table with a line for each cell and a column for each detector: the mean of a metric and its interval."""
+        scale, form, unit = (100.0, ".0f", " %") if metric in RATES else (1.0, ".2f", "")
+
+        def show(value: Interval | None) -> str:
+            return "–" if value is None else format_interval(value, form, scale) + unit
+
+        lines = [[name, *(show(self.cell(name, each, metric)) for each in self.detectors)] for name in self.results]
+        means = {entry["detector"]: Interval(**entry["metrics"][metric]) for entry in self.summary}
+        lines.append(["all cells", *(show(means.get(each)) for each in self.detectors)])
+        return "\n".join([*format_markdown([self.suite.name, *self.detectors], lines), ""])

@@ -1,0 +1,146 @@
+"""The layout of a recording: which views it opens with, and where the camera is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from usnet_env.replay.course import ABOUT, GAME, LANES, ROUND
+from usnet_env.replay.mind import ATTENTION, CHART_HEIGHT, CHART_WIDTH, FEATURES, FOUND, SCORES
+from usnet_env.replay.scribe import Scribe, parse_color
+from usnet_env.replay.world import OBSERVERS, SMALL, SWARM, VERDICT, WORLD
+
+if TYPE_CHECKING:
+    import rerun.blueprint as rrb
+
+__all__ = ["arrange_comparison", "arrange_views"]
+
+_BACKGROUND, _UNKNOWN = "#101418", "#8C949C"
+_MOST_LINKS, _MOST_ATTENTION = 60, 30  # UAVs; in a larger swarm, these lines are hidden until they are asked for
+
+
+def _space(scribe: Scribe, name: str, detector: bool) -> rrb.Spatial3DView:
+    """A view of the swarm: as the detector sees it, with its answer; or the truth, with the verdict."""
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=scribe.span * np.array([0.0, -0.74, 0.82]),
+        look_target=scribe.span * np.array([0.0, -0.08, 0.0]),
+        eye_up=[0.0, 0.0, 1.0],
+    )
+    root = f"/{scribe.root}"
+    hidden = rrb.EntityBehavior(visible=False)
+    overrides: dict[Any, Any] = {}
+    parts = [f"{WORLD}/ground", OBSERVERS]
+    if detector:
+        grey = np.array([parse_color(_UNKNOWN)], np.uint8)
+        alike: dict[str, Any] = {"colors": grey, "radii": [0.8 * SMALL * scribe.scale]}
+        parts += [f"{SWARM}/{kind}" for kind in ("heads", "followers", "tracks", "destroyed")] + [FOUND]
+        overrides |= {f"{root}{SWARM}/{kind}": rr.Points3D.from_fields(**alike) for kind in ("heads", "followers")}
+        faint = np.array([parse_color(_UNKNOWN, 110)], np.uint8)
+        overrides[f"{root}{SWARM}/tracks"] = rr.LineStrips3D.from_fields(colors=faint)
+        if scribe.record.uavs > _MOST_ATTENTION:
+            overrides[f"{root}{FOUND}/attention"] = hidden
+    else:
+        parts += [SWARM, VERDICT]
+        if scribe.record.uavs > _MOST_LINKS:
+            overrides[f"{root}{SWARM}/links"] = hidden
+    return rrb.Spatial3DView(
+        origin=root.rstrip("/") or "/",  # not the world itself, whose transform would have no effect
+        contents=[f"{root}{part}/**" for part in parts],
+        name=name,
+        eye_controls=eye,
+        background=parse_color(_BACKGROUND)[:3],
+        line_grid=False,
+        overrides=overrides,
+    )
+
+
+def _flat(origin: str, name: str, x: Sequence[float] | None = None, y: Sequence[float] | None = None) -> Any:
+    import rerun.blueprint as rrb
+
+    bounds = None if x is None or y is None else rrb.VisualBounds2D(x_range=list(x), y_range=list(y))
+    background = parse_color(_BACKGROUND)[:3]
+    if bounds is None:
+        return rrb.Spatial2DView(origin=origin, name=name, background=background)
+    return rrb.Spatial2DView(origin=origin, name=name, background=background, visual_bounds=bounds)
+
+
+def _panels(scribe: Scribe) -> list[Any]:
+    """The views of scores, attention and features that the record has data for."""
+    record, root = scribe.record, f"/{scribe.root}"
+    lowest = 0.62 + CHART_HEIGHT * bool((record.scores < 0).any())
+    scores = _flat(f"{root}{SCORES}", "Scores, highest first", (-0.1, CHART_WIDTH + 0.1), (-1.35, lowest))
+    panels = [scores]
+    if record.attention is not None:
+        panels.append(_flat(f"{root}{ATTENTION}", "Attention: a row for each UAV, bright = attends to"))
+    if record.features is not None:
+        panels.append(_flat(f"{root}{FEATURES}", "Feature space, colour = found group", (-0.6, 0.6), (-0.6, 0.6)))
+    return panels
+
+
+def _curve(contents: Sequence[str], name: str, **more: Any) -> Any:
+    import rerun.blueprint as rrb
+
+    return rrb.TimeSeriesView(
+        origin="/", contents=list(contents), name=name, plot_legend=rrb.PlotLegend(visible=False), **more
+    )
+
+
+def _frame(*rows: Any, shares: Sequence[float]) -> rrb.Blueprint:
+    import rerun.blueprint as rrb
+
+    panel = rrb.TimePanel(state="collapsed", timeline="time", play_state="paused", loop_mode="off")
+    return rrb.Blueprint(rrb.Vertical(*rows, row_shares=list(shares)), panel, collapse_panels=True)
+
+
+def arrange_views(scribe: Scribe) -> rrb.Blueprint:
+    """The layout of a recording of one episode."""
+    import rerun.blueprint as rrb
+
+    record, root = scribe.record, f"/{scribe.root}"
+    about = rrb.TextDocumentView(origin=f"{root}{ABOUT}", name="What you see")
+    told = rrb.TextDocumentView(origin=f"{root}{ROUND}", name="This round")
+    texts = rrb.Vertical(about, told, row_shares=[1, 1])
+    if not record.labelled:
+        leaders = _curve([f"{root}{GAME}/leaders"], "Leaders named")
+        views = rrb.Horizontal(_space(scribe, "The tracks", detector=False), texts, column_shares=[5, 2])
+        return _frame(views, rrb.Horizontal(*_panels(scribe), leaders), shares=[3, 1])
+    seen = _space(scribe, "What the detector sees and answers", detector=True)
+    truth = _space(scribe, "The truth", detector=False)
+    unit = rrb.ScalarAxis(range=(-0.05, 1.05))
+    count = rrb.ScalarAxis(range=(-0.3, float(record.head.sum()) + 0.3))
+    shares = [f"{root}{GAME}/{name}" for name in ("precision", "recall")]
+    curves = [
+        _curve([f"{root}{GAME}/heads_left"], "Heads left", axis_y=count),
+        _curve(shares, "Precision (blue), recall (yellow)", axis_y=unit),
+        _curve([f"{root}{GAME}/J"], "J so far"),
+    ]
+    lanes = rrb.StateTimelineView(origin=f"{root}{LANES}", name="The game and its heads")
+    return _frame(
+        rrb.Horizontal(seen, truth, texts, column_shares=[4, 4, 3]),
+        rrb.Horizontal(*_panels(scribe), rrb.Vertical(*curves), lanes),
+        shares=[3, 1.6],
+    )
+
+
+def arrange_comparison(scribes: Sequence[Scribe], labels: Sequence[str]) -> rrb.Blueprint:
+    """The layout of a recording of two episodes on the same swarm, side by side."""
+    import rerun.blueprint as rrb
+
+    columns = []
+    for scribe, label in zip(scribes, labels, strict=True):
+        told = rrb.TextDocumentView(origin=f"/{scribe.root}{ROUND}", name=f"{label}: this round")
+        views = [_space(scribe, f"{label}: answer", True), _space(scribe, f"{label}: verdict", False)]
+        columns.append(rrb.Vertical(*views, told, row_shares=[3, 3, 2]))
+    curves = [
+        _curve([f"/{scribe.root}{GAME}/{name}" for scribe in scribes], f"{title}: {labels[0]} blue, {labels[1]} yellow")
+        for name, title in (("heads_left", "Heads left"), ("J", "J so far"))
+    ]
+    about = rrb.TextDocumentView(origin=f"/{ABOUT}", name="What you see")
+    side = rrb.Vertical(about, *curves, row_shares=[2, 1, 1])
+    return _frame(rrb.Horizontal(*columns, side, column_shares=[4, 4, 2]), shares=[1])

@@ -1,0 +1,214 @@
+"""A page of one or several episodes that any browser opens: animation, table of rounds, scores. It needs no network."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.files import as_path, atomic_write
+from usnet_env.replay.animation import Painter, scenes
+from usnet_env.replay.episode import EpisodeRecord, check_record
+from usnet_env.replay.story import (
+    OTHER,
+    describe_outcome,
+    describe_round,
+    explain_uav,
+    format_count,
+    mark_words,
+    rank_scores,
+)
+
+__all__ = ["write_episode_page", "write_page"]
+
+_FRAMES = 6  # of a window; the answer, the destruction and the re-merge have one or two each
+_MOST_ROUNDS = 12  # with pictures; the table has all of them
+_MOST_BARS = 20
+
+_STYLE = """
+:root { color-scheme: light dark; --line: #d5d9de; --soft: #5d6670; --blue: #0072b2; --green: #009e73;
+  --orange: #d55e00; --bar: #b4bac1; }
+@media (prefers-color-scheme: dark) {
+  :root { --line: #3a414a; --soft: #a3adb8; --blue: #56b4e9; --green: #1ed9a0; --orange: #ff8a3d; --bar: #5a636d; }
+  .maps img { filter: invert(0.9) hue-rotate(180deg); }
+}
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem;
+  background: light-dark(#fff, #14181d); color: light-dark(#1a1f24, #e8ebee); }
+h1 { font-size: 1.6rem; } h2 { margin-top: 2.5rem; border-top: 1px solid var(--line); padding-top: 1.2rem; }
+.maps { display: flex; flex-wrap: wrap; gap: 1rem; margin: 0; }
+.maps figure { flex: 1 1 18rem; margin: 0; } .maps img { width: 100%; border: 1px solid var(--line); }
+figcaption, .soft { color: var(--soft); font-size: 0.9rem; }
+.now { min-height: 4.6em; } .now b { font-size: 1.1rem; }
+input[type=range] { width: 100%; accent-color: var(--blue); height: 2rem; }
+button { font: inherit; padding: 0.3rem 1rem; }
+.scroll { overflow-x: auto; } table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
+th, td { text-align: left; padding: 0.3rem 0.7rem 0.3rem 0; border-bottom: 1px solid var(--line); }
+.bar { display: flex; gap: 0.5rem; align-items: center; font-size: 0.85rem; }
+.bar i { display: inline-block; height: 0.75rem; background: var(--bar); }
+.hit i { background: var(--green); } .redundant i { background: var(--orange); } .missed i { background: currentcolor; }
+.key { display: flex; flex-wrap: wrap; gap: 0 1.1rem; }
+.bar span:first-child { flex: none; min-width: 4rem; } summary { cursor: pointer; }
+"""
+
+# Moves through the frames of an episode; the page is complete without it, with the last frame and all tables.
+_SCRIPT = """
+for (const box of document.querySelectorAll("[data-frames]")) {
+  const frames = JSON.parse(box.querySelector("script").textContent);
+  const [seen, truth] = box.querySelectorAll("img"), now = box.querySelector(".now");
+  const slider = box.querySelector("input"), button = box.querySelector("button");
+  let timer = 0;
+  const show = () => {
+    const frame = frames[slider.value];
+    seen.src = frame.seen; truth.src = frame.truth;
+    now.querySelector("b").textContent = frame.title;
+    now.querySelector("p").textContent = frame.text;
+    now.querySelector("span").textContent = frame.score;
+  };
+  const stop = () => { clearTimeout(timer); timer = 0; button.textContent = "Play"; };
+  const play = () => {
+    if (+slider.value === frames.length - 1) { stop(); return; }
+    slider.value = +slider.value + 1; show();
+    timer = setTimeout(play, 1000 * frames[slider.value].seconds);
+  };
+  slider.addEventListener("input", () => { stop(); show(); });
+  button.addEventListener("click", () => {
+    if (timer) { stop(); return; }
+    if (+slider.value === frames.length - 1) { slider.value = 0; show(); }
+    button.textContent = "Pause"; timer = setTimeout(play, 300);
+  });
+  slider.value = 0; show();
+}
+"""
+
+_KEY = (
+    "<p class='soft key'><span>blue ring: candidate</span><span>star: head</span><span>dot: follower, in the colour of "
+    "its head</span><span>green ring: hit</span><span>orange square: redundant</span><span>dashed ring: head that was "
+    "not named</span><span>cross: destroyed</span></p>"
+)
+
+
+def _encode(pixels: NDArray[np.uint8]) -> str:
+    """A picture as the text of a ``src`` attribute."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    picture = Image.fromarray(pixels).quantize(64, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    picture.save(file, format="PNG", optimize=True)
+    return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
+
+
+def _list_frames(record: EpisodeRecord) -> list[dict[str, object]]:
+    """The frames of an episode, with their pictures and words."""
+    painter, frames = Painter(record), []
+    for scene in scenes(record, _FRAMES):
+        if scene.round > _MOST_ROUNDS or (scene.phase == 3 and 0 < scene.turn < 1):
+            continue
+        seen, truth = (_encode(pixels) for pixels in painter.maps(scene))
+        title = f"Round {scene.round} of {record.rounds}"
+        seconds = max(scene.seconds, 0.35)
+        words = {"title": title, "text": scene.text, "score": " ".join(scene.score.split())}
+        frames.append({"seen": seen, "truth": truth, "seconds": seconds, **words})
+    return frames
+
+
+def _write_rounds(record: EpisodeRecord) -> str:
+    rows = "".join(
+        f"<tr><td>{r + 1}</td><td>{record.candidates[r].sum()}</td><td>{record.hits[r]}</td>"
+        f"<td>{record.redundant[r]}</td><td>{record.heads_left[r]}</td><td>{record.objective[r]:.3f}</td>"
+        f"<td>{record.seconds[r]:.2f}</td></tr>"
+        for r in range(record.rounds)
+    )
+    names = ("round", "candidates", "heads hit", "redundant", "heads left", "J so far", "seconds")
+    heading = "".join(f"<th>{name}</th>" for name in names)
+    return f"<div class='scroll'><table><thead><tr>{heading}</tr></thead><tbody>{rows}</tbody></table></div>"
+
+
+def _write_scores(record: EpisodeRecord, number: int) -> str:
+    """The scores of a round as bars, and the reasons of the candidates and missed heads."""
+    r, words = number - 1, mark_words(record, number)
+    order = rank_scores(record, number)[:_MOST_BARS]
+    top = max(float(record.scores[r][order].max(initial=0)), np.finfo(float).tiny)
+    bars = []
+    for i in order.tolist():
+        width = 60 * max(float(record.scores[r, i]), 0) / top
+        why = "" if words[i] == OTHER else f" – {html.escape(words[i])}. {html.escape(explain_uav(record, number, i))}"
+        bars.append(f"<div class='bar {words[i]}'><span>UAV {i}</span><i style='width:{width:.1f}%'></i>"
+                    f"<span>{record.scores[r, i]:.3g}{why}</span></div>")  # fmt: skip
+    title = html.escape(f"Round {number}: {describe_round(record, number)}")
+    return f"<details{' open' if number == 1 else ''}><summary>{title}</summary>{''.join(bars)}</details>"
+
+
+def _write_episode(name: str, link: str | None, record: EpisodeRecord) -> str:
+    frames = _list_frames(record)
+    last = frames[-1]
+    data = json.dumps(frames).replace("<", "\\u003c")
+    by = html.escape(f"{record.detector or 'a detector'} on {record.env_id or 'an episode'}, seed {record.seed}")
+    more = f" The pictures show the first {_MOST_ROUNDS} rounds." if record.rounds > _MOST_ROUNDS else ""
+    file = "" if link is None else f" Episode file: <a href='{html.escape(link, quote=True)}'>{html.escape(link)}</a>."
+    maps = "".join(
+        f"<figure><img alt='{alt}' src='{last[side]}'><figcaption>{alt}</figcaption></figure>"
+        for side, alt in (("seen", "What the detector sees"), ("truth", "The truth"))
+    )
+    scores = "".join(_write_scores(record, number) for number in range(1, min(record.rounds, _MOST_ROUNDS) + 1))
+    return f"""<section><h2>{html.escape(name)}</h2>
+<p>{by}. {html.escape(describe_outcome(record))}{more}{file}</p>
+<div data-frames="{len(frames)}"><script type="application/json">{data}</script>
+<div class="now"><b>{last["title"]}</b> <span class="soft">{last["score"]}</span><p>{last["text"]}</p></div>
+<div class="maps">{maps}</div>
+<input type="range" min="0" max="{len(frames) - 1}" value="{len(frames) - 1}" aria-label="frame"><button>Play</button>
+</div>{_KEY}
+<h3>Rounds</h3>{_write_rounds(record)}
+<h3>Scores</h3><p class="soft">Highest first; each with the mark of the UAV and the reason of the detector.</p>{scores}
+</section>"""
+
+
+def write_page(
+    title: str,
+    records: Mapping[str, EpisodeRecord],
+    path: str | os.PathLike[str],
+    *,
+    links: Mapping[str, str] | None = None,
+    tables: Sequence[str] = (),
+) -> Path:
+    """Write a page of episodes; the file appears whole.
+
+    Args:
+        title: of the page.
+        records: the episodes by their headings.
+        path: the file to write; an existing file is replaced.
+        links: for a heading the link to its episode file, relative to the page.
+        tables: HTML that comes before the episodes.
+
+    Returns:
+        The path.
+
+    Raises:
+        ArgumentError: the place can't be written to.
+        MissingExtraError: matplotlib is not installed.
+    """
+    sections = [_write_episode(name, (links or {}).get(name), check_record(each)) for name, each in records.items()]
+    shown = format_count(len(records), "recorded episode")
+    page = f"""<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>
+<h1>{html.escape(title)}</h1>
+<p>A swarm of UAVs flies in clusters, in which followers follow a head. A detector watches equal dots, and names the
+heads. The UAVs that it names are destroyed, and followers without a head join another one. This page has {shown}.</p>
+{"".join(f'<div class="scroll">{table}</div>' for table in tables)}{"".join(sections)}
+<script>{_SCRIPT}</script></body></html>
+"""
+    with atomic_write(as_path("path", path)) as aside:
+        aside.write_text(page, encoding="utf-8")
+    return as_path("path", path)
+
+
+def write_episode_page(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
+    """Write a page of one episode, which links to ``episode.npz`` beside it; see :func:`write_page`."""
+    return write_page("Who leads this swarm?", {"The game": record}, path, links={"The game": "episode.npz"})

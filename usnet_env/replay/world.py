@@ -1,0 +1,243 @@
+"""The swarm of a recording in 3-D: UAVs, tracks, links, the ground, and the marks of hits and missed heads."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.replay.scribe import ANSWER, DESTROY, REMERGE, Scribe, lighten, parse_color
+from usnet_env.replay.story import MISSED, OTHER, REDUNDANT
+
+__all__ = ["SWARM", "VERDICT", "write_world"]
+
+WORLD = "world"
+SWARM, VERDICT, OBSERVERS = f"{WORLD}/swarm", f"{WORLD}/verdict", f"{WORLD}/observers"
+SMALL, LARGE, RING = 6.0, 14.0, 30.0  # metres: radii of a follower, of a head, and of the mark of a candidate
+MOST_LABELS = 16  # in a round with more marks, the labels are left out, and the text says so
+_DESTROYED, _DECOY, _ORPHAN, _GROUND, _OBSERVER = "#8A8A8A", "#FFE45C", "#9A9A9A", "#39424C", "#7CC7FF"
+_MOST_VERTICES = 1_200_000  # of all growing tracks: 14 MB
+_DIAMOND = np.array(
+    [[0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 0], [0, 0, 1], [0, 1, 0], [0, 0, -1], [0, -1, 0], [0, 0, 1]], np.float32
+)
+_CROSS = np.array([[[-1, -1, 0], [1, 1, 0]], [[-1, 1, 0], [1, -1, 0]]], np.float32)
+
+
+def write_world(scribe: Scribe) -> None:
+    """Write all of it."""
+    record = scribe.record
+    scribe.stream.log(scribe.root + WORLD, scribe.rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    middles = np.array([(low + high) / 2 for low, high in scribe.boxes], np.float32)
+    # The middle of each round is moved to the origin, so that a fixed camera has all rounds in view.
+    rounds = list(range(record.rounds))
+    scribe.send(WORLD, scribe.rr.Transform3D, [(r, 0) for r in rounds], [1] * record.rounds, translation=-middles)
+    _write_ground(scribe)
+    decoys = record.decoys
+    _write_points(scribe, f"{SWARM}/followers", ~record.head & ~decoys, SMALL)
+    _write_points(scribe, f"{SWARM}/heads", record.head & np.ones_like(decoys), LARGE)
+    if decoys.any():
+        _write_decoys(scribe, decoys)
+    stages = _choose_stages(scribe)
+    _write_tracks(scribe, *stages)
+    _write_links(scribe, stages[0], decoys)
+    if record.labelled:
+        _write_destroyed(scribe)
+    _write_marks(scribe)
+    if record.observers is not None:
+        _write_observers(scribe, record.observers)
+
+
+def choose_spacing(span: float) -> float:
+    """A round number of metres, about an eighth of ``span``: 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(span / 8))
+    return float(power * max(factor for factor in (1, 2, 5) if factor * power <= span / 8))
+
+
+def _write_ground(scribe: Scribe) -> None:
+    low = np.min([each for each, _ in scribe.boxes], axis=0)
+    high = np.max([each for _, each in scribe.boxes], axis=0)
+    spacing = choose_spacing(max(scribe.span, float((high - low)[:2].max()) / 6))
+    ends = zip(np.floor(low[:2] / spacing), np.ceil(high[:2] / spacing), strict=True)
+    x, y = (np.arange(first, last + 1) * spacing for first, last in ends)
+    z = float(low[2]) - 0.02 * scribe.span
+    lines = [[[at, y[0], z], [at, y[-1], z]] for at in x] + [[[x[0], at, z], [x[-1], at, z]] for at in y]
+    look = {"colors": [parse_color(_GROUND)], "radii": [0.7 * scribe.scale]}
+    shape = scribe.rr.LineStrips3D.from_fields(strips=np.array(lines, np.float32), **look)
+    scribe.stream.log(f"{scribe.root}{WORLD}/ground", shape, static=True)
+    words = {"labels": [f"grid of {spacing:g} m"], "colors": parse_color(_DESTROYED)}
+    label = scribe.rr.Points3D([[x[0], y[0], z]], radii=0.001, show_labels=True, **words)
+    scribe.stream.log(f"{scribe.root}{WORLD}/ground/scale", label, static=True)
+
+
+def _list_colors(scribe: Scribe, alpha: int = 255) -> NDArray[np.uint8]:
+    """``(R, 3, N, 4)``: the colours of all UAVs in the window, after the destruction and after the re-merge."""
+    colors = []
+    for r in range(scribe.record.rounds):
+        now, later = scribe.shade(r), scribe.shade(r, remerged=True)
+        grey = np.where(scribe.record.orphans[r][:, None], lighten([_ORPHAN]), now)
+        colors.append(np.stack([now, grey, later]))
+    made = np.stack(colors)
+    made[..., 3] = alpha
+    return made
+
+
+def _write_points(scribe: Scribe, path: str, who: NDArray[np.bool_], radius: float) -> None:
+    """Write the UAVs ``who`` ``(R, N)`` as points in the colour of their cluster."""
+    record, clock = scribe.record, scribe.clock
+    members = np.flatnonzero(who.any(axis=0))
+    if not len(members):
+        return
+    shown = record.seen & (record.alive & who)[:, None]
+    place = np.where(shown[..., None], record.position, np.float32(np.nan))[:, :, members]
+    left = (record.alive & who & ~record.fired)[:, members, None]
+    after = np.where(left, scribe.last[:, members], np.float32(np.nan))[:, None]
+    instants = [*range(clock.samples), clock.instant(DESTROY)]
+    rows = [(r, i) for r in range(record.rounds) for i in instants]
+    every = np.concatenate([place, after], axis=1).reshape(-1, 3)
+    look = {
+        "radii": [radius * scribe.scale],
+        "labels": [f"UAV {scribe.name(i)}" for i in members.tolist()],
+        "show_labels": False,
+    }
+    scribe.send(path, scribe.rr.Points3D, rows, [len(members)] * len(rows), look, positions=every)
+    _send_colors(scribe, path, scribe.rr.Points3D, members, 255)
+
+
+def _send_colors(scribe: Scribe, path: str, kind: object, members: NDArray[np.intp], alpha: int) -> None:
+    """Write the colours of an entity with one instance for each member, as they change in the course of a round."""
+    instants = (0, scribe.clock.instant(DESTROY), scribe.clock.instant(REMERGE))
+    rows = [(r, i) for r in range(scribe.record.rounds) for i in instants]
+    colors = _list_colors(scribe, alpha)[:, :, members].reshape(-1, 4)
+    scribe.send(path, kind, rows, [len(members)] * len(rows), colors=colors)
+
+
+def _fill_gaps(place: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """``(T_ob + 1, N, 3)``: the latest position that was seen, the first one before it; NaN for a UAV never seen."""
+    instants = np.arange(len(seen))[:, None]
+    latest = np.maximum.accumulate(np.where(seen, instants, -1), axis=0)
+    index = np.where(latest >= 0, latest, np.argmax(seen, axis=0))
+    filled = np.take_along_axis(place, index[..., None], axis=0)
+    return np.where(np.any(seen, axis=0, keepdims=True).T, filled, np.float32(np.nan))
+
+
+def _choose_stages(scribe: Scribe) -> tuple[list[int], int]:
+    """The instants at which tracks and links are drawn anew, and the largest number of points of a track."""
+    samples, strips = scribe.clock.samples, scribe.record.rounds * scribe.record.uavs
+    for points in (samples, 41, 25, 13):
+        for count in (samples - 1, 32, 16, 8, 4):
+            ends = np.unique(np.linspace(samples - 1, 0, min(count, samples - 1), endpoint=False).round().astype(int))
+            if strips * np.minimum(ends + 1, points).sum() <= _MOST_VERTICES:
+                return ends.tolist(), points
+    return ends.tolist(), points
+
+
+def _write_tracks(scribe: Scribe, stages: list[int], points: int) -> None:
+    """Write the tracks, which grow behind the UAVs from stage to stage."""
+    record, path = scribe.record, f"{SWARM}/tracks"
+    strips = scribe.rr.LineStrips3D
+    every = range(record.rounds)
+    scribe.send(path, strips, [(r, 0) for r in every], [0] * record.rounds, strips=np.zeros((0, 2, 3), np.float32))
+    filled = np.stack([_fill_gaps(*each) for each in zip(record.position, record.seen, strict=True)])
+    for end in stages:
+        kept = np.unique(np.linspace(0, end, min(end + 1, points)).round().astype(int))
+        grown = np.swapaxes(filled[:, kept], 1, 2).reshape(-1, len(kept), 3)
+        scribe.send(path, strips, [(r, end) for r in every], [record.uavs] * record.rounds, strips=grown)
+    scribe.send(path, strips, [], [], {"radii": [0.9 * scribe.scale]})
+    _send_colors(scribe, path, strips, np.arange(record.uavs), 150)
+
+
+def _write_links(scribe: Scribe, stages: list[int], decoys: NDArray[np.bool_]) -> None:
+    """Write the communication links, faint lines from followers to their heads."""
+    record, clock = scribe.record, scribe.clock
+    members = np.flatnonzero(~record.head)
+    orphans = record.orphans
+    rows: list[tuple[int, int]] = []
+    strips = []
+    for r in range(record.rounds):
+        leader, place = record.leader[r], _fill_gaps(record.position[r], record.seen[r])
+        linked = record.alive[r] & ~decoys[r] & (leader >= 0)
+        left = linked & ~record.fired[r] & ~orphans[r]
+        new = record.leader[r + 1] if r + 1 < record.rounds else leader
+        merged = linked & ~record.fired[r] & (new >= 0) & ~record.fired[r][new]
+        drawn = [(i, place[i], linked, leader) for i in (0, *stages)]
+        drawn += [(clock.instant(DESTROY), scribe.last[r], left, leader)]
+        drawn += [(clock.instant(REMERGE), scribe.last[r], merged, new)]
+        for instant, at, who, behind in drawn:
+            rows.append((r, instant))
+            ends = np.stack([at[members], at[behind[members]]], axis=1)
+            strips.append(np.where(who[members, None, None], ends, np.float32(np.nan)))
+    kind, path = scribe.rr.LineStrips3D, f"{SWARM}/links"
+    look = {"radii": [0.5 * scribe.scale]}
+    scribe.send(path, kind, rows, [len(members)] * len(rows), look, strips=np.concatenate(strips))
+    _send_colors(scribe, path, kind, members, 70)
+
+
+def _write_decoys(scribe: Scribe, decoys: NDArray[np.bool_]) -> None:
+    """Write the decoys as diamonds."""
+    record = scribe.record
+    members = np.flatnonzero(decoys.any(axis=0))
+    shown = record.seen & decoys[:, None]
+    place = np.where(shown[..., None], record.position, np.float32(np.nan))[:, :, members].reshape(-1, 1, 3)
+    rows = [(r, i) for r in range(record.rounds) for i in range(scribe.clock.samples)]
+    strips = place + 1.4 * LARGE * np.float32(scribe.scale) * _DIAMOND
+    look = {"radii": [1.6 * scribe.scale], "colors": [parse_color(_DECOY)]}
+    scribe.send(f"{SWARM}/decoys", scribe.rr.LineStrips3D, rows, [len(members)] * len(rows), look, strips=strips)
+
+
+def _write_destroyed(scribe: Scribe) -> None:
+    """Write the destroyed UAVs as crosses where they were seen last, from the moment of their destruction."""
+    record, clock = scribe.record, scribe.clock
+    rows, strips, lengths = [], [], []
+    for r in range(record.rounds):
+        place = record.last_position(r + 1)
+        for instant, gone in ((0, ~record.alive[r]), (clock.instant(DESTROY), ~record.alive[r] | record.fired[r])):
+            at = place[gone & np.isfinite(place[:, 0])]
+            rows.append((r, instant))
+            lengths.append(2 * len(at))
+            strips.append((at[:, None, None] + 1.8 * SMALL * np.float32(scribe.scale) * _CROSS).reshape(-1, 2, 3))
+    look = {"radii": [1.4 * scribe.scale], "colors": [parse_color(_DESTROYED)]}
+    scribe.send(f"{SWARM}/destroyed", scribe.rr.LineStrips3D, rows, lengths, look, strips=np.concatenate(strips))
+
+
+def _write_marks(scribe: Scribe) -> None:
+    """Write a wire sphere around hits and missed heads, a box around redundant candidates, and their labels."""
+    rr = scribe.rr
+    seen = np.isfinite(scribe.last[..., 0])
+    words = list(dict.fromkeys(word for marks in scribe.marks for word in marks if word != OTHER))
+    for word in words:
+        kind = rr.Boxes3D if word == REDUNDANT else rr.Ellipsoids3D
+        values = []
+        for r, marks in enumerate(scribe.marks):
+            who = (marks == word) & seen[r]
+            half = np.full((int(who.sum()), 3), scribe.scale * RING * (0.8 if word == REDUNDANT else 1.0), np.float32)
+            values.append({"centers": scribe.last[r][who], "half_sizes": half})
+        width = {"radii" if word == REDUNDANT else "line_radii": [0.7 * scribe.scale * (0.5 if word == MISSED else 1)]}
+        frame = [rr.components.FillMode.MajorWireframe]
+        look = {"colors": [scribe.mark_color(word)], "fill_mode": frame, **width}
+        scribe.show_at_beat(f"{VERDICT}/{word}", kind, values, look)
+    labels = []
+    for r, marks in enumerate(scribe.marks):
+        who = np.flatnonzero((marks != OTHER) & seen[r])
+        who = who if len(who) <= MOST_LABELS else who[:0]
+        labels.append(
+            {
+                "positions": scribe.last[r][who] + np.array([0, 0, 1.6 * RING * scribe.scale], np.float32),
+                "colors": np.array([scribe.mark_color(marks[i]) for i in who], np.uint8).reshape(-1, 4),
+                "labels": [f"{marks[i]} {scribe.name(i)}" for i in who.tolist()],
+            }
+        )
+    scribe.show_at_beat(f"{VERDICT}/labels", rr.Points3D, labels, {"radii": [0.1], "show_labels": True}, ANSWER)
+
+
+def _write_observers(scribe: Scribe, observers: NDArray[np.float64]) -> None:
+    """Write the places of the observers, with a circle of their sensing range."""
+    angle = np.linspace(0, 2 * np.pi, 65)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    rings = (observers[:, None, :3] + observers[:, None, 3:] * circle).astype(np.float32)
+    color = parse_color(_OBSERVER)
+    names = [f"observer {k}, range {each[3]:g} m" for k, each in enumerate(observers)]
+    place = scribe.rr.Points3D(
+        observers[:, :3], radii=LARGE * scribe.scale, colors=color, labels=names, show_labels=True
+    )
+    ranges = scribe.rr.LineStrips3D(rings, radii=1.2 * scribe.scale, colors=(*color[:3], 140))
+    scribe.stream.log(scribe.root + OBSERVERS, place, static=True)
+    scribe.stream.log(f"{scribe.root}{OBSERVERS}/ranges", ranges, static=True)

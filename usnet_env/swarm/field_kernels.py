@@ -1,0 +1,238 @@
+"""The compiled inner loops of the field models. Conventions are those of ``kernels.py``.
+
+The numbers of a follower are in a table ``(B, COLUMNS, N)`` float32 that is drawn for each episode. Where a model
+changes over time, it does so by hashed draws from the clock, so a flight has no state but the past.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from usnet_env.compiling import compiled
+from usnet_env.swarm.kernels import FOLLOWS, FREE
+
+__all__ = [
+    "ALWAYS",
+    "COLUMNS",
+    "DELAY",
+    "EACH_CLUSTER",
+    "EACH_FOLLOWER",
+    "GAIN",
+    "KINDS",
+    "MOST_LINKS",
+    "NOISE",
+    "OFFSET",
+    "SALT",
+    "find_top",
+    "finish_step",
+    "fly_kinds",
+    "fly_links",
+    "fly_slots",
+    "hash_draw",
+    "move_free",
+]
+
+COLUMNS = 7  # of the table: delay, gain, noise, salt of the hashed draws, and the three coordinates of the slot
+DELAY, GAIN, NOISE, SALT, OFFSET = 0, 1, 2, 3, 4
+ALWAYS, EACH_CLUSTER, EACH_FOLLOWER = range(3)  # who draws whether to answer, block by block
+KINDS = 6  # the strategies that `fly_kinds` mixes: f1 to f6
+MOST_LINKS = 8  # of one follower in `fly_links`
+
+_ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
+_MASK = np.uint64(0xFFFFFFFF)
+
+
+@compiled(error_model="numpy")
+def hash_draw(salt, block):
+    """A number in [0, 1) from a salt and the number of a block of steps: the integer hash lowbias32 (Wellons 2018)."""
+    x = (np.uint64(salt) * np.uint64(0x9E3779B1) + np.uint64(block) * np.uint64(0x85EBCA77)) & _MASK
+    x = x ^ (x >> np.uint64(16))
+    x = (x * np.uint64(0x7FEB352D)) & _MASK
+    x = x ^ (x >> np.uint64(15))
+    x = (x * np.uint64(0x846CA68B)) & _MASK
+    x = x ^ (x >> np.uint64(16))
+    return np.float32(x >> np.uint64(8)) * np.float32(2.0**-24)
+
+
+@compiled(error_model="numpy")
+def finish_step(b, s, t, i, x, y, z, noise_scale, noise, position, velocity):
+    """Write norm((x, y, z) + noise) as the velocity of UAV i in step t, and its next position."""
+    x, y, z = (
+        x + noise_scale * noise[b, s, i, 0], y + noise_scale * noise[b, s, i, 1], z + noise_scale * noise[b, s, i, 2]
+    )  # fmt: skip
+    size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
+    velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = x * size, y * size, z * size
+    for axis in range(3):
+        position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
+
+
+@compiled(error_model="numpy")
+def move_free(b, t, motion, position, velocity):
+    """Write the next positions of the free UAVs."""
+    for i in range(len(motion)):
+        if motion[i] == FREE:
+            for axis in range(3):
+                position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
+
+
+@compiled(error_model="numpy")
+def find_top(i, motion, source):
+    """The free UAV or reference at the end of the chain of sources of UAV i, or the last UAV of the chain."""
+    while motion[i] == FOLLOWS and source[i] >= 0:
+        i = source[i]
+    return i
+
+
+@compiled(error_model="numpy")
+def fly_links(
+    links, strength, scale, answers, block, share, idle_noise, table, source, clock, motion, start, noise, position,
+    velocity,
+):  # fmt: skip
+    """Followers copy up to ``links`` UAVs above them in the chain of sources.
+
+    Link k of follower i leads to the UAV a_k that is k steps above it, with the sum of the delays on this way.
+    v_{i,t+1} = norm((1 - g_i) v_{i,t} + g_i mean_k v_{a_k,t+1-d_k} + kappa_i n). With ``strength`` > 0 it is
+    norm(v_{i,t} + mean_k strength (1 + |p_{a_k} - p_i|^2 / scale^2)^-0.4 (v_{a_k,t} - v_{i,t}) + kappa_i n) instead.
+    A follower that doesn't answer in a block flies on with the noise ``idle_noise``.
+    """
+    episodes, steps, uavs = noise.shape[0], noise.shape[1], table.shape[2]
+    above = np.empty((uavs, MOST_LINKS), np.int64)
+    late = np.empty((uavs, MOST_LINKS), np.int64)
+    count = np.empty(uavs, np.int64)
+    salt = np.empty(uavs, np.float32)
+    for b in range(episodes):
+        for i in range(uavs):
+            count[i] = 0
+            a, delay = i, 0
+            while count[i] < links and motion[b, a] == FOLLOWS and source[b, a] >= 0:
+                delay += np.int64(table[b, DELAY, a])
+                a = source[b, a]
+                above[i, count[i]], late[i, count[i]] = a, delay
+                count[i] += 1
+            top = find_top(i, motion[b], source[b]) if answers == EACH_CLUSTER else i
+            salt[i] = table[b, SALT, top % uavs]
+        for s in range(steps):
+            t = start + s
+            now = (clock[b] + s) // block
+            for i in range(uavs):
+                if motion[b, i] != FOLLOWS:
+                    continue
+                x, y, z = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
+                noise_scale = table[b, NOISE, i]
+                if count[i] == 0 or (answers != ALWAYS and hash_draw(salt[i], now) >= share):
+                    finish_step(b, s, t, i, x, y, z, idle_noise, noise, position, velocity)
+                    continue
+                if strength > _ZERO:
+                    vx, vy, vz = x, y, z
+                    for k in range(count[i]):
+                        a, u = above[i, k], t - 1
+                        dx = position[b, t, a, 0] - position[b, t, i, 0]
+                        dy = position[b, t, a, 1] - position[b, t, i, 1]
+                        dz = position[b, t, a, 2] - position[b, t, i, 2]
+                        near = (dx * dx + dy * dy + dz * dz) / (scale * scale)
+                        weight = strength / (np.float32(count[i]) * np.float32((_ONE + near) ** np.float32(0.4)))
+                        x += weight * (velocity[b, u, a, 0] - vx)
+                        y += weight * (velocity[b, u, a, 1] - vy)
+                        z += weight * (velocity[b, u, a, 2] - vz)
+                else:
+                    gain = table[b, GAIN, i]
+                    weight = gain / np.float32(count[i])
+                    x, y, z = (_ONE - gain) * x, (_ONE - gain) * y, (_ONE - gain) * z
+                    for k in range(count[i]):
+                        a, u = above[i, k], t - late[i, k]
+                        x += weight * velocity[b, u, a, 0]
+                        y += weight * velocity[b, u, a, 1]
+                        z += weight * velocity[b, u, a, 2]
+                finish_step(b, s, t, i, x, y, z, noise_scale, noise, position, velocity)
+            move_free(b, t, motion[b], position, velocity)
+
+
+@compiled(error_model="numpy")
+def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise, position, velocity):
+    """Each follower flies by one of f1 to f6 at a time, drawn once or, for each cluster, again in every block.
+
+    f_k with lags l: norm(sum_{tau<l} v_{iL,t-tau} + kappa_i n), squares for f4 and f5; f6 adds the pull of its row.
+    """
+    episodes, steps, uavs = noise.shape[0], noise.shape[1], table.shape[2]
+    salt = np.empty(uavs, np.float32)
+    for b in range(episodes):
+        for i in range(uavs):
+            top = find_top(i, motion[b], source[b]) if answers == EACH_CLUSTER else i
+            salt[i] = table[b, SALT, top % uavs]
+        for s in range(steps):
+            t = start + s
+            now = (clock[b] + s) // block if answers == EACH_CLUSTER else 0
+            for i in range(uavs):
+                if motion[b, i] != FOLLOWS:
+                    continue
+                h = source[b, i]
+                kind = int(np.float32(KINDS) * hash_draw(salt[i], now))
+                x, y, z = _ZERO, _ZERO, _ZERO
+                square = kind == 3 or kind == 4
+                lags = kind - 1 if square else (1 if kind == 5 else kind + 1)
+                for lag in range(lags):
+                    vx, vy, vz = (
+                        velocity[b, t - 1 - lag, h, 0],
+                        velocity[b, t - 1 - lag, h, 1],
+                        velocity[b, t - 1 - lag, h, 2],
+                    )
+                    if square:
+                        vx, vy, vz = vx * vx, vy * vy, vz * vz
+                    x, y, z = x + vx, y + vy, z + vz
+                if kind == 5:
+                    dx = position[b, t - 1, h, 0] - position[b, t - 1, i, 0]
+                    dy = position[b, t - 1, h, 1] - position[b, t - 1, i, 1]
+                    dz = position[b, t - 1, h, 2] - position[b, t - 1, i, 2]
+                    distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+                    if distance > reach:
+                        x, y, z = x + dx / distance, y + dy / distance, z + dz / distance
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
+            move_free(b, t, motion[b], position, velocity)
+
+
+@compiled(error_model="numpy")
+def fly_slots(lags, pull, near, table, source, motion, start, noise, position, velocity):
+    """Followers keep a slot in the frame of their source, whose course is its mean velocity over ``lags`` steps.
+
+    v_{i,t+1} = norm(v_{L,t+1-d_i} + pull g / max(|g|, near) + kappa_i n), g = p_L + R(course) o_i - p_i, where R turns
+    the x axis into the course and keeps the y axis level.
+    """
+    episodes, steps, uavs = noise.shape[0], noise.shape[1], table.shape[2]
+    frame = np.empty((noise.shape[2], 8), np.float32)
+    framed = np.empty(noise.shape[2], np.int64)
+    for b in range(episodes):
+        framed[:] = -1
+        for s in range(steps):
+            t = start + s
+            for i in range(uavs):
+                if motion[b, i] != FOLLOWS:
+                    continue
+                h = source[b, i]
+                if framed[h] != s:  # the course of each source once a step
+                    x, y, z = _ZERO, _ZERO, _ZERO
+                    for lag in range(lags):
+                        x += velocity[b, t - 1 - lag, h, 0]
+                        y += velocity[b, t - 1 - lag, h, 1]
+                        z += velocity[b, t - 1 - lag, h, 2]
+                    size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
+                    x, y, z = x * size, y * size, z * size
+                    level = np.sqrt(x * x + y * y)
+                    cx, cy = (x / level, y / level) if level > np.float32(1e-6) else (_ONE, _ZERO)
+                    row = frame[h]
+                    row[0], row[1], row[2], row[3], row[4] = x, y, z, -cy, cx
+                    row[5], row[6], row[7] = -z * cx, -z * cy, level
+                    framed[h] = s
+                row = frame[h]
+                along, across, up = table[b, OFFSET, i], table[b, OFFSET + 1, i], table[b, OFFSET + 2, i]
+                gx = along * row[0] + across * row[3] + up * row[5] + position[b, t, h, 0] - position[b, t, i, 0]
+                gy = along * row[1] + across * row[4] + up * row[6] + position[b, t, h, 1] - position[b, t, i, 1]
+                gz = along * row[2] + up * row[7] + position[b, t, h, 2] - position[b, t, i, 2]
+                weight = pull / max(np.sqrt(gx * gx + gy * gy + gz * gz), near)
+                u = t - np.int64(table[b, DELAY, i])
+                x, y, z = (
+                    velocity[b, u, h, 0] + weight * gx,
+                    velocity[b, u, h, 1] + weight * gy,
+                    velocity[b, u, h, 2] + weight * gz,
+                )
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
+            move_free(b, t, motion[b], position, velocity)

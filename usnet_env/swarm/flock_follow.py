@@ -1,0 +1,139 @@
+"""Field models in which the UAVs of a cluster fly as a flock: by the neighbours within ranges, not by their head."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from usnet_env.swarm import flock_kernels
+from usnet_env.swarm.field_follow import FieldStrategy
+from usnet_env.swarm.formation import Roles
+from usnet_env.swarm.trajectory import TrajectoryBatch
+
+__all__ = ["Couzin", "Flock", "Predator", "Shepherd", "Vicsek"]
+
+
+@dataclass(frozen=True)
+class Flock(FieldStrategy):
+    """Repulsion, alignment and attraction among the UAVs of a cluster: base of the flocks.
+
+    A UAV without a neighbour in any range flies to the middle of its cluster.
+
+    Args:
+        repulsion: range of repulsion, metres; a UAV with a neighbour within it only flies away from it.
+        alignment: range of alignment, metres.
+        attraction: range of attraction, metres.
+        align: weight of alignment, the mean velocity in its range, the UAV's own included.
+        attract: weight of attraction, the mean direction to the neighbours in its range.
+        flight: distance at which a UAV flees a predator or driver, metres.
+        flee: weight of the flight.
+        standoff: distance of a driver from the middle of its flock, metres.
+    """
+
+    repulsion: float = 0.0
+    alignment: float = 40.0
+    attraction: float = 0.0
+    align: float = 1.0
+    attract: float = 0.0
+    flight: float = 0.0
+    flee: float = 0.0
+    standoff: float = 0.0
+    chaser: ClassVar[int] = flock_kernels.NO_CHASER
+
+    def fly(self, flight: TrajectoryBatch) -> None:
+        """Compiled loop."""
+        flock_kernels.fly_flock(
+            np.array([self.repulsion, self.alignment, self.attraction], np.float32),
+            np.array([self.align, self.attract], np.float32),
+            self.chaser,
+            np.float32(self.flight),
+            np.float32(self.flee),
+            np.float32(self.standoff),
+            self.table(flight),
+            flight.source,
+            flight.bystander,
+            flight.motion,
+            flight.start,
+            flight.noise,
+            flight.position,
+            flight.velocity,
+        )
+
+
+@dataclass(frozen=True)
+class Vicsek(Flock):
+    """A Vicsek flock with an informed head: followers take the mean velocity within a range; the head ignores them."""
+
+    equation = "v_{i,t+1} = norm(mean_{‖p_j − p_i‖ < r} v_{j,t} + κ_n n)"
+    citation = "Vicsek et al. 1995; one leader: Mwaffo et al. 2017"
+    breaks = "followers copy a head and no other UAV"
+    parameters = ("alignment", "noise")
+    noise: float = 0.1
+
+
+@dataclass(frozen=True)
+class Couzin(Flock):
+    """A Couzin flock with an informed head, which ignores the others: repulsion, or else alignment and attraction."""
+
+    equation = (
+        "v_{i,t+1} = norm(−Σ_{d<r_r} d_ij / ‖d_ij‖ + κ_n n), or else "
+        "norm(mean_{d<r_o} v_{j,t} + w mean_{d<r_a} d_ij / ‖d_ij‖ + κ_n n)"
+    )
+    citation = "Couzin et al. 2002, 2005, Nature 433:513"
+    breaks = "followers copy a head and no other UAV"
+    parameters = ("repulsion", "alignment", "attraction", "attract", "noise")
+    repulsion: float = 5.0
+    alignment: float = 40.0
+    attraction: float = 100.0
+    attract: float = 0.6
+
+
+@dataclass(frozen=True)
+class Predator(Couzin):
+    """A Couzin flock with a head and a predator, which chases the nearest UAV of the flock; the flock flees it.
+
+    One follower of each cluster is its predator. It is no head and has none.
+    """
+
+    equation = "prey: couzin + w_f (p_i − p_q) / ‖·‖ within r_f; predator q: v_{q,t+1} = norm(p_nearest − p_q + κ_n n)"
+    citation = "Couzin et al. 2002; Lee et al. 2006 (predator and prey flocks)"
+    breaks = "who causes turns leads, and who copies motion follows"
+    parameters = ("flight", "flee", "noise")
+    flight: float = 60.0
+    flee: float = 1.0
+    chaser = flock_kernels.PREDATOR
+
+    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
+        """Draw the predator of each cluster."""
+        bystander, leader = roles.bystander.copy(), roles.leader.copy()
+        for cluster in range(len(roles.drawn)):
+            predator = rng.choice(roles.members(cluster))
+            bystander[predator], leader[predator] = True, predator
+        return replace(roles, bystander=bystander, leader=leader)
+
+
+@dataclass(frozen=True)
+class Shepherd(Couzin):
+    """A driver behind each flock pushes it where the swarm's mobility wants it; H_0 is empty: a driver is no leader."""
+
+    equation = "flock: couzin + w_f (p_i − p_s) / ‖·‖ within r_f; driver s: v_{s,t+1} = norm(p̄ − b u − p_s + κ_n n)"
+    citation = "Strömbom et al. 2014, J. R. Soc. Interface 11:20140719"
+    breaks = "who causes turns leads"
+    parameters = ("flight", "flee", "standoff", "noise")
+    flight: float = 80.0
+    flee: float = 1.5
+    standoff: float = 40.0
+    has_heads = False
+    chaser = flock_kernels.DRIVER
+
+    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
+        """The drawn head of each cluster becomes its driver."""
+        source, leader, bystander = roles.source.copy(), roles.leader.copy(), roles.bystander.copy()
+        for cluster, driver in enumerate(roles.drawn):
+            members = roles.members(cluster)
+            source[members], leader[members] = driver, -1
+            source[driver], bystander[driver] = len(source) + cluster, True
+        none = np.zeros_like(roles.head)
+        return replace(roles, head=none, source=source, leader=leader, bystander=bystander, references=len(roles.drawn))

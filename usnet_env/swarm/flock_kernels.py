@@ -1,0 +1,236 @@
+"""The compiled loop of the flocks: neighbours within ranges, found by a cell list in large flocks.
+
+A flock is a cluster: the living UAVs with the same UAV or reference at the end of their chains of sources. Predators
+and drivers belong to no flock. Time and memory of a step are linear in N at a fixed density.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from usnet_env.compiling import compiled
+from usnet_env.swarm.field_kernels import NOISE, find_top, finish_step, move_free
+from usnet_env.swarm.kernels import DESTROYED, FOLLOWS
+
+__all__ = ["DRIVER", "NO_CHASER", "PREDATOR", "fly_flock"]
+
+NO_CHASER, PREDATOR, DRIVER = range(3)
+
+_ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
+_FAST = {"reassoc", "nsz", "contract"}  # lets the compiler sum over neighbours with vector instructions
+_SMALL = 64  # up to this size a flock is searched as a whole
+
+
+@compiled(error_model="numpy")
+def _hash_cell(x, y, z, size):
+    """The bucket of a cell; ``size`` is a power of two."""
+    return (x * 73856093 ^ y * 19349663 ^ z * 83492791) & (size - 1)
+
+
+@compiled(error_model="numpy")
+def _build_cells(first, last, p, width, cell, bucket, following):
+    """Sort the UAVs first..last-1 into cells: ``bucket`` holds the first UAV of each, ``following`` the next one."""
+    bucket[:] = -1
+    for c in range(first, last):
+        for axis in range(3):
+            cell[axis, c] = int(np.floor(p[axis, c] / width))
+        place = _hash_cell(cell[0, c], cell[1, c], cell[2, c], len(bucket))
+        following[c] = bucket[place]
+        bucket[place] = c
+
+
+@compiled(error_model="numpy")
+def _sum_cells(a, p, v, repel, align, attract, cell, bucket, following, sums):
+    """Sum over the UAVs in the 27 cells around UAV a: repulsion, alignment, attraction, and their three counts."""
+    sums[:] = _ZERO
+    outer = max(align, attract)
+    for i in range(cell[0, a] - 1, cell[0, a] + 2):
+        for j in range(cell[1, a] - 1, cell[1, a] + 2):
+            for k in range(cell[2, a] - 1, cell[2, a] + 2):
+                c = bucket[_hash_cell(i, j, k, len(bucket))]
+                while c >= 0:
+                    dx, dy, dz = p[0, c] - p[0, a], p[1, c] - p[1, a], p[2, c] - p[2, a]
+                    square = dx * dx + dy * dy + dz * dz
+                    # Two cells may share a bucket: a UAV counts in its own cell only.
+                    if square < outer and cell[0, c] == i and cell[1, c] == j and cell[2, c] == k:
+                        inverse = _ONE / np.sqrt(square + _TINY)
+                        if square < repel:
+                            sums[9] += _ONE
+                            sums[0], sums[1], sums[2] = (
+                                sums[0] - inverse * dx, sums[1] - inverse * dy, sums[2] - inverse * dz
+                            )  # fmt: skip
+                        if square < align:
+                            sums[10] += _ONE
+                            sums[3], sums[4], sums[5] = sums[3] + v[0, c], sums[4] + v[1, c], sums[5] + v[2, c]
+                        if square < attract:
+                            sums[11] += _ONE
+                            sums[6], sums[7], sums[8] = (
+                                sums[6] + inverse * dx, sums[7] + inverse * dy, sums[8] + inverse * dz
+                            )  # fmt: skip
+                    c = following[c]
+
+
+@compiled(error_model="numpy")
+def _sort_members(motion, source, bystander, uavs, label, order, first):
+    """Sort the living UAVs by flock: ``order[first[f]:first[f + 1]]`` are those of flock f. Return their number."""
+    first[:] = 0
+    for i in range(uavs):
+        label[i] = -1
+        if motion[i] != DESTROYED and not (bystander[i] and motion[i] == FOLLOWS):
+            label[i] = find_top(i, motion, source)
+            first[label[i] + 1] += 1
+    for f in range(len(first) - 1):
+        first[f + 1] += first[f]
+    place = first.copy()
+    for i in range(uavs):
+        if label[i] >= 0:
+            order[place[label[i]]] = i
+            place[label[i]] += 1
+    return first[-1]
+
+
+@compiled(error_model="numpy")
+def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position, velocity):
+    """The direction of a predator, to the nearest UAV of its flock, or of a driver, to its place behind the flock."""
+    if chaser == PREDATOR:
+        x, y, z, best = velocity[t - 1, i, 0], velocity[t - 1, i, 1], velocity[t - 1, i, 2], np.float32(np.inf)
+        for c in range(first, last):
+            dx, dy, dz = p[0, c] - position[t, i, 0], p[1, c] - position[t, i, 1], p[2, c] - position[t, i, 2]
+            square = dx * dx + dy * dy + dz * dz
+            if square < best:
+                x, y, z, best = dx, dy, dz, square
+    else:
+        ux, uy, uz = velocity[t, top, 0], velocity[t, top, 1], velocity[t, top, 2]
+        back = standoff / np.sqrt(ux * ux + uy * uy + uz * uz + _TINY)
+        x = middle[0] - back * ux - position[t, i, 0]
+        y = middle[1] - back * uy - position[t, i, 1]
+        z = middle[2] - back * uz - position[t, i, 2]
+    size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
+    return x * size, y * size, z * size
+
+
+@compiled(fastmath=_FAST, error_model="numpy")
+def fly_flock(
+    ranges, weights, chaser, flight_range, flight_weight, standoff, table, source, bystander, motion, start, noise,
+    position, velocity,
+):  # fmt: skip
+    """Followers fly by repulsion, or else by alignment and attraction, from the UAVs of their flock, and flee chasers.
+
+    Args:
+        ranges: ``(3,)`` float32, metres: of repulsion, alignment and attraction.
+        weights: ``(2,)`` float32, of alignment and attraction.
+        chaser: what a bystander that follows is: ``NO_CHASER``, ``PREDATOR`` or ``DRIVER``.
+        flight_range: metres; a chaser within it is fled from.
+        flight_weight: weight of the direction away from a chaser.
+        standoff: metres between a driver and the middle of its flock.
+        table: ``(B, COLUMNS, N)`` float32, the numbers of each UAV.
+        source: as in ``TrajectoryBatch``, like the arguments that follow.
+        bystander: ``(B, N)`` bool.
+        motion: ``(B, N + R)`` int8.
+        start: the first step.
+        noise: ``(B, S, N + R, 3)`` float32.
+        position: filled in place.
+        velocity: filled in place.
+    """
+    episodes, steps, width, uavs = noise.shape[0], noise.shape[1], noise.shape[2], table.shape[2]
+    label, order = np.empty(uavs, np.int64), np.empty(uavs, np.int64)
+    first = np.empty(width + 1, np.int64)
+    p, v, sums = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32), np.empty(12, np.float32)
+    repel, align, attract = ranges[0] * ranges[0], ranges[1] * ranges[1], ranges[2] * ranges[2]
+    outer, plain = max(ranges[1], ranges[2]), max(repel, attract) == _ZERO
+    cell, following = np.empty((3, uavs), np.int64), np.empty(uavs, np.int64)
+    buckets = 1
+    while buckets < 2 * uavs:
+        buckets *= 2
+    bucket = np.empty(buckets, np.int64)
+    middle = np.zeros((width, 3), np.float32)
+    chasers = np.empty(uavs, np.int64)
+    for b in range(episodes):
+        members = _sort_members(motion[b], source[b], bystander[b], uavs, label, order, first)
+        chaser_count = 0
+        for i in range(uavs):
+            if bystander[b, i] and motion[b, i] == FOLLOWS:
+                chasers[chaser_count] = i
+                chaser_count += 1
+        for s in range(steps):
+            t = start + s
+            for c in range(members):
+                for axis in range(3):
+                    p[axis, c], v[axis, c] = position[b, t, order[c], axis], velocity[b, t - 1, order[c], axis]
+            for f in range(width):
+                low, size = first[f], first[f + 1] - first[f]
+                if not size:
+                    continue
+                px, py, pz = p[0, low : low + size], p[1, low : low + size], p[2, low : low + size]
+                vx, vy, vz = v[0, low : low + size], v[1, low : low + size], v[2, low : low + size]
+                middle[f, 0], middle[f, 1], middle[f, 2] = px.mean(), py.mean(), pz.mean()
+                small = 1
+                if size > _SMALL:
+                    while small < 2 * size:
+                        small *= 2
+                    _build_cells(low, low + size, p, outer, cell, bucket[:small], following)
+                for c in range(size):
+                    i = order[low + c]
+                    if motion[b, i] != FOLLOWS:
+                        continue
+                    ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+                    rx, ry, rz, repelled, aligned, attracted = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+                    if size > _SMALL:
+                        _sum_cells(low + c, p, v, repel, align, attract, cell, bucket[:small], following, sums)
+                        rx, ry, rz, ox, oy, oz = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+                        ax, ay, az, repelled, aligned, attracted = (
+                            sums[6], sums[7], sums[8], sums[9], sums[10], sums[11]
+                        )  # fmt: skip
+                    elif plain:
+                        for d in range(size):
+                            dx, dy, dz = px[d] - px[c], py[d] - py[c], pz[d] - pz[c]
+                            o = _ONE if dx * dx + dy * dy + dz * dz < align else _ZERO
+                            ox, oy, oz, aligned = ox + o * vx[d], oy + o * vy[d], oz + o * vz[d], aligned + o
+                    else:
+                        for d in range(size):
+                            dx, dy, dz = px[d] - px[c], py[d] - py[c], pz[d] - pz[c]
+                            square = dx * dx + dy * dy + dz * dz
+                            o = _ONE if square < align else _ZERO
+                            q = _ONE if square < attract else _ZERO
+                            repelled += _ONE if square < repel else _ZERO
+                            aligned, attracted = aligned + o, attracted + q
+                            ox, oy, oz = ox + o * vx[d], oy + o * vy[d], oz + o * vz[d]
+                            q /= np.sqrt(square + _TINY)
+                            ax, ay, az = ax + q * dx, ay + q * dy, az + q * dz
+                        if repelled > np.float32(1.5):  # seldom, so this sum is not in the loop above
+                            for d in range(size):
+                                dx, dy, dz = px[d] - px[c], py[d] - py[c], pz[d] - pz[c]
+                                square = dx * dx + dy * dy + dz * dz
+                                r = (_ONE if square < repel else _ZERO) / np.sqrt(square + _TINY)
+                                rx, ry, rz = rx - r * dx, ry - r * dy, rz - r * dz
+                    if repelled > np.float32(1.5):  # the UAV itself is counted
+                        x, y, z = rx, ry, rz
+                        scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
+                        x, y, z = x * scale, y * scale, z * scale
+                    elif max(aligned, attracted) > np.float32(1.5):
+                        align_scale = weights[0] / max(aligned, _ONE)
+                        attract_scale = weights[1] / max(attracted - _ONE, _ONE)
+                        x = align_scale * ox + attract_scale * ax
+                        y = align_scale * oy + attract_scale * ay
+                        z = align_scale * oz + attract_scale * az
+                    else:
+                        x, y, z = middle[f, 0] - px[c], middle[f, 1] - py[c], middle[f, 2] - pz[c]
+                        scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
+                        x, y, z = x * scale, y * scale, z * scale
+                    for k in range(chaser_count):
+                        h = chasers[k]
+                        dx, dy = px[c] - position[b, t, h, 0], py[c] - position[b, t, h, 1]
+                        dz = pz[c] - position[b, t, h, 2]
+                        square = dx * dx + dy * dy + dz * dz
+                        if square < flight_range * flight_range:
+                            scale = flight_weight / np.sqrt(square + _TINY)
+                            x, y, z = x + scale * dx, y + scale * dy, z + scale * dz
+                    finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
+            for k in range(chaser_count):
+                i = chasers[k]
+                f = find_top(i, motion[b], source[b])
+                x, y, z = _steer_chaser(
+                    chaser, standoff, i, first[f], first[f + 1], f, t, p, middle[f], position[b], velocity[b]
+                )
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
+            move_free(b, t, motion[b], position, velocity)

@@ -1,0 +1,321 @@
+"""Kinematics: what a UAV can fly, apart from what it wants.
+
+A mobility or a follow strategy says in which direction a UAV wants to fly; its kinematics turns this direction into its
+velocity, step by step. With ``unit``, the default, every UAV flies 1 m per step in that direction. Each other model is
+defined in NumPy by :meth:`Kinematics.steer` and flown by a compiled loop that is tested against this definition.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.arrays import Singles
+from usnet_env.config import ArgumentError, quote, real_number, whole_number
+from usnet_env.registry import Registry
+from usnet_env.swarm import kernels, kinematic_kernels
+
+__all__ = [
+    "KINEMATICS",
+    "Kinematics",
+    "Lagged",
+    "Layered",
+    "Limited",
+    "Unit",
+    "VariedSpeed",
+    "kinematics_models",
+    "register_kinematics",
+]
+
+_FASTEST = 100.0  # metres per step
+_MOST_VALUES = 64
+
+
+class Kinematics(ABC):
+    """How a UAV flies towards the direction that it wants. Subclass it and define :meth:`steer`.
+
+    Attributes:
+        equation: the equation as text, for lists and documentation pages.
+        source: where the model comes from.
+        version: increases when the model's behaviour changes.
+        top_speed: an upper bound of the speed, metres per step; at most 100.
+        values: number of values in the state of one UAV.
+        normals: standard normal numbers that a UAV needs per step.
+    """
+
+    equation: ClassVar[str] = ""
+    source: ClassVar[str] = ""
+    version: ClassVar[int] = 1
+    values: int = 0
+    normals: int = 0
+    top_speed: float = 1.0
+
+    def start(self, rng: np.random.Generator, uavs: int) -> Singles:
+        """Draw the initial state ``(uavs, values)``."""
+        return np.zeros((uavs, self.values), np.float32)
+
+    @abstractmethod
+    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
+        """The velocities ``(n, 3)`` of one step, metres per step; row i depends only on row i of the inputs.
+
+        Args:
+            wanted: ``(n, 3)``, the directions that the UAVs want, of length 1.
+            before: ``(n, 3)``, their velocities one step earlier, metres per step.
+            position: ``(n, 3)``, their present positions, metres.
+            state: ``(n, values)``, their states, updated in place.
+            normals: ``(n, normals)``, standard normal numbers.
+        """
+
+    def fly(
+        self,
+        t: int,
+        motion: NDArray[np.int8],
+        normals: Singles,
+        state: Singles,
+        position: Singles,
+        velocity: Singles,
+    ) -> None:
+        """Fly step ``t`` of B swarms: replace the wanted directions by velocities and write the next positions.
+
+        Args:
+            t: the step; ``velocity[:, t]`` holds the wanted directions.
+            motion: ``(B, N)`` int8, as in ``TrajectoryBatch``.
+            normals: ``(B, N, normals)`` float32.
+            state: ``(B, N, values)`` float32, updated in place.
+            position: ``(B, >= t + 2, N, 3)`` float32, metres, updated in place.
+            velocity: ``(B, >= t + 1, N, 3)`` float32, metres per step, updated in place.
+        """
+        living = motion != kernels.DESTROYED
+        kept = state[living]
+        wanted, before, place = velocity[:, t][living], velocity[:, t - 1][living], position[:, t][living]
+        flown = np.asarray(self.steer(wanted, before, place, kept, normals[living]), np.float32)
+        if flown.shape != (living.sum(), 3) or not (np.linalg.norm(flown, axis=1) <= 1.001 * self.top_speed).all():
+            raise ArgumentError(
+                f"kinematics must return velocities of shape {(living.sum(), 3)} and of at most "
+                f"{self.top_speed:g} m per step, got shape {flown.shape} or a faster one."
+            )
+        state[living] = kept
+        velocity[:, t] = 0.0
+        velocity[:, t][living] = flown
+        position[:, t + 1] = position[:, t] + velocity[:, t]
+
+
+@dataclass(frozen=True)
+class Unit(Kinematics):
+    """Every UAV flies 1 m per step in the direction that it wants (the paper's setting)."""
+
+    equation = "v_{t+1} = u_{t+1}"
+    source = "paper, §II-A"
+
+    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
+        """The wanted directions."""
+        return wanted
+
+
+class _Compiled(Kinematics):
+    """A model with a compiled step; ``_code`` is its number and ``_numbers`` its constants."""
+
+    _code: ClassVar[int]
+
+    @property
+    def _numbers(self) -> Singles:
+        return np.zeros(0, np.float32)
+
+    def fly(
+        self, t: int, motion: NDArray[np.int8], normals: Singles, state: Singles, position: Singles, velocity: Singles
+    ) -> None:
+        """Compiled step."""
+        kinematic_kernels.fly_step(self._code, self._numbers, t, motion, normals, state, position, velocity)
+
+
+def _unit(vectors: Singles) -> Singles:
+    return np.asarray(vectors / np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True) + 1e-12), np.float32)
+
+
+@dataclass(frozen=True)
+class VariedSpeed(_Compiled):
+    """Speeds that differ between UAVs and vary over time, by an autoregressive process of order 1.
+
+    Args:
+        slowest: the smallest speed, metres per step.
+        fastest: the largest speed, metres per step.
+        spread: the UAVs' mean speeds are uniform in 1 ± spread, metres per step.
+        keep: φ, the correlation of the relative deviation from one step to the next.
+        deviation: σ, the standard deviation of the relative deviation.
+    """
+
+    equation = "v_{t+1} = s_{t+1} u_{t+1}, s = clip(s̄_i (1 + a)), a_{t+1} = φ a_t + σ √(1 − φ²) n"
+    source = "AR(1), as in Gauss-Markov mobility (Liang & Haas 1999)"
+    values = 2  # mean speed, relative deviation
+    normals = 1
+    _code = kinematic_kernels.VARIED_SPEED
+    slowest: float = 0.5
+    fastest: float = 1.5
+    spread: float = 0.2
+    keep: float = 0.95
+    deviation: float = 0.15
+
+    @property
+    def top_speed(self) -> float:  # type: ignore[override]  # follows from the other fields
+        """The largest speed."""
+        return self.fastest
+
+    @property
+    def _numbers(self) -> Singles:
+        push = self.deviation * math.sqrt(1.0 - self.keep**2)
+        return np.array([self.keep, push, self.slowest, self.fastest], np.float32)
+
+    def start(self, rng: np.random.Generator, uavs: int) -> Singles:
+        """Draw the mean speeds, and the deviations from their stationary distribution."""
+        mean = rng.uniform(1.0 - self.spread, 1.0 + self.spread, uavs)
+        return np.stack([mean, self.deviation * rng.standard_normal(uavs)], axis=1).astype(np.float32)
+
+    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
+        """The wanted directions at the present speeds."""
+        keep, push, slowest, fastest = self._numbers
+        state[:, 1] = keep * state[:, 1] + push * normals[:, 0]
+        speed = np.clip(state[:, 0] * (1 + state[:, 1]), slowest, fastest)
+        return wanted * speed[:, None]
+
+
+@dataclass(frozen=True)
+class Lagged(_Compiled):
+    """A first-order lag: the velocity approaches the wanted one with a time constant of each UAV.
+
+    Args:
+        shortest: the smallest time constant, steps.
+        longest: the largest time constant, steps.
+    """
+
+    equation = "v_{t+1} = v_t + (u_{t+1} − v_t) / τ_i"
+    source = "first-order velocity response (Beard & McLain 2012, §9)"
+    values = 1  # 1 / time constant
+    _code = kinematic_kernels.LAGGED
+    shortest: float = 1.5
+    longest: float = 4.0
+
+    def start(self, rng: np.random.Generator, uavs: int) -> Singles:
+        """Draw the time constants."""
+        return (1.0 / rng.uniform(self.shortest, self.longest, (uavs, 1))).astype(np.float32)
+
+    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
+        """A step towards the wanted velocities."""
+        return before + (wanted - before) * state
+
+
+@dataclass(frozen=True)
+class Limited(_Compiled):
+    """A limited turn rate and acceleration; a UAV that wants to turn more slows down.
+
+    Args:
+        least_turn: the smallest turn rate of a UAV, radians per step.
+        most_turn: the largest turn rate of a UAV, radians per step.
+        slowest: the speed that a UAV aims at when it wants to reverse, metres per step.
+        acceleration: the largest change of the speed, metres per step and step.
+    """
+
+    equation = "∠(v_{t+1}, v_t) ≤ ω_i, |s_{t+1} − s_t| ≤ a, s aims at s_0 + (1 − s_0) (1 + cos ∠(u, v)) / 2"
+    source = "bounded turn rate and acceleration (Dubins 1957; Beard & McLain 2012)"
+    values = 1  # turn rate
+    _code = kinematic_kernels.LIMITED
+    least_turn: float = 0.15
+    most_turn: float = 0.35
+    slowest: float = 0.5
+    acceleration: float = 0.05
+
+    @property
+    def _numbers(self) -> Singles:
+        return np.array([self.slowest, self.acceleration], np.float32)
+
+    def start(self, rng: np.random.Generator, uavs: int) -> Singles:
+        """Draw the turn rates."""
+        return rng.uniform(self.least_turn, self.most_turn, (uavs, 1)).astype(np.float32)
+
+    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
+        """Turn within the plane of both directions, by at most the turn rate."""
+        speed = np.linalg.norm(before, axis=1)
+        course = before / np.maximum(speed, 1e-6)[:, None]
+        cosine = np.clip((course * wanted).sum(axis=1), -1.0, 1.0)
+        angle = np.minimum(np.arccos(cosine), state[:, 0])
+        across = wanted - cosine[:, None] * course
+        level = np.stack([-course[:, 1], course[:, 0], np.zeros_like(cosine)], axis=1)
+        across = _unit(np.where(np.linalg.norm(across, axis=1, keepdims=True) < 1e-4, level, across))
+        turned = np.cos(angle)[:, None] * course + np.sin(angle)[:, None] * across
+        goal = self.slowest + (1.0 - self.slowest) * 0.5 * (1.0 + cosine)
+        now = np.clip(goal, speed - self.acceleration, speed + self.acceleration)
+        return np.asarray(_unit(turned) * np.clip(now, 0.0, 1.0)[:, None], np.float32)
+
+
+@dataclass(frozen=True)
+class Layered(_Compiled):
+    """Altitude layers: a UAV keeps the altitude of its layer and flies the wanted course in the plane.
+
+    Args:
+        layers: number of layers, the lowest at half a ``height``.
+        height: distance of two layers, metres.
+        climb: the largest vertical speed, metres per step.
+    """
+
+    equation = "v_z = clip((h_i − z) / 10, ±c), v_xy = √(1 − v_z²) u_xy / ‖u_xy‖"
+    source = "altitude layers of urban airspace (Sunil et al. 2015, Metropolis)"
+    values = 1  # altitude
+    _code = kinematic_kernels.LAYERED
+    layers: int = 5
+    height: float = 20.0
+    climb: float = 0.3
+
+    @property
+    def _numbers(self) -> Singles:
+        return np.array([self.climb], np.float32)
+
+    def start(self, rng: np.random.Generator, uavs: int) -> Singles:
+        """Draw the layers."""
+        return ((rng.integers(self.layers, size=(uavs, 1)) + 0.5) * self.height).astype(np.float32)
+
+    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
+        """The wanted course in the plane, with the vertical speed towards the layer."""
+        vertical = np.clip((state[:, 0] - position[:, 2]) / 10.0, -self.climb, self.climb)
+        level = _unit(np.column_stack([wanted[:, :2], np.zeros(len(wanted))]))
+        return np.asarray(np.column_stack([level[:, :2] * np.sqrt(1.0 - vertical**2)[:, None], vertical]), np.float32)
+
+
+def _check_kinematics(model: Any, subject: str = "model") -> Kinematics:
+    """Return a kinematics model with sizes within their limits."""
+    if not isinstance(model, Kinematics):
+        raise ArgumentError(f"{subject} must be a Kinematics, got {quote(model)}.")
+    real_number("top_speed", model.top_speed, 0, _FASTEST)
+    for name in ("values", "normals"):
+        whole_number(name, getattr(model, name), 0, _MOST_VALUES)
+    return model
+
+
+#: All kinematics models by name.
+KINEMATICS = Registry(
+    "kinematics model",
+    "kinematics",
+    "usnet.kinematics",
+    __name__,
+    _check_kinematics,
+    {
+        "unit": Unit(),
+        "varied_speed": VariedSpeed(),
+        "lagged": Lagged(),
+        "limited": Limited(),
+        "layered": Layered(),
+    },
+)
+
+
+def kinematics_models() -> Mapping[str, Kinematics]:
+    """All kinematics models by name (a read-only view)."""
+    return KINEMATICS
+
+
+#: Register a model, so that ``kinematics=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+register_kinematics = KINEMATICS.register

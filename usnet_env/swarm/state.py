@@ -1,0 +1,141 @@
+"""The true state of a batch of swarms between two rounds, and how a destruction changes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from usnet_env.arrays import Floats, Indices, Mask, Singles
+from usnet_env.config import ArgumentError, quote
+from usnet_env.swarm import kernels
+
+__all__ = ["SwarmState", "destroy"]
+
+
+@dataclass(frozen=True)
+class SwarmState:
+    """The true state of B swarms between two rounds; :meth:`episode` gives one swarm without the leading axis.
+
+    The last six arrays may be left out for a swarm of f1 to f7. Besides its N UAVs a swarm of a field model may have R
+    references: points that fly like heads and that no sensor sees. Their indices are N to N + R - 1.
+
+    Args:
+        head: ``(B, N)`` bool, H_0, the heads at the start, destroyed or not; none in a swarm that no UAV leads.
+        decoy: ``(B, N)`` bool.
+        alive: ``(B, N)`` bool, false for destroyed UAVs.
+        leader: ``(B, N)`` int64, the head of each follower (-1: it has none); the own index of a head, decoy or
+            bystander.
+        past_position: ``(B, T_0 + 1, N, 3)`` float32, metres, oldest first; 0 for destroyed UAVs.
+        past_velocity: ``(B, T_0, N, 3)`` float32, metres per step.
+        free: ``(B, n)`` int64, indices of the free UAVs: heads and decoys, references, bystanders, traffic.
+        mobility_state: ``(B, n, MOBILITY_STATE)`` float64, the mobility state of the free UAVs.
+        parameters: ``(B, P)`` float32, parameters of the follow strategy.
+        bystander: ``(B, N)`` bool, the UAVs that no head leads, decoys excluded.
+        source: ``(B, N)`` int64, the UAV or reference that each UAV copies.
+        clock: ``(B,)`` int64, number of steps flown.
+        kinematic_state: ``(B, N + R, k)`` float32, the state of each UAV's kinematics.
+        reference_position: ``(B, T_0 + 1, R, 3)`` float32, metres.
+        reference_velocity: ``(B, T_0, R, 3)`` float32, metres per step.
+    """
+
+    head: Mask
+    decoy: Mask
+    alive: Mask
+    leader: Indices
+    past_position: Singles
+    past_velocity: Singles
+    free: Indices
+    mobility_state: Floats
+    parameters: Singles
+    bystander: Mask = None  # type: ignore[assignment]  # set below
+    source: Indices = None  # type: ignore[assignment]
+    clock: Indices = None  # type: ignore[assignment]
+    kinematic_state: Singles = None  # type: ignore[assignment]
+    reference_position: Singles = None  # type: ignore[assignment]
+    reference_velocity: Singles = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        position, velocity = self.past_position, self.past_velocity
+        for name, default in (
+            ("bystander", lambda: np.zeros_like(self.decoy)),
+            ("source", self.leader.copy),
+            ("clock", lambda: np.zeros(self.alive.shape[:-1], np.int64)),
+            ("kinematic_state", lambda: np.zeros((*self.alive.shape, 0), np.float32)),
+            ("reference_position", lambda: np.zeros((*position.shape[:-2], 0, 3), np.float32)),
+            ("reference_velocity", lambda: np.zeros((*velocity.shape[:-2], 0, 3), np.float32)),
+        ):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, default())
+
+    @property
+    def position(self) -> Singles:
+        """``(B, N, 3)`` metres, the present positions."""
+        return self.past_position[..., -1, :, :]
+
+    @property
+    def heads_left(self) -> Indices:
+        """``(B,)`` number of living heads, |H_r|."""
+        return np.asarray((self.head & self.alive).sum(axis=-1))
+
+    @property
+    def direct(self) -> Indices:
+        """``(B, N)`` int64, the UAV that each UAV copies directly; where :attr:`leader` is -1, -1."""
+        return np.where(self.leader >= 0, self.source, -1)
+
+    def roles(self) -> dict[str, NDArray[Any]]:
+        """``alive``, ``head``, ``decoy`` and ``leader`` by name, as pictures take them."""
+        return {name: getattr(self, name) for name in ("alive", "head", "decoy", "leader")}
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Copies of all arrays by name; ``SwarmState(**arrays)`` restores the state."""
+        return {field.name: getattr(self, field.name).copy() for field in fields(self)}
+
+    def rows(self, episodes: NDArray[np.intp] | slice) -> Self:
+        """The state of some episodes of the batch."""
+        return replace(self, **{field.name: getattr(self, field.name)[episodes] for field in fields(self)})
+
+    def with_rows(self, episodes: NDArray[np.intp], other: SwarmState) -> Self:
+        """A copy of this batch in which ``other`` replaces some episodes."""
+        arrays = self.arrays()
+        for name, array in arrays.items():
+            array[episodes] = getattr(other, name)
+        return replace(self, **arrays)
+
+    def episode(self, b: int = 0) -> SwarmState:
+        """A copy of episode ``b`` without the leading axis."""
+        return SwarmState(**{field.name: np.array(getattr(self, field.name)[b]) for field in fields(self)})
+
+
+def destroy(state: SwarmState, candidates: Mask) -> SwarmState:
+    """Destroy the candidates; followers of a destroyed head join the nearest remaining head (re-merge, paper §II-A).
+
+    A follower that copied another follower copies the nearest one above it that is left; if none is left up to the
+    head, it joins the nearest remaining head itself, and the followers that copy it stay behind it.
+
+    Args:
+        state: B swarms.
+        candidates: ``(B, N)`` bool.
+
+    Returns:
+        The state after the re-merge.
+
+    Raises:
+        ArgumentError: ``state`` has another type, or ``candidates`` another type or shape.
+    """
+    if not isinstance(state, SwarmState):
+        raise ArgumentError(f"state must be a SwarmState, got {quote(state)}.")
+    if not isinstance(candidates, np.ndarray) or candidates.dtype != bool or candidates.shape != state.alive.shape:
+        raise ArgumentError(
+            f"candidates must be a boolean array of shape {state.alive.shape}, got {quote(candidates)}."
+        )
+    alive = state.alive & ~candidates
+    leader, source = state.leader.copy(), state.source.copy()
+    position, velocity = state.past_position.copy(), state.past_velocity.copy()
+    kernels.remerge(state.head, alive, state.decoy | state.bystander, state.position, leader, source)
+    gone = state.alive & ~alive
+    position.swapaxes(1, 2)[gone] = 0.0
+    velocity.swapaxes(1, 2)[gone] = 0.0
+    return replace(state, alive=alive, leader=leader, source=source, past_position=position, past_velocity=velocity)

@@ -1,0 +1,128 @@
+"""What a follow strategy is: the base class, and the inputs of equation (1) of the paper."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from usnet_env.arrays import Indices, Singles
+from usnet_env.config import ArgumentError, quote
+from usnet_env.registry import REGISTRIES
+from usnet_env.swarm import kernels
+from usnet_env.swarm.formation import Roles
+from usnet_env.swarm.trajectory import TrajectoryBatch
+
+__all__ = ["KAPPA", "KAPPA_NOISE", "KAPPA_RANGE", "FollowInputs", "FollowStrategy"]
+
+
+KAPPA = 1.0  # kappa_0, ..., kappa_3 and kappa_p of Table II
+KAPPA_NOISE = 0.05  # kappa_n
+KAPPA_RANGE = 60.0  # kappa_r, metres
+
+
+@dataclass(frozen=True)
+class FollowInputs:
+    """The arguments of equation (1), from which n followers compute v_{i,t+1}. Axis 1 is time, newest first.
+
+    Args:
+        own_position: ``(n, T_0 + 1, 3)`` metres, P_{i,t+1}: p_{i,t+1}, ..., p_{i,t-T_0+1}.
+        head_velocity: ``(n, T_0, 3)`` metres per step, V_{iL,t}: v_{iL,t}, ..., v_{iL,t-T_0+1}.
+        head_position: ``(n, T_0 + 1, 3)`` metres: p_{iL,t+1}, ..., p_{iL,t-T_0+1}. Equation (1) has the last of them
+            only; the others follow from it and the velocities.
+        parameters: ``(P,)``, the parameters of this episode from :meth:`FollowStrategy.draw`.
+        follower: ``(n,)`` int64, which follower a row is: its number among all followers of the swarm, from 0 in the
+            order of their indices. It stays the same when other UAVs are destroyed. By default 0, ..., n - 1.
+    """
+
+    own_position: Singles
+    head_velocity: Singles
+    head_position: Singles
+    parameters: Singles
+    follower: Indices = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def __post_init__(self) -> None:
+        if not len(self.follower):
+            object.__setattr__(self, "follower", np.arange(len(self.own_position)))
+
+
+class FollowStrategy(ABC):
+    """A follow strategy f. A follower's next velocity is norm(direction + kappa_n n), n ~ N(0, I).
+
+    To add a strategy, subclass this and define :meth:`direction`, or pass a function to
+    :func:`register_follow_strategy`.
+
+    Attributes:
+        equation: the equation as text, for lists and documentation pages.
+        lags: number of past head velocities that the strategy uses; ``memory`` T_0 must be at least this.
+        noise: kappa_n, the scale of the noise.
+        has_heads: whether heads lead the clusters; otherwise each cluster has a reference, H_0 is empty, and the right
+            answer is the empty set.
+    """
+
+    equation: str = ""
+    lags: int = 1
+    noise: float = KAPPA_NOISE
+    has_heads: bool = True
+
+    def draw(self, rng: np.random.Generator) -> Singles:
+        """Draw the parameters ``(P,)`` float32 of one episode; P is fixed, and 0 for most strategies."""
+        return np.empty(0, np.float32)
+
+    def draw_for(self, rng: np.random.Generator, uavs: int) -> Singles:
+        """Draw the parameters ``(P,)`` float32 of one episode with N UAVs; by default those of :meth:`draw`."""
+        return self.draw(rng)
+
+    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
+        """Decide who copies whom, and which UAVs no head leads; by default every follower copies its head."""
+        return roles
+
+    @abstractmethod
+    def direction(self, inputs: FollowInputs) -> Singles:
+        """Direction of flight ``(n, 3)`` before noise and normalisation; row i depends only on row i of the inputs."""
+
+    def fly(self, trajectories: TrajectoryBatch) -> None:
+        """Simulate all followers: fill ``velocity`` and ``position`` from step ``trajectories.start`` on.
+
+        This is the general loop over episodes and steps; f1 to f7 override it with compiled loops.
+        """
+        lags = trajectories.start
+        for b in range(trajectories.episodes):
+            position, velocity = trajectories.position[b], trajectories.velocity[b]
+            followers = np.flatnonzero(trajectories.motion[b] == kernels.FOLLOWS)
+            heads = trajectories.leader[b, followers]
+            numbers = np.cumsum(trajectories.leader[b] != np.arange(len(trajectories.leader[b])))[followers] - 1
+            for s in range(trajectories.steps):
+                t = lags + s
+                past = slice(t - 1, t - 1 - lags if t > lags else None, -1)
+                past_and_now = slice(t, t - lags - 1 if t > lags else None, -1)
+                inputs = FollowInputs(
+                    own_position=position[past_and_now, followers].swapaxes(0, 1),
+                    head_velocity=velocity[past, heads].swapaxes(0, 1),
+                    head_position=position[past_and_now, heads].swapaxes(0, 1),
+                    parameters=trajectories.parameters[b],
+                    follower=numbers,
+                )
+                try:
+                    direction = self.direction(inputs)
+                except IndexError as error:
+                    raise ArgumentError(
+                        f"memory must cover the past that the follow strategy {quote(_find_name(self))} reads, "
+                        f"got {lags}: {error}; register the strategy with the lags that it needs."
+                    ) from error
+                velocity[t, followers] = _norm(direction, np.float32(self.noise) * trajectories.noise[b, s, followers])
+                position[t + 1] = position[t] + velocity[t]
+
+
+def _norm(direction: Singles, noise: Singles) -> Singles:
+    """norm(direction + noise) of Table II for rows of 3 components."""
+    total = np.asarray(direction, np.float32) + noise
+    length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
+    return total / np.maximum(length, np.float32(1e-6))
+
+
+def _find_name(strategy: FollowStrategy) -> str:
+    """The name under which a strategy is registered, or else the name of its class."""
+    registry = REGISTRIES["follow strategy"]
+    return next((name for name in registry if registry[name] is strategy), type(strategy).__name__)
