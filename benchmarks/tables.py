@@ -23,6 +23,7 @@ from result_pages import (
     p1,
     paper_tier,
     purity,
+    real_tracks,
     rounds,
     speed,
     strategies,
@@ -48,6 +49,7 @@ PAGES = {
     "docs/results/purity.md": purity.text,
     "docs/results/learned.md": learned.text,
     "docs/results/multiagent.md": multiagent.text,
+    "docs/results/real_tracks.md": real_tracks.text,
     "docs/results/speed.md": speed.text,
     # Tables alone, which pages of docs include.
     "benchmarks/results/learned.md": lambda: table_alone(learned.games()),

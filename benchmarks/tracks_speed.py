@@ -127,7 +127,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", default="benchmarks/results/tracks_speed.json")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--detector", action="append", help="default: lagged-regression")
+    parser.add_argument("--detector", action="append", help="default: net-lag-regression")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -142,7 +142,7 @@ def main() -> None:
             "machine": machine(),
             "versions": versions(),
         }
-        for detector in arguments.detector or ["lagged-regression"]:
+        for detector in arguments.detector or ["net-lag-regression"]:
             found, figures = detect(path, detector, folder)
             result["detect"][detector] = {**figures, **count_right(found, leaders, seen)}
             print(detector, result["detect"][detector], flush=True)

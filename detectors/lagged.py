@@ -114,6 +114,8 @@ class LaggedRegression(EvidenceDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
+    tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True, needs_unit_speed=True)
+
     lags: Lags = 4
     squares: bool = True
     ridge: Annotated[float, Field(ge=0)] = 1e-3
@@ -153,7 +155,7 @@ class OnePerRound(Detector):
     With a perfect ranking an episode takes M rounds and has no redundant candidate, so J_m = M.
     """
 
-    tags = Tags(most_uavs=10_000, uses_positions=False)
+    tags = Tags(most_uavs=10_000, uses_positions=False, needs_unit_speed=True)
 
     def detect(self, window: Window) -> Detection:
         """Name the UAV with the highest score of :class:`LaggedRegression`; scores and attention are from there."""

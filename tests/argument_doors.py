@@ -38,6 +38,8 @@ from usnet_env.multiagent.wrappers import DiscreteActions, MultiDiscreteVotes, P
 from usnet_env.plugins import detector_label
 from usnet_env.replay import EpisodeRecord, draw_episode, record_episode, write_picture, write_recording
 from usnet_env.replay.demo import run_demo
+from usnet_env.tracks import Tracks, find_leaders, read_tracks
+from usnet_env.tracks.env import TracksEnv
 
 SMALL = {"clusters": 2, "uavs": 8, "observation_steps": 6}
 
@@ -307,6 +309,36 @@ def _detectors() -> dict[str, Door]:
     return {f"detector {name}": door(name, quick) for name, quick in DETECTORS.items()}
 
 
+def _tracks(folder: Path) -> dict[str, Door]:
+    rng = np.random.default_rng(0)
+    times, places = np.tile(np.arange(20.0), 3), rng.normal(size=(60, 2))
+    ids = np.repeat(["a", "b", "c"], 20).tolist()
+    tracks = Tracks.from_samples(ids, times, places)
+    file = folder / "tracks.csv"
+    lines = [f"{i},{t},{x},{y}" for i, t, (x, y) in zip(ids, times, places, strict=True)]
+    file.write_text("\n".join(["id,t,x,y", *lines]))
+    samples = {"ids": ids, "time": times, "position": places, "leader": None}
+    return {
+        "read_tracks": Door(read_tracks, lambda: _defaults(read_tracks, path=str(file))),
+        "Tracks.from_samples": Door(Tracks.from_samples, lambda: dict(samples), {"position": ("time", "ids")}),
+        "Tracks.resample": Door(tracks.resample, lambda: {"step": 1.0, "max_gap": None}),
+        "Tracks.windows": Door(
+            lambda **arguments: list(tracks.resample(1.0).windows(**arguments)),
+            lambda: {"length": 10, "stride": None, "least_steps": None},
+            {"length": ("least_steps",)},
+        ),
+        "find_leaders": Door(
+            find_leaders,
+            lambda: _defaults(find_leaders, tracks=tracks.resample(1.0), detector="none", length=10),
+        ),
+        "TracksEnv": Door(
+            TracksEnv,
+            lambda: _defaults(TracksEnv, path=str(file), window=10, step=1.0),
+            {"step": ("length",), "window": ("length",)},
+        ),
+    }
+
+
 def _clusterers() -> dict[str, Door]:
     def door(name: str, kind: Any) -> Door:
         def call(**arguments: Any) -> None:
@@ -503,6 +535,7 @@ def make_doors(folder: Path) -> dict[str, Door]:
             lambda seed, **arguments: PolicyDetector(**arguments).reset(seed),
             lambda: {"policy": DetectorPolicy(_Answers()), "observe": None, "threshold": 0.0, "seed": 0},
         ),
+        **_tracks(folder),
         **_objectives(),
         **_detectors(),
         **_clusterers(),

@@ -25,6 +25,8 @@ class Tags:
         least_steps: the smallest number of velocities T_ob in a window, with the default arguments.
         uses_positions: whether an answer depends on positions where no sample is missing.
         takes_clusters: whether an argument gives the number of clusters M.
+        needs_unit_speed: whether answers depend on the unit of length, because the detector was made for UAVs that fly
+            about 1 m per step. :func:`usnet_env.tracks.find_leaders` scales windows for such detectors.
     """
 
     needs: tuple[str, ...] = ()
@@ -32,6 +34,7 @@ class Tags:
     least_steps: int = 1
     uses_positions: bool = True
     takes_clusters: bool = False
+    needs_unit_speed: bool = False
 
 
 @dataclass(frozen=True, eq=False)

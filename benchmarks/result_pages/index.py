@@ -122,6 +122,7 @@ PAGES = (
     ("learned", "`learned`, and an observer trained by PPO"),
     ("purity", "purity of the clusterers, metric learning"),
     ("multiagent", "games of several agents"),
+    ("real_tracks", "recorded tracks with known leaders"),
     ("speed", "speed and memory"),
 )
 

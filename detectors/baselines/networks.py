@@ -90,7 +90,7 @@ class NetworkDetector(Detector):
             probability that any is named.
     """
 
-    tags = Tags(most_uavs=10_000, least_steps=_LEAST_STEPS, uses_positions=False)
+    tags = Tags(most_uavs=10_000, least_steps=5, uses_positions=False)
     _gated: ClassVar[bool] = True  # whether pairs must be related to be compared, step 2
 
     max_lag: Lags = 4

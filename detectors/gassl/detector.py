@@ -56,7 +56,7 @@ class Gassl(Detector):
             T_0 velocities or more than 10,000 UAVs.
     """
 
-    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5)
+    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, needs_unit_speed=True)
 
     top_k: Count = 1
     rule: Literal["paper", "exclude-self"] = "paper"

@@ -69,7 +69,7 @@ class LeadVotes(Detector):
             velocities or more than 10,000 UAVs.
     """
 
-    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, takes_clusters=True)
+    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, takes_clusters=True, needs_unit_speed=True)
 
     clusterer: Any = "lead-votes"
     features: Any = "velocities"

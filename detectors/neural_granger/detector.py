@@ -59,7 +59,7 @@ class NeuralGranger(Detector):
 
     side_by_side: ClassVar[bool] = True
 
-    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5)
+    tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, needs_unit_speed=True)
     top_k: Count = 1
     gate: bool = False
     gate_threshold: Annotated[float, Field(ge=0)] = 0.5

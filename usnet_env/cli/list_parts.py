@@ -110,6 +110,7 @@ def _format_tags(entry: DetectorEntry) -> str:
         ),
         f"at most {tags.most_uavs} UAVs": tags.most_uavs is not None,
         f"at least {tags.least_steps} steps": tags.least_steps > 1,
+        "made for 1 m per step": tags.needs_unit_speed,
         "velocities only": not tags.uses_positions,
         "takes M": tags.takes_clusters,
     }

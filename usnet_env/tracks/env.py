@@ -30,7 +30,7 @@ class TracksArguments(Config):
     stride: Annotated[int, Field(ge=1, le=10**9)] | None = Field(
         None, description="steps from the start of a window to the start of the next; `None`: those of a window"
     )
-    step: Annotated[float, Field(gt=0, le=1e9)] | None = Field(
+    step: Annotated[float, Field(ge=1e-9, le=1e9)] | None = Field(
         None, description="seconds of a step; `None`: chosen from the tracks"
     )
     columns: dict[str, str] | None = Field(None, description="names of columns by role, as `read_tracks` takes them")

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from usnet_env.config import ArgumentError, quote, whole_number
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, read_tags
 from usnet_env.objectives import find_roots
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
 from usnet_env.tracks.confirming import confirm_leaders
 from usnet_env.tracks.tracks import Tracks
-from usnet_env.tracks.windows import TrackWindow
+from usnet_env.tracks.windows import TrackWindow, scale_to_unit_speed
 
 __all__ = ["DetectedWindow", "FoundLeaders", "Leader", "find_leaders"]
 
@@ -156,6 +156,10 @@ def find_leaders(
     if isinstance(player, type) or not isinstance(player, DetectorLike):
         raise ArgumentError(f"detector must have the methods detect(window) and reset(seed), got {quote(player)}.")
     seed = whole_number("seed", seed, 0)
+    if not isinstance(confirm, bool):
+        raise ArgumentError(f"confirm must be True or False, got {quote(confirm)}.")
+    if on_window is not None and not callable(on_window):
+        raise ArgumentError(f"on_window must be a function or None, got {quote(on_window)}.")
     summary, groups, windows = _Summary(len(tracks.ids)), _Groups(), []
     for number, cut in enumerate(tracks.windows(length, stride)):
         start, end = tracks.file_time(cut.start), tracks.file_time(cut.end)
@@ -210,7 +214,8 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when
     """
     try:
         player.reset(int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]))
-        detection = player.detect(cut.window)
+        unit = read_tags(player).needs_unit_speed
+        detection = player.detect(scale_to_unit_speed(cut.window) if unit else cut.window)
     except ArgumentError:
         raise
     except Exception as error:  # a detector may raise anything

@@ -70,7 +70,7 @@ def read_tracks(
             an id has two places at one time, or there are fewer than two ids. The sentence names the row or column.
     """
     paths = [as_path("path", each) for each in (path if isinstance(path, list | tuple) else [path])]
-    if missing not in ("refuse", "skip"):
+    if not isinstance(missing, str) or missing not in ("refuse", "skip"):
         raise ArgumentError(f"missing must be 'refuse' or 'skip', got {quote(missing)}.")
     if progress is not None and not callable(progress):
         raise ArgumentError(f"progress must be a function or None, got {quote(progress)}.")

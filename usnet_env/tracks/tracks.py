@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -21,7 +20,7 @@ __all__ = ["Clock", "Tracks"]
 
 Floats = NDArray[np.float64]
 _DIGITS = 9  # decimals of a time that is written as a number
-_LONGEST_STEP = 1e9  # seconds
+_SHORTEST_STEP, _LONGEST_STEP = 1e-9, 1e9  # seconds
 
 
 @dataclass(frozen=True)
@@ -132,12 +131,10 @@ class Tracks:
         places = frozen_array("position", places, np.float64, (samples, places.shape[1]))
         seconds = frozen_array("time", time, np.float64, (samples,))
         code: dict[str | int, int] = {}
-        codes = np.array([code.setdefault(each, len(code)) for each in ids], np.int64)
-        if len(codes) != samples or not samples:
-            raise ArgumentError(f"ids must name each of the {samples} samples, at least one, got {len(codes)}.")
+        codes = np.array([code.setdefault(each, len(code)) for each in _read_ids("ids", ids, samples)], np.int64)
         led = None
         if leader is not None:
-            led = np.array([code.get(each, -1) for each in leader], np.int64)
+            led = np.array([code.get(each, -1) for each in _read_ids("leader", leader, samples)], np.int64)
             led = np.where(led == codes, -1, led)
         return assemble(tuple(code), codes, seconds, list(places.T), None, led, Clock(), "metres", ())
 
@@ -193,7 +190,7 @@ class Tracks:
             choice = choose_step(self)
             step, why = choice.step, choice.reasons
         else:
-            step = real_number("step", step, math.nextafter(0.0, 1.0), _LONGEST_STEP)
+            step = real_number("step", step, _SHORTEST_STEP, _LONGEST_STEP)
             why = (f"The step of {step:g} s was given.",)
         grid = resample_positions(self, step, max_gap)
         return replace(
@@ -232,6 +229,21 @@ class Tracks:
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""
         return self.clock.file_time(seconds)
+
+
+def _read_ids(name: str, value: Any, samples: int) -> list[str | int]:
+    """The ids of all samples, texts or whole numbers.
+
+    Raises:
+        ArgumentError: there are none, another number of them, or other values among them.
+    """
+    ids = as_array(name, value)
+    if ids.shape != (samples,) or not samples:
+        raise ArgumentError(f"{name} must name each of the {samples} samples, at least one, got {quote(value)}.")
+    plain = ids.tolist()
+    if not all(isinstance(each, str | int) and not isinstance(each, bool) for each in plain):
+        raise ArgumentError(f"{name} must hold texts or whole numbers, got {quote(value)}.")
+    return plain
 
 
 def assemble(

@@ -1,0 +1,66 @@
+"""Copies of a window that differ in nothing a detector may use: scaled, shifted, rotated, planar; and groups of two."""
+
+import numpy as np
+import pytest
+from scipy.stats import special_ortho_group
+from synthetic_windows import flight, window_of
+from test_checks_registered import NAMES, made
+
+from usnet_env import Window
+from usnet_env.detection import read_tags
+
+TURN = special_ortho_group.rvs(3, random_state=1)
+PLANAR_TURN = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]])
+# They square each axis by itself, or train a network on the axes.
+ON_AXES = {"gassl", "mc-gassl", "neural-granger", "lead-votes", "lagged-regression", "one-per-round"}
+
+
+def answer(name, window):
+    detector = made(name)
+    detector.reset(3)
+    return detector.detect(window)
+
+
+def velocities():
+    return flight(np.random.default_rng(5), (4, 3), steps=80)[0]
+
+
+def same(name, window, other):
+    one, two = answer(name, window), answer(name, other)
+    np.testing.assert_array_equal(one.candidates, two.candidates)
+    np.testing.assert_allclose(one.scores, two.scores, rtol=0.02, atol=0.02 * np.abs(one.scores).max())
+
+
+def moved(window):
+    return Window(window.position + np.float32([100, -300, 50]), window.velocity, window.seen, window.alive)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ON_AXES])
+@pytest.mark.parametrize("change", ["small", "large", "turned", "planar turned", "moved"])
+def test_an_answer_does_not_depend_on_units_axes_or_origin(name, change):
+    velocity = velocities()
+    if change in ("small", "large") and read_tags(made(name)).needs_unit_speed:
+        pytest.skip("it says that it was made for 1 m per step")
+    if change == "planar turned":
+        velocity = velocity * (1, 1, 0)
+    other = {
+        "small": lambda: window_of(velocity * 0.01),
+        "large": lambda: window_of(velocity * 1000),
+        "turned": lambda: window_of(velocity @ TURN.T),
+        "planar turned": lambda: window_of(velocity @ PLANAR_TURN.T),
+        "moved": lambda: moved(window_of(velocity)),
+    }[change]()
+    same(name, window_of(velocity), other)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_pair_is_answered(name):
+    velocity, _ = flight(np.random.default_rng(1), (1,), steps=40)
+    for window in (window_of(velocity), window_of(velocity * (1, 1, 0))):
+        found = answer(name, window)
+        assert np.isfinite(found.scores).all()
+
+
+def test_what_was_made_for_unit_speed_says_so():
+    named = {name for name in NAMES if read_tags(made(name)).needs_unit_speed}
+    assert named == {"gassl", "mc-gassl", "neural-granger", "lead-votes", "lagged-regression", "one-per-round"}
