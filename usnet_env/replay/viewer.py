@@ -132,7 +132,8 @@ def _connect(url: str, viewer: subprocess.Popen[bytes], count: int) -> Any:
     while time.monotonic() < until and viewer.poll() is None:
         try:
             client = ViewerClient.connect(url)
-            if len(client.get_state().recordings) >= count:
+            opened = client.get_state().recordings
+            if len(opened) >= count and all(each.timelines for each in opened):
                 return client
         except Exception:  # it does not listen yet
             pass
