@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
-
 from usnet_env.plugins import DETECTORS, DetectorEntry, list_detectors
 
 __all__ = ["detector_pages"]
