@@ -10,7 +10,8 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from environment_pages import write_environment_pages
+from detector_pages import detector_pages
+from environment_pages import environment_pages, game_pages, write_pages
 
 project = "USNET"
 author = "the USNET maintainers"
@@ -50,7 +51,12 @@ def _keep_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, line
         lines[number] = "".join(parts)
 
 
+def _generate_pages(app: Any) -> None:
+    write_pages(Path(app.srcdir) / "envs", environment_pages() | game_pages())
+    write_pages(Path(app.srcdir) / "detector", detector_pages())
+
+
 def setup(app: Any) -> None:
     """Write the generated pages before Sphinx looks for them."""
-    app.connect("builder-inited", lambda app: write_environment_pages(Path(app.srcdir) / "envs"))
+    app.connect("builder-inited", _generate_pages)
     app.connect("autodoc-process-docstring", _keep_bars)

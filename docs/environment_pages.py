@@ -6,7 +6,7 @@ import dataclasses
 import importlib
 import inspect
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from usnet_env.swarm.follow import FIELD_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
 from usnet_env.tracks.env import TracksEnv
 
-__all__ = ["environment_pages", "field_tables", "game_pages", "write_environment_pages"]
+__all__ = ["environment_pages", "field_tables", "game_pages", "write_pages"]
 
 
 def environment_pages() -> dict[str, str]:
@@ -109,10 +109,9 @@ def _format_arguments(arguments: dict[str, object]) -> str:
     return ", ".join(f"`{name}={value!r}`" for name, value in arguments.items()) or "none"
 
 
-def write_environment_pages(folder: Path) -> None:
-    """Write the pages into ``folder``. Unchanged files are not touched, so that Sphinx does not read them again."""
+def write_pages(folder: Path, pages: Mapping[str, str]) -> None:
+    """Write pages into ``folder``. Unchanged files are not touched, so that Sphinx does not read them again."""
     folder.mkdir(exist_ok=True)
-    pages = environment_pages() | game_pages()
     for path in folder.glob("*.md"):
         if path.stem not in pages:
             path.unlink()

@@ -149,7 +149,8 @@ def test_every_shown_command_is_known(page):
 def test_links_into_the_repository_lead_somewhere(page):
     text = FENCE.sub("", page.read_text(encoding="utf-8"))
     targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", text) + re.findall(r"src=\"([^\"]+)\"", text)
-    inside = [target for target in targets if not target.startswith(("http:", "https:", "mailto:", "envs/"))]
+    elsewhere = ("http:", "https:", "mailto:", "envs/", "detector/")
+    inside = [target for target in targets if not target.startswith(elsewhere)]
     assert [target for target in inside if not (page.parent / target).exists()] == []
 
 
@@ -161,8 +162,8 @@ def test_no_page_names_a_place_on_a_machine():
 # The environments' pages, which are their docstrings
 
 
-def load_environment_pages() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("environment_pages", ROOT / "docs" / "environment_pages.py")
+def load_environment_pages(name: str = "environment_pages") -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -199,10 +200,18 @@ def test_the_field_page_has_every_model():
         assert table in page, table
 
 
-def test_every_detector_is_in_the_overview():
+def test_every_detector_is_in_the_overview_and_has_a_page():
     page = (ROOT / "docs" / "detectors.md").read_text(encoding="utf-8")
     shipped = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
-    assert [name for name in shipped["usnet.detectors"] if f"| `{name}` |" not in page] == []
+    names = list(shipped["usnet.detectors"])
+    assert [name for name in names if f"| [`{name}`](detector/{name}.md) |" not in page] == []
+    generator = load_environment_pages("detector_pages")
+    pages = generator.detector_pages()
+    classes = {name: target.replace(":", ".") for name, target in shipped["usnet.detectors"].items()}
+    assert [name for name in names if f"autoclass:: {classes[name]}\n" not in pages[name]] == []
+    assert set(generator.ASSUMPTIONS) == set(names)
+    figures = [path for path, _ in generator.FIGURES.values()]
+    assert [path for path in figures if not (ROOT / "docs" / "images" / path).exists()] == []
 
 
 def test_the_page_of_recorded_tracks_has_gymnasiums_sections():

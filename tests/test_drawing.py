@@ -234,3 +234,19 @@ def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(drawing.MissingExtraError, match=r"pip install 'usnet\[render\]'"):
         drawing.round_frame(**scene())
+
+
+@pytest.mark.slow
+def test_a_video_has_a_frame_for_each_step(tmp_path):
+    pytest.importorskip("moviepy")
+    from gymnasium.wrappers import RecordVideo
+
+    env = gym.make("USNET/MultiCluster-v0", render_mode="rgb_array", clusters=2, uavs=12, max_rounds=3)
+    with RecordVideo(env, str(tmp_path / "videos"), disable_logger=True) as recorder:
+        recorder.reset(seed=0)
+        for _ in range(3):
+            recorder.step(np.zeros(12, np.int8))
+        assert len(recorder.recorded_frames) in (0, 4)  # none after the last step: the video is written
+    (video,) = (tmp_path / "videos").iterdir()
+    assert video.suffix == ".mp4"
+    assert video.stat().st_size > 1000

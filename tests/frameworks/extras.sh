@@ -16,7 +16,7 @@ extras="
 core||tests/frameworks/test_core_alone.py tests/frameworks/test_framework_wrappers.py tests/envs/test_vector.py
     tests/detectors/test_lagged.py tests/evaluation/test_store.py
     tests/test_packaging.py::test_the_core_works_without_any_extra
-render|matplotlib|tests/test_drawing.py tests/replay/test_figure.py
+render|matplotlib moviepy|tests/test_drawing.py tests/replay/test_figure.py tests/replay/test_animation.py
 replay|matplotlib rerun|tests/replay
 multiagent|pettingzoo|tests/multiagent/test_pettingzoo_conformance.py tests/multiagent/test_play_game.py
     tests/multiagent/test_docstrings.py tests/frameworks/test_framework_wrappers.py

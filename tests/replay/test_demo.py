@@ -51,6 +51,7 @@ def test_the_demo_plays_prints_and_keeps_an_episode(played):
     assert str(files["picture"]) in text
 
 
+@pytest.mark.slow
 def test_the_same_seed_plays_the_same_episode(played, tmp_path):
     one, two = (EpisodeRecord.load(files["episode"]) for files, _ in (played, run(tmp_path, seed=4)))
     assert one.position.tobytes() == two.position.tobytes()

@@ -46,7 +46,7 @@ DEMO: dict[str, Any] = {
 }
 #: The paper's example: Algorithm 2 on 8 clusters of 185 UAVs.
 PAPER_EXAMPLE: dict[str, Any] = {"clusters": 8, "uavs": 185, "follow": "f1"}
-SEED, PAPER_SEED = 3, 0
+SEED, PAPER_SEED = 3, 1
 
 
 def run_demo(

@@ -25,14 +25,14 @@ _ONE_ROW = 20  # with more bars, the numbers below them take turns in two rows
 
 
 def find_groups(record: EpisodeRecord, r: int) -> NDArray[np.int64]:
-    """``(N,)``: the group of each UAV in the answer of round ``r`` (from 0), by its leader or its cluster; -1: none."""
+    """``(N,)``: the found group of each UAV in round ``r`` (from 0): its cluster, or else its leader; -1: none."""
     alive = record.alive[r]
-    if record.leader_estimate is not None and (record.leader_estimate[r][alive] >= 0).any():
+    if record.clusters is not None and (record.clusters[r][alive] >= 0).any():
+        values = np.where(alive, record.clusters[r], -1)
+    elif record.leader_estimate is not None:
         leader = record.leader_estimate[r].copy()
         leader[record.candidates[r]] = np.flatnonzero(record.candidates[r])
         values = np.where(alive, leader, -1)
-    elif record.clusters is not None:
-        values = np.where(alive, record.clusters[r], -1)
     else:
         return np.full(record.uavs, -1)
     labels, index, counts = np.unique(values, return_inverse=True, return_counts=True)

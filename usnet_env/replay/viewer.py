@@ -21,7 +21,7 @@ from usnet_env.replay.scribe import ANSWER, Clock
 
 __all__ = ["find_time", "find_viewer", "open_replay", "take_screenshot"]
 
-_START_SECONDS, _DRAW_SECONDS = 60.0, 1.5
+_START_SECONDS, _LEAST_SECONDS, _MOST_SECONDS = 60.0, 4.0, 30.0
 
 
 def find_viewer() -> str:
@@ -103,14 +103,25 @@ def take_screenshot(recordings: list[Path], path: str | os.PathLike[str], second
     try:
         client = _connect(f"rerun+http://127.0.0.1:{port}/proxy", viewer, len(recordings))
         client.set_time("time", duration=seconds, play_state="paused")
-        time.sleep(_DRAW_SECONDS)
-        picture = client.take_screenshot()
+        picture = _wait_for_picture(client)
     finally:
         viewer.terminate()
         viewer.wait()
     with atomic_write(as_path("path", path)) as aside:
         aside.write_bytes(picture)
     return as_path("path", path)
+
+
+def _wait_for_picture(client: Any) -> bytes:
+    """Wait until the viewer has loaded all data and its messages have gone: two pictures in a row are equal."""
+    began, last = time.monotonic(), b""
+    while True:
+        time.sleep(1.0)
+        picture: bytes = client.take_screenshot()
+        spent = time.monotonic() - began
+        if (picture == last and spent > _LEAST_SECONDS) or spent > _MOST_SECONDS:
+            return picture
+        last = picture
 
 
 def _connect(url: str, viewer: subprocess.Popen[bytes], count: int) -> Any:
@@ -121,7 +132,8 @@ def _connect(url: str, viewer: subprocess.Popen[bytes], count: int) -> Any:
     while time.monotonic() < until and viewer.poll() is None:
         try:
             client = ViewerClient.connect(url)
-            if len(client.get_state().recordings) >= count:
+            opened = client.get_state().recordings
+            if len(opened) >= count and all(each.timelines for each in opened):
                 return client
         except Exception:  # it does not listen yet
             pass
