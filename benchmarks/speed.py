@@ -10,6 +10,7 @@ run in one thread, except VMAS, which uses PyTorch's threads.
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
