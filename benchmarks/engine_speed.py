@@ -17,15 +17,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
-from speed_helpers import ROOT, write_json
+from speed_helpers import run, write_json
 
 from usnet_env import Detection, Window, evaluate
 from usnet_env.evaluation.agents import as_agent
@@ -39,11 +37,6 @@ from usnet_env.processes import Limits
 from usnet_env.provenance import machine, versions
 
 OUT = Path(__file__).parent / "results" / "engine_speed.json"
-PEAK = """
-def peak():
-    lines = open('/proc/self/status').read().splitlines()
-    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith('VmHWM'))
-"""
 SUMMARY = """
 import json, sys, time
 from pathlib import Path
@@ -73,12 +66,6 @@ result = evaluate("USNET/MultiCluster-v0", "none", episodes=int(sys.argv[1]), ou
 print(json.dumps({"episodes": len(result.rows), "seconds": time.perf_counter() - begun,
                   "cpu_seconds": time.process_time() - used, "bytes": peak()}))
 """
-
-
-def run(program: str, *arguments: object) -> dict[str, float]:
-    """Run a program in a new process, and return what it prints."""
-    command = [sys.executable, "-c", PEAK + program, *map(str, arguments)]
-    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout)
 
 
 def made_up_rows(rows: int, detectors: int) -> list[dict[str, object]]:

@@ -9,15 +9,13 @@ run in one thread, except VMAS, which uses PyTorch's threads.
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
+from speed_helpers import run, write_json
 
 import usnet_env  # noqa: F401  registers the environments
 from usnet_env.provenance import machine, versions
@@ -116,14 +114,13 @@ def peers(turns: int) -> dict[str, object]:
 
 def memory() -> dict[str, object]:
     """Peak resident memory of a process that plays 1,000 swarms of N=82 at once."""
-    program = (
-        "import resource, numpy as np, gymnasium as gym, usnet_env\n"
+    peak = run(
+        "import numpy as np, gymnasium as gym, usnet_env\n"
         "envs = gym.make_vec('USNET/MultiCluster-v0', num_envs=1000)\n"
         "observation, _ = envs.reset(seed=0)\n"
         "for _ in range(3): observation, *_ = envs.step(np.random.default_rng(0).random((1000, 82)) < 0.05)\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)\n"
+        "print(peak())\n"
     )
-    peak = int(subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout)
     return {"what": "peak resident bytes, 1,000 swarms of 82 UAVs", "bytes": peak}
 
 
@@ -142,10 +139,7 @@ def main() -> None:
     if not arguments.skip_peers:
         result["peers"] = peers(arguments.turns)
     result["memory"] = memory()
-    text = json.dumps(result, indent=1)
-    aside = arguments.out.with_suffix(".part")
-    aside.write_text(text + "\n")
-    aside.replace(arguments.out)
+    write_json(arguments.out, result)
     for follow, row in result["stepping"].items():
         rate = row["uav_steps_per_second"] / 1e6
         print(f"{follow}: {rate:6.1f} M UAV-steps/s, ratio {row['ratio']:.3f}")

@@ -8,11 +8,18 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import usnet_env  # registers the environments
 from usnet_env.files import atomic_write
 
 ROOT = Path(__file__).parents[1]
+# Not getrusage: a child begins with the peak of the process that started it.
+PEAK = """
+def peak():
+    lines = open('/proc/self/status').read().splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith('VmHWM'))
+"""
 
 
 def seconds(function: Callable[[], object]) -> float:
@@ -28,6 +35,12 @@ def play(detector: object, window: usnet_env.Window) -> object:
     return detector.detect(window)
 
 
+def run(program: str, *arguments: object) -> Any:
+    """Run a program in a new process, and return the JSON that it prints; ``peak()`` is its peak resident bytes."""
+    command = [sys.executable, "-c", PEAK + program, *map(str, arguments)]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout)
+
+
 def peak_memory(imports: Sequence[str], env: str, detector: str) -> dict[str, int]:
     """Measure the peak resident bytes of a fresh process that answers one window, and those before the answer.
 
@@ -36,24 +49,20 @@ def peak_memory(imports: Sequence[str], env: str, detector: str) -> dict[str, in
         env: an expression that makes the environment.
         detector: an expression that makes the detector.
     """
-    program = "\n".join(
-        [
-            "import json, gymnasium as gym, usnet_env",
-            *imports,
-            f"window = usnet_env.Window.from_observation({env}.reset(seed=0)[0])",
-            # Not getrusage: a child begins with the peak of the process that started it.
-            "def peak():",
-            "    lines = open('/proc/self/status').read().splitlines()",
-            "    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith('VmHWM'))",
-            "before = peak()",
-            f"detector = {detector}",
-            "detector.reset(0)",
-            "detector.detect(window)",
-            "print(json.dumps([before, peak()]))",
-        ]
+    before, peak = run(
+        "\n".join(
+            [
+                "import json, gymnasium as gym, usnet_env",
+                *imports,
+                f"window = usnet_env.Window.from_observation({env}.reset(seed=0)[0])",
+                "before = peak()",
+                f"detector = {detector}",
+                "detector.reset(0)",
+                "detector.detect(window)",
+                "print(json.dumps([before, peak()]))",
+            ]
+        )
     )
-    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, cwd=ROOT)
-    before, peak = json.loads(done.stdout)
     return {"bytes": peak, "bytes_after_imports": before, "bytes_above_imports": peak - before}
 
 
