@@ -29,6 +29,12 @@ def script(request):
 
 
 @pytest.fixture(scope="module")
+def untrained(request):
+    """What the module's example trains in no steps."""
+    return request.module.example.train(0)
+
+
+@pytest.fixture(scope="module")
 def trained(script):
     """What the script trains."""
     return script[0]

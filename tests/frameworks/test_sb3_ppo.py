@@ -19,11 +19,6 @@ from usnet_env import Window
 WORDS = ("--steps", "512", "--episodes", "2")
 
 
-@pytest.fixture(scope="module")
-def untrained():
-    return example.train(0)
-
-
 def test_it_trains(untrained, trained):
     assert trained.num_timesteps == 512
     assert np.isfinite(trained.logger.name_to_value["train/loss"])

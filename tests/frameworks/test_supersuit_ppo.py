@@ -18,11 +18,6 @@ from usnet_env.multiagent.wrappers import MultiDiscreteVotes
 WORDS = ("--steps", "768", "--games", "2")
 
 
-@pytest.fixture(scope="module")
-def untrained():
-    return example.train(0)
-
-
 def test_it_trains(untrained, trained):
     assert trained.n_envs == 4 * ARGUMENTS["observers"]
     assert np.isfinite(trained.logger.name_to_value["train/loss"])
