@@ -56,6 +56,19 @@ def fresh_process():
     process.close()
 
 
+@pytest.fixture
+def run(capsys):
+    """Run a command line; returns its exit status, standard output and standard error."""
+    from usnet_env.cli import main
+
+    def runner(*words):
+        status = main([str(word) for word in words])
+        output = capsys.readouterr()
+        return status, output.out, output.err
+
+    return runner
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Give all tests of a file to one process, so that it makes their fixtures once; those of the frameworks too."""

@@ -28,18 +28,6 @@ SMALL = ["--set", "clusters=3", "uavs=20", "observation_steps=20", "max_rounds=5
 QUICK = ["evaluate", "--detector", "destroy-all", "--episodes", "2", *SMALL]
 
 
-@pytest.fixture
-def run(capsys):
-    """Run a command line; returns its exit status, standard output and standard error."""
-
-    def runner(*words):
-        status = main(words)
-        output = capsys.readouterr()
-        return status, output.out, output.err
-
-    return runner
-
-
 def refused(run, words, *expected):
     status, out, err = run(*words)
     assert status == 2, err

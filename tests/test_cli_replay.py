@@ -12,16 +12,6 @@ from usnet_env.replay import EpisodeRecord
 SMALL = ["--set", "clusters=2", "uavs=12", "observation_steps=20", "max_rounds=3"]
 
 
-@pytest.fixture
-def run(capsys):
-    def runner(*words):
-        status = main([str(word) for word in words])
-        output = capsys.readouterr()
-        return status, output.out, output.err
-
-    return runner
-
-
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     """A run of two detectors with the episodes 0 and 2 of each."""

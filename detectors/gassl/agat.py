@@ -133,15 +133,21 @@ def _layers(from_query, from_key, second, bias, value, begin, end, points, hidde
             row[p] = max(h, _SLOPE * h)
 
 
+@compiled()
+def _make_buffers(times, width, narrow):  # type: ignore[no-untyped-def]
+    """Number of UAVs whose pairs are computed at once, and arrays for them."""
+    step = max(1, _PAIRS // times)
+    points = np.zeros((3, step * times), np.float32)
+    hidden = np.zeros((width, step * times), np.float32)
+    return step, points, hidden, np.empty((narrow, step * times), np.float32)
+
+
 @compiled(error_model="numpy")
 def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):  # type: ignore[no-untyped-def]
     """One attention head: alpha ``(n, R)`` by equations (10), (11), and the pooled values ``(3, R)`` by (13), (14)."""
     _, uavs, times = value.shape
     width, narrow = second.shape
-    step = max(1, _PAIRS // times)
-    points = np.zeros((3, step * times), np.float32)
-    hidden = np.zeros((width, step * times), np.float32)
-    deep = np.empty((narrow, step * times), np.float32)
+    step, points, hidden, deep = _make_buffers(times, width, narrow)
     bits = np.empty(times, np.int32)
     highest, total = np.full(times, -np.inf, np.float32), np.zeros(times, np.float32)
     for begin in range(0, uavs, step):
@@ -194,10 +200,7 @@ def _weigh_backward(  # type: ignore[no-untyped-def]
     """
     _, uavs, times = value.shape
     width, narrow = second.shape
-    step = max(1, _PAIRS // times)
-    points = np.zeros((3, step * times), np.float32)
-    hidden = np.zeros((width, step * times), np.float32)
-    deep = np.empty((narrow, step * times), np.float32)
+    step, points, hidden, deep = _make_buffers(times, width, narrow)
     above = np.empty(step * times, np.float32)
     below = np.empty((width, step * times), np.float32)
     ones = np.ones(step * times, np.float32)

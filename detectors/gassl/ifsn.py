@@ -97,6 +97,17 @@ def standardise(values, scale):  # type: ignore[no-untyped-def]
 
 
 @compiled()
+def _finish(one, second, second_bias, third, third_bias, output, output_bias, two, three, predicted):  # type: ignore[no-untyped-def]
+    """All layers after the first affine one, in place."""
+    tanh_in_place(one)
+    affine(one, second, second_bias, two)
+    tanh_in_place(two)
+    affine(two, third, third_bias, three)
+    tanh_in_place(three)
+    affine(three, output, output_bias, predicted)
+
+
+@compiled()
 def predict(gamma, inputs):  # type: ignore[no-untyped-def]
     """v̂_{i,t+1} ``(R, 3)`` of standardised inputs ``(R, d)``, and the three hidden layers."""
     first, first_bias, second, second_bias, third, third_bias, output, output_bias = _arrays(gamma, inputs.shape[1])
@@ -104,12 +115,7 @@ def predict(gamma, inputs):  # type: ignore[no-untyped-def]
     one = np.empty((times, width), np.float32)
     two, three, predicted = np.empty_like(one), np.empty_like(one), np.empty((times, 3), np.float32)
     affine(inputs, first, first_bias, one)
-    tanh_in_place(one)
-    affine(one, second, second_bias, two)
-    tanh_in_place(two)
-    affine(two, third, third_bias, three)
-    tanh_in_place(three)
-    affine(three, output, output_bias, predicted)
+    _finish(one, second, second_bias, third, third_bias, output, output_bias, two, three, predicted)
     return predicted, one, two, three
 
 
@@ -177,12 +183,7 @@ def pair_losses(gamma, own, source, target, weight):  # type: ignore[no-untyped-
             for t in range(times):
                 for k in range(width):
                     one[t, k] = from_own[i, t, k] + from_source[j, t, k]
-            tanh_in_place(one)
-            affine(one, second, second_bias, two)
-            tanh_in_place(two)
-            affine(two, third, third_bias, three)
-            tanh_in_place(three)
-            affine(three, output, output_bias, predicted)
+            _finish(one, second, second_bias, third, third_bias, output, output_bias, two, three, predicted)
             total = _ZERO
             for t in range(times):
                 for c in range(3):

@@ -1,9 +1,19 @@
 """Compare a trained agent with detectors, on swarms that the agent was not trained on."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import usnet_env
+
+
+def compare_with_regression(
+    env: str, swarms: Sequence[Mapping[str, Any]], names: tuple[str, str], trained: Any, episodes: int
+) -> None:
+    """Compare a trained detector with ``lagged-regression``, on swarms of several sizes; ``names`` are to print."""
+    for swarm in swarms:
+        print(f"{swarm['uavs']} UAVs in {swarm['clusters']} clusters")
+        regression = f"lagged-regression(clusters={swarm['clusters']})"
+        compare_detectors(env, swarm, dict(zip(names, (trained, regression), strict=True)), episodes)
 
 
 def compare_detectors(

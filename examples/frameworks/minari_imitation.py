@@ -14,7 +14,7 @@ import gymnasium as gym
 import minari
 import numpy as np
 import torch
-from comparison import compare_detectors
+from comparison import compare_with_regression
 from copied_network import CopiedNetwork
 from minari.data_collector import EpisodeBuffer
 from torch import Tensor, nn
@@ -122,10 +122,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"{dataset.total_episodes} games, {dataset.total_steps} rounds in {DATASET}")
         student, losses = imitate(dataset, asked.updates)
     print(f"loss: {losses[0]:.3f}, after {asked.updates} updates {losses[-1]:.3f}")
-    for swarm in (ARGUMENTS, {**ARGUMENTS, **LARGER}):
-        print(f"{swarm['uavs']} UAVs in {swarm['clusters']} clusters")
-        teacher = f"lagged-regression(clusters={swarm['clusters']})"
-        compare_detectors(ENV, swarm, {"student": PolicyDetector(student), "teacher": teacher}, asked.episodes)
+    swarms = (ARGUMENTS, {**ARGUMENTS, **LARGER})
+    compare_with_regression(ENV, swarms, ("student", "teacher"), PolicyDetector(student), asked.episodes)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import gymnasium as gym
 import torch
-from comparison import compare_detectors
+from comparison import compare_with_regression
 from copied_network import Bits, CopiedNetwork, copied_share
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
@@ -91,10 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     asked = parser.parse_args(arguments)
     actor, returns = train(asked.steps, asked.seed)
     print("mean return, batch by batch:", *(f"{value:.2f}" for value in returns))
-    for swarm in (ARGUMENTS, {**ARGUMENTS, **LARGER}):
-        print(f"{swarm['uavs']} UAVs in {swarm['clusters']} clusters")
-        regression = f"lagged-regression(clusters={swarm['clusters']})"
-        compare_detectors(ENV, swarm, {"PPO": PolicyDetector(actor), "lagged-regression": regression}, asked.episodes)
+    swarms = (ARGUMENTS, {**ARGUMENTS, **LARGER})
+    compare_with_regression(ENV, swarms, ("PPO", "lagged-regression"), PolicyDetector(actor), asked.episodes)
 
 
 if __name__ == "__main__":

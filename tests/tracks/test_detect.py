@@ -9,7 +9,6 @@ import pytest
 from track_files import example
 
 from usnet_env import ArgumentError, Detection
-from usnet_env.cli import main
 from usnet_env.replay import EpisodeRecord
 from usnet_env.tracks import find_leaders, read_tracks
 
@@ -25,16 +24,6 @@ def folder(tmp_path_factory):
         with open(place / f"{make.__name__}.csv", "w", newline="", encoding="utf-8") as file:
             csv.writer(file).writerows([["id", "t", "x", "y", "leader"], *make()])
     return place
-
-
-@pytest.fixture
-def run(capsys):
-    def runner(*words):
-        status = main([str(word) for word in words])
-        output = capsys.readouterr()
-        return status, output.out, output.err
-
-    return runner
 
 
 def leaders_by_window(found):

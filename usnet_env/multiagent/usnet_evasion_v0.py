@@ -12,15 +12,7 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Indices, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
-from usnet_env.multiagent.base import (
-    GameArguments,
-    RoundRecord,
-    Start,
-    Step,
-    UsnetParallelEnv,
-    make_aec_forms,
-    to_scalars,
-)
+from usnet_env.multiagent import base
 from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, count_followers, fly_window, select_decoys
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 from usnet_env.swarm.config import SensorArguments
@@ -30,7 +22,7 @@ __all__ = ["env", "parallel_env", "raw_env"]
 OBSERVER = "observer_0"
 
 
-class EvasionArguments(GameArguments, SensorArguments, Manoeuvres):
+class EvasionArguments(base.GameArguments, SensorArguments, Manoeuvres):
     """The arguments of :class:`parallel_env`."""
 
     memory: Annotated[int, Field(ge=1, le=1000)] = Field(
@@ -39,7 +31,7 @@ class EvasionArguments(GameArguments, SensorArguments, Manoeuvres):
 
 
 @list_arguments()
-class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
+class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     """One observer against M heads that choose how to fly in the next window (adversarial).
 
     ## Description
@@ -116,7 +108,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     * v0: first version
     """
 
-    metadata: ClassVar[dict[str, Any]] = {**UsnetParallelEnv.metadata, "name": "usnet_evasion_v0"}
+    metadata: ClassVar[dict[str, Any]] = {**base.UsnetParallelEnv.metadata, "name": "usnet_evasion_v0"}
 
     @takes_arguments(EvasionArguments)
     def __init__(self, arguments: EvasionArguments) -> None:
@@ -154,7 +146,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         self._flown = np.zeros(clusters, np.int64)  # the mobility of each head in the window before
         self._decoys = np.empty(0, np.intp)  # the followers that are decoys in the current window
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Start:
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> base.Start:
         """Start a game; its first step is the opening.
 
         Args:
@@ -173,10 +165,10 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         self._decoys = np.empty(0, np.intp)
         self._sighting = None
         metrics = game.initial_info(self.rules, self._game)
-        infos = {agent: {**to_scalars(metrics), "price": 0.0} for agent in self.agents}
+        infos = {agent: {**base.to_scalars(metrics), "price": 0.0} for agent in self.agents}
         return {agent: self._observation(agent) for agent in self.agents}, infos
 
-    def step(self, actions: Any) -> Step:
+    def step(self, actions: Any) -> base.Step:
         """Destroy the observer's candidates, apply the choices of the surviving heads, and fly the next window.
 
         Args:
@@ -200,7 +192,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         else:
             state, outcome = game.play_round(self.rules, before, named[None])
             metrics, reward = outcome.metrics, float(outcome.reward[0])
-            self.last_round = RoundRecord(
+            self.last_round = base.RoundRecord(
                 sighting=self._current_window(),
                 truth=self._reveal_swarm(before),
                 candidates=named,
@@ -226,11 +218,11 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0]
         )
 
-    def _make_step(self, reward: float, metrics: dict[str, NDArray[Any]], prices: Floats) -> Step:
+    def _make_step(self, reward: float, metrics: dict[str, NDArray[Any]], prices: Floats) -> base.Step:
         state = self._current_game()
         alive = state.swarm.alive[0, np.flatnonzero(state.swarm.head[0])]
         terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
-        plain = to_scalars(metrics)
+        plain = base.to_scalars(metrics)
         rewards, terminations, infos = {}, {}, {}
         for agent in self.agents:
             if agent == OBSERVER:
@@ -312,4 +304,4 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         return np.concatenate(masks)
 
 
-raw_env, env = make_aec_forms(parallel_env)
+raw_env, env = base.make_aec_forms(parallel_env)

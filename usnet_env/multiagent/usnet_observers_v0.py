@@ -11,15 +11,7 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Mask, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
-from usnet_env.multiagent.base import (
-    GameArguments,
-    RoundRecord,
-    Start,
-    Step,
-    UsnetParallelEnv,
-    make_aec_forms,
-    to_scalars,
-)
+from usnet_env.multiagent import base
 from usnet_env.multiagent.fusion import FUSIONS
 from usnet_env.multiagent.sensors import Observer, SensorConfig, merge_sightings, sense_window
 from usnet_env.swarm import ObservationBatch, SwarmConfig
@@ -28,14 +20,14 @@ from usnet_env.swarm.config import MobilityArguments
 __all__ = ["env", "parallel_env", "raw_env"]
 
 
-class ObserversArguments(GameArguments, MobilityArguments, SensorConfig):
+class ObserversArguments(base.GameArguments, MobilityArguments, SensorConfig):
     """The arguments of :class:`parallel_env`."""
 
     fusion: str = Field("union", description="``union``, ``majority``, ``scores``, or a registered rule")
 
 
 @list_arguments()
-class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
+class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     """Several observers, each of which sees a part of the swarm, find its heads together (cooperative).
 
     ## Description
@@ -90,7 +82,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
     * v0: first version
     """
 
-    metadata: ClassVar[dict[str, Any]] = {**UsnetParallelEnv.metadata, "name": "usnet_observers_v0"}
+    metadata: ClassVar[dict[str, Any]] = {**base.UsnetParallelEnv.metadata, "name": "usnet_observers_v0"}
 
     @takes_arguments(ObserversArguments)
     def __init__(self, arguments: ObserversArguments) -> None:
@@ -127,7 +119,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         self._sightings: list[ObservationBatch] = []
         self._messages = np.zeros((observers, size), np.float32)
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Start:
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> base.Start:
         """Start a game and observe its first window.
 
         Args:
@@ -151,9 +143,9 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         state = game.start_games(self.config, [rng])
         metrics = game.initial_info(self.rules, state)
         self._sense_next_window(state)
-        return self._observations(), {agent: to_scalars(metrics) for agent in self.agents}
+        return self._observations(), {agent: base.to_scalars(metrics) for agent in self.agents}
 
-    def step(self, actions: Any) -> Step:
+    def step(self, actions: Any) -> base.Step:
         """Combine the votes, destroy the candidates, score the round, and observe the next window.
 
         Args:
@@ -173,7 +165,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         votes = whole[:, :uavs] * seen
         candidates = self._fuse(votes, seen)
         state, outcome = game.play_round(self.rules, before, candidates[None])
-        self.last_round = RoundRecord(
+        self.last_round = base.RoundRecord(
             sighting=self._current_window(),
             truth=self._reveal_swarm(before),
             candidates=candidates,
@@ -190,7 +182,7 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
             dict.fromkeys(agents, float(outcome.reward[0])),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
-            {agent: to_scalars(outcome.metrics) for agent in agents},
+            {agent: base.to_scalars(outcome.metrics) for agent in agents},
         )
         if terminated or truncated:
             self.agents = []
@@ -239,4 +231,4 @@ class parallel_env(UsnetParallelEnv):  # PettingZoo's name for it
         return candidates
 
 
-raw_env, env = make_aec_forms(parallel_env)
+raw_env, env = base.make_aec_forms(parallel_env)
