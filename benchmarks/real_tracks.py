@@ -3,8 +3,9 @@
     python examples/fetch_tracks.py ants cars --out data
     python benchmarks/real_tracks.py data           # writes benchmarks/results/real_tracks.csv
 
-Each file is resampled with the step that is chosen from it, and again with 0.5 s, and cut into windows of 100 steps, of which at most 12,
-evenly spread, are used. Ids that lead no id and follow none are not in a group. The groups are known to the score only.
+Each file is resampled with the step that is chosen from it, and again with 0.5 s, and cut into windows of 100 steps, of
+which at most 12, evenly spread, are used. Ids that lead no id and follow none are not in a group. The groups are known
+to the score only.
 """
 
 from __future__ import annotations
