@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from small_episode import ROUNDS, SAMPLES, small_episode
@@ -38,6 +40,8 @@ def test_pictures_of_two_rounds_differ_and_are_not_blank(tmp_path):
         except ArgumentError as error:
             pytest.skip(str(error))
         pixels.append(np.asarray(image.open(picture).convert("RGB")).astype(int))
+    commands = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline")]
+    assert not any(str(path).encode() in words for words in commands)  # no viewer is left
     height, width = pixels[0].shape[:2]
     for frame in pixels:
         swarm = frame[height // 20 : height // 2, : width // 3]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -105,7 +107,8 @@ def take_screenshot(recordings: list[Path], path: str | os.PathLike[str], second
         client.set_time("time", duration=seconds, play_state="paused")
         picture = _wait_for_picture(client)
     finally:
-        viewer.terminate()
+        with contextlib.suppress(ProcessLookupError):  # it has ended
+            os.killpg(viewer.pid, signal.SIGKILL)  # the command and the viewer that it starts
         viewer.wait()
     with atomic_write(as_path("path", path)) as aside:
         aside.write_bytes(picture)
