@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,12 @@ _LEVEL, _LEVEL_OUTSIDE = 0.05, 0.5
 _NEAREST, _SHIFTS = 5, 6
 
 
-def confirm_leaders(window: Window, leaders: Sequence[int], followers: Sequence[Sequence[int]]) -> Mask:
+def confirm_leaders(
+    window: Window, leaders: Sequence[int] | NDArray[np.integer[Any]], followers: Sequence[Sequence[int]]
+) -> Mask:
     """Which of c leaders are confirmed, ``(c,)`` bool: by :func:`confirm_lead`, and not by :func:`find_followers`."""
     sure = ~find_followers(window, leaders, followers)
-    for k in np.flatnonzero(sure):
+    for k in map(int, np.flatnonzero(sure)):
         sure[k] = confirm_lead(window, int(leaders[k]), followers[k])
     return np.asarray(sure)
 
@@ -58,7 +61,9 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     return _is_ahead(mean, window.velocity[:, leader].astype(np.float64), both, _LEVEL / (1 + len(followers)))
 
 
-def find_followers(window: Window, leaders: Sequence[int], followers: Sequence[Sequence[int]]) -> Mask:
+def find_followers(
+    window: Window, leaders: Sequence[int] | NDArray[np.integer[Any]], followers: Sequence[Sequence[int]]
+) -> Mask:
     """Which of the leaders follow another UAV in the first or the second half of a window.
 
     If groups change within a window, a UAV that follows one head after another moves like neither of them through the
@@ -85,7 +90,7 @@ def find_followers(window: Window, leaders: Sequence[int], followers: Sequence[S
         best[np.arange(len(uavs)), uavs] = 0.0
         late = len(unit) * np.arange(1, _SHIFTS + 1) // (_SHIFTS + 1)
         chance = np.max([_correlate(np.roll(unit[:, uavs], k, axis=0), unit).max(axis=1) for k in late], axis=0)
-        for c in np.flatnonzero(~follows):
+        for c in map(int, np.flatnonzero(~follows)):
             for other in np.argsort(-best[c], kind="stable")[:_NEAREST]:
                 if best[c, other] <= chance[c]:
                     break
