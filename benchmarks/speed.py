@@ -1,6 +1,7 @@
 """Speed and memory of the simulator and the vector env, as ratios within one run.
 
-    python benchmarks/speed.py                  # writes benchmarks/results/speed.json
+    python benchmarks/speed.py                              # writes benchmarks/results/speed.json
+    python benchmarks/speed.py --parts field scaling        # measures these parts again and keeps the others
 
 The speed of a shared machine drifts, so contestants take turns, each turn gives one ratio, and the median counts. All
 run in one thread, except VMAS, which uses PyTorch's threads.
@@ -9,6 +10,7 @@ run in one thread, except VMAS, which uses PyTorch's threads.
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,10 +21,14 @@ from speed_helpers import run, write_json
 
 import usnet_env  # noqa: F401  registers the environments
 from usnet_env.provenance import machine, versions
-from usnet_env.swarm import SwarmConfig, advance, start
+from usnet_env.swarm import SwarmConfig, advance, register_formation, start
+from usnet_env.swarm.follow import FIELD_MODELS
 
 EPISODES, UAVS = 256, 82
 FOLLOW = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
+KINEMATICS = ["varied_speed", "lagged", "limited", "layered"]
+PARTS = ["stepping", "field", "kinematics", "scaling", "peers", "memory"]
+SIZES = [100, 300, 1000, 3000, 10_000]
 
 
 def seconds(function: Callable[[], object]) -> float:
@@ -38,9 +44,9 @@ def alternate(turns: int, *contestants: Callable[[], object]) -> np.ndarray:
     return np.array([[seconds(contestant) for contestant in contestants] for _ in range(turns)])
 
 
-def stepping(follow: str, turns: int) -> dict[str, object]:
+def stepping(turns: int, **arguments: object) -> dict[str, object]:
     """A batch of swarms flies one round; NumPy draws as many float32 normals as that takes."""
-    config = SwarmConfig(follow=follow, uavs=UAVS)
+    config = SwarmConfig(uavs=UAVS, **arguments)
     rngs = [np.random.default_rng(seed) for seed in range(EPISODES)]
     state = start(config, rngs)
     normals = config.steps * 3 * (UAVS + config.clusters)  # a followers' noise for all, the heads' own motion
@@ -58,6 +64,39 @@ def stepping(follow: str, turns: int) -> dict[str, object]:
         "normals_per_second": EPISODES * normals / float(np.median(taken[:, 1])),
         "ratio": float(np.median(ratios)),
         "ratios": ratios.tolist(),
+    }
+
+
+def spread(rng: np.random.Generator, roles: object) -> np.ndarray:
+    """Positions at a density that doesn't depend on N: 10,000 UAVs fill the arena of 1000 m x 1000 m x 100 m."""
+    uavs = len(roles.leader)  # type: ignore[attr-defined]
+    side = 1000.0 * np.sqrt(uavs / SIZES[-1])
+    return rng.uniform(0.0, (side, side, 100.0), (uavs, 3))
+
+
+def scaling(follow: str, turns: int) -> dict[str, object]:
+    """One cluster of N UAVs flies one round, at a fixed density; the sizes take turns."""
+    register_formation("spread", spread, replace=True)
+    rounds = []
+    for uavs in SIZES:
+        config = SwarmConfig(
+            follow=follow,
+            clusters=1,
+            uavs=uavs,
+            memory=12,
+            observation_steps=20,
+            formation="spread",
+            mobility="straight",
+        )
+        rngs = [np.random.default_rng(0)]
+        rounds.append((config, start(config, rngs), rngs))
+    taken = alternate(turns, *(lambda one=one: advance(*one) for one in rounds))
+    each = np.median(taken, axis=0) / [uavs * rounds[0][0].steps for uavs in SIZES]
+    return {
+        "what": "seconds of a UAV-step against N, one cluster at a fixed density",
+        "uavs": SIZES,
+        "seconds_per_uav_step": each.tolist(),
+        "growth": float(each[-1] / each[SIZES.index(1000)]),
     }
 
 
@@ -128,25 +167,38 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--turns", type=int, default=15)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "speed.json")
-    parser.add_argument("--skip-peers", action="store_true", help="without MPE2 and VMAS (the bench extra)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="peers need the bench extra")
     arguments = parser.parse_args()
-    result: dict[str, object] = {
-        "machine": machine(),
-        "versions": versions(("torch", "mpe2", "vmas")),
-        "turns": arguments.turns,
-    }
-    result["stepping"] = {follow: stepping(follow, arguments.turns) for follow in FOLLOW}
-    if not arguments.skip_peers:
-        result["peers"] = peers(arguments.turns)
-    result["memory"] = memory()
+    turns, parts = arguments.turns, arguments.parts
+    result: dict[str, object] = {}
+    if parts != PARTS and arguments.out.exists():
+        result = json.loads(arguments.out.read_text())
+    result |= {"machine": machine(), "versions": versions(("torch", "mpe2", "vmas")), "turns": turns}
+    if "stepping" in parts:
+        result["stepping"] = {follow: stepping(turns, follow=follow) for follow in FOLLOW}
+    if "field" in parts:
+        result["field"] = {follow: stepping(turns, follow=follow, memory=12) for follow in FIELD_MODELS}
+    if "kinematics" in parts:
+        result["kinematics"] = {name: stepping(turns, kinematics=name) for name in KINEMATICS}
+    if "scaling" in parts:
+        result["scaling"] = {follow: scaling(follow, turns) for follow in ("pigeons", "vicsek", "couzin")}
+    if "peers" in parts:
+        result["peers"] = peers(turns)
+    if "memory" in parts:
+        result["memory"] = memory()
     write_json(arguments.out, result)
-    for follow, row in result["stepping"].items():
-        rate = row["uav_steps_per_second"] / 1e6
-        print(f"{follow}: {rate:6.1f} M UAV-steps/s, ratio {row['ratio']:.3f}")
+    for part in ("stepping", "field", "kinematics"):
+        for name, row in result.get(part, {}).items():
+            rate = row["uav_steps_per_second"] / 1e6
+            print(f"{name}: {rate:6.1f} M UAV-steps/s, ratio {row['ratio']:.3f}")
+    for name, row in result.get("scaling", {}).items():
+        last = 1e9 * row["seconds_per_uav_step"][-1]
+        print(f"{name}: {last:.0f} ns a UAV-step at N=10,000, {row['growth']:.2f} times that at N=1,000")
     if "peers" in result:
         for name in ("over_simple_tag_v3", "over_vmas_flocking"):
             print(f"{name}: {result['peers'][name]['ratio']:.1f}")
-    print(f"memory: {result['memory']['bytes'] / 2**30:.2f} GiB")
+    if "memory" in result:
+        print(f"memory: {result['memory']['bytes'] / 2**30:.2f} GiB")
 
 
 if __name__ == "__main__":
