@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.arrays import Floats, Mask
 from usnet_env.window import Window
 
 __all__ = ["confirm_lead", "confirm_leaders", "find_followers"]
