@@ -19,6 +19,7 @@ from result_pages import (
     decoys,
     index,
     learned,
+    literature,
     multiagent,
     p1,
     paper_tier,
@@ -27,6 +28,7 @@ from result_pages import (
     rounds,
     speed,
     strategies,
+    suites,
     thresholds,
     tiers,
 )
@@ -50,6 +52,8 @@ PAGES = {
     "docs/results/learned.md": learned.text,
     "docs/results/multiagent.md": multiagent.text,
     "docs/results/real_tracks.md": real_tracks.text,
+    "docs/results/literature.md": literature.text,
+    "docs/results/suites.md": suites.text,
     "docs/results/speed.md": speed.text,
     # Tables alone, which pages of docs include.
     "benchmarks/results/learned.md": lambda: table_alone(learned.games()),

@@ -334,7 +334,12 @@ def leader_accuracy(leader: ArrayLike, estimate: ArrayLike, *, root: bool = Fals
 
     Returns:
         A value from 0 to 1; 0 if no UAV follows another one.
+
+    Raises:
+        ArgumentError: an argument has another shape or type.
     """
+    if not isinstance(root, bool):
+        raise ArgumentError(f"root must be True or False, got {quote(root)}.")
     truth = _labels("leader", leader)
     found = _labels("estimate", estimate, len(truth))
     follows = (truth >= 0) & (truth != np.arange(len(truth)))

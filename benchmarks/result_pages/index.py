@@ -122,6 +122,8 @@ PAGES = (
     ("learned", "`learned`, and an observer trained by PPO"),
     ("purity", "purity of the clusterers, metric learning"),
     ("multiagent", "games of several agents"),
+    ("suites", "frozen suites: controls, and the field"),
+    ("literature", "experiments of the literature on leaders"),
     ("real_tracks", "recorded tracks with known leaders"),
     ("speed", "speed and memory"),
 )

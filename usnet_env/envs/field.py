@@ -56,7 +56,7 @@ class FieldDistribution:
             **dict.fromkeys(
                 ("unequal_delays", "mixed", "switching", "chain", "pigeons", "cucker_smale", "vicsek", "couzin"), 1.0
             ),
-            **dict.fromkeys(("frontness", "part_time", "partial_turns", "predator"), 1.0),
+            **dict.fromkeys(("frontness", "part_time", "partial_turns", "predator", "informed"), 1.0),
             **dict.fromkeys(("shepherd", "reference"), 0.5),  # swarms that no UAV leads
         }
     )
