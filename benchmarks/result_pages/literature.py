@@ -21,23 +21,24 @@ _VICSEK = (
     "leave its flock: compare the shape and not the numbers."
 )
 _HIERARCHY = (
-    "Nagy et al. (2010) found the hierarchy of pigeons by the delays of directional correlation. The model is `pigeons` "
-    "with 10 UAVs; the first value is Kendall's rank correlation of the delays behind the head, found by directional "
-    "correlation with it, with the true ones; the others are the shares of games in which the head has the highest "
-    "score (chance: 0.1)."
+    "Nagy et al. (2010) found the hierarchy of pigeons by the delays of directional correlation. The model is "
+    "`pigeons` with 10 UAVs; the first value is Kendall's rank correlation of the delays behind the head, found by "
+    "directional correlation with it, with the true ones; the others are the shares of games in which the head has the "
+    "highest score (chance: 0.1)."
 )
 
 
 def text() -> str:
     """The page."""
     rows = group_rows(read_csv(RESULTS / "literature.csv"), lambda row: row["experiment"])
+    minority = sorted(rows["minority"], key=lambda row: float(row["share"]))
     games = len({row["game"] for own in rows.values() for row in own})
     return page(
         "Experiments of the literature",
         f"{games} games a cell; means with 95 % bootstrap intervals over games.",
         "## An informed minority",
         _MINORITY,
-        _cross(rows["minority"], "share", "size", "informed share", "N = {}"),
+        _cross(minority, "share", "size", "informed share", "N = {}"),
         "## One leader of a Vicsek flock",
         _VICSEK,
         *(
@@ -58,7 +59,7 @@ def _value(rows: Sequence[Row], column: str = "value") -> str:
 
 def _cross(rows: Sequence[Row], down: str, across: str, heading: str, form: str) -> str:
     """A table of means by two columns."""
-    columns = list(dict.fromkeys(row[across] for row in rows))
+    columns = sorted({row[across] for row in rows}, key=float)
     lines = []
     for name, own in group_rows(rows, lambda row: row[down]).items():
         cells = group_rows(own, lambda row: row[across])
