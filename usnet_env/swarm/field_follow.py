@@ -137,11 +137,7 @@ class Links(FieldStrategy):
             self.table(flight),
             flight.source,
             flight.clock,
-            flight.motion,
-            flight.start,
-            flight.noise,
-            flight.position,
-            flight.velocity,
+            *flight.flown,
         )
 
 
@@ -288,11 +284,7 @@ class Kinds(FieldStrategy):
             self.table(flight),
             flight.source,
             flight.clock,
-            flight.motion,
-            flight.start,
-            flight.noise,
-            flight.position,
-            flight.velocity,
+            *flight.flown,
         )
 
 
@@ -350,11 +342,7 @@ class Slots(FieldStrategy):
             np.float32(self.near),
             self.table(flight),
             flight.source,
-            flight.motion,
-            flight.start,
-            flight.noise,
-            flight.position,
-            flight.velocity,
+            *flight.flown,
         )
 
 

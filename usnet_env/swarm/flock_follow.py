@@ -58,11 +58,7 @@ class Flock(FieldStrategy):
             flight.leader,
             flight.source,
             flight.bystander,
-            flight.motion,
-            flight.start,
-            flight.noise,
-            flight.position,
-            flight.velocity,
+            *flight.flown,
         )
 
 

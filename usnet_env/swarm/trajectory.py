@@ -47,6 +47,11 @@ class TrajectoryBatch:
         """Who flies how, behind which head, from which step on, and with which noise: for the compiled loops."""
         return self.motion, self.leader, self.start, self.noise
 
+    @property
+    def flown(self) -> tuple[NDArray[np.int8], int, Singles, Singles, Singles]:
+        """Who flies, from which step on, with which noise, and what is filled: for the compiled loops of the field."""
+        return self.motion, self.start, self.noise, self.position, self.velocity
+
     episodes = AxisLength("noise", 0)  #: B
     steps = AxisLength("noise", 1)  #: S, the number of steps to simulate
 
