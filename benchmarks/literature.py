@@ -63,13 +63,13 @@ def unit(vector: NDArray[Any]) -> NDArray[Any]:
     return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-12)
 
 
-def steer(cell: Mapping[str, Any], seed: int) -> dict[str, float]:
+def steer(cell: Mapping[str, Any], seed: int) -> dict[str, float | str]:
     """How well the minority steers; a share of 0 has one informed UAV with the weight 0."""
     weight = 0.5 if cell["share"] else 0.0
     follow = Informed(share=float(cell["share"]), preference=weight, alignment=60.0, attraction=60.0, attract=1.0)
     state, observed = fly(10, seed, follow=follow, uavs=int(cell["size"]), mobility="straight")
     course = state.reference_velocity[-1, 0]
-    return {"value": float(unit(observed.velocity[0].mean(axis=(0, 1))) @ course), "head_first": ""}  # type: ignore[dict-item]
+    return {"value": float(unit(observed.velocity[0].mean(axis=(0, 1))) @ course), "head_first": ""}
 
 
 def _detect(cell: Mapping[str, Any], seed: int, observed: ObservationBatch) -> Any:
@@ -78,16 +78,16 @@ def _detect(cell: Mapping[str, Any], seed: int, observed: ObservationBatch) -> A
     return detector.detect(Window(observed.position[0], observed.velocity[0], observed.seen[0], observed.alive[0]))
 
 
-def find_leader(cell: Mapping[str, Any], seed: int) -> dict[str, float]:
+def find_leader(cell: Mapping[str, Any], seed: int) -> dict[str, float | str]:
     """Whether the leader of a Vicsek flock of 20 UAVs has the highest score; ties count as their share."""
     follow = Vicsek(alignment=float(cell["range"]), noise=float(cell["noise"]))
     state, observed = fly(1, seed, follow=follow, uavs=20, mobility="smooth_turn")
     scores = _detect(cell, seed, observed).scores
     best = scores == scores.max()
-    return {"value": float(state.head[best].sum() / best.sum()), "head_first": ""}  # type: ignore[dict-item]
+    return {"value": float(state.head[best].sum() / best.sum()), "head_first": ""}
 
 
-def find_hierarchy(cell: Mapping[str, Any], seed: int) -> dict[str, float]:
+def find_hierarchy(cell: Mapping[str, Any], seed: int) -> dict[str, float | str]:
     """How well delays behind the head are found in a flock of 10 UAVs, and whether the head has the highest score."""
     follow = Pigeons(noise=float(cell["noise"]))
     state, observed = fly(2, seed, follow=follow, uavs=10, mobility="smooth_turn")

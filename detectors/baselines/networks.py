@@ -1,4 +1,4 @@
-"""Detectors from scores of all ordered pairs: who follows whom, by which delay, and which UAVs are sources.
+"""Detectors from scores of all ordered pairs of UAVs: the leader of each UAV, its delay, and the sources.
 
 A subclass of :class:`NetworkDetector` measures each pair. What follows is the same for all of them: the scores are
 compared with those of surrogates in which no UAV leads, each follower gets one direct leader, and the heads are the

@@ -76,7 +76,7 @@ class FollowStrategy(ABC):
         return self.draw(rng)
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
-        """Decide who copies whom, and which UAVs no head leads; by default every follower copies its head."""
+        """Give each UAV the UAV that it copies, and mark UAVs without a head; by default followers copy their head."""
         return roles
 
     @abstractmethod
