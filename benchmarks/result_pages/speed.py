@@ -20,13 +20,22 @@ def spread(values: list[float]) -> str:
 
 
 def simulator() -> list[str]:
-    """Stepping, peers, memory."""
+    """Stepping, growth with N, peers, memory."""
     result = read("speed.json")
     stepping = table(
-        ("strategy", "turns", "million UAV steps a second", "rate of stepping over rate of drawing the same normals"),
+        ("flight", "turns", "million UAV steps a second", "rate of stepping over rate of drawing the same normals"),
         [
             (name, str(len(row["ratios"])), f"{row['uav_steps_per_second'] / 1e6:.1f}", spread(row["ratios"]))
-            for name, row in result["stepping"].items()
+            for part in ("stepping", "field", "kinematics")
+            for name, row in result[part].items()
+        ],
+    )
+    sizes = next(iter(result["scaling"].values()))["uavs"]
+    growth = table(
+        ("ns of a UAV step, at a fixed density", *(f"N = {uavs:,}" for uavs in sizes)),
+        [
+            (name, *(f"{1e9 * each:.0f}" for each in row["seconds_per_uav_step"]))
+            for name, row in result["scaling"].items()
         ],
     )
     peers = result["peers"]
@@ -41,7 +50,7 @@ def simulator() -> list[str]:
             ),
         ],
     )
-    return [stepping, beside, f"1,000 swarms of 82 UAVs take {result['memory']['bytes'] / 2**30:.2f} GiB."]
+    return [stepping, growth, beside, f"1,000 swarms of 82 UAVs take {result['memory']['bytes'] / 2**30:.2f} GiB."]
 
 
 def mixture() -> list[str]:
