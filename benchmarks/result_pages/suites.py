@@ -19,12 +19,9 @@ def text() -> str:
     """The page."""
     parts, made = [], []
     for suite in list_suites().values():
-        name = f"suites/{suite.name}-v{suite.version}.csv.gz"
-        if not (RESULTS / name).exists():
-            continue
-        with gzip.open(RESULTS / name, "rt", encoding="utf-8", newline="") as file:
-            parts += _describe(suite, list(csv.DictReader(io.StringIO(file.read()))))
-        made.append(name)
+        if rows := read_suite(suite):
+            parts += _describe(suite, rows)
+            made.append(_file(suite))
     return page(
         "Frozen suites",
         "[Frozen suites](../suites.md) are lists of environments with a version. All detectors met the same swarms, "
@@ -37,6 +34,16 @@ def text() -> str:
         "## Raw rows and commands",
         source([*made, "leak_probe.csv"]),
     )
+
+
+def read_suite(suite: FrozenSuite) -> list[Row]:
+    """The committed rows of the suite's version; none if it was not played."""
+    path = RESULTS / _file(suite)
+    return list(csv.DictReader(io.StringIO(gzip.decompress(path.read_bytes()).decode()))) if path.exists() else []
+
+
+def _file(suite: FrozenSuite) -> str:
+    return f"suites/{suite.name}-v{suite.version}.csv.gz"
 
 
 def is_solved(rows: list[Row]) -> bool:
