@@ -3,10 +3,11 @@
     OMP_NUM_THREADS=1 python benchmarks/threshold_ablation.py --games 4
     python benchmarks/threshold_ablation.py --list     # the changes
 
-The windows are the first ones of ``--games`` games of every cell of ``follow_mixture.py``, on a tuning seed, and of
-``--random`` swarms of the calibration's grammar (``detectors.follow_mixture.train``). The calibration is that of the
-whole detector. Each row of ``results/follow_mixture_thresholds.csv`` is one window under one change; the rows without
-a change are the whole detector.
+The windows are the first ones of ``--games`` games of every cell of ``follow_mixture.py``, on a tuning seed; of the
+cells of the frozen suite ``field``, on its tuning seed; and of ``--random`` swarms of the calibration's grammar
+(``detectors.follow_mixture.train``), which are played a second time in the tier ``drift``, in a constant wind. The
+calibration is that of the whole detector. Each row of ``results/follow_mixture_thresholds.csv`` is one window under one
+change; the rows without a change are the whole detector.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -31,10 +32,13 @@ from detectors.follow_mixture.motion import lagged
 from detectors.follow_mixture.train import CalibrationTraining, draw_swarm, draw_window
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
+from usnet_env.evaluation import load_suite
 from usnet_env.evaluation.episode import episode_seeds
 
 RESULTS = Path(__file__).parent / "results" / "follow_mixture_thresholds.csv"
 SEED = 61  # seeds below 1000 are for tuning
+FIELD = load_suite("field")
+WIND = np.array([20.0, 10.0, 0.0], np.float32)  # metres per step; a UAV flies 1
 INFINITE = 1e9
 
 
@@ -102,18 +106,29 @@ def list_windows(tiers: list[str], each: int, random: int, seed: int) -> list[tu
     for cell in cells():
         if cell.tier in tiers:
             found += [(cell.tier, cell.name, n) for n in range(min(each, 2) if cell.kind != "P2" else each)]
+    if "field" in tiers:
+        found += [("field", name, n) for name in FIELD.cells for n in range(each)]
     training = CalibrationTraining(swarms=random, seed=seed)
     mobilities = [draw_swarm(training, np.random.default_rng((seed, number))).mobility for number in range(random)]
-    return [*found, *(("random", mobility, number) for number, mobility in enumerate(mobilities))]
+    swarms = ("random", "drift") if "drift" in tiers else ("random",)
+    return [*found, *((tier, mobility, number) for tier in swarms for number, mobility in enumerate(mobilities))]
 
 
 @lru_cache(maxsize=1)  # all changes are played on a window, one after the other
 def draw_game(tier: str, name: str, number: int, random: int, seed: int) -> Game:
     """The first window of one game of a cell, or of a random swarm."""
-    if tier == "random":
+    if tier in ("random", "drift"):
         rng = np.random.default_rng((seed, number))
         window, head, _ = draw_window(draw_swarm(CalibrationTraining(swarms=random, seed=seed), rng), rng)
+        if tier == "drift":
+            flown = np.arange(len(window.position), dtype=np.float32)[:, None, None] * WIND
+            window = replace(window, position=window.position + flown, velocity=window.velocity + WIND)
         return Game("P2", window, head, number)
+    if tier == "field":
+        swarm, detector = episode_seeds(FIELD.tuning_seed, number)
+        environment = MultiClusterEnv(**FIELD.cells[name].arguments)
+        observation, _ = environment.reset(seed=swarm)
+        return Game("P2", Window.from_observation(observation), np.asarray(environment.swarm.head), detector)
     cell = next(cell for cell in cells() if (cell.tier, cell.name) == (tier, name))
     env = (SingleClusterEnv if cell.kind == "P1" else MultiClusterEnv)(**cell.env)
     swarm, detector = episode_seeds(seed, number)
@@ -141,7 +156,7 @@ def main() -> None:
     """List the changes, or play."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--games", type=int, default=4, help="of each cell; 2 at most in P1, silence and shifted")
-    parser.add_argument("--tier", nargs="*", default=sorted({cell.tier for cell in cells()}))
+    parser.add_argument("--tier", nargs="*", default=[*sorted({cell.tier for cell in cells()}), "field", "drift"])
     parser.add_argument("--random", type=int, default=120, help="random swarms")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--results", type=Path, default=RESULTS)

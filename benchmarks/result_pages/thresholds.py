@@ -60,13 +60,14 @@ def text() -> str:
     counts = ", ".join(f"{tier} {sum(window[0] == tier for window in windows[''])}" for tier in tiers)
     return page(
         "Thresholds of follow-mixture",
-        "Each threshold of [follow-mixture](../follow_mixture.md) is moved or switched off alone, and the same windows "
-        "are answered again: first windows of games of a tuning seed, and random swarms of the calibration's grammar. "
-        "The calibration is not estimated again. Differences are paired, with 95 % bootstrap intervals over windows; "
-        "the change is worse where points are negative or J is positive. J is the least J_m that the answer allows; in "
-        "swarms in which no UAV follows another it is the share of UAVs named with `policy='map'`. A threshold *earns* "
-        "its place if the change is worse by more than half a point, or by more than 0.005 of J, in all windows or in "
-        "one tier. There are few windows, so that small effects are not seen.",
+        "Each threshold of [follow-mixture](../follow_mixture.md) is moved or switched off alone, and the same "
+        "windows are answered again: first windows of games of a tuning seed, windows of the frozen suite `field` "
+        "with its tuning seed, and random swarms of the calibration's grammar, which fly in a constant wind in the "
+        "tier `drift`. The calibration is not estimated again. Differences are paired, with 95 % bootstrap intervals "
+        "over windows; the change is worse where points are negative or J is positive. J is the least J_m that the "
+        "answer allows; in swarms in which no UAV follows another it is the share of UAVs named with `policy='map'`. "
+        "A threshold *earns* its place if the change is worse by more than half a point, or by more than 0.005 of J, "
+        "in all windows or in one tier. There are few windows, so that small effects are not seen.",
         f"Windows by tier: {counts}.",
         compare(windows, tiers),
         "## Raw rows and commands",
