@@ -111,7 +111,7 @@ class Attention(BaseFeaturesExtractor):
 
 
 def split_features(features: Tensor) -> tuple[Tensor, Tensor]:
-    """The vectors of the UAVs, ``(B, N, WIDTH)``, and whether they live, ``(B, N, 1)``: what :class:`Attention` gives."""
+    """What :class:`Attention` gives: the UAVs' vectors, ``(B, N, WIDTH)``, and whether they live, ``(B, N, 1)``."""
     uav = features.unflatten(1, (-1, WIDTH + 1))
     return uav[..., :-1], uav[..., -1:]
 
