@@ -14,6 +14,9 @@ help:  ## list the targets
 demo: $(INSTALLED)  ## play one game; replay, page, picture and episode file go to runs/demo/
 	$(BIN)/usnet demo
 
+# Each of the tests' processes would compile all modules anew where Python may not keep them compiled.
+test test-all: export PYTHONDONTWRITEBYTECODE =
+
 test: $(INSTALLED)  ## run the quick tests
 	$(BIN)/pytest -n auto -m "not slow"
 

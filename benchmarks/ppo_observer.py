@@ -110,6 +110,12 @@ class Attention(BaseFeaturesExtractor):
         return torch.cat([uav, alive[..., None]], dim=2).flatten(1)
 
 
+def split_features(features: Tensor) -> tuple[Tensor, Tensor]:
+    """What :class:`Attention` gives: the UAVs' vectors, ``(B, N, WIDTH)``, and whether they live, ``(B, N, 1)``."""
+    uav = features.unflatten(1, (-1, WIDTH + 1))
+    return uav[..., :-1], uav[..., -1:]
+
+
 class PerUav(nn.Module):
     """One logit for each UAV by the same weights; the most probable living UAV is always named."""
 
@@ -119,9 +125,8 @@ class PerUav(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """``(B, N)`` logits."""
-        uav = features.unflatten(1, (-1, WIDTH + 1))
-        dead = uav[..., -1] == 0
-        logits = self.logit(uav[..., :-1])[..., 0].masked_fill(dead, -20.0)
+        uav, alive = split_features(features)
+        logits = self.logit(uav)[..., 0].masked_fill(alive[..., 0] == 0, -20.0)
         return logits + torch.relu(0.1 - logits.max(dim=1, keepdim=True).values)
 
 
@@ -134,9 +139,8 @@ class Whole(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """``(B, 1)``."""
-        uav = features.unflatten(1, (-1, WIDTH + 1))
-        alive = uav[..., -1:]
-        return self.value((uav[..., :-1] * alive).sum(dim=1) / alive.sum(dim=1).clamp(min=1))
+        uav, alive = split_features(features)
+        return self.value((uav * alive).sum(dim=1) / alive.sum(dim=1).clamp(min=1))
 
 
 class EquivariantPolicy(MultiInputActorCriticPolicy):

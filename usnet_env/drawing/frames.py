@@ -14,34 +14,13 @@ __all__ = ["EpisodeFrames", "describe_frame", "round_frame"]
 _MARGIN_OF_FRAMES = 0.4  # room for the swarm to drift and spread before the axes have to grow
 
 
-def round_frame(
-    position: NDArray[np.float32],
-    seen: NDArray[np.bool_],
-    alive: NDArray[np.bool_],
-    head: NDArray[np.bool_],
-    leader: NDArray[np.int64],
-    decoy: NDArray[np.bool_],
-    candidates: NDArray[np.bool_] | None = None,
-    *,
-    destroyed_at: NDArray[np.float32] | None = None,
-    title: str = "",
-    limits: Limits | None = None,
-    size: tuple[int, int] = (960, 720),
-) -> NDArray[np.uint8]:
+def round_frame(*window: Any, size: tuple[int, int] = (960, 720), **look: Any) -> NDArray[np.uint8]:
     """Render :func:`draw_round` to pixels, ``(H, W, 3)`` uint8.
 
     Args:
-        position: as in :func:`draw_round`.
-        seen: as in :func:`draw_round`.
-        alive: as in :func:`draw_round`.
-        head: as in :func:`draw_round`.
-        leader: as in :func:`draw_round`.
-        decoy: as in :func:`draw_round`.
-        candidates: as in :func:`draw_round`.
-        destroyed_at: as in :func:`draw_round`.
-        title: as in :func:`draw_round`.
-        limits: as in :func:`draw_round`.
+        window: as :func:`draw_round` takes them: the arrays of a window, the truth, and the candidates.
         size: width and height in pixels.
+        look: keyword arguments of :func:`draw_round`, but for ``axes``.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -49,10 +28,7 @@ def round_frame(
     width, height = size
     figure = new_figure(9.6, 9.6 * height / width, dpi=width / 9.6)
     axes = figure.add_axes((0.07, 0.08, 0.66, 0.86))
-    draw_round(
-        position, seen, alive, head, leader, decoy, candidates,
-        destroyed_at=destroyed_at, axes=axes, title=title, limits=limits,
-    )  # fmt: skip
+    draw_round(*window, axes=axes, **look)
     canvas: Any = figure.canvas
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3].copy()
@@ -97,37 +73,13 @@ class EpisodeFrames:
         if (np.abs(corners[:, :2] - middle) > half).any():
             self._limits = limits_around(self._corners, _MARGIN_OF_FRAMES)
 
-    def render(
-        self,
-        position: NDArray[np.float32],
-        seen: NDArray[np.bool_],
-        alive: NDArray[np.bool_],
-        head: NDArray[np.bool_],
-        leader: NDArray[np.int64],
-        decoy: NDArray[np.bool_],
-        candidates: NDArray[np.bool_] | None = None,
-        *,
-        title: str = "",
-    ) -> NDArray[np.uint8]:
-        """Render a window as :func:`round_frame` does.
+    def render(self, **scene: Any) -> NDArray[np.uint8]:
+        """Render a window as :func:`round_frame` does, ``(H, W, 3)`` uint8.
 
         Args:
-            position: as in :func:`draw_round`.
-            seen: as in :func:`draw_round`.
-            alive: as in :func:`draw_round`.
-            head: as in :func:`draw_round`.
-            leader: as in :func:`draw_round`.
-            decoy: as in :func:`draw_round`.
-            candidates: as in :func:`draw_round`.
-            title: as in :func:`draw_round`.
-
-        Returns:
-            ``(H, W, 3)`` uint8.
+            scene: arguments of :func:`draw_round` by name, but for ``axes``, ``destroyed_at`` and ``limits``.
 
         Raises:
             MissingExtraError: matplotlib is not installed.
         """
-        return round_frame(
-            position, seen, alive, head, leader, decoy, candidates,
-            destroyed_at=self._last, title=title, limits=self._limits,
-        )  # fmt: skip
+        return round_frame(**scene, destroyed_at=self._last, limits=self._limits)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
@@ -11,8 +10,8 @@ import numpy as np
 from gymnasium.vector import SyncVectorEnv
 from pydantic import Field
 
-from usnet_env.arrays import Mask, Observation
-from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments, whole_number
+from usnet_env.arrays import Mask
+from usnet_env.config import ArgumentError, list_arguments, takes_arguments, whole_number
 from usnet_env.envs import game
 from usnet_env.envs.usnet import INFO, OBSERVATION, OutputArguments, UsnetEnv
 from usnet_env.envs.vector import MOST_ENVS
@@ -211,28 +210,12 @@ class FieldEnv(UsnetEnv):
         self.config = self._arguments.make_config(DISTRIBUTION.draw(self.np_random))
         return self.config
 
+    def _settings(self) -> dict[str, Any]:
+        return {"arguments": self._arguments.model_dump()}
+
     def get_state(self) -> dict[str, Any]:
         """A copy of the complete state of the episode as plain arrays and numbers."""
-        return {**super().get_state(), "arguments": self._arguments.model_dump()}
-
-    def set_state(self, state: dict[str, Any]) -> Observation:
-        """Restore a state from :meth:`get_state` of an environment with the same arguments.
-
-        Args:
-            state: the saved state.
-
-        Returns:
-            The observation at that moment.
-
-        Raises:
-            ArgumentError: the state is of an environment with other arguments, or is not a state.
-        """
-        if not isinstance(state, dict) or state.get("arguments") != self._arguments.model_dump():
-            raise ArgumentError(
-                f"state must come from get_state of an environment with the same arguments, got {quote(state)}."
-            )
-        self.config = SwarmConfig(**copy.deepcopy(state["config"]))
-        return super().set_state(state)
+        return {**super().get_state(), **self._settings()}
 
 
 class FieldVectorEnv(SyncVectorEnv):

@@ -170,6 +170,10 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         alive = self._require_game().swarm.alive[0]
         return np.stack([np.ones_like(alive), alive], axis=1).reshape(-1)
 
+    def _settings(self) -> dict[str, Any]:
+        """What all states of an environment share: its arguments."""
+        return {"config": self.config.model_dump(), "rules": self.rules.model_dump()}
+
     def get_state(self) -> dict[str, Any]:
         """A copy of the complete state of the episode as plain arrays and numbers."""
         state = self._require_game()
@@ -194,12 +198,14 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         Raises:
             ArgumentError: the state is of an environment with other arguments, or is not a state.
         """
-        here = {"config": self.config.model_dump(), "rules": self.rules.model_dump()}
+        here = self._settings()
         if not isinstance(state, dict) or {name: state.get(name) for name in here} != here:
             raise ArgumentError(
                 f"state must come from get_state of an environment with the same arguments, got {quote(state)}."
             )
         saved = copy.deepcopy(state)
+        if saved["config"] != self.config.model_dump():  # drawn for each episode
+            self.config = SwarmConfig(**saved["config"])
         self._game = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
         self._window = saved["observation"]
         self._last_round, self._frames = None, EpisodeFrames()

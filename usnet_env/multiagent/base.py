@@ -166,15 +166,28 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             self._rng = seeding.np_random(seed)[0]
         return self._rng
 
-    def _begin(self, seed: int | None, options: Mapping[str, Any] | None) -> np.random.Generator:
-        """Check the arguments of ``reset``, let all agents live, and return the game's generator.
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Start:
+        """Start a game; observers get its first window, or nothing yet if the game has an opening.
 
-        PettingZoo's own tests pass an option ``"options"``, which is ignored.
+        Args:
+            seed: seed of the game's generator; ``None`` keeps the current generator.
+            options: ``None`` or an empty mapping; a game is changed by the arguments of the environment. The key
+                ``"options"``, which PettingZoo's tests pass, has no effect.
+
+        Returns:
+            Observations and infos by agent.
+
+        Raises:
+            ArgumentError: the seed is not a whole number from 0, or there are options.
         """
         check_options(options, ("options",))
         generator = self._get_generator(optional_seed("seed", seed))
         self.agents, self.last_round = list(self.possible_agents), None
-        return generator
+        return self._start(generator)
+
+    def _start(self, rng: np.random.Generator) -> Start:
+        """Start a game, whose agents all live, and return the answer of :meth:`reset`."""
+        raise NotImplementedError
 
     def _check_actions(self, actions: Any) -> dict[str, Any]:
         """Check that there is one action for each living agent, and return the actions."""

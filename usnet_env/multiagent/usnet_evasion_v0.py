@@ -148,21 +148,8 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         self._flown = np.zeros(clusters, np.int64)  # the mobility of each head in the window before
         self._decoys = np.empty(0, np.intp)  # the followers that are decoys in the current window
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> base.Start:
-        """Start a game; its first step is the opening.
-
-        Args:
-            seed: seed of the game's generator; ``None`` keeps the current generator.
-            options: ``None`` or an empty mapping; a game is changed by the arguments of the environment. The key
-                ``"options"``, which PettingZoo's tests pass, has no effect.
-
-        Returns:
-            Observations and infos by agent.
-
-        Raises:
-            ArgumentError: the seed is not a whole number from 0, or there are options.
-        """
-        self._game = game.start_games(self.config, [self._begin(seed, options)])
+    def _start(self, rng: np.random.Generator) -> base.Start:
+        self._game = game.start_games(self.config, [rng])
         self._flown = np.zeros(self.config.clusters, np.int64)
         self._decoys = np.empty(0, np.intp)
         self._sighting = None

@@ -119,22 +119,8 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         self._sightings: list[ObservationBatch] = []
         self._messages = np.zeros((observers, size), np.float32)
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> base.Start:
-        """Start a game and observe its first window.
-
-        Args:
-            seed: seed of the game's generator; ``None`` keeps the current generator. The noise of the observers comes
-                from separate branches, so that the flight of the swarm does not depend on the observers.
-            options: ``None`` or an empty mapping; a game is changed by the arguments of the environment. The key
-                ``"options"``, which PettingZoo's tests pass, has no effect.
-
-        Returns:
-            Observations and infos by agent.
-
-        Raises:
-            ArgumentError: the seed is not a whole number from 0, or there are options.
-        """
-        rng = self._begin(seed, options)
+    def _start(self, rng: np.random.Generator) -> base.Start:
+        # The observers' noise comes from branches of its own: the flight of the swarm does not depend on the observers.
         placement_rng, *noise_rngs = rng.spawn(1 + self.sensor_config.observers)
         positions = self.sensor_config.draw_positions(placement_rng)
         ranges = self.sensor_config.expand("sensing_range")

@@ -10,7 +10,7 @@ import contextlib
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,8 +27,9 @@ from usnet_env.replay.story import describe_ending, describe_remerge, describe_v
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from PIL.Image import Image
 
-__all__ = ["Painter", "Scene", "animate", "scenes"]
+__all__ = ["Painter", "Scene", "animate", "reduce_colors", "scenes"]
 
 _WIDTH, _HEIGHT, _DPI = 9.6, 6.0, 100  # inches, pixels per inch
 _PANEL, _LEFT, _BOTTOM = 4.55, 0.2, 0.52  # inches: side of a map, margins
@@ -37,7 +38,7 @@ _PHASES = ("Watch", "Name", "Destroy", "Re-merge", "End")
 _PHASE_PLACES = (1.4, 2.25, 3.05, 4.0, 5.1)  # inches
 _STEP_SECONDS, _READ_SECONDS, _END_SECONDS = 0.09, 1.7, 3.5
 _LINK_FRAMES = 5  # frames in which orphans turn to their new heads
-_GIF_COLORS = 255
+_GIF_COLORS = 255  # the 256th is transparent
 _MP4_RATE = 20  # frames per second
 _UNKNOWN, _ORPHAN, _NAMED = "#6E6E6E", "#9A9A9A", "#0072B2"
 _DASHES = (0, (2, 1.2))
@@ -106,6 +107,9 @@ def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
 class Painter:
     """Draws scenes of one record into one figure with fixed axes.
 
+    Scenes of one stage (a phase of a round) have the same artists at other places. They are made once for each stage,
+    and moved for each scene: the n-th mark of a scene is the n-th artist of its stage.
+
     Args:
         record: the episode.
     """
@@ -113,8 +117,12 @@ class Painter:
     def __init__(self, record: EpisodeRecord) -> None:
         self.record = record
         self.figure = new_figure(_WIDTH, _HEIGHT, _DPI)
+        self.stage: tuple[int, int, bool] | None = None
+        self.header: list[Any] = []
         self.artists: list[Any] = []
-        self.background: Any = None
+        self.made: Iterator[Any] = iter(())  # the artists of the stage that the scene has not moved yet
+        self.background: Any = None  # what all frames share, as pixels
+        self.titled: tuple[Any, Any] = (None, None)  # a stage, and the background with its header, as pixels
         gap = _WIDTH - 2 * (_PANEL + _LEFT)
         self.observed, self.truth = (
             self._panel(_LEFT + place * (_PANEL + gap), title)
@@ -167,7 +175,7 @@ class Painter:
 
     def _draw_header(self, scene: Scene) -> None:
         def write(x: float, y: float, text: str, **style: Any) -> None:
-            self.artists.append(self.figure.text(x / _WIDTH, 1 - y / _HEIGHT, text, va="baseline", **style))
+            self.header.append(self.figure.text(x / _WIDTH, 1 - y / _HEIGHT, text, va="baseline", **style))
 
         write(_LEFT, 0.33, f"Round {scene.round}", fontsize=15, weight="bold")
         for phase, word in enumerate(_PHASES):
@@ -178,15 +186,22 @@ class Painter:
         write(_LEFT, 0.63, scene.text, fontsize=11.5)
 
     def _scatter(self, axes: Axes, place: NDArray[np.float32], who: NDArray[np.bool_], **style: Any) -> None:
-        if who.any():
+        if not who.any():
+            return
+        if artist := next(self.made, None):
+            artist.set_offsets(place[who, :2])
+        else:
             self.artists.append(axes.scatter(place[who, 0], place[who, 1], **style))
 
     def _lines(self, axes: Axes, lines: NDArray[np.float32], **style: Any) -> None:
         from matplotlib.collections import LineCollection
 
-        if len(lines):
-            collection = LineCollection(list(lines), **style)
-            self.artists.append(axes.add_collection(collection, autolim=False))
+        if not len(lines):
+            return
+        if artist := next(self.made, None):
+            artist.set_segments(list(lines))
+        else:
+            self.artists.append(axes.add_collection(LineCollection(list(lines), **style), autolim=False))
 
     def _draw_observed(self, scene: Scene, place: NDArray[np.float32], path: NDArray[np.float32]) -> None:
         """The left map: equal dots and tracks, rings around the candidates."""
@@ -255,55 +270,86 @@ class Painter:
     def draw(self, scene: Scene) -> Figure:
         """The figure with one scene; it is the same figure each time."""
         record, r = self.record, scene.round - 1
-        for artist in self.artists:
-            artist.remove()
-        self.artists = []
+        stage = (scene.round, scene.phase, scene.turn == 1.0)
+        if stage != self.stage:
+            for artist in self.header + self.artists:
+                artist.remove()
+            self.stage, self.header, self.artists = stage, [], []
+            self._draw_header(scene)
+        self.made = iter(self.artists[:])
         seen = record.seen[r, : scene.samples] & record.alive[r]
         track = np.where(seen[..., None], record.position[r, : scene.samples, :, :2], np.float32(np.nan))
         when = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
         place = track[when, np.arange(record.uavs)]
         path = np.swapaxes(track, 0, 1)
-        self._draw_header(scene)
         self._draw_observed(scene, place, path)
         self._draw_truth(scene, place, path)
         return self.figure
 
-    def pixels(self, scene: Scene) -> NDArray[np.uint8]:
-        """:meth:`draw` as ``(H, W, 3)`` uint8."""
+    def _paint(self, scene: Scene, header: bool) -> NDArray[np.uint8]:
+        """One scene as ``(H, W, 3)`` uint8. Writing takes most of the time, so each header is drawn once."""
         canvas: Any = self.figure.canvas
-        if self.background is None:  # what all frames share is drawn once
+        if self.background is None:
             canvas.draw()
             self.background = canvas.copy_from_bbox(self.figure.bbox)
         self.draw(scene)
-        canvas.restore_region(self.background)
+        if header and self.titled[0] != self.stage:
+            canvas.restore_region(self.background)
+            for artist in self.header:
+                self.figure.draw_artist(artist)
+            self.titled = self.stage, canvas.copy_from_bbox(self.figure.bbox)
+        canvas.restore_region(self.titled[1] if header else self.background)
         for artist in sorted(self.artists, key=lambda each: float(each.get_zorder())):
             self.figure.draw_artist(artist)
         return np.array(canvas.buffer_rgba())[..., :3].copy()
 
+    def pixels(self, scene: Scene) -> NDArray[np.uint8]:
+        """:meth:`draw` as ``(H, W, 3)`` uint8."""
+        return self._paint(scene, header=True)
+
     def maps(self, scene: Scene) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """The two maps alone, what the detector sees and the truth, ``(H, W, 3)`` uint8 each."""
-        frame = self.pixels(scene)
-        cut = []
-        for axes in (self.observed, self.truth):
-            box = axes.bbox
-            cut.append(frame[len(frame) - int(box.y1) : len(frame) - int(box.y0), int(box.x0) : int(box.x1)])
-        return cut[0], cut[1]
+        frame = self._paint(scene, header=False)
+        side = int(_PANEL * _DPI)
+        corners = ((int(axes.bbox.x0), len(frame) - int(axes.bbox.y1)) for axes in (self.observed, self.truth))
+        left, right = (frame[y : y + side, x : x + side] for x, y in corners)
+        return left, right
+
+
+def reduce_colors(
+    frames: Sequence[NDArray[np.uint8]], samples: Sequence[NDArray[np.uint8]], colors: int
+) -> list[Image]:
+    """Pictures with one palette for all frames, without dithering: unchanged areas stay equal.
+
+    Args:
+        frames: ``(H, W, 3)`` uint8 each.
+        samples: the frames from which the palette is chosen, all of one width.
+        colors: size of the palette, up to 256.
+    """
+    from PIL import Image  # comes with matplotlib, whose absence the painter reports
+
+    palette = Image.fromarray(np.concatenate(samples)).quantize(colors, method=Image.Quantize.MAXCOVERAGE)
+    return [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
 
 
 def _write_gif(record: EpisodeRecord, shown: list[Scene], path: Path) -> None:
-    painter = Painter(record)
-    from PIL import Image  # comes with matplotlib, whose absence the painter reports
+    from PIL import Image
 
-    frames = [Image.fromarray(painter.pixels(scene)) for scene in shown]
-    # One palette for all frames, without dithering: unchanged areas stay equal, and GIF stores changes only.
-    samples = [frames[i] for i, scene in enumerate(shown) if scene.phase] or frames[-1:]
-    sheet = Image.new("RGB", (samples[0].width, samples[0].height * len(samples)))
-    for place, frame in enumerate(samples):
-        sheet.paste(frame, (0, place * frame.height))
-    palette = sheet.quantize(_GIF_COLORS, method=Image.Quantize.MAXCOVERAGE)
-    reduced = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    painter = Painter(record)
+    frames = [painter.pixels(scene) for scene in shown]
+    samples = [frame for frame, scene in zip(frames, shown, strict=True) if scene.phase]
+    first, *others = reduce_colors(frames, samples, _GIF_COLORS)
+    colors, before, changes = first.getpalette() or [], np.asarray(first), []
+    for frame in others:  # what has not changed is transparent
+        now = np.asarray(frame)
+        changes.append(Image.fromarray(np.where(now == before, np.uint8(_GIF_COLORS), now)))
+        changes[-1].putpalette(colors)
+        before = now
     durations = [round(1000 * scene.seconds) for scene in shown]
-    reduced[0].save(path, format="GIF", save_all=True, append_images=reduced[1:], duration=durations, loop=0)
+    first.save(
+        path, format="GIF", save_all=True, append_images=changes, duration=durations, loop=0,
+        transparency=_GIF_COLORS, disposal=1, optimize=False,
+    )  # fmt: skip
 
 
 def _find_ffmpeg() -> str | None:

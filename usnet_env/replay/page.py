@@ -9,12 +9,12 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from usnet_env.files import as_path, atomic_write
-from usnet_env.replay.animation import Painter, scenes
+from usnet_env.replay.animation import Painter, reduce_colors, scenes
 from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.story import (
     OTHER,
@@ -26,11 +26,15 @@ from usnet_env.replay.story import (
     rank_scores,
 )
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
 __all__ = ["write_episode_page", "write_page"]
 
 _FRAMES = 6  # of a window; the answer, the destruction and the re-merge have one or two each
 _MOST_ROUNDS = 12  # with pictures; the table has all of them
 _MOST_BARS = 20
+_COLORS = 128  # of the pictures
 
 _STYLE = """
 :root { color-scheme: light dark; --line: #d5d9de; --soft: #5d6670; --blue: #0072b2; --green: #009e73;
@@ -94,27 +98,35 @@ _KEY = (
 )
 
 
-def _encode(pixels: NDArray[np.uint8]) -> str:
+def _encode(picture: Image) -> str:
     """A picture as the text of a ``src`` attribute."""
-    from PIL import Image
-
     file = io.BytesIO()
-    picture = Image.fromarray(pixels).quantize(64, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    picture.save(file, format="PNG", optimize=True)
+    picture.save(file, format="PNG")
     return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
 def _list_frames(record: EpisodeRecord) -> list[dict[str, object]]:
     """The frames of an episode, with their pictures and words."""
     painter, frames = Painter(record), []
-    for scene in scenes(record, _FRAMES):
-        if scene.round > _MOST_ROUNDS or (scene.phase == 3 and 0 < scene.turn < 1):
-            continue
-        seen, truth = (_encode(pixels) for pixels in painter.maps(scene))
-        title = f"Round {scene.round} of {record.rounds}"
-        seconds = max(scene.seconds, 0.35)
-        words = {"title": title, "text": scene.text, "score": " ".join(scene.score.split())}
-        frames.append({"seen": seen, "truth": truth, "seconds": seconds, **words})
+    shown = [
+        scene
+        for scene in scenes(record, _FRAMES)
+        if scene.round <= _MOST_ROUNDS and (scene.phase != 3 or scene.turn in (0, 1))
+    ]
+    maps = [painter.maps(scene) for scene in shown]
+    samples = [each for pair, scene in zip(maps, shown, strict=True) if scene.phase for each in pair]
+    pictures = iter(reduce_colors([each for pair in maps for each in pair], samples, _COLORS))
+    for scene in shown:
+        frames.append(
+            {
+                "seen": _encode(next(pictures)),
+                "truth": _encode(next(pictures)),
+                "seconds": max(scene.seconds, 0.35),
+                "title": f"Round {scene.round} of {record.rounds}",
+                "text": scene.text,
+                "score": " ".join(scene.score.split()),
+            }
+        )
     return frames
 
 
