@@ -72,7 +72,7 @@ def test_its_attention_reaches_the_episode_file(tmp_path):
     assert record.attention.any(axis=(1, 2)).all()
     assert (record.attention_heads[np.broadcast_to(apart[:, None], record.attention_heads.shape)] == 0).all()
     titles = [title for title, _ in attention_maps(record, 0)]
-    assert titles == ["all heads", *(f"head {number}" for number in range(1, 6))]
+    assert titles == ["all weights", *(f"attention head {number}" for number in range(1, 6))]
 
 
 def test_one_gamma_goes_through_all_clusters(monkeypatch):
