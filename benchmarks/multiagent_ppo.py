@@ -22,9 +22,9 @@ from running import RESULTS, SEED, play_games, read_csv
 from stable_baselines3 import PPO
 
 from usnet_env import make_detector
-from usnet_env.evaluation.report import group_rows, make_panels
+from usnet_env.drawing import COLORS, caption_figure, write_figure
+from usnet_env.evaluation.report import add_legend, group_rows, make_panels
 from usnet_env.evaluation.store import RowFile
-from usnet_env.files import atomic_write
 from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.multiagent.usnet_evasion_v0 import OBSERVER, parallel_env
 
@@ -129,18 +129,24 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
 def draw(curves: list[dict[str, Any]]) -> Figure:
     """One panel for each match: J_m and the swarm's payoff, means over the games of a batch; 1 is truthful."""
     matches = group_rows(curves, lambda row: (row["detector"], row["follow"]))
-    figure, (panels,) = make_panels(3.2 * len(matches), 3.2, 1, len(matches))
+    figure, (panels,) = make_panels(3.2 * len(matches), 3.6, 1, len(matches))
     for axes, (match, own) in zip(panels, matches.items(), strict=True):
         steps = [int(row["steps"]) for row in own]
-        axes.plot(steps, [float(row["J"]) for row in own], color="#0072b2", label="J_m")
-        axes.plot(steps, [float(row["swarm_payoff"]) for row in own], color="#d55e00", label="J_m minus the price")
-        axes.axhline(1.0, color="black", lw=0.8, ls=":", label="truthful")
+        axes.plot(steps, [float(row["J"]) for row in own], color=COLORS[0], label="J_m")
+        axes.plot(
+            steps, [float(row["swarm_payoff"]) for row in own], color=COLORS[1], ls="--", label="J_m less the price"
+        )
+        axes.axhline(1.0, color="black", lw=0.8, ls=":", label="truthful swarm")
         axes.set_title(f"{match[0]}, {match[1]}", fontsize=9)
         axes.set_ylim(bottom=0)
         axes.set_xlabel("steps")
-        axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
-    figure.suptitle("PPO swarms while they train")
+    panels[0].set_ylabel("mean over a batch")
+    add_legend(figure, panels)
+    caption = (
+        "One training against each detector (n = 1, so without intervals). A point is the mean over the games that "
+    )
+    caption += "ended in a batch of steps. Higher is better for the swarm. The scales differ."
+    caption_figure(figure, "Swarms trained by PPO against a detector", caption)
     return figure
 
 
@@ -150,8 +156,7 @@ def main() -> None:
     cells = [{"detector": name, "follow": f, "swarm": swarm} for name, f in MATCHES for swarm in ("truthful", "ppo")]
     games = [(cell, SEED + number) for cell in cells for number in range(GAMES)]
     play_games(RESULTS / "multiagent_ppo.csv", games, play, ("J", "swarm_payoff", "success", *CHOICES))
-    with atomic_write(RESULTS / "multiagent_ppo.png") as aside:
-        draw(read_csv(CURVES)).savefig(aside, format="png", dpi=100)
+    write_figure(draw(read_csv(CURVES)), RESULTS / "multiagent_ppo.png")
 
 
 if __name__ == "__main__":

@@ -34,6 +34,7 @@ from result_pages import (
 )
 from result_pages.text import table_alone
 
+from usnet_env.drawing import write_figure
 from usnet_env.files import atomic_write
 
 ROOT = Path(__file__).parents[1]
@@ -109,8 +110,7 @@ def main() -> int:
         with atomic_write(path) as aside:
             aside.write_text(text, encoding="utf-8")
     if arguments.figures:
-        with atomic_write(tiers.FIGURE) as aside:
-            tiers.reliability_figure().savefig(aside, format="png", dpi=100)
+        write_figure(tiers.reliability_figure(), tiers.FIGURE)
     return int(failed or (arguments.check and bool(changed)))
 
 

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from usnet_env import drawing
+from usnet_env import ArgumentError, drawing
 from usnet_env.replay.scribe import lighten
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -136,17 +136,21 @@ def to_lab(rgb, eyes):
 
 
 @pytest.mark.parametrize("eyes", EYES)
-@pytest.mark.parametrize(("view", "least"), [("white", 12.0), ("dark", 8.0)])
-def test_no_two_cluster_colours_look_alike(eyes, view, least):
-    """A difference of 2.3 in CIELAB is just noticeable; 24 clusters differ by several times that."""
-    colors = drawing.CLUSTER_COLORS
+@pytest.mark.parametrize(
+    ("colors", "view", "least"),
+    [(drawing.CLUSTER_COLORS, "white", 12.0), (drawing.CLUSTER_COLORS, "dark", 8.0), (drawing.COLORS, "white", 12.0)],
+)
+def test_no_two_colours_look_alike(eyes, colors, view, least):
+    """A difference of 2.3 in CIELAB is just noticeable; clusters and series differ by several times that."""
     rgb = np.array([[int(color[i : i + 2], 16) for i in (1, 3, 5)] for color in colors]) / 255
     if view == "dark":
         rgb = lighten(colors)[:, :3] / 255
     lab = to_lab(rgb, eyes)
     away = np.linalg.norm(lab[:, None] - lab, axis=2) + 1000 * np.eye(len(colors))
-    assert len(colors) >= 20
+    assert len(colors) >= 7
     assert away.min() > least
+    assert len(drawing.CLUSTER_COLORS) >= 20
+    assert len(set(drawing.MARKERS)) == len(drawing.COLORS)  # beside the colour
 
 
 def test_an_empty_window_can_be_drawn():
@@ -222,7 +226,7 @@ import random, sys
 import matplotlib, numpy as np
 before = dict(matplotlib.rcParams.copy()), random.getstate(), str(np.random.get_state())
 from test_drawing import named, scene
-from usnet_env import drawing
+from usnet_env import ArgumentError, drawing
 drawing.round_frame(**scene(), candidates=named(0))
 assert before == (dict(matplotlib.rcParams.copy()), random.getstate(), str(np.random.get_state()))
 assert "matplotlib.pyplot" not in sys.modules
@@ -234,6 +238,19 @@ def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(drawing.MissingExtraError, match=r"pip install 'usnet\[render\]'"):
         drawing.round_frame(**scene())
+
+
+def test_figures_are_written_at_200_pixels_an_inch_or_as_pdf(tmp_path):
+    from PIL import Image
+
+    figure = drawing.new_figure(2, 1)
+    drawing.style_axes(figure.add_axes((0.1, 0.1, 0.8, 0.8)))
+    files = drawing.write_figure(figure, tmp_path / "figure.any", ("png", "pdf"))
+    assert [file.name for file in files] == ["figure.png", "figure.pdf"]
+    with Image.open(files[0]) as picture:
+        assert picture.size == (400, 200)
+    with pytest.raises(ArgumentError, match=r"^formats must be one of pdf, png, got"):
+        drawing.write_figure(figure, tmp_path / "figure", ("svg",))
 
 
 @pytest.mark.slow

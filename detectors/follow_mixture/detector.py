@@ -94,9 +94,9 @@ class FollowMixture(Detector):
             Candidates by the policy, scores (log-odds of being a head), clusters and leader; in ``extras``:
             ``probability`` ``(N,)``, if the fit is right, and ``doubt``, the probability that it is not; ``gain``
             ``(N,)``, the log-likelihood that the UAV's group gains by its head, in nats; ``group`` ``(N,)``, the group
-            of each living UAV, -1 for others; ``heads`` (indices) and ``reasons`` (one sentence per head);
-            ``strategy`` (feature class, weights of the shared law, noise) or ``None``; ``nats``, the gain of the whole
-            fit less the prices.
+            of each living UAV, -1 for others; ``heads`` (indices) and ``reasons`` (one sentence per head, with its most
+            probable lag in samples); ``strategy`` (feature class, weights of the shared law, noise) or ``None``;
+            ``nats``, the gain of the whole fit less the prices.
 
         Raises:
             ArgumentError: an argument of the constructor is refused, or ``clusters`` exceeds the window's N.
@@ -142,11 +142,13 @@ class FollowMixture(Detector):
 
 
 def _give_reasons(found: Fit) -> list[str]:
-    """One sentence per head: how many UAVs follow it, in how many groups, and what they gain."""
+    """One sentence per head: how many UAVs follow it, in how many groups, at which lag, and what they gain."""
     reasons = []
-    for head in found.heads:
+    for head, lag in zip(found.heads, found.lag, strict=True):
         behind = found.leader == head
         groups, first = np.unique(found.group[behind], return_index=True)
-        nats = found.gain[behind][first].sum()
-        reasons.append(f"Adds {nats:.0f} nats to {behind.sum()} followers in {len(groups)} groups.")
+        nats, count = found.gain[behind][first].sum(), int(behind.sum())
+        where = f" in {len(groups)} groups" if len(groups) > 1 else ""
+        when = f" at lag {lag}" if lag else ""
+        reasons.append(f"Adds {nats:.0f} nats to {count} follower{'s' if count > 1 else ''}{where}{when}.")
     return reasons

@@ -23,7 +23,7 @@ from detectors.follow_mixture.evidence import (
     screen,
     shared_evidence,
 )
-from detectors.follow_mixture.features import LEVELS
+from detectors.follow_mixture.features import LEVELS, LONE
 from detectors.follow_mixture.groups import find_groups
 from detectors.follow_mixture.motion import Motion, lagged
 from detectors.follow_mixture.pooling import LonePairs, ask_single_uavs
@@ -55,6 +55,7 @@ class Fit:
         law: ``(p, 3)`` weights of the shared law, or ``None`` if each group has a law of its own.
         value: gain of all groups less the prices, in nats.
         noise: variance of the position noise, in squared steps of mean speed.
+        lag: ``(M,)`` the most probable lag of each head's groups, in samples; 0 if no lag explains them alone.
     """
 
     group: Indices
@@ -66,6 +67,7 @@ class Fit:
     law: Floats | None
     value: float
     noise: float
+    lag: Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +173,28 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
         law=found.law,
         value=found.value,
         noise=spectra.noise,
+        lag=_find_lags(targets, past, Pairs(pairs.group[chosen], pairs.uav[chosen], pairs.target[chosen]), heads),
     )
+
+
+def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) -> Indices:
+    """The lag at which each head's velocity, or its squares, explains best alone the groups ``chosen`` that follow it.
+
+    Args:
+        targets: the groups.
+        past: ``(n, R, L, 3)`` pasts of the candidates.
+        chosen: pairs of a group and its head.
+        heads: ``(M,)`` ascending.
+
+    Returns:
+        ``(M,)`` lags in samples, from 1; 0 where no lag has evidence.
+    """
+    evidence = np.zeros((past.shape[2], len(heads)))
+    for lag, gained in enumerate(evidence):
+        classes = gather_statistics(targets, past[:, :, lag : lag + 1], chosen, LONE)
+        own = np.max([own_evidence(targets, chosen, some) for some in classes], axis=0)
+        np.add.at(gained, np.searchsorted(heads, chosen.uav), own)
+    return np.where(evidence.max(axis=0) > 0, evidence.argmax(axis=0) + 1, 0)
 
 
 def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _Answer:

@@ -82,10 +82,12 @@ def detect_heads(
     """Line 4: Algorithm 1 in every cluster; one Γ is handed through all UAVs of all clusters (decision (z)).
 
     Returns:
-        The candidates, with c_i of equation (20), leaders and attention within the clusters; and the trained Γ.
+        The candidates, with c_i of equation (20), leaders and attention within the clusters, and in ``extras`` the
+        ``attention_heads`` ``(T_0 + 1, N, N)``, alpha_l within the clusters; and the trained Γ.
     """
     uavs = window.uavs
     candidates, scores = np.zeros(uavs, bool), np.zeros(uavs)
+    attn_heads = np.zeros((gassl.memory + 1, uavs, uavs))
     leader, attention = np.full(uavs, -1, np.int64), np.zeros((uavs, uavs))
     gamma = gassl.draw_gamma(rng)
     for label in range(clustering.count):
@@ -102,7 +104,8 @@ def detect_heads(
         scores += found.scores
         leader[members] = found.leader[members]
         attention += found.attention
-    return Detection(candidates, scores, None, leader, attention), gamma
+        attn_heads += found.extras["attention_heads"]
+    return Detection(candidates, scores, None, leader, attention, {"attention_heads": attn_heads}), gamma
 
 
 def update_gru(

@@ -118,9 +118,10 @@ class McGassl(Detector):
 
         Returns:
             Candidates; scores c_i of equation (20), within the clusters; clusters; leader, the other UAV that each UAV
-            attends to most within its cluster; attention, alpha within the clusters; in ``extras``: ``count`` (M̂),
-            ``followed`` ``(N,)``, c_{i'} of equation (38), ``features``, those that were clustered, and
-            ``online_loss``, the losses of on-line training.
+            attends to most within its cluster; attention, alpha within the clusters; in ``extras``:
+            ``attention_heads`` ``(T_0 + 1, N, N)``, alpha_l within the clusters, ``count`` (M̂), ``followed`` ``(N,)``,
+            c_{i'} of equation (38), ``features``, those that were clustered, and ``online_loss``, the losses of
+            on-line training.
         """
         gassl, online = self.check_arguments()
         living = np.flatnonzero(window.alive)
@@ -132,8 +133,8 @@ class McGassl(Detector):
         found = run_round(window, self._parameters, self._cluster, gassl, online, self.rng)
         self._parameters = found.parameters
         extras = {"count": found.clustering.count, "followed": found.followed, "online_loss": found.loss}
-        extras["features"] = found.clustering.features
         heads = found.heads
+        extras |= {"features": found.clustering.features, **heads.extras}
         return Detection(heads.candidates, heads.scores, found.clustering.labels, heads.leader, heads.attention, extras)
 
     def _name_one(self, window: Window, living: np.ndarray[Any, np.dtype[np.intp]]) -> Detection:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
-from usnet_env.drawing import HIT, MISSED, REDUNDANT
+from usnet_env.drawing import HIT, MISSED, REDUNDANT, caption_figure
 from usnet_env.envs import SingleClusterEnv
 from usnet_env.evaluation.report import make_panels
 from usnet_env.plugins import make_detector
@@ -102,6 +102,7 @@ def _new_grid(panels: int) -> tuple[Figure, list[Axes]]:
 def _draw_heat_map(axes: Axes, alpha: Floats, head: int, title: str) -> None:
     """Draw one matrix of attention with its own colour bar; a triangle marks the column of the head."""
     image = axes.imshow(alpha, cmap="viridis", vmin=0.0, vmax=max(float(alpha.max()), 1e-9), aspect="equal")
+    axes.grid(visible=False)
     axes.plot([head], [1.03], marker="v", color="#d55e00", ms=8, clip_on=False, transform=axes.get_xaxis_transform())
     axes.set_title(title, fontsize=10, pad=14)
     ticks = range(0, len(alpha), max(1, -(-len(alpha) // 10)))
@@ -117,7 +118,7 @@ def _draw_heat_map(axes: Axes, alpha: Floats, head: int, title: str) -> None:
 def _describe_answer(scene: Scene, found: Detection) -> str:
     """Describe the candidates of P1 in a few words."""
     named = ", ".join(str(i + 1) for i in np.flatnonzero(found.candidates)) or "none"
-    return f"head: UAV {scene.head + 1}; candidate: {named}"
+    return f"Head: UAV {scene.head + 1}; candidate: {named}"
 
 
 def draw_attention_heads(scene: Scene, found: Detection, label: str) -> Figure:
@@ -141,10 +142,11 @@ def draw_attention_heads(scene: Scene, found: Detection, label: str) -> Figure:
     figure, grid = _new_grid(len(panels))
     for axes, (title, alpha) in zip(grid, panels, strict=True):
         _draw_heat_map(axes, alpha, scene.head, title)
-    figure.suptitle(
-        f"Attention of UAV i (row) to UAV i′ (column): {label}, {scene.follow}, m = {scene.followers}\n"
-        f"{_describe_answer(scene, found)}; ▼ marks the column of the head",
-        fontsize=11,
+    caption_figure(
+        figure,
+        f"Attention of UAV i (row) to UAV i′ (column): {label}, {scene.follow}, m = {scene.followers}",
+        f"One window (n = 1). {_describe_answer(scene, found)}. ▼ marks the column of the head. Each panel has a "
+        "colour scale of its own.",
     )
     return figure
 
@@ -162,10 +164,11 @@ def draw_attention_sizes(scenes: Sequence[Scene], answers: Sequence[Detection], 
         verdict = "found" if found.candidates[scene.head] else "missed"
         if found.attention is not None:
             _draw_heat_map(axes, found.attention, scene.head, f"m = {scene.followers}: head {verdict}")
-    figure.suptitle(
-        f"Attention weights α of UAV i (row) to UAV i′ (column): {label}, {scenes[0].follow}\n"
-        f"▼ marks the column of the head, UAV {scenes[0].head + 1}",
-        fontsize=11,
+    caption_figure(
+        figure,
+        f"Attention weights α of UAV i (row) to UAV i′ (column): {label}, {scenes[0].follow}",
+        f"One window for each m (n = 1). ▼ marks the column of the head, UAV {scenes[0].head + 1}. Each panel has a "
+        "colour scale of its own.",
     )
     return figure
 
@@ -212,13 +215,17 @@ def draw_hierarchy(scene: Scene, found: Detection, label: str) -> Figure:
             tree.annotate("", ends[1], ends[0], arrowprops=arrow)
     tree.set_title("Hierarchy graph: candidate (top), and the largest attention of each other UAV")
     tree.set(xticks=[], yticks=[], ylim=(-0.6, 1.2))
+    tree.spines[:].set_visible(False)
     for axes, points in ((graph, place), (tree, levels)):
         _mark_uavs(axes, points, scene.head, found.candidates)
     handles, labels = graph.get_legend_handles_labels()
     lines = [("link to the candidate", "-", _ATTENTION)] + [("link to another UAV", "--", REDUNDANT)] * bool(wrong)
     handles += [tree.plot([], [], color=color, ls=style)[0] for _, style, color in lines]
-    figure.legend(handles, labels + [text for text, _, _ in lines], loc="outside lower center", ncols=6, fontsize=9)
-    figure.suptitle(f"{label}, {scene.follow}, m = {scene.followers}; {_describe_answer(scene, found)}", fontsize=11)
+    figure.legend(
+        handles, labels + [text for text, _, _ in lines], loc="outside lower center", ncols=6, fontsize=9, frameon=False
+    )
+    title = f"Attention and hierarchy: {label}, {scene.follow}, m = {scene.followers}"
+    caption_figure(figure, title, f"One window (n = 1). {_describe_answer(scene, found)}.")
     return figure
 
 

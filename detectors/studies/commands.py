@@ -56,6 +56,12 @@ def _out_and_seed(folder: str, seed_of: str) -> Option:
     return lambda command: _add_options(command, seed, _out(folder))
 
 
+def _format(by_default: str) -> Option:
+    """The option ``--format``: of pictures."""
+    text = f"Format of the pictures: png (200 dpi) or pdf; may repeat; by default {by_default}."
+    return click.option("--format", "formats", multiple=True, type=click.Choice(["png", "pdf"]), help=text)
+
+
 def _head_motion(command: Callable[..., Any]) -> Callable[..., Any]:
     """The options ``--mobility`` and ``--head-jitter``."""
     jitter = click.option("--head-jitter", is_flag=True, help="Give heads the noise of the followers.")
@@ -90,6 +96,7 @@ def _measurement(folder: str, unit: str, seed_of: str = "episodes") -> Option:
             click.get_current_context().find_root().obj = resume
             cores = 1 if backend == "serial" else os.cpu_count() or 1
             place = choose_place(backend, workers or cores, Limits(), address)
+            values["formats"] = tuple(dict.fromkeys(values["formats"]))
             given = {name: value for name, value in values.items() if value not in ((), None)}
             with progress_bar(unit) as progress:
                 made = command(Path(out), workers=place, progress=progress, **given)
@@ -97,7 +104,7 @@ def _measurement(folder: str, unit: str, seed_of: str = "episodes") -> Option:
             click.echo(f"Rows, tables and picture are in {out}.", err=True)
 
         workers = _number("--workers", 1, 256, None, "Number of processes; by default the number of cores.")
-        return _add_options(called, workers, add_place, _out_and_seed(folder, seed_of))
+        return _add_options(called, workers, add_place, _format("PNG"), _out_and_seed(folder, seed_of))
 
     return with_options
 
@@ -120,6 +127,7 @@ def table2(out: Path, *, fast: bool, **options: Any) -> Reproduction[Any]:
 @reproduce.command(short_help="All figures, as PNG and PDF.")
 @_out_and_seed("runs/figures", "scenes, of the example and of the rows")
 @_name("--only", "Name of a figure", "all figures")
+@_format("both")
 @click.option(
     "--results",
     default="benchmarks/results",
@@ -127,7 +135,7 @@ def table2(out: Path, *, fast: bool, **options: Any) -> Reproduction[Any]:
     metavar="DIR",
     help="Folder of the measured rows from which tables and curves are drawn.",
 )
-def figures(*, out: str, only: tuple[str, ...], results: str, seed: int) -> None:
+def figures(*, out: str, only: tuple[str, ...], formats: tuple[str, ...], results: str, seed: int) -> None:
     """Make the figures of the paper as PNG and PDF.
 
     \b
@@ -144,10 +152,13 @@ def figures(*, out: str, only: tuple[str, ...], results: str, seed: int) -> None
       example-m8-n185         rounds of one game with attention (minutes)
     """  # noqa: D301  # click reads the control character: it keeps the lines of the list
     from detectors.studies import figures as paper
+    from usnet_env.drawing import FORMATS
 
     settings = paper.Settings(results=Path(results), seed=seed)
     with progress_bar("figures") as progress:
-        files = paper.make_figures(Path(out), only=only, settings=settings, progress=progress)
+        files = paper.make_figures(
+            Path(out), only=only, formats=formats or FORMATS, settings=settings, progress=progress
+        )
     for file in files:
         click.echo(str(file))
 

@@ -9,7 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import usnet_env.envs  # noqa: F401  # registers the environments
-from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, draw_round, last_seen_position
+from usnet_env.drawing import (
+    HIT,
+    MISSED,
+    REDUNDANT,
+    caption_figure,
+    cluster_colors,
+    draw_round,
+    last_seen_position,
+)
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.evaluation.report import make_panels
 from usnet_env.plugins import make_detector
@@ -77,9 +85,11 @@ def draw_example(record: EpisodeRecord) -> Figure:
     for axes in grid[panels:]:
         axes.set_visible(False)
     handles, labels = _list_marks()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9)
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
     follow = f", {record.config['follow']}" if "follow" in record.config else ""
-    figure.suptitle(f"{record.detector}{follow}: lines of a round are as wide as the attention weights", fontsize=12)
+    caption = f"One game (n = 1), {clusters} clusters, {record.uavs} UAVs{follow}, seen from above. "
+    caption += f"Lines of a round are as wide as the attention weights above {_LEAST_WEIGHT}."
+    caption_figure(figure, f"Round by round: {record.detector}", caption)
     return figure
 
 
@@ -151,7 +161,6 @@ def _draw_rates(axes: Axes, record: EpisodeRecord) -> None:
     axes.set(xlabel="round", ylabel="percent", ylim=(-3, 106))
     last = max(record.rounds, *_PAPER_RATES)
     axes.set_xticks(range(0, last + 1, max(1, last // 10)))
-    axes.grid(alpha=0.3)
     axes.legend(fontsize=9, loc="center right")
 
 

@@ -6,25 +6,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from detectors.studies import attention, example, metric_learning, purity, rounds, table2
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.detection import Detection
-from usnet_env.drawing import new_figure
+from usnet_env.drawing import FORMATS, new_figure, write_figure
 from usnet_env.evaluation.suite import read_rows
-from usnet_env.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["DETECTOR_P1", "DETECTOR_P2", "FIGURES", "Settings", "make_figures", "write_figure"]
+__all__ = ["DETECTOR_P1", "DETECTOR_P2", "FIGURES", "Settings", "make_figures"]
 
 #: The paper's Algorithm 1 and Algorithm 2, by their names as detectors.
 DETECTOR_P1 = "gassl"
 DETECTOR_P2 = "mc-gassl"
 RESULTS = "benchmarks/results"  # in the repository: the committed rows
-_DPI = 150
 
 RowT = TypeVar("RowT")
 
@@ -107,17 +105,19 @@ def make_figures(
     folder: Path,
     *,
     only: Sequence[str] = (),
+    formats: Sequence[str] = FORMATS,
     settings: Settings | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Path]:
-    """Make the paper's figures, each as PNG and PDF.
+    """Make the paper's figures, each as PNG and PDF by default.
 
     The tables and curves are drawn from committed rows; the attention, the feature space and the example are computed.
     A figure appears in ``folder`` as soon as it is made.
 
     Args:
-        folder: gets ``NAME.png`` and ``NAME.pdf`` of every figure.
+        folder: gets the files of every figure.
         only: names of :data:`FIGURES`; empty: all of them.
+        formats: as :func:`usnet_env.drawing.write_figure` takes them.
         settings: what the figures are made from; ``None``: the defaults.
         progress: called with the number of figures that are made, and of all figures.
 
@@ -136,34 +136,6 @@ def make_figures(
     files: list[Path] = []
     for done, name in enumerate(names):
         progress(done, len(names))
-        files += write_figure(FIGURES[name](settings or Settings()), folder / name)
+        files += write_figure(FIGURES[name](settings or Settings()), folder / name, formats)
     progress(len(names), len(names))
-    return files
-
-
-def write_figure(figure: Figure, path: Path) -> list[Path]:
-    """Write a figure as PNG and PDF; the same figure gives the same bytes, and each file appears whole.
-
-    Args:
-        figure: the figure.
-        path: the file's path without its suffix.
-
-    Returns:
-        The two files.
-
-    Raises:
-        ArgumentError: the place can't be written to.
-    """
-    from matplotlib import rc_context
-
-    formats: dict[str, dict[str, Any]] = {
-        "png": {"dpi": _DPI, "metadata": {"Software": None}},
-        "pdf": {"dpi": _DPI, "metadata": {"Creator": None, "Producer": None, "CreationDate": None}},
-    }
-    files = []
-    for suffix, options in formats.items():
-        file = path.with_name(f"{path.name}.{suffix}")
-        with atomic_write(file) as aside, rc_context({"pdf.fonttype": 42}):  # TrueType: publishers refuse Type 3
-            figure.savefig(aside, format=suffix, **options)
-        files.append(file)
     return files

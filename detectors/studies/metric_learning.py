@@ -15,7 +15,7 @@ from scipy.stats import t as student
 
 from detectors.studies.common import FOLLOW, Reproduction, Running
 from usnet_env.config import ArgumentError, quote
-from usnet_env.drawing import CLUSTER_COLORS
+from usnet_env.drawing import CLUSTER_COLORS, caption_figure
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.evaluation.report import add_legend, format_markdown, keep_report, make_panels
@@ -124,17 +124,19 @@ def reproduce(
     episodes: int = 1000,
     steps: int = _STEPS,
     seed: int = 2022,
+    formats: Sequence[str] = ("png",),
     **running: Unpack[Running],
 ) -> Reproduction[Row]:
     """Measure the off-line loss of meta and joint training, and the on-line loss from their results and a random start.
 
     Args:
-        folder: gets ``losses-F…-E…-seed….csv``, ``.md`` and ``.png``.
+        folder: gets ``losses-F…-E…-seed….csv``, ``.md`` and the picture.
         trainings: number of independent trainings of each start; at least 2, for the intervals.
         strategies: F of each training, drawn by ``random_follow_strategy``.
         episodes: E of each training.
         steps: steps of on-line training on a swarm of each of f1 to f7, with its true clusters.
         seed: seed of the measurement.
+        formats: of the picture, ``"png"`` and ``"pdf"``.
         running: ``workers`` and ``progress``, see :class:`Running`.
 
     Raises:
@@ -148,7 +150,7 @@ def reproduce(
     suite = Suite(Cell, Row, play, number="step", order=("training", "start", "follow", "step"), digits=4)
     rows = suite.run(tasks, path, **running)
     text = report_losses(rows)
-    keep_report(path, text, draw_losses(rows))
+    keep_report(path, text, draw_losses(rows), formats)
     return Reproduction(rows, text)
 
 
@@ -205,14 +207,17 @@ def draw_losses(rows: Sequence[Row]) -> Figure:
             color, line, label = _LOOKS[start]
             panel.plot(place, mean, color=color, ls=line, label=label, zorder=3 if line != "-" else 2)
             panel.fill_between(place, mean - half, mean + half, color=color, alpha=0.2, lw=0)
-        panel.grid(alpha=0.3)
     axes[0].axhline(PAPER_LOSS, color="black", lw=0.9, ls="-.", label=f"the paper's meta loss, about {PAPER_LOSS}")
     axes[0].set_ylim(bottom=0)
     axes[0].set(xlabel="episode", ylabel="triplet loss", title="Off line, on random follow strategies")
     axes[1].set(xlabel="gradient step", title="On line, mean over f1 to f7, true clusters")
     add_legend(figure, axes)
     trainings = len({row.training for row in rows})
-    figure.suptitle(f"Loss of metric learning: means over {trainings} trainings, bands are 95 % intervals", fontsize=11)
+    caption = f"Means over n = {trainings} trainings; bands are 95 % intervals (Student's t). "
+    caption += (
+        "Off line, a point is the mean of 50 episodes. Joint training and meta learning give nearly equal curves."
+    )
+    caption_figure(figure, "Loss of metric learning", caption)
     return figure
 
 
@@ -254,7 +259,9 @@ def draw_feature_spaces(
             _draw_feature_space(panel, found.features, labels, truth.head)
             panel.set_title(f"{name}, {when}\nK-Means: purity {share:.2f}, head-in-cluster {placed:.2f}", fontsize=10)
     add_legend(figure, [panel], clusters + 1)
-    figure.suptitle(f"Feature space of metric learning: {follow}, M = {clusters}, N = {uavs}", fontsize=12)
+    caption = f"One swarm and one training of each start (n = 1): {follow}, M = {clusters}, N = {uavs}. "
+    caption += "A point is the GRU feature of a UAV, in the plane of the two principal components of its panel."
+    caption_figure(figure, "Feature space of metric learning", caption)
     return figure
 
 
@@ -277,4 +284,3 @@ def _draw_feature_space(
     panel.set_xlabel(f"principal component 1 ({shares[0]:.0f} % of the variance)", fontsize=9)
     panel.set_ylabel(f"principal component 2 ({shares[1]:.0f} %)", fontsize=9)
     panel.tick_params(labelsize=8)
-    panel.grid(alpha=0.3)

@@ -15,6 +15,7 @@ import numpy as np
 from detectors.clustering import make_clusterer
 from detectors.studies.common import FOLLOW, Reproduction, Running, describe_flight, name_flight, swarm_arguments
 from usnet_env.config import ArgumentError, unknown_name
+from usnet_env.drawing import COLORS, caption_figure
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import report
 from usnet_env.evaluation.episode import episode_seeds
@@ -189,13 +190,14 @@ def reproduce(
     mobility: str = "iid",
     head_jitter: bool = False,
     seed: int = 2022,
+    formats: Sequence[str] = ("png",),
     **running: Unpack[Running],
 ) -> Reproduction[Row]:
     """Measure purity and head-in-cluster; after an interruption, the same call continues with the missing rows.
 
     Args:
-        folder: gets ``purity[-MmNn][-mobility][-jitter]-seedS.csv``, ``.md`` and ``.png``; table and picture are of
-            all rows in the file, rows of earlier measurements included.
+        folder: gets ``purity[-MmNn][-mobility][-jitter]-seedS.csv``, ``.md`` and the picture; they are of all
+            rows in the file, rows of earlier measurements included.
         follow: follow strategies.
         methods: from :func:`list_methods`; ``None``: all.
         clusters: M.
@@ -204,6 +206,7 @@ def reproduce(
         mobility: motion of the heads.
         head_jitter: whether the heads have the noise of the followers.
         seed: seed of the episodes. Nothing was tuned with the default seed, which the reports use.
+        formats: of the picture, ``"png"`` and ``"pdf"``.
         running: ``workers`` and ``progress``, see :class:`Running`.
 
     Raises:
@@ -226,7 +229,7 @@ def reproduce(
     rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, **running)
     title = f"Purity and head-in-cluster, M={clusters}, N={uavs}, {describe_flight(cells[0])}"
     kept = read_rows(path, Row)
-    report.keep_report(path, report_methods(kept, title), draw_methods(kept, title))
+    report.keep_report(path, report_methods(kept, title), draw_methods(kept, title), formats)
     return Reproduction(rows, report_methods(rows, "Purity and head-in-cluster"))
 
 
@@ -236,7 +239,7 @@ _PAPER = (
     "symmetric NMF and spectral clustering. The paper does not say whether these received raw metres or scaled inputs; "
     "the tables have both."
 )
-_COLOURS = dict(zip(CLUSTERERS, report.COLOURS, strict=True))
+_COLOURS = dict(zip(CLUSTERERS, COLORS, strict=False))
 #: The four algorithms of the paper's picture: method, label, colour, marker. Metric learning is GRU and K-Means.
 _PAPER_METHODS = (
     (Method("kmeans", "raw", "given"), "K-Means, raw metres", _COLOURS["kmeans"], "o"),
@@ -323,10 +326,12 @@ def draw_methods(rows: Sequence[Row], title: str) -> Figure:
             axes.set_yticks(range(len(methods)), [_format_label(method) for method in methods], fontsize=8)
             axes.set_ylim(len(methods) - 0.5, -0.5)
             axes.set_xlim(-0.03, 1.03)
-            axes.grid(alpha=0.3)
-    figure.suptitle(
-        f"{title}\nsquares: means over all follow strategies, with 95 % intervals; circles: means of one strategy each "
-        f"({', '.join(follows)})"
+    windows = report.format_counts((len(each["all"]) for each in own.values()), "windows")
+    caption_figure(
+        figure,
+        title,
+        f"Squares: means over all follow strategies; {windows.replace('point', 'square')}. Bars are 95 % bootstrap "
+        f"intervals over episodes. Circles: means of one strategy each ({', '.join(follows)}).",
     )
     return figure
 
@@ -362,12 +367,15 @@ def draw_strategies(rows: Sequence[Row], title: str) -> Figure:
         axes.axvline(edge + 0.5, color="#cccccc" if places[edge + 1] != "all" else "#777777", lw=0.8)
     axes.set_xticks(range(len(places)), places)
     axes.set(xlabel="follow strategy", ylabel="purity", xlim=(-0.5, len(places) - 0.5), ylim=(0, 1.03))
-    axes.grid(axis="y", alpha=0.3)
+    axes.grid(visible=False, axis="x")
     report.add_legend(figure, [axes])
-    windows = len(own[methods[0][0]]["all"])
-    figure.suptitle(
-        f"{title}\nmeans with 95 % intervals, {windows} windows a method; M is given\n"
-        "the paper, in words: metric learning is at least 0.1 above each of the others on average",
-        fontsize=11,
+    windows = report.format_counts(
+        (len(own[method][name]) for method, *_ in methods for name in places[:-1]), "windows"
+    )
+    caption_figure(
+        figure,
+        title,
+        f"Means; {windows} (all: {len(own[methods[0][0]]['all'])}). Bars are 95 % bootstrap intervals over episodes. "
+        "M is given. The paper, in words: metric learning is at least 0.1 above each of the others on average.",
     )
     return figure

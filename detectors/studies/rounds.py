@@ -14,6 +14,7 @@ import numpy as np
 
 from detectors.studies import common
 from usnet_env.config import ArgumentError, unknown_name
+from usnet_env.drawing import COLORS, MARKERS, caption_figure, style_axes
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import TRIVIAL, report
 from usnet_env.evaluation.metrics import RATES, episode_metrics
@@ -147,13 +148,14 @@ def reproduce(
     head_jitter: bool = False,
     seed: int = 2022,
     isolate: bool = False,
+    formats: Sequence[str] = ("png",),
     **running: Unpack[common.Running],
 ) -> common.Reproduction[Row]:
     """Measure the studies' cells; an interrupted measurement continues where it stopped.
 
     Args:
-        folder: gets ``rounds[-mobility][-jitter]-seedS.csv``, ``.md`` and ``.png``; table and picture are of all rows
-            in the file, those of earlier measurements included.
+        folder: gets ``rounds[-mobility][-jitter]-seedS.csv``, ``.md`` and the picture; they are of all rows in
+            the file, those of earlier measurements included.
         studies: names of :data:`STUDIES`.
         detectors: names of detectors.
         trivial: also play the trivial policies.
@@ -162,6 +164,7 @@ def reproduce(
         head_jitter: whether they have the followers' noise.
         seed: of the episodes; the reporting seed is one that nothing was tuned on.
         isolate: play each detector in a process of its own, which never holds an environment.
+        formats: of the picture, ``"png"`` and ``"pdf"``.
         running: ``workers`` and ``progress``, see :class:`~detectors.studies.common.Running`.
 
     Raises:
@@ -180,7 +183,7 @@ def reproduce(
     suite = Suite(Cell, Row, partial(play_games, seed=seed, isolate=isolate), order=order, digits=4)
     rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, **running)
     title, kept = f"P2, {common.describe_flight(cells[0])}", read_rows(path, Row)
-    report.keep_report(path, report_studies(kept, title, not suffix), draw_studies(kept, title, not suffix))
+    report.keep_report(path, report_studies(kept, title, not suffix), draw_studies(kept, title, not suffix), formats)
     return common.Reproduction(rows, report_studies(rows, "P2 (all columns are in the file)", not suffix, SHORT))
 
 
@@ -371,8 +374,13 @@ def _report_rounds(rows: Sequence[Row], with_paper: bool) -> list[str]:
 
 
 def draw_studies(rows: Sequence[Row], title: str, with_paper: bool) -> Figure:
-    """One row of panels for each study: R, redundancy and J_m with 95 % intervals; the paper's bounds in grey."""
-    studies = [study for study, swarms in STUDIES.items() if any(_of(rows, swarm) for swarm in swarms)]
+    """One row of panels for each study: R, redundancy and J_m with 95 % intervals; the paper's bounds in grey.
+
+    A study of several swarms of which the rows hold one is left out, unless there is no other.
+    """
+    filled = {study: sum(bool(_of(rows, swarm)) for swarm in swarms) for study, swarms in STUDIES.items()}
+    studies = [study for study, count in filled.items() if count > 1 or (count and len(STUDIES[study]) == 1)]
+    studies = studies or [study for study, count in filled.items() if count]
     figure, grid = report.make_panels(15, 3.6 * len(studies) + 0.8, len(studies), 3)
     panels = (("rounds", "rounds R", 1), ("redundancy", "redundancy, %", 100), ("J", "J_m", 1))
     for axes_row, study in zip(grid, studies, strict=True):
@@ -383,14 +391,18 @@ def draw_studies(rows: Sequence[Row], title: str, with_paper: bool) -> Figure:
             _draw_found(axes_row[0], _of(rows, STUDIES[study][0]), with_paper)
         axes_row[0].set_title(_TITLES[study], loc="left", fontsize=10)
     report.add_legend(figure, [grid[0, 1]])
-    figure.suptitle(title)
+    counts = report.group_rows(rows, lambda row: (row.detector, row.follow, row.clusters, row.uavs)).values()
+    caption = f"Means; {report.format_counts(map(len, counts), 'episodes')}. Bars are 95 % bootstrap intervals."
+    more = " Grey areas and lines: what the paper says in words, without n." if with_paper else ""
+    caption_figure(figure, title, f"{caption}{more} Grey marks: trivial policies.")
     return figure
 
 
 def _choose_look(detector: str, detectors: Sequence[str]) -> dict[str, Any]:
     if detector in TRIVIAL:
         return {"color": "#777777", "marker": _MARKS[detector], "label": detector}
-    return {"color": report.COLOURS[detectors.index(detector) % len(report.COLOURS)], "marker": "o", "label": detector}
+    number = detectors.index(detector)
+    return {"color": COLORS[number % len(COLORS)], "marker": MARKERS[number % len(MARKERS)], "label": detector}
 
 
 def _draw_panel(axes: Axes, rows: Sequence[Row], study: str, field: str, scale: float, with_paper: bool) -> None:
@@ -408,10 +420,10 @@ def _draw_panel(axes: Axes, rows: Sequence[Row], study: str, field: str, scale: 
         look = _choose_look(detector, detectors)
         report.draw_intervals(axes, known, scale, ls="none", ms=5, lw=1.2, **look)
     axes.set_xticks(range(len(swarms)), [_name_place(study, swarm) for swarm in swarms])
-    axes.grid(alpha=0.3)
     if field == "redundancy":
         axes.set_yscale("symlog", linthresh=1)
-        axes.set_ylim(bottom=-0.2)
+        axes.set_ylim(-0.2, 150)
+        axes.set_yticks([0, 1, 10, 100], ["0", "1", "10", "100"])
     else:
         axes.set_yscale("log")
         axes.set_yticks([1, 2, 3, 4, 5, 7, 10, 20], ["1", "2", "3", "4", "5", "7", "10", "20"])
@@ -421,6 +433,7 @@ def _draw_panel(axes: Axes, rows: Sequence[Row], study: str, field: str, scale: 
 def _draw_found(axes: Axes, rows: Sequence[Row], with_paper: bool) -> None:
     """Draw the share of the heads that is found until each round."""
     axes.clear()
+    style_axes(axes)
     heads, detectors = STUDIES["example"][0][1], _list_detectors(rows)
     x = list(range(1, _ROUNDS_SHOWN + 1))
     for detector in detectors:
@@ -433,4 +446,3 @@ def _draw_found(axes: Axes, rows: Sequence[Row], with_paper: bool) -> None:
     axes.set_xticks(x)
     axes.set_xlabel("round")
     axes.set_ylabel("heads found, %")
-    axes.grid(alpha=0.3)

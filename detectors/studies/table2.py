@@ -22,8 +22,17 @@ from detectors.studies.common import (
     swarm_arguments,
 )
 from usnet_env.config import ArgumentError, quote
+from usnet_env.drawing import COLORS, MARKERS, caption_figure
 from usnet_env.envs import SingleClusterEnv
-from usnet_env.evaluation.report import COLOURS, draw_intervals, format_markdown, group_rows, keep_report, make_panels
+from usnet_env.evaluation.report import (
+    add_legend,
+    draw_intervals,
+    format_counts,
+    format_markdown,
+    group_rows,
+    keep_report,
+    make_panels,
+)
 from usnet_env.evaluation.statistics import Interval, rate_interval
 from usnet_env.evaluation.suite import Game, Suite, read_rows
 from usnet_env.plugins import detector_label, make_detector
@@ -248,12 +257,13 @@ def reproduce(
     mobility: str = "iid",
     head_jitter: bool = False,
     seed: int = 2022,
+    formats: Sequence[str] = ("png",),
     **running: Unpack[Running],
 ) -> Reproduction[Row]:
     """Measure the table's cells; an interrupted measurement continues where it stopped.
 
     Args:
-        folder: gets ``episodes[-decoysK][-mobility][-jitter]-seedS.csv``, ``.md`` and ``.png``.
+        folder: gets ``episodes[-decoysK][-mobility][-jitter]-seedS.csv``, ``.md`` and the picture.
         episodes: in each cell; ``None``: 100 up to m = 15, 30 above.
         cells: as :func:`parse_cells` takes them.
         detectors: as :func:`usnet_env.make_detector` takes them.
@@ -261,6 +271,7 @@ def reproduce(
         mobility: how the head flies.
         head_jitter: whether it has the followers' noise.
         seed: of the episodes; the reporting seed is one that nothing was tuned on.
+        formats: of the picture, ``"png"`` and ``"pdf"``.
         running: ``workers`` and ``progress``, see :class:`Running`.
 
     Raises:
@@ -281,7 +292,7 @@ def reproduce(
     table = fill_table(read_rows(path, Row))  # earlier measurements with the same seed stay in the table
     title = f"Detection rate, one cluster, {mobility} heads, {decoys} decoy{'s' if decoys != 1 else ''}"
     text = report_rates(table, title, not suffix)
-    keep_report(path, text, draw_rates(table, title, not suffix))
+    keep_report(path, text, draw_rates(table, title, not suffix), formats)
     return Reproduction(rows, text)
 
 
@@ -315,28 +326,43 @@ def _format_entry(entry: Entry, with_paper: bool) -> str:
 
 
 def draw_rates(table: Sequence[Entry], title: str, with_paper: bool) -> Figure:
-    """One panel for each follow strategy: rates against m with 95 % intervals, the paper's as open circles."""
-    detectors = list(dict.fromkeys(entry.detector for entry in table))
-    follows = group_rows(table, lambda entry: entry.follow)
-    figure, grid = make_panels(13, 6.5, 2, 4, sharex=True, sharey=True)
-    for axes, (follow, entries) in zip(grid.ravel(), follows.items(), strict=False):
-        for number, detector in enumerate(detectors):
-            shift = 0.18 * (number - len(detectors) / 2 + 0.5)
-            own = {FOLLOWERS.index(each.followers) + shift: each.ours for each in entries if each.detector == detector}
-            color = COLOURS[number % len(COLOURS)]
-            draw_intervals(axes, own, 100, fmt="o", ms=4, lw=1.2, color=color, label=detector)
+    """Draw rates against m with 95 % intervals: a panel for each follow strategy, or one if there is one detector.
+
+    The paper's rates are open circles.
+    """
+    detectors, follows = (list(dict.fromkeys(getattr(each, name) for each in table)) for name in ("detector", "follow"))
+    together = len(detectors) == 1 and not with_paper
+    panels = group_rows(table, lambda each: each.detector if together else each.follow)
+    series = follows if together else detectors
+    sizes = [size for size in FOLLOWERS if any(each.followers == size for each in table)]
+    columns = min(4, len(panels))
+    lines = -(-len(panels) // columns)
+    figure, grid = make_panels(max(3.3 * columns, 8.0), 2.9 * lines + 1.1, lines, columns, sharex=True, sharey=True)
+    shown = list(grid.ravel()[: len(panels)])
+    for place, (axes, (name, entries)) in enumerate(zip(shown, panels.items(), strict=True)):
+        for number, label in enumerate(series):
+            shift = 0.7 * ((number + 0.5) / len(series) - 0.5)
+            own = {
+                sizes.index(each.followers) + shift: each.ours
+                for each in entries
+                if label == (each.follow if together else each.detector)
+            }
+            look = {"color": COLORS[number % len(COLORS)], "marker": MARKERS[number % len(MARKERS)], "label": label}
+            draw_intervals(axes, own, 100, ls="none", ms=4, lw=1.2, **look)
         if with_paper:
-            theirs = {FOLLOWERS.index(entry.followers): 100 * entry.paper.mean for entry in entries}
-            label = "the paper's table (1,000 runs)"
-            axes.plot(list(theirs), list(theirs.values()), "o", mfc="none", mec="black", ms=9, label=label)
-        axes.set_title(follow)
-        axes.set_xticks(range(len(FOLLOWERS)), [str(size) for size in FOLLOWERS])
-        axes.grid(alpha=0.3)
-    for axes in grid.ravel()[len(follows) :]:
+            theirs = {sizes.index(each.followers): 100 * each.paper.mean for each in entries}
+            axes.plot(list(theirs), list(theirs.values()), "o", mfc="none", mec="black", ms=9, label="the paper")
+        axes.set_title(name, fontsize=10.5)
+        axes.set_xticks(range(len(sizes)), [str(size) for size in sizes])
+        if place + columns >= len(panels):
+            axes.tick_params(labelbottom=True)
+            axes.set_xlabel("followers m")
+        if place % columns == 0:
+            axes.set_ylabel("rate, %")
+    for axes in grid.ravel()[len(panels) :]:
         axes.set_visible(False)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower right", bbox_to_anchor=(0.98, 0.12), fontsize=9)
-    figure.supxlabel("followers m")
-    figure.supylabel("head is the only candidate, %")
-    figure.suptitle(title)
+    add_legend(figure, shown[:1], len(series) if together else max(columns, 2))
+    count = format_counts((each.episodes for each in table), "episodes")
+    caption = f"Percent of episodes in which the head is the only candidate; {count}. Bars are 95 % Wilson intervals."
+    caption_figure(figure, title, caption + " Open circles: the paper's table, 1,000 runs each." * with_paper)
     return figure

@@ -206,8 +206,12 @@ def test_a_game_is_kept_replayed_and_drawn(game, tmp_path):
 
 def test_decoys_of_a_window_have_no_head_in_the_record():
     env = small("evasion", max_rounds=2)
+    assert (
+        play_game(env, {"observer": RandomObserver(), "head": RandomHead()}, 1).record["detector"] == "RandomObserver"
+    )
     policies = {"observer": DetectorObserver(make_detector("none")), "head": CamouflagedHead()}
     record = EpisodeRecord(**play_game(env, policies, 1).record)
+    assert record.detector == "none"
     alone = (record.leader == np.arange(20)) & ~record.head
     assert (alone.sum(axis=1) >= 3).all()
     assert not record.decoy.any()

@@ -127,5 +127,9 @@ def test_the_file_is_a_png_and_whole(tmp_path):
     path = write_picture(small_episode(), tmp_path / "new" / "e.png")
     assert path.read_bytes().startswith(b"\x89PNG")
     assert list(path.parent.iterdir()) == [path]
+    (tmp_path / "file").write_text("")
     with pytest.raises(ArgumentError, match=r"^path must be a file that can be written"):
+        write_picture(small_episode(), tmp_path / "file" / "e.png")
+    with pytest.raises(ArgumentError, match=r"^path must end in \.png or \.pdf, got"):
         write_picture(small_episode(), tmp_path)
+    assert write_picture(small_episode(), path.with_name("e.pdf")).read_bytes().startswith(b"%PDF")

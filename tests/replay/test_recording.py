@@ -133,9 +133,13 @@ def test_attention_is_as_wide_as_its_weight_and_has_a_map_for_each_head(chunks):
     strips = column(chunks, "/world/found/attention", "LineStrips3D:strips")
     assert [len(row) for row in strips] == [0, UAVS - 3, 0, UAVS - 4]
     assert len(set(column(chunks, "/world/found/attention", "LineStrips3D:radii")[1])) == 1
-    assert column(chunks, "/mind/attention/titles", "Points2D:labels")[0] == ["all heads", "head 1", "head 2"]
+    assert column(chunks, "/mind/attention/titles", "Points2D:labels")[0] == [
+        "all weights",
+        "attention head 1",
+        "attention head 2",
+    ]
     (title, first), (_, head), _ = attention_maps(episode, 0)
-    assert title == "all heads"
+    assert title == "all weights"
     np.testing.assert_array_equal(first, head)
     assert first.shape == (UAVS, UAVS)
     assert attention_maps(episode, 1)[0][1].shape == (UAVS - 2,) * 2
@@ -154,6 +158,14 @@ def test_attention_is_as_wide_as_its_weight_and_has_a_map_for_each_head(chunks):
     ((_, reduced),) = attention_maps(values, 0)
     assert reduced.shape == (200, 200)
     assert reduced.max() == 1.0
+
+
+def test_views_that_wait_for_the_answer_say_so_and_the_grid_has_a_scale_in_each_round(chunks):
+    for view in ("scores", "mind/attention", "mind/features"):
+        assert column(chunks, f"/{view}/waiting", "Points2D:labels") == [["no answer yet"], []] * ROUNDS
+    places = column(chunks, "/world/ground/scale", "Points3D:positions")
+    low = [small_episode().position[r][small_episode().seen[r]].min(axis=0) for r in range(ROUNDS)]
+    assert all(place[0][1] < each[1] for place, each in zip(places, low, strict=True))
 
 
 def test_the_feature_space_is_that_of_the_record(chunks):

@@ -205,7 +205,7 @@ def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[Any
 
 def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Kept], title: str) -> None:
     """Write the tables, the JSON and the picture; a file whose extra is not installed is left out with a message."""
-    from usnet_env.drawing import MissingExtraError
+    from usnet_env.drawing import MissingExtraError, write_figure
     from usnet_env.files import atomic_write
     from usnet_env.tracks.picture import draw_leaders
 
@@ -220,8 +220,7 @@ def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Kept], title: s
     except MissingExtraError as missing:
         print_message(f"the picture is left out. {missing}")
     else:
-        with atomic_write(folder / "picture.png") as aside:
-            figure.savefig(aside, format="png")
+        write_figure(figure, folder / "picture.png")
     click.echo(f"Tables, JSON and picture are in {folder}.", err=True)
 
 

@@ -24,16 +24,21 @@ from usnet_env.drawing.maps import (
     new_figure,
     round_marks,
 )
+from usnet_env.drawing.style import COLORS, FORMATS, MARKERS, caption_figure, style_axes, write_figure
 
 __all__ = [
     "CLUSTER_COLORS",
+    "COLORS",
+    "FORMATS",
     "HIT",
+    "MARKERS",
     "MISSED",
     "NO_CLUSTER_COLOR",
     "REDUNDANT",
     "EpisodeFrames",
     "Limits",
     "MissingExtraError",
+    "caption_figure",
     "cluster_colors",
     "dashed_ring",
     "describe_frame",
@@ -44,4 +49,6 @@ __all__ = [
     "new_figure",
     "round_frame",
     "round_marks",
+    "style_axes",
+    "write_figure",
 ]

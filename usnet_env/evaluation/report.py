@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.drawing import new_figure
+from usnet_env.drawing import new_figure, style_axes, write_figure
 from usnet_env.evaluation.statistics import Interval, mean_interval
 from usnet_env.files import atomic_write
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "COLOURS",
     "add_legend",
     "draw_intervals",
     "episode_means",
+    "format_counts",
     "format_interval",
     "format_latex",
     "format_markdown",
@@ -37,9 +37,6 @@ __all__ = [
 
 RowT = TypeVar("RowT")
 KeyT = TypeVar("KeyT", bound=Hashable)
-
-#: The colours of Okabe and Ito, which colour-blind readers can distinguish.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 
 
 def group_rows(rows: Iterable[RowT], key: Callable[[RowT], KeyT]) -> dict[KeyT, list[RowT]]:
@@ -133,18 +130,17 @@ def _escape_latex(text: str) -> str:
     return "".join(_LATEX.get(sign, sign) for sign in text)
 
 
-def keep_report(path: Path, markdown: str, picture: Figure) -> None:
-    """Keep the table and the picture of a suite beside its rows, as ``.md`` and ``.png``."""
+def keep_report(path: Path, markdown: str, picture: Figure, formats: Sequence[str] = ("png",)) -> None:
+    """Keep the table and the picture of a suite beside its rows, as ``.md`` and in some formats."""
     with atomic_write(path.with_suffix(".md")) as aside:
         aside.write_text(markdown, encoding="utf-8")
-    with atomic_write(path.with_suffix(".png")) as aside:
-        picture.savefig(aside, format="png", dpi=100)
+    write_figure(picture, path, formats)
 
 
 def make_panels(
     width: float, height: float, rows: int = 1, columns: int = 1, **how: Any
 ) -> tuple[Figure, NDArray[np.object_]]:
-    """Make a figure with a grid of panels.
+    """Make a figure with a grid of panels in the look that all figures share.
 
     Args:
         width: of the figure, in inches.
@@ -161,7 +157,10 @@ def make_panels(
     """
     figure = new_figure(width, height)
     figure.set_layout_engine("constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False, **how)
+    panels = figure.subplots(rows, columns, squeeze=False, **how)
+    for axes in panels.ravel():
+        style_axes(axes)
+    return figure, panels
 
 
 def draw_intervals(axes: Axes, intervals: Mapping[float, Interval], scale: float = 1.0, **look: Any) -> None:
@@ -180,6 +179,13 @@ def draw_intervals(axes: Axes, intervals: Mapping[float, Interval], scale: float
 
 
 def add_legend(figure: Figure, axes: Iterable[Axes], columns: int = 4) -> None:
-    """Add a legend below all panels; what has the same label in several panels stands once."""
+    """Add a legend below all panels; what has the same label in several panels is listed once."""
     handles = {label: line for panel in axes for line, label in zip(*panel.get_legend_handles_labels(), strict=True)}
-    figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=columns, fontsize=9)
+    look: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "fontsize": 9, "frameon": False}
+    figure.legend(list(handles.values()), list(handles), **look)
+
+
+def format_counts(counts: Iterable[int], noun: str) -> str:
+    """Format the numbers of what points are means of: ``n = 30 episodes a point``, or ``n = 10 to 30 …``."""
+    low, high = min(known := list(counts)), max(known)
+    return f"n = {low}{f' to {high}' if high > low else ''} {noun} a point"

@@ -13,6 +13,7 @@ import numpy as np
 
 from usnet_env.config import ArgumentError, plain_text, quote, whole_number
 from usnet_env.multiagent.base import RoundRecord, UsnetParallelEnv
+from usnet_env.plugins import detector_label
 from usnet_env.provenance import versions
 
 __all__ = ["GameResult", "PolicyLike", "agent_role", "choose_policies", "play_game"]
@@ -95,7 +96,7 @@ def play_game(
         policies: a policy for each agent, or for each role (``"observer"``, ``"head"``). A policy that several agents
             share is copied for each of them; a policy of a single agent is used as it is, without a copy.
         seed: the seed of the game.
-        label: name of the detector in the record.
+        label: name of the detector in the record; by default those of the observers' detectors or policies.
         policy_seed: the seed from which the seeds of the policies come; ``None``: a separate branch of ``seed``.
 
     Returns:
@@ -112,6 +113,7 @@ def play_game(
     observations, infos = env.reset(seed=seed)
     uses = Counter(map(id, chosen.values()))
     agents = {name: copy.deepcopy(policy) if uses[id(policy)] > 1 else policy for name, policy in chosen.items()}
+    label = label or ", ".join(dict.fromkeys(_name(agents[name]) for name in agents if agent_role(name) == "observer"))
     if policy_seed is None:
         source = np.random.SeedSequence(seed, spawn_key=(1,))
     else:
@@ -156,6 +158,12 @@ def play_game(
         redundant=redundant,
         record=_make_record(env, rounds, choices, seconds, seed, label),
     )
+
+
+def _name(policy: PolicyLike) -> str:
+    """The label of a policy's detector, or else the name of its class."""
+    detector = getattr(policy, "detector", None)
+    return type(policy).__name__ if detector is None else detector_label(detector)
 
 
 def _make_record(

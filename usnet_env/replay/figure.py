@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from usnet_env.config import ArgumentError, quote
 from usnet_env.drawing import (
     HIT,
     MISSED,
@@ -20,8 +21,9 @@ from usnet_env.drawing import (
     limits_around,
     new_figure,
     round_marks,
+    write_figure,
 )
-from usnet_env.files import as_path, atomic_write
+from usnet_env.files import as_path
 from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.story import describe_outcome, describe_round, format_count, rank_scores
 
@@ -146,21 +148,20 @@ def draw_episode(record: EpisodeRecord) -> Figure:
 
 
 def write_picture(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
-    """Write the picture of :func:`draw_episode` as a PNG; the file appears whole.
+    """Write the picture of :func:`draw_episode`; the file appears whole.
 
     Args:
         record: the episode.
-        path: the file to write; an existing file is replaced.
+        path: the file to write, ``.png`` or ``.pdf``; an existing file is replaced.
 
     Returns:
         The path.
 
     Raises:
-        ArgumentError: the place can't be written to.
+        ArgumentError: the name has another ending, or the place can't be written to.
         MissingExtraError: matplotlib is not installed.
     """
     place = as_path("path", path)
-    figure = draw_episode(record)
-    with atomic_write(place) as aside:
-        figure.savefig(aside, format="png")
-    return place
+    if place.suffix not in (".png", ".pdf"):
+        raise ArgumentError(f"path must end in .png or .pdf, got {quote(str(place))}.")
+    return write_figure(draw_episode(record), place, [place.suffix[1:]])[0]

@@ -28,7 +28,7 @@ def _space(scribe: Scribe, name: str, detector: bool) -> rrb.Spatial3DView:
 
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
-        position=scribe.span * np.array([0.0, -0.74, 0.82]),
+        position=scribe.span * np.array([0.0, -0.8, 0.9]),
         look_target=scribe.span * np.array([0.0, -0.08, 0.0]),
         eye_up=[0.0, 0.0, 1.0],
     )

@@ -62,9 +62,21 @@ def write_mind(scribe: Scribe) -> None:
     if scribe.record.attention is not None:
         _write_attention(scribe, scribe.record.attention)
         _write_maps(scribe)
+        _write_waiting(scribe, ATTENTION, (scribe.record.uavs / 2, scribe.record.uavs / 2))
     if scribe.record.features is not None:
         _write_features(scribe, scribe.record.features)
+        _write_waiting(scribe, FEATURES, (0.0, 0.0))
     _write_scores(scribe)
+    _write_waiting(scribe, SCORES, (CHART_WIDTH / 2, -CHART_HEIGHT / 2))
+
+
+def _write_waiting(scribe: Scribe, path: str, place: tuple[float, float]) -> None:
+    """Write into a view that it is empty because the detector has not answered yet."""
+    rounds = range(scribe.record.rounds)
+    rows = [(r, instant) for r in rounds for instant in (0, scribe.clock.instant(ANSWER))]
+    look = {"radii": [0.001], "show_labels": True, "colors": [parse_color(_TEXT)]}
+    words = {"positions": [place] * len(rounds), "labels": ["no answer yet"] * len(rounds)}
+    scribe.send(f"{path}/waiting", scribe.rr.Points2D, rows, [1, 0] * len(rounds), look, **words)
 
 
 def _write_found(scribe: Scribe) -> None:
@@ -139,9 +151,9 @@ def attention_maps(record: EpisodeRecord, r: int) -> list[tuple[str, NDArray[np.
     order = np.flatnonzero(record.alive[r])
     groups = find_groups(record, r)[order]
     order = order[np.lexsort((order, ~record.candidates[r][order], np.where(groups < 0, len(order), groups)))]
-    maps = [("all heads", record.attention[r])]
+    maps = [("all weights", record.attention[r])]
     if record.attention_heads is not None:
-        maps += [(f"head {h + 1}", each) for h, each in enumerate(record.attention_heads[r])]
+        maps += [(f"attention head {h + 1}", each) for h, each in enumerate(record.attention_heads[r])]
     return [(title, _reduce(values[np.ix_(order, order)])) for title, values in maps]
 
 
@@ -162,7 +174,8 @@ def _write_maps(scribe: Scribe) -> None:
             [[x + 0.5 * side, y - 0.1 * side] for y, x in places], labels=[title for title, _ in maps],
             colors=parse_color(_TEXT), radii=0.01, show_labels=True,
         )  # fmt: skip
-        scribe.log_at(ATTENTION, r, 0, rr.Clear(recursive=True))
+        for part in ("maps", "titles"):
+            scribe.log_at(f"{ATTENTION}/{part}", r, 0, rr.Clear(recursive=False))
         scribe.log_at(f"{ATTENTION}/maps", r, scribe.clock.instant(ANSWER), rr.Image(sheet))
         scribe.log_at(f"{ATTENTION}/titles", r, scribe.clock.instant(ANSWER), titles)
 

@@ -15,6 +15,7 @@ SWARM, VERDICT, OBSERVERS = f"{WORLD}/swarm", f"{WORLD}/verdict", f"{WORLD}/obse
 SMALL, LARGE, RING = 6.0, 14.0, 30.0  # metres: radii of a follower, of a head, and of the mark of a candidate
 MOST_LABELS = 16  # in a round with more marks, the labels are left out, and the text says so
 _DESTROYED, _DECOY, _ORPHAN, _GROUND, _OBSERVER = "#8A8A8A", "#FFE45C", "#9A9A9A", "#39424C", "#7CC7FF"
+_SCALE = "#AAB4BE"
 _MOST_VERTICES = 1_200_000  # of all growing tracks: 14 MB
 _DIAMOND = np.array(
     [[0, 0, 1], [1, 0, 0], [0, 0, -1], [-1, 0, 0], [0, 0, 1], [0, 1, 0], [0, 0, -1], [0, -1, 0], [0, 0, 1]], np.float32
@@ -63,9 +64,12 @@ def _write_ground(scribe: Scribe) -> None:
     look = {"colors": [parse_color(_GROUND)], "radii": [0.7 * scribe.scale]}
     shape = scribe.rr.LineStrips3D.from_fields(strips=np.array(lines, np.float32), **look)
     scribe.stream.log(f"{scribe.root}{WORLD}/ground", shape, static=True)
-    words = {"labels": [f"grid of {spacing:g} m"], "colors": parse_color(_DESTROYED)}
-    label = scribe.rr.Points3D([[x[0], y[0], z]], radii=0.001, show_labels=True, **words)
-    scribe.stream.log(f"{scribe.root}{WORLD}/ground/scale", label, static=True)
+    # The label is at the edge that is near to the camera, which follows the middle of each round.
+    edges = [[(below[0] + above[0]) / 2, below[1] - 0.06 * scribe.span, z] for below, above in scribe.boxes]
+    words = {"labels": [f"grid of {spacing:g} m"], "colors": [parse_color(_SCALE)], "radii": [0.001]}
+    rows = [(r, 0) for r in range(len(edges))]
+    label = {**words, "show_labels": True}
+    scribe.send(f"{WORLD}/ground/scale", scribe.rr.Points3D, rows, [1] * len(rows), label, positions=edges)
 
 
 def _list_colors(scribe: Scribe, alpha: int = 255) -> NDArray[np.uint8]:

@@ -11,6 +11,7 @@ from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, register_follo
 OWN_DELAYS = "tests_group_own_delays"
 MAJORITY = "tests_group_majority"
 ONWARDS = "tests_group_onwards"
+DELAYED = "tests_group_delayed_{}"  # by one of the delays 1 and 3
 
 
 class OwnDelays(FollowStrategy):
@@ -33,6 +34,10 @@ def onwards(inputs):
     return 2.0 * np.vecdot(now, before)[:, None] * now - before
 
 
+for delay in (1, 3):
+    register_follow_strategy(
+        DELAYED.format(delay), lambda inputs, back=delay: inputs.head_velocity[:, back - 1], lags=delay
+    )
 register_follow_strategy(OWN_DELAYS, OwnDelays())
 register_follow_strategy(MAJORITY, majority, lags=3)
 register_follow_strategy(ONWARDS, onwards, lags=2)

@@ -1,8 +1,10 @@
 """follow-mixture as a detector: the heads that it finds, swarms without following, and the answer."""
 
+import re
+
 import numpy as np
 import pytest
-from mixture_windows import MAJORITY, OWN_DELAYS, answer, swarm_window
+from mixture_windows import DELAYED, MAJORITY, OWN_DELAYS, answer, swarm_window
 from sklearn.base import clone
 
 from detectors.follow_mixture import FollowMixture
@@ -187,8 +189,27 @@ def test_the_extras_describe_the_answer():
     assert not extras["gain"][truth.head].any()
     assert len(extras["reasons"]) == 3
     counts = [int((truth.leader[followers] == head).sum()) for head in extras["heads"]]
-    assert all(f" {count} followers" in reason for count, reason in zip(counts, extras["reasons"], strict=True))
+    for count, reason in zip(counts, extras["reasons"], strict=True):
+        assert re.fullmatch(rf"Adds \d+ nats to {count} followers at lag [12]\.", reason)  # f2 adds both
     assert extras["nats"] > 0
+
+
+@pytest.mark.parametrize("mobility", ["iid", "gauss_markov"])
+@pytest.mark.parametrize("lag", [1, 3])
+def test_the_reasons_name_the_lag(lag, mobility):
+    window, truth = swarm_window(796, follow=DELAYED.format(lag), mobility=mobility)
+    extras = answer(window).extras
+    heads = np.flatnonzero(truth.head)
+    assert np.array_equal(extras["heads"], heads)
+    for head, reason in zip(heads, extras["reasons"], strict=True):
+        count = int((truth.leader == head).sum()) - 1
+        assert re.fullmatch(rf"Adds \d+ nats to {count} followers at lag {lag}\.", reason)
+
+
+def test_the_reasons_count_the_groups_of_followers_with_delays_of_their_own():
+    reasons = answer(swarm_window(790, follow=OWN_DELAYS, uavs=60, observation_steps=120)[0]).extras["reasons"]
+    assert len(reasons) == 3
+    assert all(re.fullmatch(r"Adds \d+ nats to \d+ followers in [23] groups at lag [123]\.", each) for each in reasons)
 
 
 def test_the_same_seed_gives_the_same_answer():

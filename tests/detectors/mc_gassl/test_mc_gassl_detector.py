@@ -1,5 +1,6 @@
 """MC-GASSL as a detector: whole games by Algorithm 2, other stages, and small or empty clusters."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +11,8 @@ import usnet_env
 from detectors.gassl import Gassl
 from detectors.mc_gassl import McGassl
 from usnet_env import ArgumentError
+from usnet_env.replay import EpisodeRecord, record_episode
+from usnet_env.replay.mind import attention_maps
 
 SMALL = {"gassl": {"steps": 2}}
 
@@ -55,6 +58,21 @@ def test_an_answer_stays_within_the_clusters():
         assert answer.scores[answer.candidates & members] == answer.scores[members].max()
     assert answer.extras["followed"].sum() == 14  # every UAV has one best head, equation (38)
     assert answer.extras["count"] == 3
+
+
+def test_its_attention_reaches_the_episode_file(tmp_path):
+    """The weights of each attention head within the found clusters; their mean is alpha, equation (12)."""
+    env = gym.make("USNET/MultiCluster-v0", follow="f1", clusters=2, uavs=14, observation_steps=40, max_rounds=2)
+    detector = usnet_env.make_detector("mc-gassl(gassl={'steps': 2})")
+    file = record_episode(env, detector, seed=0, detector_seed=0).save(tmp_path / "episode.npz")
+    record = EpisodeRecord.load(file)
+    assert record.attention_heads.shape == (record.rounds, 5, 14, 14)
+    np.testing.assert_allclose(record.attention_heads.mean(axis=1), record.attention, atol=1e-6)
+    apart = record.clusters[:, :, None] != record.clusters[:, None]
+    assert record.attention.any(axis=(1, 2)).all()
+    assert (record.attention_heads[np.broadcast_to(apart[:, None], record.attention_heads.shape)] == 0).all()
+    titles = [title for title, _ in attention_maps(record, 0)]
+    assert titles == ["all weights", *(f"attention head {number}" for number in range(1, 6))]
 
 
 def test_one_gamma_goes_through_all_clusters(monkeypatch):

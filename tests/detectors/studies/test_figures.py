@@ -9,10 +9,10 @@ import pytest
 from detectors.gassl import Gassl
 from detectors.mc_gassl import McGassl
 from detectors.studies import example, figures, metric_learning, purity
-from detectors.studies.figures import FIGURES, Settings, make_figures, write_figure
+from detectors.studies.figures import FIGURES, Settings, make_figures
 from usnet_env import ArgumentError, make_detector
 from usnet_env.cli import main
-from usnet_env.drawing import MissingExtraError, new_figure
+from usnet_env.drawing import MissingExtraError, new_figure, write_figure
 from usnet_env.evaluation.store import RowFile
 from usnet_env.evaluation.table import columns_of
 

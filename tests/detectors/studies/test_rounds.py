@@ -30,12 +30,12 @@ def plain(rows):
     return [{name: -1 if value != value else value for name, value in row.items()} for row in kept]
 
 
-def row(episode=0, named="8 2", hits="6 2", detector="x", **more):
+def row(episode=0, named="8 2", hits="6 2", detector="x", follow="f1", **more):
     numbers = {name: 1.0 for name, kind in Row.__annotations__.items() if kind in ("float", "int")}
     return Row(
         **numbers | {"clusters": 8, "uavs": 185} | more | {"episode": episode},
         detector=detector,
-        follow="f1",
+        follow=follow,
         mobility="iid",
         head_jitter=False,
         named=named,
@@ -183,3 +183,11 @@ def test_the_picture_has_a_row_of_panels_a_study(small_studies):
     figure = rounds.draw_studies(made, "title", with_paper=True)
     assert len(figure.axes) == 3
     assert figure.axes[0].get_ylabel() == "heads found, %"
+
+
+def test_a_study_with_one_swarm_of_several_is_left_out_of_the_picture():
+    cells = [("f1", 5, 82), ("f2", 5, 82)]  # f1 is also a swarm of the sweep over M
+    made = [row(0, detector=QUICK, follow=follow, clusters=m, uavs=n) for follow, m, n in cells]
+    first, *others = rounds.draw_studies(made, "title", with_paper=False).axes
+    assert len(others) == 2
+    assert [tick.get_text() for tick in first.get_xticklabels()] == ["f1", "f2"]

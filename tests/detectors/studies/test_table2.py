@@ -46,6 +46,25 @@ def test_the_command_makes_rows_a_table_and_a_picture(tmp_path, capsys):
     assert (tmp_path / "episodes-seed2022.png").read_bytes().startswith(b"\x89PNG")
     assert main([*words, "--detector", "lagged-regression(clusters=1)", "--decoys", "1"]) == 0
     assert "paper's table" not in (tmp_path / "episodes-decoys1-seed2022.md").read_text(encoding="utf-8")
+    assert main([*words, "--detector", "lagged-regression(clusters=1)", "--format", "pdf"]) == 0
+    assert (tmp_path / "episodes-seed2022.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_the_picture_has_a_panel_a_strategy_or_one_for_a_single_detector():
+    some = Interval(0.9, 0.8, 1.0)
+    table = [
+        table2.Entry(name, follow, size, 10 + size, some, some)
+        for name in ("a", "b")
+        for follow in ("f1", "f2")
+        for size in (2, 5)
+    ]
+    figure = table2.draw_rates(table, "title", with_paper=False)
+    assert [axes.get_title() for axes in figure.axes] == ["f1", "f2"]
+    assert len({bars[0].get_marker() for bars in figure.axes[0].containers}) == 2
+    assert "n = 12 to 15 episodes a point. Bars are 95 % Wilson intervals." in figure.get_suptitle().replace("\n", " ")
+    (axes,) = table2.draw_rates(table[:4], "title", with_paper=False).axes
+    assert [bars.get_label() for bars in axes.containers] == ["f1", "f2"]
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["2", "5"]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,73 @@
+"""The look that all figures share: colours, markers, axes, a title with a caption, and the files of a figure."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+from usnet_env.config import unknown_name
+from usnet_env.files import as_path, atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["COLORS", "FORMATS", "MARKERS", "caption_figure", "style_axes", "write_figure"]
+
+#: The colours of Okabe and Ito, which colour-blind readers can distinguish, without their yellow. A series also has a
+#: marker of its own, so that figures can be read without colours.
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+_SAVED: dict[str, dict[str, Any]] = {  # without the date and the versions, so that equal figures have equal bytes
+    "png": {"dpi": 200, "metadata": {"Software": None}},
+    "pdf": {"dpi": 200, "metadata": {"Creator": None, "Producer": None, "CreationDate": None}},
+}
+FORMATS = tuple(_SAVED)
+_SIGNS_AN_INCH = 12.5  # of a caption
+
+
+def style_axes(axes: Axes) -> None:
+    """Give axes the look that all figures share: a faint grid behind the data, and no frame at the top and right."""
+    axes.grid(color="#e3e3e3", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=9, color="#888888")
+    for side, spine in axes.spines.items():
+        spine.set_color("#888888")
+        spine.set_visible(side in ("left", "bottom"))
+
+
+def caption_figure(figure: Figure, title: str, caption: str) -> None:
+    """Write a title above a figure, and below it a caption: what is shown, n, and the meaning of intervals."""
+    width = int(figure.get_figwidth() * _SIGNS_AN_INCH)
+    figure.suptitle(f"{title}\n{fill(caption, width)}", x=0.01, ha="left", fontsize=10.5)
+
+
+def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
+    """Write a figure in some formats; the same figure gives the same bytes, and each file appears whole.
+
+    Args:
+        figure: the figure.
+        path: the file; its suffix is replaced by that of each format.
+        formats: ``"png"`` (200 pixels per inch), ``"pdf"`` (vectors, fonts embedded as TrueType), or both.
+
+    Returns:
+        The files.
+
+    Raises:
+        ArgumentError: an unknown format, or the place can't be written to.
+    """
+    from matplotlib import rc_context
+
+    for kind in formats:
+        if kind not in FORMATS:
+            raise unknown_name("formats", kind, FORMATS)
+    files = []
+    for kind in formats:
+        file = as_path("path", path).with_suffix(f".{kind}")
+        with atomic_write(file) as aside, rc_context({"pdf.fonttype": 42}):  # publishers refuse Type 3
+            figure.savefig(aside, format=kind, **_SAVED[kind])
+        files.append(file)
+    return files
