@@ -17,7 +17,7 @@ import numpy as np
 
 from usnet_env.envs.field import DISTRIBUTION
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
-from usnet_env.swarm.follow import FIELD_MODELS
+from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
 
 __all__ = ["FILE", "make_entries"]
@@ -49,7 +49,8 @@ def make_entries() -> dict[str, Callable[[], Any]]:
     """What makes each entry, by its name: kind, model and version."""
     entries: dict[str, Callable[[], Any]] = {
         **{
-            f"follow {name} {model.version}": lambda name=name: fly(follow=name) for name, model in FIELD_MODELS.items()
+            f"follow {name} {model.version}": lambda name=name: fly(follow=name)
+            for name, model in {**FIELD_MODELS, **CONTROLS}.items()
         },
         **{
             f"kinematics {name} {KINEMATICS[name].version}": lambda name=name: fly(follow="f2", kinematics=name)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usnet_env.arrays import Mask, Singles
+from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.swarm.config import NOISE_BOUND, SWAP_RANGE, SwarmConfig
 
-__all__ = ["ObservationBatch", "sense"]
+__all__ = ["ObservationBatch", "sense", "shift_tracks"]
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,35 @@ def sense(
         position = np.where(seen[..., None], position, np.float32(0.0))
         velocity = np.where((seen[:, 1:] & seen[:, :-1])[..., None], velocity, np.float32(0.0))
     return ObservationBatch(position, velocity, seen, alive.copy())
+
+
+def shift_tracks(
+    position: Singles, velocity: Singles, source: Indices, rngs: Sequence[np.random.Generator]
+) -> tuple[Singles, Singles]:
+    """Roll the steps of each UAV's track in time by a shift of its own; the track begins where it did.
+
+    The shifts of m UAVs with the same source are T / m steps apart, in random order; of T steps, at least
+    floor(T / m) lie between two of them.
+
+    Args:
+        position: ``(B, T + 1, N, 3)`` float32, metres.
+        velocity: ``(B, T, N, 3)`` float32, metres per step.
+        source: ``(B, N)`` int64, the UAV that each UAV copies; its own index if there is none.
+        rngs: one generator per episode.
+
+    Returns:
+        The shifted positions and velocities.
+    """
+    steps = velocity.shape[1]
+    shift = np.empty(source.shape, np.int64)
+    for b, rng in enumerate(rngs):
+        for first in np.unique(source[b]):
+            members = np.flatnonzero(source[b] == first)
+            places = (rng.permutation(len(members)) + rng.random()) / len(members)
+            shift[b, members] = places * steps
+    when = (np.arange(steps)[:, None] - shift[:, None]) % steps
+    velocity = np.take_along_axis(velocity, when[..., None], axis=1)
+    return np.cumsum(np.concatenate([position[:, :1], velocity], axis=1), axis=1, dtype=np.float32), velocity
 
 
 def _detect(drawn: Singles, rate: float, burst: float) -> Mask:

@@ -24,7 +24,7 @@ from usnet_env.swarm.config import SwarmConfig
 from usnet_env.swarm.formation import FORMATIONS, check_place, draw_corridors, draw_roles
 from usnet_env.swarm.kinematics import Unit
 from usnet_env.swarm.mobility import MOBILITIES, CompiledMobility, Mobility
-from usnet_env.swarm.sensing import ObservationBatch, sense
+from usnet_env.swarm.sensing import ObservationBatch, sense, shift_tracks
 from usnet_env.swarm.state import SwarmState
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
@@ -65,7 +65,8 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     strategy = config.follow_strategy
     references = config.clusters if strategy is not None and strategy.has_references else 0
     others = config.bystanders + config.traffic
-    count = uavs if strategy is None else config.clusters + config.decoys + others
+    followed = strategy is not None and strategy.has_followers
+    count = config.clusters + config.decoys + others if followed else uavs
     laws, all_uavs = _laws(config, count), uavs + references
     formation, kinematics = FORMATIONS.find(config.formation), config.kinematics_model
     head, decoy, bystander = (np.empty((episodes, uavs), bool) for _ in range(3))
@@ -84,7 +85,8 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
         roles = drawn if strategy is None else strategy.arrange(rng, drawn)
         head[b], decoy[b], bystander[b] = roles.head, roles.decoy, roles.bystander
         leader[b], source[b] = roles.leader, roles.source
-        by_mobility = ~drawn.bystander if strategy is None else roles.decoy | (roles.head if not references else False)
+        led = drawn.head if not references else False
+        by_mobility = drawn.decoy | led if followed else ~drawn.bystander
         free[b] = np.concatenate(
             [
                 np.flatnonzero(by_mobility),
@@ -178,7 +180,10 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
         _fly(config, flight, state.free[part], mobility_state[part], kinematic_state[part], rngs[part])
     end = memory + steps
     window = 2 * memory  # the window starts after the past and the unobserved steps
-    observed = sense(config, position[:, window:, :uavs], velocity[:, window:, :uavs], state.alive, rngs)
+    flown = position[:, window:, :uavs], velocity[:, window:, :uavs]
+    if config.follow_strategy is not None and config.follow_strategy.shifts_tracks:
+        flown = shift_tracks(*flown, state.source, rngs)
+    observed = sense(config, *flown, state.alive, rngs)
     after = replace(
         state,
         past_position=position[:, end - memory :, :uavs].copy(),
