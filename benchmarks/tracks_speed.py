@@ -1,6 +1,6 @@
 """Read a CSV of 200 MB with 2,000 ids whose groups change, and find the leaders in it: seconds, memory, right heads.
 
-    python benchmarks/tracks_speed.py --seed 1      # writes the run of this seed to benchmarks/results/tracks_speed.json
+    python benchmarks/tracks_speed.py --seed 1    # writes this seed's run to benchmarks/results/tracks_speed.json
 
 The swarm has 100 groups. Every 650 steps a tenth of the followers change their group, ten heads join other groups with
 all their followers, and ten followers of large groups become heads. A tenth of the ids that never lead come later or
