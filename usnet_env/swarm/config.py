@@ -138,12 +138,7 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
             raise ArgumentError(
                 f"memory must be at least {strategy.lags} for follow={quote(self.follow)}, got {self.memory}."
             )
-        others = {
-            "decoys": self.decoys,
-            "bystanders": self.bystanders,
-            "traffic": self.traffic,
-            "clutter": self.clutter,
-        }
+        others = {name: getattr(self, name) for name in ("decoys", "bystanders", "traffic", "clutter")}
         others = {name: count for name, count in others.items() if count or name == "decoys"}
         apart = " + ".join(others)
         followers = self.uavs - self.clusters - sum(others.values())
