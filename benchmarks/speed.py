@@ -17,11 +17,13 @@ from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
+from scipy.spatial import cKDTree
 from speed_helpers import run, write_json
 
 import usnet_env  # noqa: F401  registers the environments
 from usnet_env.provenance import machine, versions
 from usnet_env.swarm import SwarmConfig, advance, register_formation, start
+from usnet_env.swarm.flock_follow import Flock
 from usnet_env.swarm.follow import FIELD_MODELS
 
 EPISODES, UAVS = 256, 82
@@ -74,8 +76,22 @@ def spread(rng: np.random.Generator, roles: object) -> np.ndarray:
     return rng.uniform(0.0, (side, side, 100.0), (uavs, 3))
 
 
+def count_near(place: np.ndarray, reach: float) -> tuple[float, float]:
+    """Mean numbers of UAVs within ``reach`` metres of a UAV, and within 1.5 ``reach`` of it on each axis.
+
+    The second is that of the UAVs in the 27 cells of a cell list, with which a UAV is compared.
+    """
+    tree = cKDTree(place)
+    near = tree.query_ball_point(place, reach, return_length=True).mean() - 1
+    return float(near), float(tree.query_ball_point(place, 1.5 * reach, p=np.inf, return_length=True).mean())
+
+
 def scaling(follow: str, turns: int) -> dict[str, object]:
-    """One cluster of N UAVs flies one round, at a fixed density; the sizes take turns."""
+    """One cluster of N UAVs flies one round, at a fixed density; the sizes take turns.
+
+    In a smaller arena more UAVs are near the border and are compared with fewer others. So for flocks the numbers of
+    neighbours and of comparisons are measured, as means of the beginning and the end of the round.
+    """
     register_formation("spread", spread, replace=True)
     rounds = []
     for uavs in SIZES:
@@ -92,12 +108,25 @@ def scaling(follow: str, turns: int) -> dict[str, object]:
         rounds.append((config, start(config, rngs), rngs))
     taken = alternate(turns, *(lambda one=one: advance(*one) for one in rounds))
     each = np.median(taken, axis=0) / [uavs * rounds[0][0].steps for uavs in SIZES]
-    return {
+    model, thousand = FIELD_MODELS[follow], SIZES.index(1000)
+    measured = {
         "what": "seconds of a UAV-step against N, one cluster at a fixed density",
         "uavs": SIZES,
         "seconds_per_uav_step": each.tolist(),
-        "growth": float(each[-1] / each[SIZES.index(1000)]),
+        "growth": float(each[-1] / each[thousand]),
     }
+    if isinstance(model, Flock):
+        reach = max(model.alignment, model.attraction)
+        ends = [(one[1], advance(*one)[0]) for one in rounds]
+        counts = [np.mean([count_near(state.position[0], reach) for state in pair], axis=0) for pair in ends]
+        neighbours, compared = np.transpose(counts)
+        measured |= {
+            "range": reach,
+            "neighbours": neighbours.tolist(),
+            "compared": compared.tolist(),
+            "growth_per_comparison": float(each[-1] / compared[-1] / (each[thousand] / compared[thousand])),
+        }
+    return measured
 
 
 def peers(turns: int) -> dict[str, object]:
@@ -193,7 +222,8 @@ def main() -> None:
             print(f"{name}: {rate:6.1f} M UAV-steps/s, ratio {row['ratio']:.3f}")
     for name, row in result.get("scaling", {}).items():
         last = 1e9 * row["seconds_per_uav_step"][-1]
-        print(f"{name}: {last:.0f} ns a UAV-step at N=10,000, {row['growth']:.2f} times that at N=1,000")
+        print(f"{name}: {last:.0f} ns a UAV-step at N=10,000, {row['growth']:.2f} times that at N=1,000", end="")
+        print(f"; of a comparison {row['growth_per_comparison']:.2f} times" if "compared" in row else "")
     if "peers" in result:
         for name in ("over_simple_tag_v3", "over_vmas_flocking"):
             print(f"{name}: {result['peers'][name]['ratio']:.1f}")

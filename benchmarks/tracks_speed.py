@@ -1,12 +1,12 @@
 """Read a CSV of 200 MB with 2,000 ids whose groups change, and find the leaders in it: seconds, memory, right heads.
 
-    python benchmarks/tracks_speed.py           # writes benchmarks/results/tracks_speed.json
+    python benchmarks/tracks_speed.py --seed 1    # writes this seed's run to benchmarks/results/tracks_speed.json
 
 The swarm has 100 groups. Every 650 steps a tenth of the followers change their group, ten heads join other groups with
 all their followers, and ten followers of large groups become heads. A tenth of the ids that never lead come later or
 leave earlier. A head is counted in a window if it leads at least three ids that are seen in half of the window's steps,
 through four fifths of the window. A window is right if the detector names all these heads, and no id that leads no
-other id in the window.
+other id in the window. The test of confirmed leaders was developed on seed 0.
 """
 
 from __future__ import annotations
@@ -134,10 +134,7 @@ def main() -> None:
         path = folder / "tracks.csv"
         leaders, seen = write_file(path, arguments.seed, IDS, GROUPS, STEPS)
         result = {
-            "what": __doc__.splitlines()[0],
-            "seed": arguments.seed,
             "file": {"bytes": path.stat().st_size, "rows": int(seen.sum()), "ids": IDS},
-            "window": LENGTH,
             "detect": {},
             "machine": machine(),
             "versions": versions(),
@@ -146,7 +143,10 @@ def main() -> None:
             found, figures = detect(path, detector, folder)
             result["detect"][detector] = {**figures, **count_right(found, leaders, seen)}
             print(detector, result["detect"][detector], flush=True)
-    Path(arguments.out).write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    out = Path(arguments.out)
+    runs = json.loads(out.read_text(encoding="utf-8"))["runs"] if out.exists() else {}
+    whole = {"what": __doc__.splitlines()[0], "window": LENGTH, "runs": {**runs, str(arguments.seed): result}}
+    out.write_text(json.dumps(whole, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

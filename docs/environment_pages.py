@@ -14,7 +14,7 @@ import usnet_env.envs
 from usnet_env.envs import ENVIRONMENTS
 from usnet_env.envs.registration import TRACKS
 from usnet_env.multiagent import GAMES
-from usnet_env.swarm.follow import FIELD_MODELS
+from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
 from usnet_env.tracks.env import TracksEnv
 
@@ -81,7 +81,7 @@ def _game_page(name: str) -> str:
 
 
 def field_tables() -> list[str]:
-    """The two tables of docs/field.md, the field models and the kinematics models, one line each."""
+    """The tables of docs/field.md: the field models, the controls and the kinematics models, one line each."""
 
     def list_values(part: Any, names: Iterable[str]) -> str:
         return ", ".join(f"`{name}={getattr(part, name)!r}`" for name in names) or "none"
@@ -90,13 +90,17 @@ def field_tables() -> list[str]:
     for name, model in FIELD_MODELS.items():
         cells = (f"`{model.equation}`", model.citation, list_values(model, model.parameters), model.breaks)
         follow.append(f"| `{name}` | {' | '.join(cells)} |")
+    controls = ["| name | equation | source | parameters |", "| --- | --- | --- | --- |"]
+    for name, model in CONTROLS.items():
+        cells = (f"`{model.equation}`", model.citation, list_values(model, model.parameters))
+        controls.append(f"| `{name}` | {' | '.join(cells)} |")
     moves = ["| name | equation | source | parameters |", "| --- | --- | --- | --- |"]
     for name, kinematics in KINEMATICS.items():
         if dataclasses.is_dataclass(kinematics):
             fields = [field.name for field in dataclasses.fields(kinematics)]
             cells = (f"`{kinematics.equation}`", kinematics.source, list_values(kinematics, fields))
             moves.append(f"| `{name}` | {' | '.join(cells)} |")
-    return ["\n".join(follow), "\n".join(moves)]
+    return ["\n".join(follow), "\n".join(controls), "\n".join(moves)]
 
 
 def _docstring(described: type) -> tuple[str, str]:

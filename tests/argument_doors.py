@@ -183,7 +183,7 @@ def _defaults(call: Callable[..., Any], **changes: Any) -> dict[str, Any]:
 
 SIZES = {
     "clusters": ("uavs", "cluster_sizes"),
-    **dict.fromkeys(("decoys", "bystanders", "traffic"), ("uavs", "cluster_sizes")),
+    **dict.fromkeys(("decoys", "bystanders", "traffic", "clutter"), ("uavs", "cluster_sizes")),
     "uavs": ("cluster_sizes",),
     "sample_every": ("observation_steps",),
     "most_delay": ("memory",),

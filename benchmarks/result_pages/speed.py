@@ -31,13 +31,16 @@ def simulator() -> list[str]:
         ],
     )
     sizes = next(iter(result["scaling"].values()))["uavs"]
-    growth = table(
-        ("ns of a UAV step, at a fixed density", *(f"N = {uavs:,}" for uavs in sizes)),
-        [
-            (name, *(f"{1e9 * each:.0f}" for each in row["seconds_per_uav_step"]))
-            for name, row in result["scaling"].items()
-        ],
-    )
+    lines = []
+    for name, row in result["scaling"].items():
+        nanoseconds = [1e9 * each for each in row["seconds_per_uav_step"]]
+        lines.append((f"{name}: ns of a UAV step", *(f"{each:.0f}" for each in nanoseconds)))
+        if compared := row.get("compared"):
+            lines.append((f"{name}: neighbours within {row['range']:g} m", *(f"{n:.0f}" for n in row["neighbours"])))
+            lines.append((f"{name}: UAVs that a UAV is compared with", *(f"{n:.0f}" for n in compared)))
+            shares = (f"{each / n:.0f}" for each, n in zip(nanoseconds, compared, strict=True))
+            lines.append((f"{name}: ns of a comparison", *shares))
+    growth = table(("at a fixed density", *(f"N = {uavs:,}" for uavs in sizes)), lines)
     peers = result["peers"]
     rates = peers["agent_steps_per_second"]
     beside = table(

@@ -39,7 +39,7 @@ def test_every_argument_works_or_is_named(kind, name, value):
         sentence = str(error)
         # A size that contradicts another may be told of by the other's name.
         about = {"clusters": ("clusters", "uavs", "cluster_sizes")}.get(name, (name,))
-        about += ("uavs",) * (name in ("decoys", "bystanders", "traffic"))
+        about += ("uavs",) * (name in ("decoys", "bystanders", "traffic", "clutter"))
         named = sentence.split()[0] in about or (name == "sample_every" and "observation_steps" in sentence)
         assert named, sentence
         assert "got" in sentence

@@ -17,7 +17,7 @@ import numpy as np
 
 from usnet_env.envs.field import DISTRIBUTION
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
-from usnet_env.swarm.follow import FIELD_MODELS
+from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
 
 __all__ = ["FILE", "make_entries"]
@@ -49,13 +49,16 @@ def make_entries() -> dict[str, Callable[[], Any]]:
     """What makes each entry, by its name: kind, model and version."""
     entries: dict[str, Callable[[], Any]] = {
         **{
-            f"follow {name} {model.version}": lambda name=name: fly(follow=name) for name, model in FIELD_MODELS.items()
+            f"follow {name} {model.version}": lambda name=name: fly(follow=name)
+            for name, model in {**FIELD_MODELS, **CONTROLS}.items()
         },
         **{
             f"kinematics {name} {KINEMATICS[name].version}": lambda name=name: fly(follow="f2", kinematics=name)
             for name in ("unit", "varied_speed", "lagged", "limited", "layered")
         },
         "bystanders 1": lambda: fly(follow="f2", bystanders=6, traffic=7),
+        "clutter 1": lambda: fly(follow="f2", traffic=3, clutter=8),
+        "course_noise 1": lambda: fly(follow="f2", position_noise=1.0, course_noise=3.0),
         f"distribution {DISTRIBUTION.version}": lambda: [DISTRIBUTION.draw(np.random.default_rng(s)) for s in range(4)],
     }
     return entries

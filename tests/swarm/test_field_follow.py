@@ -8,6 +8,7 @@ import pytest
 from usnet_env import ArgumentError
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.swarm import SwarmConfig, advance, destroy, follow_strategies, start
+from usnet_env.swarm.control_follow import Shifted
 from usnet_env.swarm.field_follow import (
     Chain,
     CuckerSmale,
@@ -21,7 +22,7 @@ from usnet_env.swarm.field_follow import (
 )
 from usnet_env.swarm.field_kernels import DELAY, GAIN, KINDS, OFFSET, SALT, hash_draw
 from usnet_env.swarm.flock_follow import Couzin, Informed, Predator, Shepherd, Vicsek
-from usnet_env.swarm.follow import FIELD_MODELS, follow_strategy
+from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS, follow_strategy
 
 NAMES = sorted(FIELD_MODELS)
 
@@ -459,11 +460,75 @@ def test_a_shepherd_drives_its_flock():
     assert Shepherd().standoff > 0
 
 
+# Controls
+
+
+def correlate(v, lags):
+    """``(N, N)`` largest correlation of the velocities of UAV i with those of UAV j some steps earlier."""
+    u = v - v.mean(axis=0)
+    u /= np.sqrt((u**2).sum(axis=(0, 2)))[:, None]
+    return np.max([np.einsum("tic,tjc->ij", u[lag:], u[: len(u) - lag]) for lag in lags], axis=0)
+
+
+def test_in_independent_no_uav_follows_and_all_fly_by_the_mobility():
+    settings = {"mobility": "smooth_turn", "formation": "around", "bystanders": 2, "observation_steps": 300}
+    state, window = fly("independent", **settings)
+    v, p = flown(window)
+    assert not state.head.any()
+    assert (state.leader[~state.bystander] == -1).all()
+    assert (state.direct == -1).sum() == 22
+    assert (correlate(v, range(5)) - 2 * np.eye(24)).max() < 0.6
+    turns = (unit(v[1:]) * unit(v[:-1])).sum(axis=2).mean(axis=0)
+    assert np.ptp(turns) < 0.05  # one mobility
+    np.testing.assert_allclose(np.diff(p, axis=0), v, atol=1e-3)
+
+
+@pytest.mark.parametrize("kinematics", ["unit", "varied_speed"])
+def test_shifted_tracks_keep_their_steps_and_lose_their_heads(kinematics):
+    """The same seed draws f2's swarm, so each track is a rolled one of f2."""
+    settings = {
+        "mobility": "gauss_markov", "cluster_sizes": [9, 9], "uavs": 20, "observation_steps": 200,
+        "kinematics": kinematics,
+    }  # fmt: skip
+    state, window = fly("shifted", **settings)
+    v, p = flown(window)
+    assert not state.head.any()
+    assert (state.leader == -1).all()
+
+    class Unshifted(Shifted):
+        shifts_tracks = False
+
+    _, other = fly(Unshifted(), **settings)
+    true, place = flown(other)
+    np.testing.assert_array_equal(p[0], place[0])
+    shifts = np.array([[np.abs(np.roll(true[:, i], s, axis=0) - v[:, i]).max() for s in range(200)] for i in range(20)])
+    np.testing.assert_array_equal(shifts.min(axis=1), 0)
+    shift = shifts.argmin(axis=1)
+    for head in np.unique(state.source):
+        own = np.sort(shift[state.source == head])
+        assert len(own) == 10
+        assert np.diff(np.append(own, own[0] + 200)).min() >= 19
+    np.testing.assert_allclose(np.diff(p, axis=0), v, atol=1e-3)
+    same = state.source[:, None] == state.source
+    led = np.arange(20) != state.source
+    assert correlate(true, range(3))[led, state.source[led]].min() > 0.7
+    assert correlate(v, range(12))[same & ~np.eye(20, dtype=bool)].max() < 0.6
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+def test_a_game_of_a_control_ends_after_one_round(name):
+    env = MultiClusterEnv(follow=name, reveal_truth=True)
+    _, info = env.reset(seed=0)
+    assert info["head"].sum() == 0
+    _, reward, terminated, _, _ = env.step(np.zeros(82, np.int8))
+    assert (reward, terminated) == (-1.0, True)
+
+
 # All models
 
 
 @pytest.mark.parametrize("kinematics", ["unit", "limited"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, *CONTROLS])
 def test_episode_b_of_a_batch_is_the_single_swarm(name, kinematics):
     config = SwarmConfig(
         follow=name, kinematics=kinematics, memory=12, clusters=3, uavs=60, decoys=2, bystanders=2, traffic=2,

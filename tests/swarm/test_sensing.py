@@ -51,6 +51,55 @@ def test_without_noise_the_observed_velocity_is_the_true_one():
     np.testing.assert_allclose(np.linalg.norm(window.velocity, axis=-1), 1.0, atol=1e-6)
 
 
+def test_noise_along_the_course_differs_from_that_across_it():
+    truth, window = observed(), observed(position_noise=0.5, course_noise=4.0)
+    noise = (window.position - truth.position)[0, :-1].astype(float)
+    course = truth.velocity[0].astype(float)
+    along = (noise * course).sum(axis=-1)
+    across = noise - along[..., None] * course
+    assert along.std() == pytest.approx(2.0, rel=0.03)
+    assert np.sqrt((across**2).sum(axis=-1).mean() / 2) == pytest.approx(0.5, rel=0.03)
+    assert abs(along.mean()) < 0.1
+    np.testing.assert_allclose(window.velocity, np.diff(window.position, axis=1), atol=1e-6)
+    env = MultiClusterEnv(position_noise=3.0, course_noise=10.0)
+    assert env.observation_space.contains(env.reset(seed=0)[0])
+
+
+def test_false_tracks_begin_and_end_and_are_no_uavs():
+    settings = {"clutter": 12, "traffic": 3, "bystanders": 4, "decoys": 2, "mobility": "gauss_markov"}
+    config = SwarmConfig(clusters=4, uavs=82, **settings)
+    rngs = [np.random.default_rng(1)]
+    state = start(config, rngs)
+    false = state.free[0, -12:]
+    assert state.bystander[0, false].all()
+    assert not (state.head | state.decoy)[0, false].any()
+    np.testing.assert_array_equal(state.leader[0, false], false)
+    assert not np.isin(np.delete(state.leader[0], false), false).any()
+    seen = []
+    for _ in range(2):
+        state, window = advance(config, state, rngs)
+        seen.append(window.seen[0, :, false].T)
+        assert window.seen[0].sum(axis=0)[np.setdiff1d(np.arange(82), false)].min() == 101
+        changes = np.diff(np.pad(seen[-1], ((1, 1), (0, 0))).astype(int), axis=0)
+        assert (np.abs(changes).sum(axis=0) == 2).all()  # one beginning, one end
+        assert seen[-1].sum(axis=0).min() >= 10
+        assert seen[-1].sum(axis=0).max() <= 61
+        assert not window.position[~window.seen].any()
+        assert not window.velocity[~(window.seen[:, 1:] & window.seen[:, :-1])].any()
+    assert (seen[0] != seen[1]).any(axis=0).all()
+
+
+def test_naming_a_false_track_is_a_false_alarm():
+    env = MultiClusterEnv(clutter=10, reveal_truth=True)
+    env.reset(seed=0)
+    action = np.zeros(82, np.int8)
+    action[env.swarm.free[-10:]] = 1
+    _, reward, _, _, info = env.step(action)
+    assert info["redundant"] == 10
+    assert reward == pytest.approx(-1 - 10 / 82)
+    assert info["heads_left"] == 5
+
+
 def test_noise_with_a_memory_keeps_its_size_and_has_its_correlation():
     truth, window = observed(), observed(position_noise=2.0, noise_memory=0.8)
     noise = (window.position - truth.position)[0].astype(float)

@@ -146,6 +146,10 @@ class FieldArguments(OutputArguments, game.RoundArguments):
     )
     partial_tracks: Share | None = Field(None, description="probability of a partial track; ``None``: drawn")
     swap_rate: Share | None = Field(None, description="probability of an identity switch; ``None``: drawn")
+    clutter: Few = Field(0, description="number of false tracks, which begin and end in each window and are of no UAV")
+    course_noise: Annotated[float, Field(ge=0, le=100)] = Field(
+        1.0, description="position noise along the course of a UAV, in units of that across it"
+    )
 
     def make_config(self, drawn: dict[str, Any]) -> SwarmConfig:
         """The swarm with the given values where this config has ``None``."""

@@ -284,7 +284,8 @@ class SingleClusterEnv(UsnetEnv):
 
     @takes_arguments(SingleClusterArguments)
     def __init__(self, arguments: SingleClusterArguments) -> None:
-        uavs = arguments.followers + 1 + arguments.decoys + arguments.bystanders + arguments.traffic
+        others = arguments.decoys + arguments.bystanders + arguments.traffic + arguments.clutter
+        uavs = arguments.followers + 1 + others
         config = arguments.part(SwarmConfig, clusters=1, uavs=uavs)
         super().__init__(config, arguments.part(game.Rules, problem="P1", max_rounds=1), arguments)
 

@@ -119,7 +119,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         strategy = config.follow_strategy
         if strategy is None:
             raise ArgumentError("follow must be a follow strategy other than 'none', got 'none'.")
-        if strategy.has_references:
+        if strategy.has_references or not strategy.has_followers or strategy.shifts_tracks:
             raise ArgumentError(
                 f"follow must be a follow strategy whose heads choose how to fly, got {quote(config.follow)}."
             )

@@ -72,17 +72,20 @@ class BystanderArguments(Config):
     traffic: Annotated[int, Field(ge=0, le=100_000)] = Field(
         0, description="number of UAVs of civil traffic, in straight and level corridors"
     )
+    clutter: Annotated[int, Field(ge=0, le=100_000)] = Field(
+        0, description="number of false tracks, which begin and end in each window and are of no UAV"
+    )
 
 
 class SizeArguments(Config):
     """The size of a swarm with several clusters."""
 
     clusters: Count = Field(5, description="M, number of clusters")
-    uavs: Count = Field(82, description="N, number of UAVs, decoys, bystanders and traffic included")
+    uavs: Count = Field(82, description="N, number of UAVs; decoys, bystanders, traffic and false tracks count")
     cluster_sizes: Sequence[Annotated[int, Field(ge=2, le=100_000)]] | None = Field(
         None,
         description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys`` − "
-        "``bystanders`` − ``traffic``; ``None``: drawn for each episode",
+        "``bystanders`` − ``traffic`` − ``clutter``; ``None``: drawn for each episode",
     )
 
 
@@ -97,6 +100,9 @@ class SensorArguments(Config):
     )
     noise_memory: Annotated[float, Field(ge=0, lt=1)] = Field(
         0.0, description="correlation of the position noise from one sampling instant to the next"
+    )
+    course_noise: Annotated[float, Field(ge=0, le=100)] = Field(
+        1.0, description="position noise along the course of a UAV, in units of that across it"
     )
     miss_burst: Annotated[float, Field(ge=0, le=10_000)] = Field(
         0.0, description="mean number of sampling instants that a UAV is missed in a row; 0: each by itself"
@@ -132,7 +138,7 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
             raise ArgumentError(
                 f"memory must be at least {strategy.lags} for follow={quote(self.follow)}, got {self.memory}."
             )
-        others = {"decoys": self.decoys, "bystanders": self.bystanders, "traffic": self.traffic}
+        others = {name: getattr(self, name) for name in ("decoys", "bystanders", "traffic", "clutter")}
         others = {name: count for name, count in others.items() if count or name == "decoys"}
         apart = " + ".join(others)
         followers = self.uavs - self.clusters - sum(others.values())
@@ -187,15 +193,20 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
         """The kinematics as an object."""
         return self.kinematics if isinstance(self.kinematics, Kinematics) else KINEMATICS.find(self.kinematics)
 
+    @property
+    def noise_bound(self) -> float:
+        """An upper bound in metres of the position noise on each axis."""
+        return NOISE_BOUND * max(1.0, self.course_noise) * self.position_noise
+
     def position_bound(self, rounds: int) -> float:
         """An upper bound in metres of all observed coordinates within ``rounds`` rounds."""
         travelled = self.memory + rounds * self.steps
-        return FARTHEST + max(1.0, self.kinematics_model.top_speed) * travelled + NOISE_BOUND * self.position_noise
+        return FARTHEST + max(1.0, self.kinematics_model.top_speed) * travelled + self.noise_bound
 
     def velocity_bound(self) -> float:
         """An upper bound in metres per step of all observed velocity coordinates."""
         fastest = max(1.0, self.kinematics_model.top_speed)  # before the first window all UAVs fly 1 m per step
-        jump = (2.0 * NOISE_BOUND * self.position_noise + SWAP_RANGE * (self.swap_rate > 0)) / self.sample_every
+        jump = (2.0 * self.noise_bound + SWAP_RANGE * (self.swap_rate > 0)) / self.sample_every
         return 1.001 * fastest + jump
 
 

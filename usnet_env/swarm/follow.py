@@ -2,8 +2,8 @@
 
 f1 to f7 are the strategies of the paper's Table II. Each is defined in NumPy by :meth:`FollowStrategy.direction`; a new
 strategy needs only this method. f1 to f7 also have a compiled loop over the whole window, which is tested against the
-NumPy definition. The field models of ``field_follow.py`` and ``flock_follow.py`` are
-registered here too.
+NumPy definition. The field models of ``field_follow.py`` and ``flock_follow.py``,
+and the controls of ``control_follow.py``, are registered here too.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from usnet_env.arrays import Singles
 from usnet_env.config import ArgumentError, plain_text, quote, real_number, whole_number
 from usnet_env.registry import Registry
 from usnet_env.swarm import kernels
+from usnet_env.swarm.control_follow import Independent, Shifted
 from usnet_env.swarm.field_follow import (
     Chain,
     CuckerSmale,
@@ -36,6 +37,7 @@ from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInpu
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
 __all__ = [
+    "CONTROLS",
     "FIELD_MODELS",
     "FOLLOW_STRATEGIES",
     "KAPPA",
@@ -235,6 +237,9 @@ FIELD_MODELS: dict[str, FieldStrategy] = {
     "reference": Reference(),
 }
 
+#: The swarms without a head and without followers by name.
+CONTROLS: dict[str, FieldStrategy] = {"independent": Independent(), "shifted": Shifted()}
+
 #: All follow strategies by name; ``"none"`` selects the control without followers.
 FOLLOW_STRATEGIES = Registry(
     "follow strategy",
@@ -251,6 +256,7 @@ FOLLOW_STRATEGIES = Registry(
         "f6": StayInRange(),
         "f7": Network(),
         **FIELD_MODELS,
+        **CONTROLS,
     },
     reserved=("none",),
 )

@@ -44,6 +44,7 @@ class Roles:
         bystander: ``(N,)`` bool, the UAVs that no head leads, decoys excluded: bystanders, traffic, and the predators
             and drivers of a follow strategy.
         traffic: ``(N,)`` bool, the bystanders that are civil traffic.
+        clutter: ``(N,)`` bool, the bystanders that are false tracks, and no UAVs.
         source: ``(N,)`` int64, the UAV that each UAV copies, by default its leader; from N on, a reference: a point
             that flies like a head and that no sensor sees.
         references: R, number of references.
@@ -55,6 +56,7 @@ class Roles:
     leader: Indices
     bystander: Mask = field(default_factory=lambda: np.empty(0, bool))
     traffic: Mask = field(default_factory=lambda: np.empty(0, bool))
+    clutter: Mask = field(default_factory=lambda: np.empty(0, bool), kw_only=True)
     source: Indices = field(default_factory=lambda: np.empty(0, np.int64))
     references: int = 0
     drawn: Indices = field(default_factory=lambda: np.empty(0, np.int64))
@@ -64,6 +66,7 @@ class Roles:
         for name, array in (
             ("bystander", np.zeros(uavs, bool)),
             ("traffic", np.zeros(uavs, bool)),
+            ("clutter", np.zeros(uavs, bool)),
             ("source", self.leader.copy()),
         ):
             if not len(getattr(self, name)):
@@ -94,30 +97,32 @@ def draw_roles(
     cluster_sizes: Sequence[int] | None,
     bystanders: int = 0,
     traffic: int = 0,
+    clutter: int = 0,
 ) -> Roles:
     """Draw the roles. Indices are permuted at random, so an index carries no information about the role.
 
     Args:
         rng: the episode's generator.
         clusters: M.
-        uavs: N, decoys, bystanders and traffic included.
+        uavs: N, decoys, bystanders, traffic and false tracks included.
         decoys: number of UAVs that move like heads but have no followers.
         cluster_sizes: m_j, number of followers of each cluster, or ``None``: drawn at random.
         bystanders: number of UAVs that fly on their own.
         traffic: number of UAVs of civil traffic.
+        clutter: number of false tracks.
     """
-    followers = uavs - clusters - decoys - bystanders - traffic
+    followers = uavs - clusters - decoys - bystanders - traffic - clutter
     sizes = np.asarray(cluster_sizes) if cluster_sizes is not None else random_cluster_sizes(rng, clusters, followers)
-    heads, decoy_indices, followed, others, civil = np.split(
-        rng.permutation(uavs), np.cumsum([clusters, decoys, followers, bystanders])
+    heads, decoy_indices, followed, others, civil, false = np.split(
+        rng.permutation(uavs), np.cumsum([clusters, decoys, followers, bystanders, traffic])
     )
-    head, decoy, bystander, in_traffic = (np.zeros(uavs, bool) for _ in range(4))
+    head, decoy, bystander, in_traffic, in_clutter = (np.zeros(uavs, bool) for _ in range(5))
     head[heads] = True
     decoy[decoy_indices] = True
-    bystander[others] = bystander[civil] = in_traffic[civil] = True
+    bystander[others] = bystander[civil] = in_traffic[civil] = bystander[false] = in_clutter[false] = True
     leader = np.arange(uavs)
     leader[followed] = np.repeat(heads, sizes)
-    return Roles(head, decoy, leader, bystander, in_traffic, drawn=heads)
+    return Roles(head, decoy, leader, bystander, in_traffic, drawn=heads, clutter=in_clutter)
 
 
 def draw_corridors(rng: np.random.Generator, uavs: int) -> tuple[Floats, Floats]:

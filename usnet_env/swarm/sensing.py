@@ -1,4 +1,4 @@
-"""The observer's sensor: sampling, position noise, missed detections, partial tracks and identity switches."""
+"""The observer's sensor: sampling, noise, missed detections, partial and false tracks, and identity switches."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from usnet_env.arrays import Mask, Singles
+from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.swarm.config import NOISE_BOUND, SWAP_RANGE, SwarmConfig
 
-__all__ = ["ObservationBatch", "sense"]
+__all__ = ["ObservationBatch", "sense", "shift_tracks"]
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,21 @@ class ObservationBatch:
 
 
 def sense(
-    config: SwarmConfig, position: Singles, velocity: Singles, alive: Mask, rngs: Sequence[np.random.Generator]
+    config: SwarmConfig,
+    position: Singles,
+    velocity: Singles,
+    alive: Mask,
+    rngs: Sequence[np.random.Generator],
+    clutter: Indices | None = None,
 ) -> ObservationBatch:
     """Observe B swarms.
 
     If every step is sampled without noise, the observed velocity is the true velocity. Otherwise it is the difference
     of two observed positions, divided by the number of steps between them.
 
-    Noise with a memory φ is an autoregressive process of order 1. Missed detections in bursts are a Markov chain of two
+    Noise with a memory φ is an autoregressive process of order 1. With ``course_noise`` ρ the noise n of a UAV with the
+    course e, the direction of its next step, becomes n + (ρ - 1) (n · e) e. A false track is seen in one part of the
+    window, of a tenth to three fifths of its instants. Missed detections in bursts are a Markov chain of two
     states (Gilbert 1960) with the miss rate as its stationary distribution.
 
     Args:
@@ -47,6 +54,7 @@ def sense(
         velocity: ``(B, T_ob * k, N, 3)`` float32, metres per step, the true velocities.
         alive: ``(B, N)`` bool.
         rngs: one generator per episode.
+        clutter: ``(B, c)`` int64, the indices of false tracks.
 
     Returns:
         The observed windows.
@@ -68,7 +76,12 @@ def sense(
             keep = np.float32(config.noise_memory)
             for t in range(1, noise.shape[1]):
                 noise[:, t] = keep * noise[:, t - 1] + np.sqrt(1 - keep * keep) * noise[:, t]
-        np.clip(noise, -NOISE_BOUND, NOISE_BOUND, out=noise)
+        if config.course_noise != 1:
+            course = np.diff(position, axis=1, append=2 * position[:, -1:] - position[:, -2:-1])
+            course /= np.maximum(np.linalg.norm(course, axis=-1, keepdims=True), np.float32(1e-6))
+            noise += np.float32(config.course_noise - 1) * (noise * course).sum(axis=-1, keepdims=True) * course
+        bound = NOISE_BOUND * max(1.0, config.course_noise)
+        np.clip(noise, -bound, bound, out=noise)
         noise *= np.float32(config.position_noise)
         noise.swapaxes(1, 2)[~alive] = 0.0
         position = position + noise
@@ -83,11 +96,43 @@ def sense(
     if config.partial_tracks > 0:
         for row, rng in zip(seen, rngs, strict=True):
             row &= _cover(rng, row.shape[0], row.shape[1], config.partial_tracks)
-    if config.miss_rate > 0 or config.partial_tracks > 0:
+    if config.clutter and clutter is not None:
+        for row, rng, false in zip(seen, rngs, clutter, strict=True):
+            row[:, false] &= _appear(rng, row.shape[0], len(false))
+    if config.miss_rate > 0 or config.partial_tracks > 0 or config.clutter:
         # `where` instead of a product: a product with 0 would keep the sign of the hidden value.
         position = np.where(seen[..., None], position, np.float32(0.0))
         velocity = np.where((seen[:, 1:] & seen[:, :-1])[..., None], velocity, np.float32(0.0))
     return ObservationBatch(position, velocity, seen, alive.copy())
+
+
+def shift_tracks(
+    position: Singles, velocity: Singles, source: Indices, rngs: Sequence[np.random.Generator]
+) -> tuple[Singles, Singles]:
+    """Roll the steps of each UAV's track in time by a shift of its own; the track begins where it did.
+
+    The shifts of m UAVs with the same source are T / m steps apart, in random order; of T steps, at least
+    floor(T / m) lie between two of them.
+
+    Args:
+        position: ``(B, T + 1, N, 3)`` float32, metres.
+        velocity: ``(B, T, N, 3)`` float32, metres per step.
+        source: ``(B, N)`` int64, the UAV that each UAV copies; its own index if there is none.
+        rngs: one generator per episode.
+
+    Returns:
+        The shifted positions and velocities.
+    """
+    steps = velocity.shape[1]
+    shift = np.empty(source.shape, np.int64)
+    for b, rng in enumerate(rngs):
+        for first in np.unique(source[b]):
+            members = np.flatnonzero(source[b] == first)
+            places = (rng.permutation(len(members)) + rng.random()) / len(members)
+            shift[b, members] = places * steps
+    when = (np.arange(steps)[:, None] - shift[:, None]) % steps
+    velocity = np.take_along_axis(velocity, when[..., None], axis=1)
+    return np.cumsum(np.concatenate([position[:, :1], velocity], axis=1), axis=1, dtype=np.float32), velocity
 
 
 def _detect(drawn: Singles, rate: float, burst: float) -> Mask:
@@ -107,6 +152,14 @@ def _cover(rng: np.random.Generator, instants: int, uavs: int, share: float) -> 
     partial, cut, early = rng.random(uavs) < share, rng.uniform(0.2, 0.8, uavs), rng.random(uavs) < 0.5
     time = np.arange(instants)[:, None] / max(instants - 1, 1)
     return ~partial | np.where(early, time <= cut, time >= cut)
+
+
+def _appear(rng: np.random.Generator, instants: int, tracks: int) -> Mask:
+    """Which instants false tracks cover, ``(T_ob + 1, tracks)``: one part of the window each."""
+    length = np.maximum(2, np.ceil(rng.uniform(0.1, 0.6, tracks) * instants))
+    begin = np.floor(rng.random(tracks) * (instants - length + 1))
+    time = np.arange(instants)[:, None]
+    return np.asarray((time >= begin) & (time < begin + length))
 
 
 def _swap(position: Singles, alive: Mask, rate: float, rng: np.random.Generator) -> Singles:

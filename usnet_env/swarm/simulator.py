@@ -24,7 +24,7 @@ from usnet_env.swarm.config import SwarmConfig
 from usnet_env.swarm.formation import FORMATIONS, check_place, draw_corridors, draw_roles
 from usnet_env.swarm.kinematics import Unit
 from usnet_env.swarm.mobility import MOBILITIES, CompiledMobility, Mobility
-from usnet_env.swarm.sensing import ObservationBatch, sense
+from usnet_env.swarm.sensing import ObservationBatch, sense, shift_tracks
 from usnet_env.swarm.state import SwarmState
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
@@ -64,8 +64,9 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     episodes, uavs, memory = len(rngs), config.uavs, config.memory
     strategy = config.follow_strategy
     references = config.clusters if strategy is not None and strategy.has_references else 0
-    others = config.bystanders + config.traffic
-    count = uavs if strategy is None else config.clusters + config.decoys + others
+    others = config.bystanders + config.traffic + config.clutter
+    followed = strategy is not None and strategy.has_followers
+    count = config.clusters + config.decoys + others if followed else uavs
     laws, all_uavs = _laws(config, count), uavs + references
     formation, kinematics = FORMATIONS.find(config.formation), config.kinematics_model
     head, decoy, bystander = (np.empty((episodes, uavs), bool) for _ in range(3))
@@ -78,25 +79,29 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     parameters = []
     for b, rng in enumerate(rngs):
         drawn = draw_roles(
-            rng, config.clusters, uavs, config.decoys, config.cluster_sizes, config.bystanders, config.traffic
-        )
+            rng, config.clusters, uavs, config.decoys, config.cluster_sizes, config.bystanders, config.traffic,
+            config.clutter,
+        )  # fmt: skip
         place = check_place("formation", formation(rng, drawn), uavs)
         roles = drawn if strategy is None else strategy.arrange(rng, drawn)
         head[b], decoy[b], bystander[b] = roles.head, roles.decoy, roles.bystander
         leader[b], source[b] = roles.leader, roles.source
-        by_mobility = ~drawn.bystander if strategy is None else roles.decoy | (roles.head if not references else False)
+        led = drawn.head if not references else False
+        by_mobility = drawn.decoy | led if followed else ~drawn.bystander
         free[b] = np.concatenate(
             [
                 np.flatnonzero(by_mobility),
                 np.arange(uavs, all_uavs),
-                np.flatnonzero(drawn.bystander & ~drawn.traffic),
+                np.flatnonzero(drawn.bystander & ~drawn.traffic & ~drawn.clutter),
                 np.flatnonzero(drawn.traffic),
+                np.flatnonzero(drawn.clutter),
             ]
         )
         for law in laws:
             mobility_state[b, law.columns] = law.mobility.start(rng, law.count)
         if config.traffic:
-            place[drawn.traffic], mobility_state[b, -config.traffic :, :3] = draw_corridors(rng, config.traffic)
+            civil = slice(count - config.clutter - config.traffic, count - config.clutter)
+            place[drawn.traffic], mobility_state[b, civil, :3] = draw_corridors(rng, config.traffic)
         position[b, 0, :uavs], position[b, 0, uavs:] = place, place[drawn.drawn[:references]]
         rng.standard_normal(out=velocity[b], dtype=np.float32)
         if strategy is not None:
@@ -178,7 +183,10 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
         _fly(config, flight, state.free[part], mobility_state[part], kinematic_state[part], rngs[part])
     end = memory + steps
     window = 2 * memory  # the window starts after the past and the unobserved steps
-    observed = sense(config, position[:, window:, :uavs], velocity[:, window:, :uavs], state.alive, rngs)
+    flown = position[:, window:, :uavs], velocity[:, window:, :uavs]
+    if config.follow_strategy is not None and config.follow_strategy.shifts_tracks:
+        flown = shift_tracks(*flown, state.source, rngs)
+    observed = sense(config, *flown, state.alive, rngs, state.free[:, state.free.shape[1] - config.clutter :])
     after = replace(
         state,
         past_position=position[:, end - memory :, :uavs].copy(),
@@ -257,14 +265,16 @@ class _Law:
 
 
 def _laws(config: SwarmConfig, free: int) -> list[_Law]:
-    """How the free UAVs fly: heads, decoys and references first, then bystanders, then traffic."""
-    others, traffic = config.bystanders, config.traffic
-    count = free - others - traffic
+    """How the free UAVs fly: heads, decoys and references first, then bystanders, traffic and false tracks."""
+    others, traffic, clutter = config.bystanders, config.traffic, config.clutter
+    count = free - others - traffic - clutter
     laws = [_Law(config.head_mobility, slice(0, count), True)]
     if others:
         laws.append(_Law(MOBILITIES["smooth_turn"], slice(count, count + others), False))
     if traffic:
         laws.append(_Law(MOBILITIES["straight"], slice(count + others, count + others + traffic), False))
+    if clutter:
+        laws.append(_Law(MOBILITIES["gauss_markov"], slice(free - clutter, free), False))
     return laws
 
 

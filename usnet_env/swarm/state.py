@@ -30,7 +30,8 @@ class SwarmState:
             bystander.
         past_position: ``(B, T_0 + 1, N, 3)`` float32, metres, oldest first; 0 for destroyed UAVs.
         past_velocity: ``(B, T_0, N, 3)`` float32, metres per step.
-        free: ``(B, n)`` int64, indices of the free UAVs: heads and decoys, references, bystanders, traffic.
+        free: ``(B, n)`` int64, indices of the free UAVs: heads and decoys, references, bystanders, traffic, then
+            false tracks.
         mobility_state: ``(B, n, MOBILITY_STATE)`` float64, the mobility state of the free UAVs.
         parameters: ``(B, P)`` float32, parameters of the follow strategy.
         bystander: ``(B, N)`` bool, the UAVs that no head leads, decoys excluded.

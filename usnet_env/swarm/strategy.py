@@ -59,6 +59,8 @@ class FollowStrategy(ABC):
         noise: kappa_n, the scale of the noise.
         has_heads: whether heads lead the clusters; otherwise H_0 is empty, and the right answer is the empty set.
         has_references: whether each cluster has a reference, which flies by the swarm's mobility in place of its heads.
+        has_followers: whether UAVs follow; otherwise all UAVs fly by the swarm's mobility.
+        shifts_tracks: whether the observer sees the steps of each track rolled in time by a shift of its own.
     """
 
     equation: str = ""
@@ -66,6 +68,8 @@ class FollowStrategy(ABC):
     noise: float = KAPPA_NOISE
     has_heads: bool = True
     has_references: bool = False
+    has_followers: bool = True
+    shifts_tracks: bool = False
 
     def draw(self, rng: np.random.Generator) -> Singles:
         """Draw the parameters ``(P,)`` float32 of one episode; P is fixed, and 0 for most strategies."""

@@ -94,6 +94,12 @@ def choose_columns(
         raise _missing("t", where, header)
     if not planar or geographic:
         found = {role: name for role, name in found.items() if role not in ("x", "y")}
+    for role, name in found.items():
+        if header.count(name) > 1:
+            raise ArgumentError(
+                f"path must name each column once, got {where} with {header.count(name)} columns {quote(name)} for "
+                f"{role}."
+            )
     return found
 
 

@@ -47,12 +47,15 @@ class _Limited(io.RawIOBase):
         part = self._source.read(len(buffer))
         self._left -= len(part)
         if self._left < 0:
-            raise ArgumentError(
-                f"max_bytes must be at least the expanded size of {quote(str(self._path))}, which exceeds "
-                f"{self._most} bytes."
-            )
+            raise _too_large(self._path, self._most)
         buffer[: len(part)] = part
         return len(part)
+
+
+def _too_large(path: Path, most: int) -> ArgumentError:
+    return ArgumentError(
+        f"max_bytes must be at least the expanded size of {quote(str(path))}, which exceeds {most} bytes."
+    )
 
 
 @contextmanager
@@ -78,6 +81,8 @@ def open_expanded(path: Path, max_bytes: int | None) -> Iterator[IO[bytes]]:
                             f"path must be a zip archive with one file of {', '.join(_TEXT_SUFFIXES)}, got "
                             f"{quote(str(path))} with {quote(archive.namelist())}."
                         )
+                    if archive.getinfo(members[0]).file_size > most:  # if this number is wrong, _Limited notices
+                        raise _too_large(path, most)
                     with archive.open(members[0]) as expanded:
                         yield io.BufferedReader(_Limited(expanded, path, most), 2**16)
             else:

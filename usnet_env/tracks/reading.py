@@ -303,6 +303,9 @@ def _numbers(values: Any, role: str, about: Callable[[str, int], str]) -> Floats
             raise ArgumentError(f"{role} must be a number in every row, got {quote(values[0])} in {about(role, 0)}.")
         numbers = values.astype(np.float64)
     else:
+        if bool in set(map(type, values)):
+            k = list(map(type, values)).index(bool)
+            raise ArgumentError(f"{role} must be a number in every row, got {values[k]} in {about(role, k)}.")
         try:
             numbers = np.fromiter(map(float, values), np.float64, len(values))
         except (TypeError, ValueError):
