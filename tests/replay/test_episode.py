@@ -276,6 +276,12 @@ def test_refuses_other_versions_and_incomplete_files(tmp_path, episode):
         assert "intact" in refusal(rewritten(episode.save(path), change))
 
 
+def test_a_file_whose_end_is_missing_is_named_as_damaged(tmp_path, episode):
+    path = episode.save(tmp_path / "cut.npz")
+    path.write_bytes(path.read_bytes()[:-200])
+    assert refusal(path) == f"path must be an intact episode file, got {str(path)!r}: its end is missing."
+
+
 def test_a_damaged_file_never_loads_as_another_episode(tmp_path, episode):
     whole = episode.save(tmp_path / "e.npz").read_bytes()
     rng = np.random.default_rng(0)

@@ -45,6 +45,15 @@ def test_the_page_holds_everything_and_loads_nothing(page):
     assert "prefers-color-scheme: dark" in text
 
 
+def test_a_page_of_many_episodes_has_pictures_of_fewer_rounds(tmp_path, monkeypatch):
+    monkeypatch.setattr("usnet_env.replay.page._MOST_ROUNDS", 2)
+    monkeypatch.setattr("usnet_env.replay.page._LEAST_ROUNDS", 1)
+    text = write_page("two", {"a": small_episode(), "b": small_episode()}, tmp_path / "two.html").read_text()
+    assert text.count("The pictures show the first 1 round.") == 2
+    assert "Round 1 of 2" in text
+    assert "Round 2 of 2" not in text
+
+
 def test_names_cannot_break_the_page(tmp_path):
     record = small_episode(detector="<b>&amp;</script>", **dict.fromkeys(MIND))
     text = write_page("a < b", {"x": record}, tmp_path / "e.html").read_text()

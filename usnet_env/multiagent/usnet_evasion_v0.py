@@ -258,7 +258,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         head = np.flatnonzero(self._current_game().swarm.head[0])[self.heads.index(agent)]
         words = [self.manoeuvres.mobilities[mobility]] + ["jitter"] * bool(jitter)
         words += [f"{decoys} decoy{'s' * (decoys > 1)}"] * bool(decoys) + [
-            f"followers delayed by {delay} steps"
+            f"followers delayed by {delay} step{'s' if delay > 1 else ''}"
         ] * bool(delay)
         return f"UAV {head}: {', '.join(words)}"
 

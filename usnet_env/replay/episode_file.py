@@ -65,7 +65,13 @@ def read_episode_file(
     try:
         with place.open("rb") as file:
             if not zipfile.is_zipfile(file):  # np.load would read the whole array of another kind of file
-                raise foreign
+                file.seek(0)
+                cut = file.read(4) == b"PK\x03\x04"  # how a .npz file begins; its table is at the end
+                raise (
+                    ArgumentError(f"path must be an intact episode file, got {where}: its end is missing.")
+                    if cut
+                    else foreign
+                )
             file.seek(0)
             loaded = np.load(file, allow_pickle=False)
             if not isinstance(loaded, np.lib.npyio.NpzFile) or _METADATA not in loaded.files:

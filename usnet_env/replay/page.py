@@ -7,6 +7,7 @@ import html
 import io
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,24 +33,25 @@ if TYPE_CHECKING:
 __all__ = ["write_episode_page", "write_page"]
 
 _FRAMES = 6  # of a window; the answer, the destruction and the re-merge have one or two each
-_MOST_ROUNDS = 12  # with pictures; the table has all of them
+_MOST_ROUNDS, _LEAST_ROUNDS = 24, 4  # with pictures: of all episodes together, and of each; the tables have all of them
 _MOST_BARS = 20
 _COLORS = 128  # of the pictures
 
 _STYLE = """
 :root { color-scheme: light dark; --line: #d5d9de; --soft: #5d6670; --blue: #0072b2; --green: #009e73;
-  --orange: #d55e00; --bar: #b4bac1; }
+  --orange: #d55e00; --bar: #b4bac1; --page: light-dark(#fff, #14181d); }
 @media (prefers-color-scheme: dark) {
   :root { --line: #3a414a; --soft: #a3adb8; --blue: #56b4e9; --green: #1ed9a0; --orange: #ff8a3d; --bar: #5a636d; }
-  .maps img { filter: invert(0.9) hue-rotate(180deg); }
+  .maps img { filter: brightness(0.88); }
 }
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 0 auto; padding: 1rem;
-  background: light-dark(#fff, #14181d); color: light-dark(#1a1f24, #e8ebee); }
+  background: var(--page); color: light-dark(#1a1f24, #e8ebee); }
 h1 { font-size: 1.6rem; } h2 { margin-top: 2.5rem; border-top: 1px solid var(--line); padding-top: 1.2rem; }
 .maps { display: flex; flex-wrap: wrap; gap: 1rem; margin: 0; }
 .maps figure { flex: 1 1 18rem; margin: 0; } .maps img { width: 100%; border: 1px solid var(--line); }
 figcaption, .soft { color: var(--soft); font-size: 0.9rem; }
-.now { min-height: 4.6em; } .now b { font-size: 1.1rem; }
+.now { position: sticky; top: 0; padding-bottom: 0.5rem; background: var(--page); } .now b { font-size: 1.1rem; }
+.now p { min-height: 3em; margin: 0.3rem 0; } .now div { display: flex; gap: 0.8rem; align-items: center; }
 input[type=range] { width: 100%; accent-color: var(--blue); height: 2rem; }
 button { font: inherit; padding: 0.3rem 1rem; }
 .scroll { overflow-x: auto; } table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
@@ -105,28 +107,20 @@ def _encode(picture: Image) -> str:
     return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
-def _list_frames(record: EpisodeRecord) -> list[dict[str, object]]:
-    """The frames of an episode, with their pictures and words."""
+def _list_frames(record: EpisodeRecord, most: int) -> list[dict[str, object]]:
+    """The frames of the first ``most`` rounds of an episode, with their pictures and words."""
     painter, frames = Painter(record), []
     shown = [
-        scene
-        for scene in scenes(record, _FRAMES)
-        if scene.round <= _MOST_ROUNDS and (scene.phase != 3 or scene.turn in (0, 1))
+        scene for scene in scenes(record, _FRAMES) if scene.round <= most and (scene.phase != 3 or scene.turn in (0, 1))
     ]
     maps = [painter.maps(scene) for scene in shown]
     samples = [each for pair, scene in zip(maps, shown, strict=True) if scene.phase for each in pair]
     pictures = iter(reduce_colors([each for pair in maps for each in pair], samples, _COLORS))
     for scene in shown:
-        frames.append(
-            {
-                "seen": _encode(next(pictures)),
-                "truth": _encode(next(pictures)),
-                "seconds": max(scene.seconds, 0.35),
-                "title": f"Round {scene.round} of {record.rounds}",
-                "text": scene.text,
-                "score": " ".join(scene.score.split()),
-            }
-        )
+        seen, truth = _encode(next(pictures)), _encode(next(pictures))
+        title = f"Round {scene.round} of {record.rounds}"
+        words = {"title": title, "text": scene.text, "score": re.sub(" {2,}", " · ", scene.score)}
+        frames.append({"seen": seen, "truth": truth, "seconds": max(scene.seconds, 0.35), **words})
     return frames
 
 
@@ -157,25 +151,25 @@ def _write_scores(record: EpisodeRecord, number: int) -> str:
     return f"<details{' open' if number == 1 else ''}><summary>{title}</summary>{''.join(bars)}</details>"
 
 
-def _write_episode(name: str, link: str | None, record: EpisodeRecord) -> str:
-    frames = _list_frames(record)
+def _write_episode(name: str, link: str | None, record: EpisodeRecord, most: int) -> str:
+    frames = _list_frames(record, most)
     last = frames[-1]
     data = json.dumps(frames).replace("<", "\\u003c")
     by = html.escape(f"{record.detector or 'a detector'} on {record.env_id or 'an episode'}, seed {record.seed}")
-    more = f" The pictures show the first {_MOST_ROUNDS} rounds." if record.rounds > _MOST_ROUNDS else ""
+    more = f" The pictures show the first {format_count(most, 'round')}." if record.rounds > most else ""
     file = "" if link is None else f" Episode file: <a href='{html.escape(link, quote=True)}'>{html.escape(link)}</a>."
     maps = "".join(
         f"<figure><img alt='{alt}' src='{last[side]}'><figcaption>{alt}</figcaption></figure>"
         for side, alt in (("seen", "What the detector sees"), ("truth", "The truth"))
     )
-    scores = "".join(_write_scores(record, number) for number in range(1, min(record.rounds, _MOST_ROUNDS) + 1))
+    scores = "".join(_write_scores(record, number) for number in range(1, min(record.rounds, most) + 1))
     return f"""<section><h2>{html.escape(name)}</h2>
 <p>{by}. {html.escape(describe_outcome(record))}{more}{file}</p>
 <div data-frames="{len(frames)}"><script type="application/json">{data}</script>
-<div class="now"><b>{last["title"]}</b> <span class="soft">{last["score"]}</span><p>{last["text"]}</p></div>
-<div class="maps">{maps}</div>
-<input type="range" min="0" max="{len(frames) - 1}" value="{len(frames) - 1}" aria-label="frame"><button>Play</button>
-</div>{_KEY}
+<div class="now"><b>{last["title"]}</b> <span class="soft">{last["score"]}</span><p>{last["text"]}</p>
+<div><button>Play</button><input type="range" min="0" max="{len(frames) - 1}" value="{len(frames) - 1}"
+aria-label="frame"></div></div>
+<div class="maps">{maps}</div></div>{_KEY}
 <h3>Rounds</h3>{_write_rounds(record)}
 <h3>Scores</h3><p class="soft">Highest first; each with the mark of the UAV and the reason of the detector.</p>{scores}
 </section>"""
@@ -205,7 +199,10 @@ def write_page(
         ArgumentError: the place can't be written to.
         MissingExtraError: matplotlib is not installed.
     """
-    sections = [_write_episode(name, (links or {}).get(name), check_record(each)) for name, each in records.items()]
+    most = max(_MOST_ROUNDS // max(len(records), 1), _LEAST_ROUNDS)
+    sections = [
+        _write_episode(name, (links or {}).get(name), check_record(each), most) for name, each in records.items()
+    ]
     shown = format_count(len(records), "recorded episode")
     page = f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">

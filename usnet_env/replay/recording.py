@@ -112,6 +112,9 @@ def write_comparison(first: EpisodeRecord, second: EpisodeRecord, path: str | os
     def arrange(stream: rr.RecordingStream) -> Any:
         colors = (CURVES["precision"][1], CURVES["recall"][1])
         scribes.extend(Scribe(*each) for each in zip(records, [stream] * 2, ("a/", "b/"), colors, strict=True))
+        for scribe in scribes:  # one scale, so that both views show the swarm from the same place
+            scribe.span = max(each.span for each in scribes)
+            scribe.scale = max(each.scale for each in scribes)
         return arrange_comparison(scribes, labels)
 
     with _open_recording(path, f"{' and '.join(labels)}, seed {first.seed}", arrange) as stream:
