@@ -181,6 +181,16 @@ class DelayedFollow(FollowStrategy):
         """Whether heads lead the clusters."""
         return self.strategy.has_heads
 
+    @property
+    def has_followers(self) -> bool:  # type: ignore[override]  # follows from the fields
+        """Whether UAVs follow."""
+        return self.strategy.has_followers
+
+    @property
+    def shifts_tracks(self) -> bool:  # type: ignore[override]  # follows from the fields
+        """Whether the observer sees shifted tracks."""
+        return self.strategy.shifts_tracks
+
     def draw_for(self, rng: np.random.Generator, uavs: int) -> Singles:
         """Draw the parameters of the strategy."""
         return self.strategy.draw_for(rng, uavs)
