@@ -8,8 +8,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-__all__ = ["COMMANDS", "commands_of"]
-
 _ENTRY = re.compile(r"^\*\*[^\n]+\*\*: (`[^\n]+`)\n\n```shell\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 #: The commands of each entry, in any order, by its files: paths below benchmarks/results; a folder ends in ``/``.

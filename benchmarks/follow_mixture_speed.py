@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 from speed_helpers import peak_memory, play, seconds, write_json
 
+from detectors.studies.common import FOLLOW
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.statistics import rate_interval
@@ -33,7 +34,6 @@ from usnet_env.provenance import machine, versions
 
 OURS, PEER = "follow-mixture", "lagged-correlation"
 P1 = f"{OURS}(objective='P1')"
-FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 SEED = 2022
 CLUSTERS, UAVS, STEPS = 5, 82, 100
 SIZES = (82, 200, 500, 1000, 2000, 5000, 10_000)

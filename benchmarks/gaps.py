@@ -17,16 +17,17 @@ import numpy as np
 from running import RESULTS, play_games
 
 from detectors.clustering import make_clusterer
+from detectors.studies.common import FOLLOW
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation.agents import as_agent
 from usnet_env.evaluation.episode import episode_seeds, play_episode
 from usnet_env.evaluation.report import group_rows, mean_over_episodes
+from usnet_env.objectives import purity
 from usnet_env.plugins import make_detector
 
 SEED = 100
 RATES = (0.1, 0.3)
-FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 SMOOTH = {"mobility": "gauss_markov", "head_jitter": True}
 P1 = {"neural-granger": {"followers": 8}, "gassl": {"followers": 4}}
 P2 = {"clusters": 2, "uavs": 16}
@@ -95,9 +96,7 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
             env = MultiClusterEnv(**P2, **swarm)
             window = Window.from_observation(env.reset(seed=episode_seeds(SEED, game)[0])[0])
             labels = make_clusterer(name, count=2).cluster(window, np.random.default_rng(game)).labels
-            table = np.zeros((2, window.uavs))
-            np.add.at(table, (labels, env.swarm.leader), 1)
-            value = float(table.max(axis=1).sum() / window.uavs)
+            value = purity(env.swarm.leader, labels)
         else:
             env = SingleClusterEnv(**P1[name], **swarm) if name in P1 else MultiClusterEnv(**P2, **swarm)
             row = play_episode(env, as_agent(make_detector(name)), name, game, episode_seeds(SEED, game))

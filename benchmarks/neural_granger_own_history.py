@@ -19,12 +19,12 @@ from running import RESULTS, write_csv
 import usnet_env
 from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import predict_from_own_history
+from detectors.studies.common import FOLLOW
 from usnet_env.swarm import FollowInputs, follow_strategies
 
 MEMORY = 4
 EPISODES = 20
 SEED = 2022
-FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 CELLS = (("iid", False), ("gauss_markov", True), ("waypoint", True))
 HEADER = ("follow", "mobility", "head_jitter", "episode", "follower", "own_history_error", "strategy_error")
 

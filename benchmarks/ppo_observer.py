@@ -27,6 +27,7 @@ from torch import Tensor, nn
 
 from detectors.learned.features import PAIR_FEATURES, pair_features
 from detectors.policy_detector import PolicyDetector
+from detectors.studies.common import FOLLOW
 from detectors.weights import read_arrays, write_weights
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
@@ -42,7 +43,6 @@ SWARMS: dict[str, dict[str, Any]] = {
     "gauss_markov, jitter": {"mobility": "gauss_markov", "head_jitter": True},
 }
 WEIGHTS = RESULTS / "ppo_observer.safetensors"
-FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 STEPS, BATCH = 12_288, 512
 GAMES = 20
 WIDTH = 16

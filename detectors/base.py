@@ -15,8 +15,6 @@ from usnet_env.config import optional_seed
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["Detector", "DetectorPolicy"]
-
 
 class Detector(Parameters):
     """Base class of detectors: :meth:`detect` takes a window and returns a detection.

@@ -19,8 +19,6 @@ from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["EvidenceDetector", "Granger", "LaggedCorrelation", "LaggedRegression", "OnePerRound"]
-
 
 class EvidenceDetector(Detector):
     """Base class of detectors that measure pairwise evidence; it derives votes, heads and clusters from the evidence.

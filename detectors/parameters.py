@@ -14,8 +14,6 @@ from pydantic import Field, create_model
 
 from usnet_env.config import Config
 
-__all__ = ["Count", "Lags", "Parameters"]
-
 Self = TypeVar("Self", bound="Parameters")
 
 Count = Annotated[int, Field(ge=1, le=100_000)]  # a number of UAVs, clusters or steps

@@ -10,9 +10,6 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Mask
 from usnet_env.config import Config
 
-__all__ = ["Policy", "choose"]
-
-
 _GUESS = 0.2  # if no probability reaches this value, heads can only be guessed
 
 

@@ -20,9 +20,6 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["PolicyDetector", "observation_of"]
-
-
 _SCORES = ("logits", "probs", "probability", "loc", "scores")  # keys under which actors of TorchRL store scores
 
 

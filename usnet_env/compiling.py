@@ -15,8 +15,6 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["compiled"]
-
 _held: set[str] = set()  # the lock files that this process holds
 
 

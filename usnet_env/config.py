@@ -17,21 +17,6 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, get_type_hints
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-__all__ = [
-    "ArgumentError",
-    "Config",
-    "is_whole_number",
-    "list_arguments",
-    "optional_seed",
-    "plain_text",
-    "quote",
-    "real_number",
-    "takes_arguments",
-    "unknown_argument",
-    "unknown_name",
-    "whole_number",
-]
-
 _LONGEST_VALUE = 80
 
 P = ParamSpec("P")

@@ -11,8 +11,6 @@ from importlib.util import find_spec, resolve_name
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Definition", "find_definition"]
-
 _STEPS = 8  # limit of the chain of re-exports, and of the chain of base classes
 
 

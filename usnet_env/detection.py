@@ -12,8 +12,6 @@ from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.window import frozen_array
 
-__all__ = ["Detection", "Tags", "read_tags"]
-
 
 @dataclass(frozen=True)
 class Tags:

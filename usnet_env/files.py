@@ -18,8 +18,6 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["FileLock", "as_path", "atomic_write"]
-
 _LONGEST_NAME = 255  # bytes; the limit of the usual file systems
 
 

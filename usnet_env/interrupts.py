@@ -6,8 +6,6 @@ import os
 import sys
 from types import TracebackType
 
-__all__ = ["announce_interrupts"]
-
 _COMMANDS = {"usnet", "-m"}  # the console script, and `python -m usnet_env` while it imports the package
 
 

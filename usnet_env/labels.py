@@ -11,8 +11,6 @@ from typing import Any
 
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["format_label", "parse_label"]
-
 
 def format_label(name: str, arguments: Mapping[str, Any]) -> str:
     """Format a name and arguments; without arguments, the name alone."""

@@ -28,19 +28,6 @@ from usnet_env.labels import format_label, parse_label
 from usnet_env.registry import OWN_DISTRIBUTION, Registry, check_call, describe_error, named_parameters
 from usnet_env.window import Window
 
-__all__ = [
-    "DETECTORS",
-    "DetectorEntry",
-    "DetectorLike",
-    "describe_detectors",
-    "describe_foreign_detectors",
-    "detector_label",
-    "detector_names",
-    "list_detectors",
-    "make_detector",
-    "register_detector",
-]
-
 _OWN_PACKAGE = "detectors"
 Factory = Callable[..., Any]
 

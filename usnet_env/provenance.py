@@ -9,8 +9,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-__all__ = ["machine", "versions"]
-
 _PACKAGES = ("usnet", "numpy", "scipy", "scikit-learn", "numba", "gymnasium")
 
 

@@ -20,8 +20,6 @@ from typing import Any, Generic, TypeVar
 
 from usnet_env.config import ArgumentError, quote, unknown_name
 
-__all__ = ["OWN_DISTRIBUTION", "REGISTRIES", "Registry", "check_call", "describe_error", "named_parameters"]
-
 OWN_DISTRIBUTION = "usnet"
 
 PartT = TypeVar("PartT")

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from usnet_env.arrays import Mask, Singles
 from usnet_env.config import ArgumentError, quote, real_number, whole_number
 
-__all__ = ["Window", "as_array", "frozen_array"]
-
 _SHORTEST_STEP, _LONGEST_STEP = 1e-9, 1e9  # seconds
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from commands import commands_of
 from running import RESULTS, read_csv
 
+from detectors.studies.common import FOLLOW
 from usnet_env.evaluation.report import format_interval, format_markdown, mean_over_episodes
 from usnet_env.evaluation.statistics import Interval, rate_interval
 
@@ -32,7 +33,6 @@ __all__ = [
 
 Row = Mapping[str, str]
 
-FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 #: Of pages whose rows of follow-mixture were not measured again since.
 FORMER = "The rows of `follow-mixture` are of its [former core](follow_mixture_cores.md)."
 NOTICE = "<!-- Written by `python benchmarks/tables.py` from the rows in benchmarks/results. Do not edit. -->"

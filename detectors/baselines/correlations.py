@@ -13,8 +13,6 @@ from detectors.series.regressions import correlate_at_lag, correlate_over_lags, 
 from usnet_env.arrays import Floats
 from usnet_env.detection import Tags
 
-__all__ = ["DirectionalDelays", "FrontMost", "LaggedNetwork", "NetLagRegression"]
-
 
 def _directions(velocity: Floats) -> Floats:
     speed = np.sqrt((velocity**2).sum(axis=-1, keepdims=True))

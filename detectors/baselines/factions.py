@@ -17,9 +17,6 @@ from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["Factions", "build_following_network", "compute_pagerank"]
-
-
 _DAMPING = 0.85
 _ITERATIONS = 100
 

@@ -28,8 +28,6 @@ from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["Flight", "NetworkDetector", "Pairs", "correlate_flights", "find_trees", "reverse_blocks", "shift_half"]
-
 _LEAST_STEPS = 5
 _MOST_BLOCKS = 8
 _ROW_MAXIMA = 160  # of the surrogates together; each has one for each UAV

@@ -13,8 +13,6 @@ from detectors.series.designs import centre_columns, scale_to_unit
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.compiling import compiled
 
-__all__ = ["TransferEntropy", "estimate_transfer_entropy"]
-
 _MOST_ROWS = 200  # of a window; more are thinned out
 
 

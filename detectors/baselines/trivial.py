@@ -13,8 +13,6 @@ from detectors.parameters import Count
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["DestroyAll", "NoCandidates", "RandomDetector"]
-
 
 class RandomDetector(Detector):
     """Names ``count`` living UAVs at random; the scores are random numbers.

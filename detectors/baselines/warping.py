@@ -15,8 +15,6 @@ from usnet_env.compiling import compiled
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["Flica", "Mflica", "warp_pairs"]
-
 
 class Mflica(NetworkDetector):
     """Following network by dynamic time warping; the leaders of factions follow no UAV.

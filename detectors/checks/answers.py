@@ -20,17 +20,6 @@ from detectors.checks.windows import draw_window, make_hovering_window, simulate
 from usnet_env.config import quote
 from usnet_env.window import Window
 
-__all__ = [
-    "check_answers_with_a_detection",
-    "check_batch",
-    "check_large_swarm",
-    "check_masked_uavs_are_never_candidates",
-    "check_missing_samples",
-    "check_scores_are_finite",
-    "check_single_cluster",
-    "check_smallest_swarm",
-]
-
 SMALLEST, LARGE = 3, 237  # N
 LARGE_STEPS = 20  # T_ob for the large swarm: memory and time that grow with N show in a short window, too
 

@@ -21,8 +21,6 @@ from detectors.checks.harness import (
 from detectors.checks.windows import draw_window
 from usnet_env.config import quote
 
-__all__ = ["check_constructor_only_stores", "check_parameters_and_clone", "check_pickling"]
-
 
 def check_constructor_only_stores(detector: Any) -> None:
     """The constructor stores its keyword arguments unchanged under their names, and stores nothing else."""

@@ -16,8 +16,6 @@ from detectors.checks.process import list_functions, list_processes
 from detectors.checks.results import Check, CheckResult, get_name, make_failure, run_check
 from usnet_env.processes import Limits, ProcessDied, ProcessPool
 
-__all__ = ["run_in_child"]
-
 _MOST_ENDS = 2  # processes that a detector may end one after the other; the checks that follow are then not run
 
 

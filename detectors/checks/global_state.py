@@ -20,13 +20,6 @@ from detectors.checks.process import Same, list_files, list_functions, list_proc
 from detectors.checks.windows import draw_window
 from usnet_env.window import Window
 
-__all__ = [
-    "check_global_generators_untouched",
-    "check_input_unchanged",
-    "check_process_settings_untouched",
-    "check_time_budget",
-]
-
 _SIGNALS = [number for number in signal.valid_signals() if isinstance(number, signal.Signals)]
 _VARIABLE = "environment variable "
 _UNUSUAL_SEED = 2_718_281_828

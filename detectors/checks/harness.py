@@ -17,18 +17,6 @@ from usnet_env.detection import Detection
 from usnet_env.processes import limited
 from usnet_env.window import Window
 
-__all__ = [
-    "CheckError",
-    "CheckWarning",
-    "calling",
-    "compare_detections",
-    "copy_detector",
-    "play_windows",
-    "request_detection",
-    "require",
-    "warn",
-]
-
 SEED = 5  # for the detectors' generators
 
 

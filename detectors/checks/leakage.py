@@ -21,8 +21,6 @@ from detectors.checks.windows import draw_window, set_heads, start_environment
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["check_no_reach_for_truth", "check_truth_nearby_changes_nothing", "find_truth", "walk_references"]
-
 _WORLD = ("usnet_env.swarm", "usnet_env.envs", "usnet_env.multiagent", "usnet_env.evaluation")
 _ENVIRONMENTS = {"Env", "VectorEnv", "VecEnv", "AECEnv", "ParallelEnv", "EnvBase"}
 _FRAMEWORKS = {"gymnasium", "gym", "pettingzoo", "stable_baselines3", "torchrl", "supersuit", "shimmy"}

@@ -12,8 +12,6 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Same", "list_files", "list_functions", "list_processes", "list_threads"]
-
 _WATCHED_PACKAGES = ("usnet_env", "gymnasium", "detectors")  # with all their modules
 _WATCHED_MODULES = ("numpy", "numpy.random")
 _METHODS = (types.FunctionType, types.BuiltinFunctionType, property, staticmethod, classmethod)

@@ -14,8 +14,6 @@ from usnet_env.arrays import Floats
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["check_episodes_start_afresh", "check_permuting_uavs_permutes_the_answer", "check_same_seed_same_answer"]
-
 EPISODES = 8  # per order of the UAVs, for detectors that draw random numbers
 RELABELLINGS = 1999
 # Significance level: a correct detector fails by chance on 1 of 500 windows. The seeds are fixed, so the result of a

@@ -21,18 +21,6 @@ from usnet_env.processes import limits
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-__all__ = [
-    "Check",
-    "CheckResult",
-    "DetectorChecksError",
-    "Status",
-    "exit_status",
-    "get_name",
-    "make_failure",
-    "results_table",
-    "run_check",
-]
-
 Check = Callable[[Any], None]
 Status = Literal["passed", "warning", "failed", "expected failure", "skipped"]
 

@@ -19,8 +19,6 @@ from usnet_env.processes import Limits
 if TYPE_CHECKING:
     import pytest
 
-__all__ = ["CHECKS", "check_detector", "check_factory", "parametrize_with_checks"]
-
 #: All checks in the order in which they run. The first two come first because a detector may change the process in its
 #: first call only. Checks that explain failures of others follow; the slow checks come last.
 CHECKS: tuple[Check, ...] = (

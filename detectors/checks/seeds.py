@@ -10,8 +10,6 @@ from detectors.checks.harness import copy_detector, play_windows, require
 from detectors.checks.windows import start_environment
 from usnet_env.evaluation.episode import episode_seeds
 
-__all__ = ["check_seeds_reveal_no_heads"]
-
 SEEDS = (0, 2022)  # of an evaluation: the default of ``usnet evaluate``, and that of published tables
 LARGE_SEED = 0x8C2F_51D7_E6A0_934B_27F9_1B6E_D05C_48A3  # far beyond what a program can search
 # If both kinds of seeds are alike to a detector, it succeeds in all swarms of one kind and in none of the other with a

@@ -13,16 +13,6 @@ from usnet_env.detection import Tags, read_tags
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.window import Window
 
-__all__ = [
-    "draw_window",
-    "make_hovering_window",
-    "permute_uavs",
-    "set_heads",
-    "simulate_missing_samples",
-    "simulate_window",
-    "start_environment",
-]
-
 STEPS = 30  # T_ob of most windows: what the checks look for shows in short windows too
 
 

@@ -14,17 +14,6 @@ from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError
 from usnet_env.window import frozen_array
 
-__all__ = [
-    "AFFINITIES",
-    "compute_affinity",
-    "compute_cosine_affinity",
-    "compute_lag_affinity",
-    "compute_rbf_affinity",
-    "correlate_both_ways",
-    "normalise_affinity",
-    "regularise_affinity",
-]
-
 _NEIGHBOURS = 7
 _REGULARISATION = 0.25  # sum of the weights that regularisation adds to each UAV
 #: A function from features ``(n, d)`` or ``(n, T, d)`` to an affinity ``(n, n)``.

@@ -21,13 +21,6 @@ from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.window import Window, frozen_array
 
-__all__ = [
-    "Clusterer",
-    "Clustering",
-    "Living",
-]
-
-
 COUNTS = ("gap", "gap-one-se", "eigengap")  # the values of count= that estimate the number of clusters beforehand
 OWN = "own"  # the value of count= with which a clusterer finds the number of clusters itself
 

@@ -9,9 +9,6 @@ from detectors.clustering.affinity import normalise_affinity
 from detectors.clustering.gap_statistic import compute_max_count
 from usnet_env.arrays import Floats
 
-__all__ = ["compute_largest_eigenvalues", "estimate_count_by_eigengap"]
-
-
 _FIRST_EIGENVALUES = 16  # computed at first; more are computed only if the largest gap may be among later ones
 _DENSE = 200  # up to this size all eigenvalues take less time than a few of them by Lanczos iterations
 

@@ -17,14 +17,6 @@ from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, quote
 from usnet_env.window import Window, frozen_array
 
-__all__ = [
-    "FEATURES",
-    "collect_velocity_series",
-    "compute_features",
-    "compute_raw_features",
-    "compute_scaled_features",
-]
-
 #: A function from a window to features ``(N, d)`` or a time series ``(N, T, d)``; rows of destroyed UAVs are ignored.
 Features = Callable[[Window], ArrayLike]
 

@@ -23,9 +23,6 @@ import numpy as np
 from detectors.clustering.k_means import compute_dispersions
 from usnet_env.arrays import Floats
 
-__all__ = ["GapStatistic", "compute_gap_statistic", "compute_max_count"]
-
-
 REFERENCES = 15  # B
 # Margin, in s, by which a later gap must be higher. Measured: at least 40 on blobs, at most 8 on uniform clouds.
 MARGIN = 10.0

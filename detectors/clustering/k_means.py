@@ -10,9 +10,6 @@ from sklearn.cluster import KMeans as SklearnKMeans
 
 from usnet_env.arrays import Floats, Indices, Singles
 
-__all__ = ["assign_k_means_labels", "compute_dispersions"]
-
-
 STARTS = 10  # of scikit-learn's K-Means; the start with the lowest W_k is used
 CHAINS = 3  # independent sequences of K-Means for each data set; the lowest W_k of them is used
 _TRIALS = 2  # points that are tried as an additional centre

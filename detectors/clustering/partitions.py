@@ -18,8 +18,6 @@ from detectors.series.votes import detection_from_evidence
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["Agglomerative", "Hdbscan", "KMeans", "LeadVotes", "Spectral", "SymmetricNMF"]
-
 
 class KMeans(Clusterer):
     """K-Means on the features; a time series is flattened to one row per UAV."""

@@ -10,8 +10,6 @@ from detectors.clustering.partitions import Agglomerative, Hdbscan, KMeans, Lead
 from usnet_env.config import ArgumentError, quote
 from usnet_env.registry import Registry, check_call
 
-__all__ = ["CLUSTERERS", "check_clusterer", "clusterers", "make_clusterer", "register_clusterer"]
-
 Factory = Callable[..., Clusterer]
 
 

@@ -6,9 +6,6 @@ import numpy as np
 
 from usnet_env.arrays import Floats
 
-__all__ = ["factorise_affinity"]
-
-
 _LEAST = 1e-12  # lower bound of an entry: the multiplicative update would keep an entry of 0 forever
 
 

@@ -21,8 +21,6 @@ from scipy.special import expit
 
 from usnet_env.config import ArgumentError, Config, quote
 
-__all__ = ["MOST_ODDS", "Calibration", "read_calibration", "shipped_calibration"]
-
 Floats = NDArray[np.float64]
 
 MOST_ODDS = 14.0  # log-odds are clipped at this value

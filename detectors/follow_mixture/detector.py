@@ -17,8 +17,6 @@ from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["FollowMixture"]
-
 Floats = NDArray[np.float64]
 
 

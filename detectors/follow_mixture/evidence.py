@@ -23,11 +23,6 @@ from detectors.follow_mixture.features import SCREENED, make_features
 from detectors.follow_mixture.motion import lagged
 from usnet_env.compiling import compiled
 
-__all__ = [
-    "OWN_LAW", "RIDGE", "Pairs", "Statistics", "Targets", "choose_pairs", "fit_law", "gain_by_laws",
-    "gather_statistics", "join", "make_targets", "own_evidence", "pair", "screen", "shared_evidence", "whiten",
-]  # fmt: skip
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]

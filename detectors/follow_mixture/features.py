@@ -7,8 +7,6 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CLASSES", "LEVELS", "LONE", "SCREENED", "make_features"]
-
 Floats = NDArray[np.float64]
 
 #: Name of each class and the features of it: ``v`` velocities, ``v²`` their axis-wise squares, ``vv`` products of two

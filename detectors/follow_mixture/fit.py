@@ -29,8 +29,6 @@ from detectors.follow_mixture.motion import Motion, lagged
 from detectors.follow_mixture.pooling import LonePairs, ask_single_uavs
 from detectors.follow_mixture.spectra import fit_spectra, smoothed_pasts
 
-__all__ = ["Fit", "fit_motion"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

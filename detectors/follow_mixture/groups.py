@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from detectors.follow_mixture.spectra import FlightSpectra
 from usnet_env.compiling import compiled
 
-__all__ = ["find_groups"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from detectors.series.gaps import fill_gaps
 from usnet_env.window import Window
 
-__all__ = ["Motion", "common_drift", "lagged", "read_motion"]
-
 Floats = NDArray[np.float64]
 
 LEAST_STEPS = 5  # velocities; a shorter window has no past to compare with

@@ -31,8 +31,6 @@ from detectors.follow_mixture.evidence import (
 )
 from detectors.follow_mixture.features import LONE, make_features
 
-__all__ = ["LonePairs", "ask_single_uavs"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FlightSpectra", "fit_spectra", "smoothed_pasts"]
-
 Floats = NDArray[np.float64]
 
 _LEAST_NOISE = 0.004  # smaller variances of position noise per axis, relative to the squared speed, count as 0

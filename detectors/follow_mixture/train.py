@@ -35,11 +35,6 @@ from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_strategy
 from usnet_env.window import Window
 
-__all__ = [
-    "COLUMNS", "CalibrationTraining", "draw_swarm", "draw_window", "fit_calibration", "read_rows", "row_of",
-    "train_calibration",
-]  # fmt: skip
-
 Floats = NDArray[np.float64]
 Rows = Sequence[Mapping[str, str]]
 

@@ -22,8 +22,6 @@ from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
-__all__ = ["SLOPE", "AgatSizes", "attend", "attend_backward", "draw_agat"]
-
 SLOPE = 0.01  # of the leaky ReLU
 _SLOPE = np.float32(SLOPE)
 _ZERO = np.float32(0.0)

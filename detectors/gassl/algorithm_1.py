@@ -16,8 +16,6 @@ from detectors.gassl.agat import SLOPE, AgatSizes
 from detectors.gassl.ifsn import VARIANCE_FLOOR, IfsnSizes
 from detectors.gassl.training import Fit, Inputs, Training
 
-__all__ = ["algorithm_1", "batch_loss", "vote"]
-
 Parameters = Mapping[str, Tensor]
 
 

@@ -23,8 +23,6 @@ from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["Gassl"]
-
 _LEAST_UAVS = 3  # a head and two followers
 
 

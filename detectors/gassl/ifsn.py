@@ -16,8 +16,6 @@ from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
-__all__ = ["VARIANCE_FLOOR", "IfsnSizes", "draw_ifsn", "pair_losses", "predict", "predict_backward", "standardise"]
-
 VARIANCE_FLOOR = 1e-6  # added to the variance of an entry, which is 0 where a UAV does not move along an axis
 _FLOOR = np.float32(VARIANCE_FLOOR)
 _ZERO = np.float32(0.0)

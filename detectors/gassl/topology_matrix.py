@@ -13,8 +13,6 @@ from usnet_env.arrays import AxisLength, Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.window import Window
 
-__all__ = ["Batch", "build_batch", "topology_matrix"]
-
 
 @dataclass(frozen=True, eq=False)
 class Batch:

@@ -15,9 +15,6 @@ from usnet_env.arrays import AxisLength, Singles
 from usnet_env.compiling import compiled
 from usnet_env.config import Config
 
-__all__ = ["Fit", "Inputs", "Training", "loss_and_gradient", "prepare_inputs", "train"]
-
-
 _ZERO = np.float32(0.0)
 _TWO = np.float32(2.0)
 

@@ -24,8 +24,6 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["LeadVotes"]
-
 _LEAST_UAVS = 3  # of a cluster in which a head can be found
 _BATCH_UAVS = 256  # UAVs of the clusters that are trained side by side
 _ALL_SOURCES = 256  # up to this number of UAVs, each can be a leader; in larger swarms, only the candidates can

@@ -21,8 +21,6 @@ from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["MOST_UAVS", "Learned", "load_network"]
-
 MOST_UAVS = 1500  # memory grows with the square: 3.5 GB and half a minute at this number
 _DECIMALS = 6  # of a probability: smaller differences are rounding errors, and count as ties
 

@@ -19,9 +19,6 @@ from detectors.series.surrogates import shift_in_time
 from usnet_env.arrays import Mask, Singles
 from usnet_env.window import Window
 
-__all__ = ["LAGS", "PAIR_FEATURES", "pair_features"]
-
-
 LAGS = 5  # number of single lags; f1 to f7 use at most 4 past steps
 _JOINT_LAGS = 4  # lags of the regressions on several lags together
 _ROWS_PER_FEATURE = 1.5  # least samples per feature of a regression

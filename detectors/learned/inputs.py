@@ -13,8 +13,6 @@ from torch import Tensor
 from detectors.learned.features import pair_features
 from usnet_env.window import Window
 
-__all__ = ["Inputs", "make_inputs"]
-
 
 class Inputs(NamedTuple):
     """Inputs of :class:`detectors.learned.network.HeadNetwork` for n UAVs.

@@ -12,8 +12,6 @@ from torch import Tensor, nn
 from detectors.learned.features import PAIR_FEATURES
 from usnet_env.config import ArgumentError, Config, quote
 
-__all__ = ["Answer", "HeadNetwork", "NetworkSizes", "build_network", "draw_network"]
-
 _CONTEXT = 3  # values that describe the window: log n, log T_ob, share of missing samples
 
 

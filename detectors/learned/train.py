@@ -26,8 +26,6 @@ from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
 
-__all__ = ["Example", "HeadTraining", "compute_loss", "draw_example", "draw_swarm", "train_heads"]
-
 _START, _STEP, _HELD_OUT = range(3)  # purpose of a seed
 _HELD_OUT_SWARMS = 200
 _MOBILITIES = ("iid", "gauss_markov", "smooth_turn", "waypoint", "local_waypoint")

@@ -25,8 +25,6 @@ from usnet_env.arrays import Floats, Singles
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["Round", "detect_heads", "run_round", "update_gru"]
-
 LEAST_UAVS = 3  # of a cluster that GASSL can look at
 
 #: lines 2 and 3: clusters of a window from the features of the GRU network W

@@ -25,8 +25,6 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["McGassl"]
-
 GRU = "gru"  # features= that belong to this detector and not to detectors.clustering
 
 

@@ -15,8 +15,6 @@ from usnet_env.arrays import Floats, Singles
 from usnet_env.config import Config, unknown_name
 from usnet_env.window import Window
 
-__all__ = ["MODES", "gru_features", "inputs_of"]
-
 #: features of the newest T_0 samples (the paper's), their mean over all times, or one for every time
 MODES = ("single", "mean", "series")
 

@@ -17,8 +17,6 @@ from torch import Tensor
 from usnet_env.arrays import AxisLength
 from usnet_env.config import ArgumentError, Config, quote
 
-__all__ = ["ARENA_SCALE", "GruInputs", "GruParameters", "GruSizes", "Scale", "draw_parameters", "embed", "gru"]
-
 Scale = float | tuple[float, float, float]
 
 #: metres by which positions are divided, axis by axis: the paper's arena. Metres as they are saturate the gates.

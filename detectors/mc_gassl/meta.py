@@ -18,8 +18,6 @@ from detectors.mc_gassl.online_training import descend
 from detectors.mc_gassl.triplet import Metric, batch_loss
 from usnet_env.config import Config
 
-__all__ = ["Clustered", "OfflineTraining", "Task", "joint_step", "meta_step", "train_offline"]
-
 
 @dataclass(frozen=True, eq=False)
 class Clustered:

@@ -12,8 +12,6 @@ from detectors.mc_gassl.gru import GruInputs, GruParameters
 from detectors.mc_gassl.triplet import Metric, batch_loss
 from usnet_env.config import Config
 
-__all__ = ["OnlineTraining", "descend", "train_online"]
-
 
 class OnlineTraining(Config):
     """Settings of :func:`train_online`.

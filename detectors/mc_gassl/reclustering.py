@@ -9,8 +9,6 @@ from detectors.gassl.training import Inputs
 from detectors.series.votes import select_top
 from usnet_env.arrays import Floats, Indices, Singles
 
-__all__ = ["best_heads", "count_scores", "recluster"]
-
 
 def best_heads(inputs: Inputs, gamma: Singles) -> Indices:
     """i_H of every UAV, ``(n,)``: the other UAV from which the trained IFSN predicts it best, equation (37).

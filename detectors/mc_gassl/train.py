@@ -28,8 +28,6 @@ from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
 
-__all__ = ["MetaTraining", "draw_task", "online_losses", "start_of", "train_meta", "trained"]
-
 _START, _TASK, _EPISODE, _HELD_OUT, _MEASURE, _ONLINE = range(6)  # what a seed is for
 _HELD_OUT_TASKS = 20
 

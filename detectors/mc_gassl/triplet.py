@@ -13,8 +13,6 @@ from torch import Tensor
 from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, embed, gru
 from usnet_env.config import ArgumentError, Config
 
-__all__ = ["SAMPLINGS", "Metric", "Triplets", "batch_loss", "draw_triplets", "triplet_loss"]
-
 #: how positives and negatives are chosen, see :func:`draw_triplets`
 SAMPLINGS = ("hard", "semi-hard", "random")
 

@@ -14,8 +14,6 @@ from detectors.mc_gassl.gru import GruParameters
 from detectors.weights import packaged_arrays, packaged_record, read_arrays, write_weights
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["NAMES", "load_meta_weights", "load_weights", "meta_record", "parameters_of", "save_weights"]
-
 #: the arrays of a file, in the order of :meth:`GruParameters.tensors`
 NAMES = ("reset", "update", "candidate")
 

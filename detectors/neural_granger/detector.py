@@ -22,9 +22,6 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-__all__ = ["NeuralGranger"]
-
-
 _LEAST_UAVS = 3  # a head and two followers
 
 

@@ -15,8 +15,6 @@ from detectors.series.gaps import fill_gaps
 from usnet_env.arrays import AxisLength, Singles
 from usnet_env.window import Window
 
-__all__ = ["Samples", "build_samples"]
-
 
 @dataclass(frozen=True)
 class Samples:

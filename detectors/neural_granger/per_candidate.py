@@ -30,17 +30,6 @@ from detectors.neural_granger.inputs import Samples
 from detectors.series.null_models import predict_from_own_past
 from usnet_env.config import Config
 
-__all__ = [
-    "AdditiveNetwork",
-    "Fit",
-    "PerCandidate",
-    "Problem",
-    "compute_weighted_mean",
-    "find_untrained_times",
-    "fit_per_candidate",
-    "split_times",
-]
-
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 

@@ -22,8 +22,6 @@ from detectors.neural_granger.per_candidate import (
     split_times,
 )
 
-__all__ = ["Following", "follow_by_shared_network"]
-
 _CHUNK_ENTRIES = 4_000_000  # coordinates of predictions formed at once where no gradient is kept
 
 

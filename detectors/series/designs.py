@@ -11,8 +11,6 @@ from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError
 from usnet_env.window import Window
 
-__all__ = ["centre_columns", "centre_past", "check_pairs", "check_window", "count_lags", "scale_to_unit", "stack_past"]
-
 MOST_UAVS = 10_000  # a matrix of all pairs then takes 0.75 GiB, and a detector holds several
 LEAST_MOTION = 1e-9  # squared sum of a centred velocity, in (metres per step)²; less is rounding
 

@@ -22,9 +22,6 @@ from detectors.series.regressions import correlate_over_lags, explain_beyond_own
 from detectors.series.surrogates import compute_chance, shift_in_time
 from usnet_env.arrays import Floats, Mask
 
-__all__ = ["Evidence", "correlation_evidence", "granger_evidence", "regression_evidence"]
-
-
 LEAST_ROWS = 6
 ROWS_PER_FEATURE = 1.5  # measured: down to this ratio, more lags help more than more samples per feature
 _ROWS_PER_FEATURE_BEYOND = 2.5  # of a regression that also has the own past

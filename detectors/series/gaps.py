@@ -14,8 +14,6 @@ import numpy as np
 
 from usnet_env.window import Window
 
-__all__ = ["fill_gaps"]
-
 
 def fill_gaps(window: Window) -> Window:
     """Fill in the samples of living UAVs that were missed.

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from detectors.series.designs import stack_past
 from detectors.series.regressions import RIDGE, subtract_projection, whiten
 
-__all__ = ["compute_innovations", "predict_from_own_past"]
-
 RealT = TypeVar("RealT", np.float32, np.float64)
 
 

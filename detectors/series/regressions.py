@@ -14,16 +14,6 @@ from numpy.typing import NDArray
 from detectors.series.designs import LEAST_MOTION, scale_to_unit
 from usnet_env.arrays import Floats
 
-__all__ = [
-    "RIDGE",
-    "correlate_at_lag",
-    "correlate_over_lags",
-    "explain_beyond_own_past",
-    "explain_pairs",
-    "subtract_projection",
-    "whiten",
-]
-
 RealT = TypeVar("RealT", np.float32, np.float64)
 
 RIDGE = 1e-3  # in units of the mean squared singular value of the features

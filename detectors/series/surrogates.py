@@ -7,8 +7,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["compute_chance", "reverse_in_time", "shift_in_time"]
-
 AnyT = TypeVar("AnyT", bound=np.generic)
 
 

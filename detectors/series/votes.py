@@ -11,19 +11,6 @@ from detectors.series.evidence import Evidence
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection
 
-__all__ = [
-    "choose_heads",
-    "compute_votes",
-    "count_votes",
-    "cover_voters",
-    "detection_from_evidence",
-    "name_at_random",
-    "rank_uavs",
-    "select_top",
-    "spread",
-]
-
-
 LEAST_VOTERS = 1.5  # voters that a head must add: m_j >= 2 followers, of which a noisy one may count for half
 
 

@@ -22,16 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Scene",
-    "detect_head",
-    "draw_attention_heads",
-    "draw_attention_sizes",
-    "draw_hierarchy",
-    "find_scene",
-    "list_leaders",
-]
-
 _SEEDS_TRIED = 10_000
 _LEAST_WEIGHT = 0.02  # lines of a smaller attention weight are not drawn
 _ATTENTION, _UAV = "#0072b2", "#555555"

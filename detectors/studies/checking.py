@@ -10,8 +10,6 @@ import click
 from usnet_env.cli.output import progress_bar, show
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["check_detector"]
-
 
 @click.command(name="check-detector", short_help="Test that a detector keeps the contract.")
 @click.argument("name", metavar="NAME")

@@ -16,8 +16,6 @@ from usnet_env.cli.output import progress_bar, show_markdown
 if TYPE_CHECKING:
     from detectors.studies.common import Reproduction
 
-__all__ = ["reproduce", "train"]
-
 Option = Callable[[Callable[..., Any]], Callable[..., Any]]
 Progress = Callable[[int, int], None]
 

@@ -9,16 +9,6 @@ from typing import Any, Generic, TypedDict, TypeVar
 from usnet_env.evaluation.suite import Place
 from usnet_env.plugins import make_detector
 
-__all__ = [
-    "FOLLOW",
-    "Reproduction",
-    "Running",
-    "check_detectors",
-    "describe_flight",
-    "name_flight",
-    "swarm_arguments",
-]
-
 RowT = TypeVar("RowT")
 
 FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_example", "play_example"]
-
 _LEAST_WEIGHT = 0.1  # lines of a smaller attention weight are not drawn
 _MOST_ROUNDS = 4
 _ATTENTION, _GONE = "#56789a", "#9a9a9a"

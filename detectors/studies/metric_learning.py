@@ -27,19 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "PAPER_LOSS",
-    "STARTS",
-    "Cell",
-    "Row",
-    "collect_curves",
-    "compute_interval",
-    "draw_feature_spaces",
-    "draw_losses",
-    "report_losses",
-    "reproduce",
-]
-
 STARTS = ("random", "joint", "meta")
 PAPER_LOSS = 0.125  # the paper's meta loss settles near this value
 _LAST = 10  # the final on-line loss is the mean over this many steps

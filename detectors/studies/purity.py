@@ -26,21 +26,6 @@ from usnet_env.window import Window
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "CLUSTERERS",
-    "COUNTS",
-    "FEATURES",
-    "Cell",
-    "Method",
-    "Row",
-    "cluster_windows",
-    "draw_methods",
-    "draw_strategies",
-    "list_methods",
-    "report_methods",
-    "reproduce",
-]
-
 #: The clusterers and their estimators of M: the gap statistic (the paper's rule, and ours), the eigengap, or their own.
 CLUSTERERS = {
     "kmeans": ("gap-one-se", "gap"),

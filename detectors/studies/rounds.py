@@ -26,24 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "COLUMNS",
-    "DETECTORS",
-    "SHORT",
-    "STUDIES",
-    "Cell",
-    "Row",
-    "Words",
-    "draw_studies",
-    "find_by_round",
-    "list_cells",
-    "measure_field",
-    "play_games",
-    "read_paper",
-    "report_studies",
-    "reproduce",
-]
-
 #: The paper's Algorithm 2, a variant of it, and a detector without training; the trivial policies are added to them.
 DETECTORS = ("mc-gassl", "lead-votes", "lagged-regression")
 _EPISODES_A_TASK = 2  # few: an episode takes up to minutes, and an interruption loses those of a task

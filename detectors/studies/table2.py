@@ -41,26 +41,6 @@ from usnet_env.window import Window
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "DETECTORS",
-    "FAST",
-    "FOLLOWERS",
-    "Cell",
-    "Entry",
-    "Row",
-    "compare_intervals",
-    "draw_rates",
-    "fill_table",
-    "make_suite",
-    "make_tasks",
-    "parse_cells",
-    "play_games",
-    "rate_of",
-    "read_paper",
-    "report_rates",
-    "reproduce",
-]
-
 FOLLOWERS = (2, 3, 5, 10, 15, 20, 25, 30, 40, 50)
 #: The paper's Algorithm 1, a variant of it, and a detector without training, on the same episodes.
 DETECTORS = ("gassl", "neural-granger", "lagged-regression(clusters=1)")

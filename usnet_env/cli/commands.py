@@ -11,8 +11,6 @@ from typing import Any
 
 import click
 
-__all__ = ["GROUP", "CommandGroup", "find_entry_points"]
-
 GROUP = "usnet.commands"
 _OWN_DISTRIBUTION = "usnet"
 

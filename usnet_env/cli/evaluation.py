@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from usnet_env.evaluation import EvaluationResult
 
-__all__ = ["evaluate"]
-
 _TIME_LIMIT = 3600.0  # seconds
 
 _EXAMPLES = f"""

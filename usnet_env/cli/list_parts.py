@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from usnet_env.plugins import DetectorEntry
     from usnet_env.registry import Registry
 
-__all__ = ["list_"]
-
 _NARROWEST = 30  # columns of a description
 _PARTS = (
     "envs",

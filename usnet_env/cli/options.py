@@ -13,8 +13,6 @@ import click
 
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["PairsCommand", "PositiveNumber", "WholeNumber", "add_place", "describe_keys", "parse_pairs"]
-
 _WHOLE = re.compile(r"[-+]?[0-9]+\Z")
 _REAL = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
 

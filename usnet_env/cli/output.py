@@ -8,8 +8,6 @@ from typing import Any
 
 import click
 
-__all__ = ["PIPE_WIDTH", "print_message", "progress_bar", "show", "show_markdown"]
-
 PIPE_WIDTH = 400  # columns if standard output is not a terminal: wide enough that nothing is cut or wrapped
 
 

@@ -17,8 +17,6 @@ from usnet_env.config import ArgumentError, quote
 if TYPE_CHECKING:
     from usnet_env.evaluation import EvaluationResult
 
-__all__ = ["check_record_option", "compare", "demo", "record_episodes", "replay", "report"]
-
 EPISODES = "episodes"  # the folder of the episode files of a run
 _MOST_FAILURES, _MOST_ON_PAGE = 20, 6
 _EVERY = re.compile(r"every=([1-9][0-9]{0,8})\Z")

@@ -31,7 +31,7 @@ def round_frame(*window: Any, size: tuple[int, int] = (960, 720), **look: Any) -
     draw_round(*window, axes=axes, **look)
     canvas: Any = figure.canvas
     canvas.draw()
-    return np.array(canvas.buffer_rgba())[..., :3].copy()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 def describe_frame(

@@ -18,26 +18,6 @@ from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, 
 
 COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 
-__all__ = [
-    "COUNTERS",
-    "GameState",
-    "RenderArguments",
-    "RoundArguments",
-    "Rules",
-    "ShotArguments",
-    "StepResult",
-    "action_space",
-    "check_options",
-    "initial_info",
-    "observation_space",
-    "observe_windows",
-    "parse_candidates",
-    "play_round",
-    "start_games",
-    "to_array",
-    "truth_info",
-]
-
 
 class ShotArguments(Config):
     """The arguments about candidates, which both problems have."""

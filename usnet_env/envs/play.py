@@ -12,8 +12,6 @@ import numpy as np
 from usnet_env.arrays import Mask
 from usnet_env.swarm import SwarmState
 
-__all__ = ["PlayedRound", "play_rounds"]
-
 
 class _Answer(Protocol):
     @property

@@ -6,8 +6,6 @@ from typing import Any
 
 import gymnasium as gym
 
-__all__ = ["ENVIRONMENTS", "TRACKS", "register_environments"]
-
 TRACKS = "USNET/Tracks-v0"  # replays a file, which is a required argument; so it has no presets
 
 # id -> (class, arguments). The arguments are plain names and numbers, so that `env.spec.to_json()` is complete.

@@ -17,9 +17,6 @@ from usnet_env.envs import game
 from usnet_env.swarm import SwarmConfig, SwarmState
 from usnet_env.swarm.config import BystanderArguments, MobilityArguments, SensorArguments, SwarmArguments
 
-__all__ = ["INFO", "OBSERVATION", "MultiClusterEnv", "OutputArguments", "SingleClusterEnv", "UsnetEnv"]
-
-
 # Parts of the docstrings of all environments.
 OBSERVATION = """`Dict` of
 

@@ -17,9 +17,6 @@ from usnet_env.envs import game
 from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
 from usnet_env.swarm import SwarmState
 
-__all__ = ["MultiClusterVectorEnv", "SingleClusterVectorEnv", "UsnetVectorEnv"]
-
-
 MOST_ENVS = 1_000_000
 
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["BoxMasks", "MultiDiscreteCandidates", "box_masks"]
-
 
 def box_masks(space: spaces.Space[Any]) -> spaces.Dict:
     """The observation space with ``Box(0, 1, …, int8)`` in place of ``MultiBinary``; the same values are valid in both.

@@ -16,8 +16,6 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
-__all__ = ["Agent", "Answer", "DetectorAgent", "PolicyAgent", "RefusedArgumentError", "as_agent"]
-
 
 @dataclass(frozen=True)
 class Answer:

@@ -21,8 +21,6 @@ from usnet_env.evaluation.table import Columns
 from usnet_env.evaluation.workers import Plan, Player, Task, as_failure, send_plan
 from usnet_env.processes import Backend, InProcess, Limits, SendError, check_backend, make_backend
 
-__all__ = ["MOST_EPISODES", "MOST_WORKERS", "Place", "RunNumbers", "choose_place", "play_run"]
-
 MOST_EPISODES = 1_000_000
 MOST_WORKERS = 4_096
 

@@ -13,15 +13,6 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 
 from usnet_env.config import ArgumentError, quote
 
-__all__ = [
-    "describe_environments",
-    "find_environment",
-    "is_usnet",
-    "list_arguments",
-    "make_environment",
-    "usnet_ids",
-]
-
 _HINTS = 3
 
 

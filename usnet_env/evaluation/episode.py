@@ -18,8 +18,6 @@ from usnet_env.evaluation.metrics import episode_metrics
 from usnet_env.processes import PlainError, ProcessDied, limited
 from usnet_env.swarm import SwarmState
 
-__all__ = ["Row", "detector_error", "detector_step", "episode_seeds", "play_agent", "play_episode", "warm_up"]
-
 Row = dict[str, Any]
 
 

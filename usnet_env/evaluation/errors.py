@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from usnet_env.evaluation.result import EvaluationResult
 
-__all__ = ["EvaluationError"]
-
 
 class EvaluationError(RuntimeError):
     """A detector failed during an evaluation; the message names the detector, the episode and the cause.

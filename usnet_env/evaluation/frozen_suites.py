@@ -34,8 +34,6 @@ from usnet_env.files import as_path, atomic_write
 if TYPE_CHECKING:
     from rich.table import Table
 
-__all__ = ["FrozenSuite", "SuiteResult", "evaluate_suite", "list_suites", "load_suite"]
-
 _FOLDER = files("usnet_env.evaluation") / "suites"
 _FAILURES = "failures.yaml"  # in the folder of a run: which detector failed in which cell
 

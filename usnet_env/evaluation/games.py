@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from usnet_env.multiagent.base import UsnetParallelEnv
     from usnet_env.multiagent.play import GameResult
 
-__all__ = ["evaluate_games"]
-
 Players = Mapping[str, Any]
 
 

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-__all__ = ["describe", "describe_detector"]
-
 _LARGEST_ARRAY = 64  # values; larger arrays are described by a hash
 _DEEPEST = 20  # objects inside objects
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")

@@ -22,8 +22,6 @@ from usnet_env.evaluation.parts import Part, register_parts, registered_parts
 from usnet_env.plugins import make_detector
 from usnet_env.processes import Arrays, Limits, PlainError, PlainFunction, PlainProcess, SendError
 
-__all__ = ["IsolatedAgent", "make_secret"]
-
 _ALONE = ""  # the name of an observation that is no mapping
 _OWN_ERRORS = {"ArgumentError": ArgumentError, "RefusedArgumentError": RefusedArgumentError}
 

@@ -11,16 +11,6 @@ from usnet_env import objectives
 from usnet_env.envs.play import PlayedRound
 from usnet_env.evaluation.agents import Answer
 
-__all__ = [
-    "CLUSTER_METRICS",
-    "LOWER_IS_BETTER",
-    "METRICS",
-    "OPTIONAL_METRICS",
-    "RATES",
-    "TRACK_METRICS",
-    "episode_metrics",
-]
-
 #: Every metric of an episode and its meaning. The last two exist only for detectors that return clusters.
 METRICS = {
     "J": "the objective: J_m for P2 (lower is better, at best 1), J_s for P1 (higher is better, at best 0)",

@@ -13,8 +13,6 @@ from gymnasium.vector.utils import CloudpickleWrapper
 
 from usnet_env.registry import REGISTRIES
 
-__all__ = ["Part", "register_parts", "registered_parts"]
-
 
 @dataclass(frozen=True)
 class Part:

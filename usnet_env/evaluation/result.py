@@ -22,14 +22,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from rich.table import Table
 
-__all__ = [
-    "Comparison",
-    "EvaluationResult",
-    "interquartile_means",
-    "performance_profiles",
-    "summarise",
-]
-
 Summary = list[dict[str, Any]]
 
 _THRESHOLDS = 101  # of a profile by default

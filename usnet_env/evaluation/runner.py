@@ -25,8 +25,6 @@ from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.processes import Limits
 
-__all__ = ["TRIVIAL", "evaluate"]
-
 #: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
 TRIVIAL = ("destroy-all", "none", "random", "one-per-round")
 

@@ -16,8 +16,6 @@ from usnet_env.evaluation.table import Columns, RowTable
 from usnet_env.evaluation.workers import PREPARE, Task
 from usnet_env.processes import Outcome
 
-__all__ = ["Rows", "Seeds", "Tasks"]
-
 
 @dataclass
 class Seeds:

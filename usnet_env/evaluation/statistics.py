@@ -12,18 +12,6 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError
 
-__all__ = [
-    "CONFIDENCE",
-    "Interval",
-    "Profile",
-    "holm",
-    "interquartile_mean",
-    "mean_interval",
-    "paired_test",
-    "performance_profile",
-    "rate_interval",
-]
-
 CONFIDENCE = 0.95
 _QUANTILE = 1.959963984540054  # of the normal distribution, at (1 + CONFIDENCE) / 2
 

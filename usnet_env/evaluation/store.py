@@ -22,8 +22,6 @@ from usnet_env.evaluation.table import Columns, RowTable, read_table
 from usnet_env.files import FileLock, atomic_write
 from usnet_env.provenance import machine, versions
 
-__all__ = ["COLUMNS", "KEYS", "RowFile", "RunStore", "last_secret", "load_run", "write_text"]
-
 RUN, EPISODES, SUMMARY = "run.json", "episodes.csv", "summary.json"
 
 _INTEGERS = ("episode", "swarm_seed", "detector_seed", "uavs", "heads", "rounds", "success", "exact")

@@ -15,8 +15,6 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Columns", "RowTable", "columns_of", "read_table"]
-
 #: Names of columns with their types: ``str``, ``int``, ``float``, ``bool`` or ``float | None``, in their order.
 Columns = Mapping[str, str]
 

@@ -13,8 +13,6 @@ from usnet_env.evaluation.report import format_latex
 if TYPE_CHECKING:
     from rich.table import Table
 
-__all__ = ["conclude", "full_table", "html_table", "latex_table", "markdown_table", "objective_name", "ranking_table"]
-
 Summary = Sequence[Mapping[str, Any]]
 
 #: Headings of the metrics in tables.

@@ -18,8 +18,6 @@ from usnet_env.evaluation.parts import Part, register_parts, registered_parts
 from usnet_env.plugins import make_detector
 from usnet_env.processes import Limits, Outcome, PlainError, ProcessDied
 
-__all__ = ["PREPARE", "Contestant", "EpisodePlan", "Plan", "Player", "Task", "Worker", "as_failure", "send_plan"]
-
 #: In place of an episode: only create the agent and warm it up.
 PREPARE = -1
 

@@ -31,17 +31,6 @@ from usnet_env.swarm.mobility import MOBILITIES
 from usnet_env.swarm.simulator import JITTER
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
-__all__ = [
-    "DelayedFollow",
-    "Manoeuvres",
-    "MixedMobility",
-    "Plan",
-    "compute_prices",
-    "count_followers",
-    "fly_window",
-    "select_decoys",
-]
-
 Price = Annotated[float, Field(ge=0, le=1e6)]
 
 

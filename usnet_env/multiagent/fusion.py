@@ -12,8 +12,6 @@ from usnet_env.arrays import Floats, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.registry import Registry
 
-__all__ = ["FUSIONS", "Fusion", "fusions", "register_fusion"]
-
 
 @dataclass(frozen=True)
 class Fusion:

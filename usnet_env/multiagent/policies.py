@@ -20,8 +20,6 @@ from usnet_env.detection import Detection
 from usnet_env.plugins import DetectorLike
 from usnet_env.window import Window
 
-__all__ = ["CamouflagedHead", "DetectorObserver", "Policy", "RandomHead", "RandomObserver", "TruthfulHead"]
-
 Observation = Mapping[str, Any]
 Array = NDArray[Any]
 

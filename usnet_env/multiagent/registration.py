@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["GAMES", "register_games"]
-
 #: The modules of the games, and what happens in each.
 GAMES = {
     "usnet_observers_v0": "PettingZoo: several observers each see a part of one swarm, and vote on the candidates.",

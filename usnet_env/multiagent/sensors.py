@@ -16,16 +16,6 @@ from usnet_env.swarm import ObservationBatch, SwarmConfig
 from usnet_env.swarm.formation import ARENA, check_place
 from usnet_env.swarm.sensing import sense
 
-__all__ = [
-    "PLACEMENTS",
-    "Observer",
-    "SensorConfig",
-    "merge_sightings",
-    "placements",
-    "register_placement",
-    "sense_window",
-]
-
 Number = Annotated[float, Field(ge=0, le=1e6)]
 Noise = Annotated[float, Field(ge=0, le=1000)]
 Share = Annotated[float, Field(ge=0, lt=1)]

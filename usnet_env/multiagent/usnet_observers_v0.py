@@ -17,8 +17,6 @@ from usnet_env.multiagent.sensors import Observer, SensorConfig, merge_sightings
 from usnet_env.swarm import ObservationBatch, SwarmConfig
 from usnet_env.swarm.config import MobilityArguments
 
-__all__ = ["env", "parallel_env", "raw_env"]
-
 
 class ObserversArguments(base.GameArguments, MobilityArguments, SensorConfig):
     """The arguments of :class:`parallel_env`."""

@@ -13,8 +13,6 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.envs.wrappers import box_masks
 from usnet_env.multiagent.base import BaseParallelWrapper, Step, UsnetParallelEnv
 
-__all__ = ["DiscreteActions", "MultiDiscreteVotes", "ParallelBoxMasks"]
-
 _MOST_ACTIONS = 100_000
 
 

@@ -12,8 +12,6 @@ from usnet_env.processes.outcome import Backend, Outcome, ResultT, TaskT, every_
 from usnet_env.processes.pool import ProcessPool
 from usnet_env.processes.ray_pool import RayPool
 
-__all__ = ["BACKENDS", "InProcess", "check_backend", "make_backend"]
-
 #: Where tasks can run.
 BACKENDS = ("serial", "processes", "ray")
 

@@ -18,8 +18,6 @@ from typing import Any
 
 from usnet_env.processes.limits import Limits, apply_limits
 
-__all__ = ["prepare_child", "run_child"]
-
 _PR_SET_PDEATHSIG = 1  # of prctl(2)
 
 

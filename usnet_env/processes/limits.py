@@ -13,8 +13,6 @@ from pydantic import Field
 
 from usnet_env.config import ArgumentError, Config
 
-__all__ = ["Limits", "ProcessDied", "apply_limits", "limit_memory", "limited"]
-
 _MEGABYTE = 1_000_000
 
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-__all__ = ["Backend", "Outcome", "ResultT", "TaskT", "every_task"]
-
 TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
 

@@ -10,8 +10,6 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
-__all__ = ["RemoteTraceback", "SendError", "describe_end", "end_process", "start_process", "without_interrupts"]
-
 
 class SendError(RuntimeError):
     """A function cannot be sent to another process, or a process could not start.

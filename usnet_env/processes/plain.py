@@ -27,8 +27,6 @@ from usnet_env.processes.child import prepare_child
 from usnet_env.processes.limits import Limits, ProcessDied, limit_memory
 from usnet_env.processes.parent import RemoteTraceback, SendError, describe_end, end_process, start_process
 
-__all__ = ["Arrays", "PlainError", "PlainFunction", "PlainProcess"]
-
 Arrays = Mapping[str, NDArray[Any]]
 #: Takes plain values and arrays, and returns plain values and arrays; the arrays that it gets are its own.
 PlainFunction = Callable[[dict[str, Any], dict[str, NDArray[Any]]], tuple[Mapping[str, Any], Arrays]]

@@ -23,8 +23,6 @@ from usnet_env.processes.parent import (
     without_interrupts,
 )
 
-__all__ = ["ProcessPool"]
-
 _TASKS_AHEAD = 2  # tasks that a process has received: one to run, and the next one so that it never waits
 _POLL = 1.0  # seconds; a process whose death no pipe reports, because a child of its own holds the pipe, is found then
 _GRACE = 5.0  # seconds in which a process may end by itself after its last task

@@ -25,8 +25,6 @@ from usnet_env.processes.outcome import Outcome, ResultT, TaskT, every_task
 from usnet_env.processes.parent import SendError, without_interrupts
 from usnet_env.processes.pool import ProcessPool
 
-__all__ = ["RayPool"]
-
 _TASKS_AHEAD = 2  # tasks that a worker has received: one to run, and the next one so that it never waits
 _MOST_ENDS = 3  # workers that may end during the same task, or one after the other before they have started
 _LONGEST_REASON = 300  # characters

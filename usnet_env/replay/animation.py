@@ -301,7 +301,7 @@ class Painter:
         canvas.restore_region(self.titled[1] if header else self.background)
         for artist in sorted(self.artists, key=lambda each: float(each.get_zorder())):
             self.figure.draw_artist(artist)
-        return np.array(canvas.buffer_rgba())[..., :3].copy()
+        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
     def pixels(self, scene: Scene) -> NDArray[np.uint8]:
         """:meth:`draw` as ``(H, W, 3)`` uint8."""
