@@ -14,6 +14,7 @@ import pytest
 from small_episode import DECOY, HEADS, ROUNDS, SAMPLES, UAVS, small_episode
 
 from usnet_env import ArgumentError
+from usnet_env.config import quote
 from usnet_env.files import atomic_write
 from usnet_env.replay import EpisodeRecord
 
@@ -279,7 +280,7 @@ def test_refuses_other_versions_and_incomplete_files(tmp_path, episode):
 def test_a_file_whose_end_is_missing_is_named_as_damaged(tmp_path, episode):
     path = episode.save(tmp_path / "cut.npz")
     path.write_bytes(path.read_bytes()[:-200])
-    assert refusal(path) == f"path must be an intact episode file, got {str(path)!r}: its end is missing."
+    assert refusal(path) == f"path must be an intact episode file, got {quote(str(path))}: its end is missing."
 
 
 def test_a_damaged_file_never_loads_as_another_episode(tmp_path, episode):
