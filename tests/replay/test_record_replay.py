@@ -47,6 +47,21 @@ def test_a_noted_detection_is_kept_whole(tmp_path):
         np.testing.assert_array_equal(getattr(found, name), getattr(same, name))
 
 
+def test_an_episode_that_is_left_is_written_when_the_next_begins_or_at_the_end(tmp_path):
+    env = RecordReplay(make(), tmp_path)
+    for seed in (7, 8, 9):
+        env.reset(seed=seed)
+        for _ in range(seed - 7):  # no round of the first episode
+            env.step(np.zeros(12, np.int8))
+    env.close()
+    env.close()
+    found = {path.name: EpisodeRecord.load(path) for path in tmp_path.iterdir()}
+    assert {name: (each.seed, each.rounds) for name, each in found.items()} == {
+        "episode-1.npz": (8, 1),
+        "episode-2.npz": (9, 2),
+    }
+
+
 def test_bad_arguments_are_refused(tmp_path):
     with pytest.raises(ArgumentError, match=r"^env must be a USNET environment"):
         RecordReplay(gym.make("CartPole-v1"), tmp_path)

@@ -77,7 +77,7 @@ def _panels(scribe: Scribe) -> list[Any]:
     scores = _flat(f"{root}{SCORES}", "Scores, highest first", (-0.1, CHART_WIDTH + 0.1), (-1.35, lowest))
     panels = [scores]
     if record.attention is not None:
-        panels.append(_flat(f"{root}{ATTENTION}", "Attention: a row for each UAV, bright = attends to"))
+        panels.append(_flat(f"{root}{ATTENTION}", "Attention of a UAV (row): bright = most"))
     if record.features is not None:
         panels.append(_flat(f"{root}{FEATURES}", "Feature space, colour = found group", (-0.6, 0.6), (-0.6, 0.6)))
     return panels

@@ -20,7 +20,7 @@ CHART_WIDTH, CHART_HEIGHT = 8.0, 1.0  # of the bars, in the units of their view
 _NAMED, _TEXT, _LINK = "#35A7FF", "#C8C8C8", "#FFFFFF"
 _LINKS_OF_A_UAV = 2  # its largest weights of attention
 _MOST_PIXELS = 256  # the side of a heat map; larger matrices are reduced to the largest weights
-_MAP_GAP, _MAPS_IN_A_ROW = 1.25, 3  # distance of neighbouring heat maps, in their sides
+_MAP_GAP, _MAPS_IN_A_ROW = 1.35, 3  # distance of neighbouring heat maps, in their sides
 _ONE_ROW = 20  # with more bars, the numbers below them take turns in two rows
 
 
@@ -158,7 +158,10 @@ def attention_maps(record: EpisodeRecord, r: int) -> list[tuple[str, NDArray[np.
 
 
 def _write_maps(scribe: Scribe) -> None:
-    """Write the heat maps of attention, brighter for larger weights."""
+    """Write the heat maps of attention, brighter for larger weights in relation to the largest one of the UAV.
+
+    The weights of a UAV sum to 1 within its cluster: those of small clusters are larger than those of large ones.
+    """
     rr = scribe.rr
     for r in range(scribe.record.rounds):
         maps = attention_maps(scribe.record, r)
@@ -168,10 +171,10 @@ def _write_maps(scribe: Scribe) -> None:
         shape = (places[-1][0] + side, step * across - step + side, 3)
         sheet = np.full(shape, parse_color("#101418")[:3], np.uint8)
         for (y, x), (_, values) in zip(places, maps, strict=True):
-            share = np.clip(values / max(float(values.max()), 1e-12), 0, 1)[..., None]
+            share = np.clip(values / np.maximum(values.max(axis=1, keepdims=True), 1e-12), 0, 1)[..., None]
             sheet[y : y + side, x : x + side] = 20 + share * (np.array([255, 236, 120]) - 20)
         titles = rr.Points2D(
-            [[x + 0.5 * side, y - 0.1 * side] for y, x in places], labels=[title for title, _ in maps],
+            [[x + 0.5 * side, y - 0.17 * side] for y, x in places], labels=[title for title, _ in maps],
             colors=parse_color(_TEXT), radii=0.01, show_labels=True,
         )  # fmt: skip
         for part in ("maps", "titles"):

@@ -24,8 +24,8 @@ __all__ = ["RecordReplay"]
 class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Write episodes as episode files, from which replays and pictures are made.
 
-    An episode is written when it ends. Its answers are the actions alone, unless :meth:`note` is called with the
-    detection before each step.
+    An episode is written when it ends, or with the rounds that were played when :meth:`reset` or :meth:`close` is
+    called before. Its answers are the actions alone, unless :meth:`note` is called with the detection before each step.
 
     Args:
         env: an environment of this project; wrappers below must keep the form of observations and actions.
@@ -63,11 +63,12 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
         self._began = 0.0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode; an earlier one that has not ended is not written."""
+        """Start an episode."""
+        self._write()
         self._observation, info = self.env.reset(seed=seed, options=options)
         self._episode, self._seed = self._episode + 1, seed
         self._wanted = self._trigger is None or bool(self._trigger(self._episode))
-        self._rounds, self._seconds, self._noted = [], [], None
+        self._noted = None
         self._began = time.perf_counter()
         return self._observation, info
 
@@ -86,11 +87,22 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
             self._rounds.append(PlayedRound(self._observation, truth, answer, info, left))
             self._seconds.append(spent)
             if terminated or truncated:
-                record = make_record(self.env, self._rounds, self._seconds, self._seed, None, self._label)
-                record.save(self.folder / f"episode-{self._episode}.npz")
+                self._write()
         self._observation, self._noted = following, None
         self._began = time.perf_counter()
         return following, reward, bool(terminated), bool(truncated), info
+
+    def close(self) -> None:
+        """Write what was played, and close the environment."""
+        self._write()
+        super().close()
+
+    def _write(self) -> None:
+        """Write the rounds that were played since the last call, if there are any."""
+        if self._rounds:
+            record = make_record(self.env, self._rounds, self._seconds, self._seed, None, self._label)
+            record.save(self.folder / f"episode-{self._episode}.npz")
+        self._rounds, self._seconds = [], []
 
     def _make_answer(self, candidates: NDArray[np.bool_]) -> Detection:
         noted = self._noted
