@@ -14,7 +14,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from running import RESULTS, play_games
+from running import RESULTS, answer_help, play_games
 
 from detectors.clustering import make_clusterer
 from detectors.studies.common import FOLLOW
@@ -130,4 +130,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    answer_help(__doc__)
     main()

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from running import RESULTS, play_games
+from running import RESULTS, answer_help, play_games
 from scipy.stats import kendalltau
 
 from usnet_env import Window, make_detector
@@ -117,5 +117,6 @@ def play(cell: Mapping[str, Any], number: int) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
+    answer_help(__doc__)
     games = [(cell, number) for cell in list_cells() for number in range(GAMES)]
     play_games(RESULTS / "literature.csv", games, play, ("value", "head_first"), number="game")

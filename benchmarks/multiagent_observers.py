@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from running import RESULTS, SEED, play_games
+from running import RESULTS, SEED, answer_help, play_games
 
 from usnet_env import make_detector
 from usnet_env.multiagent.play import play_game
@@ -54,5 +54,6 @@ def games(cell: Mapping[str, Any]) -> int:
 
 
 if __name__ == "__main__":
+    answer_help(__doc__)
     every = [(cell, SEED + number) for cell in cells() for number in range(games(cell))]
     play_games(RESULTS / "multiagent_observers.csv", every, play, VALUES)

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from itertools import product
 from typing import Any
 
-from running import RESULTS, SEED, play_games
+from running import RESULTS, SEED, answer_help, play_games
 
 from usnet_env import make_detector
 from usnet_env.multiagent.play import play_game
@@ -55,5 +55,6 @@ def cells() -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
+    answer_help(__doc__)
     every = [(cell, SEED + number) for cell in cells() for number in range(games(cell))]
     play_games(RESULTS / "multiagent_payoff.csv", every, play, VALUES)

@@ -18,7 +18,7 @@ import torch
 from gymnasium import spaces
 from matplotlib.figure import Figure
 from ppo_curve import Curve
-from running import RESULTS, SEED, play_games, read_csv
+from running import RESULTS, SEED, answer_help, play_games, read_csv
 from stable_baselines3 import PPO
 
 from usnet_env import make_detector
@@ -160,4 +160,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    answer_help(__doc__)
     main()

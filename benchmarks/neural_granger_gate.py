@@ -8,6 +8,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from running import answer_help
+
 from detectors.studies.table2 import Cell, make_suite, make_tasks, rate_of
 
 FOLLOWERS = (2, 5, 15)
@@ -31,4 +33,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    answer_help(__doc__)
     main()

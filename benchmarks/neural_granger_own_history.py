@@ -14,7 +14,7 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 import torch
-from running import RESULTS, write_csv
+from running import RESULTS, answer_help, write_csv
 
 import usnet_env
 from detectors.neural_granger.inputs import build_samples
@@ -79,4 +79,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    answer_help(__doc__)
     main()

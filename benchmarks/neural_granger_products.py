@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import follow_mixture_strategies  # noqa: F401  registers the strategy
+from running import answer_help
 
 from detectors.studies.table2 import Cell, make_suite, make_tasks, rate_of
 from usnet_env.evaluation.report import group_rows
@@ -31,4 +32,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    answer_help(__doc__)
     main()

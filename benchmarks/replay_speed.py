@@ -15,6 +15,7 @@ from pathlib import Path
 
 import gymnasium as gym
 import rerun  # noqa: F401  # its import is not measured
+from running import answer_help
 
 import usnet_env.envs  # noqa: F401  # registers the environments
 from usnet_env import make_detector
@@ -62,4 +63,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    answer_help(__doc__)
     main()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import make_dataclass
@@ -16,6 +17,12 @@ RESULTS = Path(__file__).parent / "results"
 SEED = 2022  # of the first game; seeds below 1000 are for tuning
 
 Cell = Mapping[str, Any]
+
+
+def answer_help(words: str | None) -> None:
+    """End a script without arguments that was called with ``--help``, after its docstring, or with any other."""
+    form = argparse.RawDescriptionHelpFormatter
+    argparse.ArgumentParser(description=words, formatter_class=form).parse_args()
 
 
 def play_games(

@@ -2,25 +2,11 @@
 
 import numpy as np
 import pytest
+from track_files import Sure
 
-from usnet_env import Detection
 from usnet_env.tracks import Tracks, find_leaders
 
 STEPS, UAVS = 200, 6
-
-
-class Names:
-    """A detector that is sure of one UAV, which all others follow."""
-
-    def __init__(self, head):
-        self.head = head
-
-    def reset(self, seed=None):
-        pass
-
-    def detect(self, window):
-        candidates = np.arange(window.uavs) == self.head
-        return Detection(candidates, candidates * 1.0, leader=np.full(window.uavs, self.head))
 
 
 def wander(rng):
@@ -32,7 +18,7 @@ def confirmed(velocities, head=0, seen=None, **options):
     places = np.cumsum(np.stack(velocities, axis=1), axis=0)
     t, i = np.nonzero(np.ones(places.shape[:2], bool) if seen is None else seen)
     tracks = Tracks.from_samples(i.tolist(), t.tolist(), places[t, i]).resample(1.0)
-    found = find_leaders(tracks, Names(head), length=99, **options)
+    found = find_leaders(tracks, Sure(head), length=99, **options)
     assert len(found.windows) == 2
     return sum(bool(window.leaders) for window in found.windows)
 

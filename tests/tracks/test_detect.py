@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from track_files import example
+from track_files import Sure, example
 
 from usnet_env import ArgumentError, Detection
 from usnet_env.replay import EpisodeRecord
@@ -59,20 +59,6 @@ def test_no_id_leads_a_leaderless_flock(folder):
 
 def test_a_leader_is_confirmed_by_followers_that_move_like_it_later(folder):
     """A detector that is always sure of the wrong one: the dog of a herd, or any bird of a leaderless flock."""
-
-    class Sure:
-        def __init__(self, head):
-            self.head = head
-
-        def reset(self, seed=None):
-            pass
-
-        def detect(self, window):
-            candidates = np.arange(window.uavs) == self.head
-            return Detection(
-                candidates, candidates * 1.0, leader=np.full(window.uavs, self.head), extras={"probability": candidates}
-            )
-
     for file, head, named in (("shepherd", 0, 1), ("leaderless", 3, 0), ("flock", 0, 5)):
         tracks = read_tracks(folder / f"{file}.csv").resample(0.5)
         found = find_leaders(tracks, Sure(head))

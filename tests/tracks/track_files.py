@@ -9,7 +9,25 @@ from types import ModuleType
 
 import numpy as np
 
+from usnet_env import Detection
+
 HEADER = ["id", "t", "x", "y"]
+
+
+class Sure:
+    """A detector that is sure of one UAV, which all others follow."""
+
+    def __init__(self, head):
+        self.head = head
+
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        candidates = np.arange(window.uavs) == self.head
+        return Detection(
+            candidates, candidates * 1.0, leader=np.full(window.uavs, self.head), extras={"probability": candidates}
+        )
 
 
 def straight(steps=20, uavs=3, height=False):
