@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 
-from result_pages.text import FORMER, RESULTS, Row, exact_of, mean_of, page, read_csv, share_of, source, table
+from result_pages.text import RESULTS, Row, exact_of, mean_of, page, read_csv, share_of, source, table
 from usnet_env.evaluation.report import group_rows
 
 EIGHT = "eight others"
@@ -94,7 +94,7 @@ def text() -> str:
         "Seeds 2022 to 2041. `learned` was not tuned on them, with one exception: an earlier network failed on "
         "`products` with tuning seeds, and features were added for that reason. `follow-mixture` was developed "
         "further after rows of an earlier build had been published for these seeds, so they are not new to it. "
-        f"{FORMER} Half of the eight other strategies lie inside its [feature classes](strategies.md).",
+        "Half of the eight other strategies lie inside its [feature classes](strategies.md).",
         games(),
         "## Harder swarms",
         "The cells of `benchmarks/follow_mixture.py`, from seed 2022: short windows (T: steps), position noise in "

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 
-from result_pages.text import FORMER, RESULTS, Row, mean_of, page, read_csv, share_of, source, table
+from result_pages.text import RESULTS, Row, mean_of, page, read_csv, share_of, source, table
 from usnet_env.evaluation.report import group_rows
 
 
@@ -53,14 +53,13 @@ def text() -> str:
     """The page."""
     return page(
         "Games of several agents",
-        f"Seeds from 2022; M = 5, N = 82. {FORMER}",
+        "Seeds from 2022; M = 5, N = 82.",
         "## Scripted swarms",
         "`usnet_evasion_v0`, at most 10 rounds: every observer against every swarm policy. `late`: a delay of 4 steps; "
         "`camouflaged`: smooth turns, 2 decoys and a delay of 4 steps. The swarm pays a price for what its heads do.",
         payoff(),
         "## A swarm trained by PPO",
-        "All heads make the same choice; one training for each line. The matches against `follow-mixture` were played "
-        "with a still earlier build of it.",
+        "All heads make the same choice; one training for each line.",
         trained(),
         "![Learning curves](../../benchmarks/results/multiagent_ppo.png)",
         "## Several observers",
