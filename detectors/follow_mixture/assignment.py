@@ -142,9 +142,15 @@ class _Search:
     def _rises(self, chosen: Mask) -> Floats:
         """``(c,)``: rise of the gains by one more head, without prices; -inf for chosen ones."""
         gained = self._gained(chosen)
-        may = self._follows(chosen)
-        rise = np.maximum(self.gain[may] - gained[may, None], 0.0).sum(axis=0)
-        rise -= np.where(self.itself >= 0, gained[self.itself], 0.0)
+        return self._less_own(self._sum_rises(np.flatnonzero(self._follows(chosen)), gained), gained, chosen)
+
+    def _sum_rises(self, groups: Indices, gained: Floats) -> Floats:
+        """``(c,)``: what some groups gain by each candidate beyond ``gained`` ``(C,)``, summed over them."""
+        return np.asarray(np.maximum(self.gain[groups] - gained[groups, None], 0.0).sum(axis=0))
+
+    def _less_own(self, rise: Floats, gained: Floats, chosen: Mask) -> Floats:
+        """The rises less what each candidate gains as a follower; -inf for chosen ones."""
+        rise = rise - np.where(self.itself >= 0, gained[self.itself], 0.0)
         rise[chosen] = -np.inf
         return rise
 
@@ -160,15 +166,27 @@ class _Search:
         return chosen
 
     def swap(self, chosen: Mask) -> Mask:
-        """Exchange each head for the best other candidate, if the value rises."""
-        value = self.value(chosen)
+        """Exchange each head for the best other candidate, if the value rises.
+
+        Without a head only its followers, and itself if it is a group, gain anything else: the sums over all other
+        groups stay, so that a pass takes about as long as two sums over all groups.
+        """
+        value, changed = self.value(chosen), True
         for place in np.flatnonzero(chosen):
+            if changed:
+                gained, head, changed = self._gained(chosen), self.follow(chosen), False
+                summed = self._sum_rises(np.flatnonzero(self._follows(chosen)), gained)
             trial = chosen.copy()
             trial[place] = False
-            best = int(self._rises(trial).argmax())
+            led = np.flatnonzero(head == place)
+            freed = np.append(led, self.itself[place]) if self.itself[place] >= 0 else led
+            after = gained.copy()
+            after[freed] = self.gain[np.ix_(freed, trial)].max(axis=1, initial=0.0)
+            rise = summed - self._sum_rises(led, gained) + self._sum_rises(freed, after)
+            best = int(self._less_own(rise, after, trial).argmax())
             trial[best] = True
             if best != place and self.value(trial) > value + _LITTLE:
-                chosen, value = trial, self.value(trial)
+                chosen, value, changed = trial, self.value(trial), True
         return chosen
 
     def drop_small(self, chosen: Mask, sizes: Indices) -> Mask:
