@@ -11,6 +11,7 @@ from detectors.baselines.networks import Flight, NetworkDetector, Pairs, correla
 from detectors.series.designs import centre_columns, centre_past, scale_to_unit
 from detectors.series.regressions import correlate_at_lag, correlate_over_lags, explain_pairs
 from usnet_env.arrays import Floats
+from usnet_env.compiling import compiled
 from usnet_env.detection import Tags
 
 
@@ -133,10 +134,30 @@ class FrontMost(NetworkDetector):
         behind = correlate_over_lags(course, course, lags)
         alike = np.maximum(np.maximum(behind, behind.T), correlate_at_lag(course, course, 0))
         ahead = np.zeros_like(behind)
-        for i in range(len(behind)):
-            both = flight.seen & flight.seen[:, [i]]
-            way = _directions(flight.place - flight.place[:, [i]])
-            common = _directions(flight.velocity + flight.velocity[:, [i]])
-            cosine = np.where(both, (way * common).sum(axis=-1), 0.0)
-            ahead[i] = cosine.sum(axis=0) / np.maximum(both.sum(axis=0), 1)
+        by_uav = (values.swapaxes(0, 1).copy() for values in (flight.place, flight.velocity, flight.seen))
+        _compare_places(*by_uav, ahead)
         return Pairs(alike, np.where(alike >= self.alike, ahead, 0.0))
+
+
+@compiled()
+def _compare_places(place, velocity, seen, ahead):  # type: ignore[no-untyped-def]  # Numba infers the types
+    """Set ``ahead`` ``(n, n)`` from place and velocity ``(n, T, d)`` and seen ``(n, T)``."""
+    uavs, steps, axes = place.shape
+    for i in range(uavs):
+        for j in range(i + 1, uavs):
+            cosines, count = 0.0, 0
+            for t in range(steps):
+                if not (seen[i, t] and seen[j, t]):
+                    continue
+                count += 1
+                product = way = common = 0.0
+                for k in range(axes):
+                    apart, together = place[j, t, k] - place[i, t, k], velocity[j, t, k] + velocity[i, t, k]
+                    product += apart * together
+                    way += apart**2
+                    common += together**2
+                if way > 0 and common > 0:
+                    cosines += product / (np.sqrt(way) * np.sqrt(common))
+            if count:
+                ahead[i, j] = cosines / count
+                ahead[j, i] = -ahead[i, j]
