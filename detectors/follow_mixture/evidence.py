@@ -17,15 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from detectors.follow_mixture.features import SCREENED, make_features
 from detectors.follow_mixture.motion import lagged
+from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.compiling import compiled
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 OWN_LAW = 3.0  # log prior odds of a law that UAVs share against a law of a group's or UAV's own
 _ROWS_A_LAG = 12  # rows of a window per lag of the own past in Z
@@ -179,20 +175,27 @@ def screen(targets: Targets, past: Floats, names: Sequence[str], groups: Indices
     weight = targets.weight[groups]
     rows = targets.rows[groups, None]
     power = targets.energy[groups][:, None]
-    flat = (targets.innovation[groups] * weight[:, :, None]).transpose(1, 0, 2).reshape(weight.shape[1], -1)
-    plain = (targets.innovation[groups] / weight[:, :, None]).transpose(1, 0, 2).reshape(weight.shape[1], -1)
-    own = (targets.own[groups] * weight[:, :, None]).transpose(1, 0, 2).reshape(weight.shape[1], -1)
+    # Single precision: this is most of the work in a large swarm, and only nominates the pairs that are then computed.
+    flat, plain, own = (
+        values.transpose(1, 0, 2).reshape(weight.shape[1], -1).astype(np.float32)
+        for values in (
+            targets.innovation[groups] * weight[:, :, None],
+            targets.innovation[groups] / weight[:, :, None],
+            targets.own[groups] * weight[:, :, None],
+        )
+    )
+    square = (weight**2).astype(np.float32)
     rough = ((plain**2).reshape(len(plain), -1, 3).sum(axis=(0, 2)) + 3 * len(plain) * _GRAIN**2)[:, None]
     screened = [name for name in names if name in SCREENED]
     evidence = np.zeros((len(screened), len(groups), len(past)))
     for first in range(0, len(past), _CHUNK):
         part = slice(first, first + _CHUNK)
-        for number, (_, features) in enumerate(make_features(past[part], screened)):
-            if features.shape[2] == 3:
-                share = _explain_by_three(features, flat, own, weight**2) / power
+        for number, (_, found) in enumerate(make_features(past[part], screened)):
+            if found.shape[2] == 3:
+                share = _explain_by_three(found.astype(np.float32), flat, own, square) / power
             else:
-                share = _explain_roughly(features, plain) / rough
-            evidence[number, :, part] = bayes_factor(share, rows, features.shape[2])
+                share = _explain_roughly(whiten(found).astype(np.float32), plain) / rough
+            evidence[number, :, part] = bayes_factor(share, rows, found.shape[2])
     return evidence
 
 
@@ -205,15 +208,24 @@ def choose_pairs(targets: Targets, evidence: Floats, groups: Indices) -> Pairs:
         groups: ``(c,)`` the groups that were screened.
     """
     inside = targets.label[None] == groups[:, None]
-    alone = (targets.sizes[targets.label] == 1)[None]
+    alone = targets.sizes[targets.label] == 1
     asked = np.zeros(evidence.shape[1:], bool)
-    for mask in (inside, ~inside & alone, ~inside & ~alone):
-        for values in np.where(mask, evidence, 0.0):
-            some = min(_ASKED, values.shape[1])
-            least = np.partition(values, -some, axis=1)[:, -some, None]
-            asked |= (values >= least) & (values > 0.0)
+    for columns in (np.flatnonzero(alone), np.flatnonzero(~alone)):
+        for values in evidence[:, :, columns]:
+            asked[:, columns] |= _find_highest(np.where(inside[:, columns], 0.0, values))
+    for row in range(len(groups)):
+        members = np.flatnonzero(inside[row])
+        asked[row, members] = _find_highest(evidence[:, row, members]).any(axis=0)
     place, uav = np.nonzero(asked)
     return pair(targets, groups[place], uav)
+
+
+def _find_highest(values: Floats) -> Mask:
+    """Which of the ``values`` ``(k, n)`` are positive and among the highest of their row."""
+    if values.shape[1] <= _ASKED:
+        return values > 0.0
+    least = np.partition(values, -_ASKED, axis=1)[:, -_ASKED, None]
+    return (values >= least) & (values > 0.0)
 
 
 def pair(targets: Targets, group: Indices, uav: Indices) -> Pairs:
@@ -222,15 +234,14 @@ def pair(targets: Targets, group: Indices, uav: Indices) -> Pairs:
     return Pairs(group, uav, np.where(member, len(targets.sizes) + uav, group))
 
 
-def _explain_roughly(features: Floats, flat: Floats) -> Floats:
-    """``(C, k)``: energy of unweighted innovations ``(R, 3 C)`` that features ``(k, R, p)`` explain alone."""
-    white = whiten(features)
+def _explain_roughly(white: Singles, flat: Singles) -> Floats:
+    """``(C, k)``: energy of unweighted innovations ``(R, 3 C)`` that orthonormal features ``(k, R, p)`` explain."""
     product = (white.transpose(0, 2, 1).reshape(-1, len(flat)) @ flat).reshape(len(white), white.shape[2], -1)
     energy = np.einsum("kpc,kpc->kc", product, product)
     return np.asarray(energy.reshape(len(white), -1, 3).sum(axis=2).T)
 
 
-def _explain_by_three(features: Floats, flat: Floats, own: Floats, weight: Floats) -> Floats:
+def _explain_by_three(features: Singles, flat: Singles, own: Singles, weight: Singles) -> Floats:
     """``(C, k)``: energy that three features ``(k, R, 3)`` explain beyond the own pasts, exactly.
 
     ``flat`` ``(R, 3 C)`` are the innovations and ``own`` ``(R, z C)`` the own pasts, times the weights of their rows;
@@ -246,7 +257,7 @@ def _explain_by_three(features: Floats, flat: Floats, own: Floats, weight: Float
 
 
 @compiled()
-def _solve_by_three(moment: Floats, known: Floats, gram: Floats, ridge: float, least: float) -> Floats:
+def _solve_by_three(moment: Singles, known: Singles, gram: Singles, ridge: float, least: float) -> Floats:
     """``(k, C)``: m' G^-1 m, summed over three axes, with G less what the own past explains, by Cholesky's method.
 
     Args:
@@ -269,7 +280,7 @@ def _solve_by_three(moment: Floats, known: Floats, gram: Floats, ridge: float, l
                         value -= known[k, p, c, z] * known[k, q, c, z]
                     for r in range(q):
                         value -= lower[p, r] * lower[q, r]
-                    lower[p, q] = np.sqrt(value + more) if p == q else value / lower[q, q]
+                    lower[p, q] = np.sqrt(max(value, 0.0) + more) if p == q else value / lower[q, q]
             total = 0.0
             for axis in range(3):
                 for p in range(3):
