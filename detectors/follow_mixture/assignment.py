@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from usnet_env.arrays import Floats, Indices, Mask
 
 LEAST_FOLLOWERS = 2  # m_j >= 2
 _ROUNDS = 50

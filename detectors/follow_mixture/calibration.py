@@ -15,13 +15,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import expit
 
+from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, Config, quote
-
-Floats = NDArray[np.float64]
 
 MOST_ODDS = 14.0  # log-odds are clipped at this value
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
@@ -16,8 +15,6 @@ from detectors.policy import Policy, choose
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
-
-Floats = NDArray[np.float64]
 
 
 class _Arguments(Policy):

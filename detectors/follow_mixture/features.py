@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from usnet_env.arrays import Floats
 
 #: Name of each class and the features of it: ``v`` velocities, ``v²`` their axis-wise squares, ``vv`` products of two
 #: axes of the newest velocity, ``v×v`` products of each axis of the newest velocity with each axis of the one before.

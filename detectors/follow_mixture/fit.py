@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from detectors.follow_mixture.assignment import Assignment, assign_groups
@@ -28,9 +27,7 @@ from detectors.follow_mixture.groups import find_groups
 from detectors.follow_mixture.motion import Motion, lagged
 from detectors.follow_mixture.pooling import LonePairs, ask_single_uavs
 from detectors.follow_mixture.spectra import fit_spectra, smoothed_pasts
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from usnet_env.arrays import Floats, Indices
 
 _CERTAIN = 7.0  # log-odds of every UAV at which the search ends
 _RARE = 0.05  # prior probability that the head of a group is not in the window, and of a head of single UAVs only

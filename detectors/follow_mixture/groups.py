@@ -17,13 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from detectors.follow_mixture.spectra import FlightSpectra
+from usnet_env.arrays import Floats, Indices
 from usnet_env.compiling import compiled
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _JITTERS = (0.01, 0.03, 0.1, 0.3, 0.6)  # share of the power that is a UAV's own jitter
 _ORDERED_BY = 3  # the share that orders the mergers: the largest, by which most groups merge
@@ -46,7 +43,7 @@ class _Bands:
     ratio: Floats
     count: Floats
 
-    def worth(self, energy: Floats, size: NDArray[np.float64]) -> Floats:
+    def worth(self, energy: Floats, size: Floats) -> Floats:
         """Log-likelihood of groups with energies |S|² ``(F, ...)`` and ``(...)`` members, over independent UAVs."""
         shape = (-1, *(1,) * np.ndim(size))
         ratio, noise, count = (some.reshape(shape) for some in (self.ratio, self.noise, self.count))
@@ -97,9 +94,7 @@ def find_groups(velocity: Floats, spectra: FlightSpectra, rng: np.random.Generat
     return _number_by_first(label)
 
 
-def _spectral_bands(
-    velocity: Floats, spectra: FlightSpectra
-) -> tuple[Floats, list[NDArray[np.int64]], Floats, Floats, Floats]:
+def _spectral_bands(velocity: Floats, spectra: FlightSpectra) -> tuple[Floats, list[Indices], Floats, Floats, Floats]:
     """Fourier coordinates ``(n, 3 K)``, and the columns, their number, 2 (1 - cos w) and the spectrum of each band."""
     uavs, steps = velocity.shape[:2]
     transformed = np.fft.rfft(velocity, axis=1, norm="ortho")[:, 1:]
@@ -233,7 +228,7 @@ def _merge(gram: Floats, ratio: Floats, noise: Floats, count: Floats, least: flo
 
 def _join(
     coordinates: Floats,
-    band: list[NDArray[np.int64]],
+    band: list[Indices],
     model: _Bands,
     label: Indices,
     turn: Indices,

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from detectors.series.gaps import fill_gaps
+from usnet_env.arrays import Floats, Indices
 from usnet_env.window import Window
-
-Floats = NDArray[np.float64]
 
 LEAST_STEPS = 5  # velocities; a shorter window has no past to compare with
 # Speeds count as equal if their standard deviation is below this share of the velocities' scatter about their mean: the
@@ -42,7 +40,7 @@ class Motion:
         return int(self.velocity.shape[1])
 
 
-def read_motion(window: Window, living: NDArray[np.int64]) -> Motion | None:
+def read_motion(window: Window, living: Indices) -> Motion | None:
     """Read the motion of the living UAVs.
 
     Args:

@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betaln
 
 from detectors.follow_mixture.evidence import (
@@ -30,9 +29,7 @@ from detectors.follow_mixture.evidence import (
     whiten,
 )
 from detectors.follow_mixture.features import LONE, make_features
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from usnet_env.arrays import Floats, Indices, Mask
 
 _TURNS = 3  # of choosing the followers of a candidate and fitting their law
 _ASKED = 200  # most single UAVs that are asked; bounds time and memory
@@ -141,7 +138,7 @@ class _Screening:
     name: str
     uav: Indices
     moment: Floats
-    others: NDArray[np.bool_]
+    others: Mask
     strength: Floats
     energy: Floats
     rows: Floats
@@ -190,9 +187,7 @@ def _screenings(
         )
 
 
-def _pool(
-    targets: Targets, pairs: Pairs, some: Statistics, follows: NDArray[np.bool_], fixed: NDArray[np.bool_]
-) -> Floats:
+def _pool(targets: Targets, pairs: Pairs, some: Statistics, follows: Mask, fixed: Mask) -> Floats:
     """``(P,)``: log-likelihood that each pair gains by the law of the candidate's other followers.
 
     A candidate without other followers has no law: 0.

@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from usnet_env.arrays import Floats
 
 _LEAST_NOISE = 0.004  # smaller variances of position noise per axis, relative to the squared speed, count as 0
 _MEMORIES = np.concatenate([np.linspace(0.0, 0.9, 7), [0.95, 0.98]])

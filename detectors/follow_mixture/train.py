@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import minimize
 from scipy.special import expit
@@ -28,6 +27,7 @@ from scipy.special import expit
 from detectors.follow_mixture.calibration import MOST_ODDS, Calibration
 from detectors.follow_mixture.fit import fit_motion
 from detectors.follow_mixture.motion import read_motion
+from usnet_env.arrays import Floats, Mask
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.files import atomic_write
 from usnet_env.provenance import versions
@@ -35,7 +35,6 @@ from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_strategy
 from usnet_env.window import Window
 
-Floats = NDArray[np.float64]
 Rows = Sequence[Mapping[str, str]]
 
 COLUMNS = (
@@ -118,7 +117,7 @@ def draw_swarm(training: CalibrationTraining, rng: np.random.Generator) -> Swarm
     return drawn
 
 
-def draw_window(config: SwarmConfig, rng: np.random.Generator) -> tuple[Window, NDArray[np.bool_], bool]:
+def draw_window(config: SwarmConfig, rng: np.random.Generator) -> tuple[Window, Mask, bool]:
     """Draw a window of a swarm; in 20 % of the cases some UAVs were destroyed before.
 
     Returns:

@@ -8,8 +8,8 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection
 from usnet_env.drawing import HIT, MISSED, REDUNDANT, caption_figure
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 _SEEDS_TRIED = 10_000
 _LEAST_WEIGHT = 0.02  # lines of a smaller attention weight are not drawn
 _ATTENTION, _UAV = "#0072b2", "#555555"
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -163,7 +161,7 @@ def draw_attention_sizes(scenes: Sequence[Scene], answers: Sequence[Detection], 
     return figure
 
 
-def list_leaders(attention: Floats) -> NDArray[np.int64]:
+def list_leaders(attention: Floats) -> Indices:
     """List, for each UAV, the other UAV with the largest attention weight; -1 where all weights are 0.
 
     Args:
@@ -229,7 +227,7 @@ def _draw_attention_graph(axes: Axes, place: Floats, attention: Floats) -> None:
     axes.add_collection(LineCollection(list(ends), linewidths=widths, colors=_ATTENTION, alpha=0.55, zorder=1))
 
 
-def _place_levels(candidates: NDArray[np.bool_]) -> Floats:
+def _place_levels(candidates: Mask) -> Floats:
     """Place the UAVs on two levels, ``(N, 2)``: candidates at height 1, the others on a shallow arc around 0."""
     levels = np.zeros((len(candidates), 2))
     for level, members in ((1.0, np.flatnonzero(candidates)), (0.0, np.flatnonzero(~candidates))):
@@ -239,7 +237,7 @@ def _place_levels(candidates: NDArray[np.bool_]) -> Floats:
     return levels
 
 
-def _mark_uavs(axes: Axes, place: Floats, head: int, candidates: NDArray[np.bool_]) -> None:
+def _mark_uavs(axes: Axes, place: Floats, head: int, candidates: Mask) -> None:
     """Mark the UAVs, the head and the candidates, and write their numbers beside them."""
     axes.scatter(place[:, 0], place[:, 1], s=40, color=_UAV, zorder=2, label="UAV")
     star: dict[str, Any] = {"marker": "*", "color": "#e69f00", "edgecolor": "black", "label": "head (the truth)"}

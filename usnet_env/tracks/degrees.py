@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from usnet_env.arrays import Floats
 
 __all__ = ["to_local_metres"]
 
-Floats = NDArray[np.float64]
 _AXIS, _SQUARED_ECCENTRICITY = 6_378_137.0, 6.694379990141317e-3  # metres; the ellipsoid of WGS 84
 
 

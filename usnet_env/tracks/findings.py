@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Mask
+
 if TYPE_CHECKING:
     from usnet_env.tracks.tracks import Tracks
 
 __all__ = ["Finding", "TrackReport", "find_problems"]
 
-Floats = NDArray[np.float64]
 _GAP = 3.0  # a gap is an interval of more than this many typical intervals of its id
 _UNEVEN = 0.1  # sampling is uneven if a tenth of the intervals differ from the typical one by more than this share
 _JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
@@ -99,7 +100,7 @@ def _count_whole(tracks: Tracks) -> int:
     return int(((first <= slack) & (last >= tracks.duration - slack)).sum())
 
 
-def _speeds(tracks: Tracks, interval: Floats, inner: NDArray[np.bool_]) -> Floats:
+def _speeds(tracks: Tracks, interval: Floats, inner: Mask) -> Floats:
     """``(S - 1,)`` metres per second from each sample to the next of its id; 0 between ids."""
     squares = np.zeros(len(interval))
     for axis in range(3):
@@ -162,7 +163,7 @@ def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> list[Finding]
     return found
 
 
-def _find_gaps(tracks: Tracks, interval: Floats, inner: NDArray[np.bool_], typical: Floats) -> list[Finding]:
+def _find_gaps(tracks: Tracks, interval: Floats, inner: Mask, typical: Floats) -> list[Finding]:
     limit = np.repeat(_GAP * typical, np.diff(tracks.offsets))[:-1]
     gaps = np.flatnonzero(inner & (interval > limit))
     if not len(gaps):
@@ -178,7 +179,7 @@ def _find_gaps(tracks: Tracks, interval: Floats, inner: NDArray[np.bool_], typic
     ]
 
 
-def _find_uneven(tracks: Tracks, interval: Floats, inner: NDArray[np.bool_], typical: Floats) -> list[Finding]:
+def _find_uneven(tracks: Tracks, interval: Floats, inner: Mask, typical: Floats) -> list[Finding]:
     expected = np.repeat(typical, np.diff(tracks.offsets))[:-1]
     off = inner & (np.abs(interval - expected) > _UNEVEN * expected)
     share = off.sum() / max(int(inner.sum()), 1)
@@ -239,7 +240,7 @@ def _find_exchanges(tracks: Tracks, jumps: NDArray[np.intp]) -> list[tuple[int, 
     return pairs
 
 
-def _find_velocity_conflicts(tracks: Tracks, interval: Floats, inner: NDArray[np.bool_]) -> list[Finding]:
+def _find_velocity_conflicts(tracks: Tracks, interval: Floats, inner: Mask) -> list[Finding]:
     """Compare the velocities in the file with the differences of the positions, after and before the sample."""
     if tracks.velocity is None or not inner.any():
         return []

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, plain_text, quote, real_number, whole_number
 from usnet_env.files import as_path
 from usnet_env.tracks.columns import check_mapping
@@ -24,7 +25,6 @@ from usnet_env.tracks.tracks import Clock, Tracks, assemble
 
 __all__ = ["read_tracks"]
 
-Floats = NDArray[np.float64]
 _READERS = {
     ".parquet": read_parquet, ".pq": read_parquet, ".npz": read_npz, ".gpx": read_gpx, ".ulg": read_ulog,
 }  # fmt: skip
@@ -258,7 +258,7 @@ class _Table:
             Clock(0.0, unit, bool(self._timestamps), self._whole), frame, tuple(notes), origin,
         )  # fmt: skip
 
-    def _leaders(self, codes: NDArray[Any], notes: list[str]) -> NDArray[np.int64] | None:
+    def _leaders(self, codes: NDArray[Any], notes: list[str]) -> Indices | None:
         """``(S,)`` index of each sample's leader, -1 for none."""
         named = self._take("leader")
         if named is None:

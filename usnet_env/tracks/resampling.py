@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, quote
 from usnet_env.tracks.findings import typical_intervals
 
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["StepChoice", "choose_step", "resample_positions"]
 
-Floats = NDArray[np.float64]
 _LEAST_FIT = 3  # samples within a grid step from which a straight line is fitted
 _SNAP = 1e-6  # grid steps; times that differ by less are the same
 _TYPICAL_SHARE, _BRIDGE = 0.9, 1.5  # intervals up to 1.5 times that of this quantile are interpolated
@@ -34,10 +34,10 @@ _FEWEST_PAIRS = 3
 class _Grid(NamedTuple):
     """Resampled tracks: offsets ``(N + 1,)``, time ``(G,)``, position ``(G, 3)`` and leader ``(G,)`` or ``None``."""
 
-    offsets: NDArray[np.int64]
+    offsets: Indices
     time: Floats
     position: Floats
-    leader: NDArray[np.int64] | None
+    leader: Indices | None
 
 
 def resample_positions(tracks: Tracks, step: float, max_gap: float | None) -> _Grid:
@@ -79,7 +79,7 @@ def resample_positions(tracks: Tracks, step: float, max_gap: float | None) -> _G
 
 def _resample_one(
     time: Floats, position: Floats, step: float, max_gap: float | None
-) -> tuple[NDArray[np.int64], Floats, NDArray[np.intp]]:
+) -> tuple[Indices, Floats, NDArray[np.intp]]:
     """Resample one track ``(S,)``, ``(S, 3)``.
 
     Returns:
@@ -101,7 +101,7 @@ def _resample_one(
     return number, place, nearest
 
 
-def _grid_numbers(at: Floats, step: float, max_gap: float | None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _grid_numbers(at: Floats, step: float, max_gap: float | None) -> tuple[Indices, Indices]:
     """The grid times at which a track has samples, for sample times ``at`` ``(S,)`` in steps.
 
     Returns:
@@ -118,7 +118,7 @@ def _grid_numbers(at: Floats, step: float, max_gap: float | None) -> tuple[NDArr
     return low, count
 
 
-def _fit_lines(at: Floats, position: Floats, number: NDArray[np.int64], place: Floats) -> None:
+def _fit_lines(at: Floats, position: Floats, number: Indices, place: Floats) -> None:
     """Replace ``place`` ``(G, 3)`` by straight lines fitted within half a step, where there are enough samples."""
     cell = np.floor(at + 0.5).astype(np.int64)
     starts = np.flatnonzero(np.diff(cell, prepend=cell[0] - 1))

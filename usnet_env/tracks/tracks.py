@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote, real_number, whole_number
 from usnet_env.tracks.findings import TrackReport, find_problems
 from usnet_env.tracks.resampling import choose_step, resample_positions
@@ -18,7 +19,6 @@ from usnet_env.window import as_array, frozen_array
 
 __all__ = ["Clock", "Tracks"]
 
-Floats = NDArray[np.float64]
 _DIGITS = 9  # decimals of a time that is written as a number
 _SHORTEST_STEP, _LONGEST_STEP = 1e-9, 1e9  # seconds
 
@@ -73,12 +73,12 @@ class Tracks:
     """
 
     ids: tuple[str | int, ...]
-    offsets: NDArray[np.int64]
+    offsets: Indices
     time: Floats
     position: Floats
     origin: Floats
     velocity: Floats | None = None
-    leader: NDArray[np.int64] | None = None
+    leader: Indices | None = None
     clock: Clock = Clock()
     frame: str = "metres"
     notes: tuple[str, ...] = ()
@@ -155,7 +155,7 @@ class Tracks:
         return float(self.time.max(initial=0.0))
 
     @property
-    def inner_steps(self) -> NDArray[np.bool_]:
+    def inner_steps(self) -> Mask:
         """``(S - 1,)`` bool: whether sample s and s + 1 belong to the same id."""
         inner = np.ones(max(len(self.time) - 1, 0), bool)
         edges = self.offsets[1:-1]
@@ -252,7 +252,7 @@ def assemble(
     time: Floats,
     position: list[Floats],
     velocity: Floats | None,
-    leader: NDArray[np.int64] | None,
+    leader: Indices | None,
     clock: Clock,
     frame: str,
     notes: tuple[str, ...],
