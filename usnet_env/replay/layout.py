@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usnet_env.replay.course import ABOUT, GAME, LANES, ROUND
-from usnet_env.replay.mind import ATTENTION, CHART_HEIGHT, CHART_WIDTH, FEATURES, FOUND, SCORES
+from usnet_env.replay.mind import (
+    ATTENTION,
+    CHART_HEIGHT,
+    CHART_WIDTH,
+    FEATURES,
+    FOUND,
+    SCORES,
+    attention_maps,
+    place_maps,
+)
 from usnet_env.replay.scribe import Scribe, parse_color
 from usnet_env.replay.world import OBSERVERS, SMALL, SWARM, VERDICT, WORLD
 
@@ -60,14 +69,11 @@ def _space(scribe: Scribe, name: str, detector: bool) -> rrb.Spatial3DView:
     )
 
 
-def _flat(origin: str, name: str, x: Sequence[float] | None = None, y: Sequence[float] | None = None) -> Any:
+def _flat(origin: str, name: str, x: Sequence[float], y: Sequence[float]) -> Any:
     import rerun.blueprint as rrb
 
-    bounds = None if x is None or y is None else rrb.VisualBounds2D(x_range=list(x), y_range=list(y))
-    background = parse_color(_BACKGROUND)[:3]
-    if bounds is None:
-        return rrb.Spatial2DView(origin=origin, name=name, background=background)
-    return rrb.Spatial2DView(origin=origin, name=name, background=background, visual_bounds=bounds)
+    bounds = rrb.VisualBounds2D(x_range=list(x), y_range=list(y))
+    return rrb.Spatial2DView(origin=origin, name=name, background=parse_color(_BACKGROUND)[:3], visual_bounds=bounds)
 
 
 def _panels(scribe: Scribe) -> list[Any]:
@@ -77,18 +83,27 @@ def _panels(scribe: Scribe) -> list[Any]:
     scores = _flat(f"{root}{SCORES}", "Scores, highest first", (-0.1, CHART_WIDTH + 0.1), (-1.35, lowest))
     panels = [scores]
     if record.attention is not None:
-        panels.append(_flat(f"{root}{ATTENTION}", "Attention of a UAV (row): bright = most"))
+        maps = attention_maps(record, 0)
+        _, (high, wide) = place_maps(len(maps), side := len(maps[0][1]))
+        bounds = (-0.05 * side, wide + 0.05 * side), (-0.3 * side, high + 0.05 * side)  # titles stand above the maps
+        panels.append(_flat(f"{root}{ATTENTION}", "Attention of a UAV (row): bright = most", *bounds))
     if record.features is not None:
         panels.append(_flat(f"{root}{FEATURES}", "Feature space, colour = found group", (-0.6, 0.6), (-0.6, 0.6)))
     return panels
 
 
-def _curve(contents: Sequence[str], name: str, **more: Any) -> Any:
+def _curve(scribe: Scribe, contents: Sequence[str], name: str, **more: Any) -> Any:
+    """A curve over the whole game."""
     import rerun.blueprint as rrb
 
-    return rrb.TimeSeriesView(
-        origin="/", contents=list(contents), name=name, plot_legend=rrb.PlotLegend(visible=False), **more
+    span = scribe.rr.TimeRange(
+        start=scribe.rr.TimeRangeBoundary.absolute(seconds=0.0),
+        end=scribe.rr.TimeRangeBoundary.absolute(seconds=float(scribe.clock.seconds.max())),
     )
+    return rrb.TimeSeriesView(
+        origin="/", contents=list(contents), name=name, axis_x=rrb.TimeAxis(view_range=span),
+        plot_legend=rrb.PlotLegend(visible=False), **more,
+    )  # fmt: skip
 
 
 def _frame(*rows: Any, shares: Sequence[float]) -> rrb.Blueprint:
@@ -105,9 +120,9 @@ def arrange_views(scribe: Scribe) -> rrb.Blueprint:
     record, root = scribe.record, f"/{scribe.root}"
     about = rrb.TextDocumentView(origin=f"{root}{ABOUT}", name="What you see")
     told = rrb.TextDocumentView(origin=f"{root}{ROUND}", name="This round")
-    texts = rrb.Vertical(about, told, row_shares=[1, 1])
+    texts = rrb.Vertical(about, told, row_shares=[3, 2])
     if not record.labelled:
-        leaders = _curve([f"{root}{GAME}/leaders"], "Leaders named")
+        leaders = _curve(scribe, [f"{root}{GAME}/leaders"], "Leaders named")
         views = rrb.Horizontal(_space(scribe, "The tracks", detector=False), texts, column_shares=[5, 2])
         return _frame(views, rrb.Horizontal(*_panels(scribe), leaders), shares=[3, 1])
     seen = _space(scribe, "What the detector sees and answers", detector=True)
@@ -116,9 +131,9 @@ def arrange_views(scribe: Scribe) -> rrb.Blueprint:
     count = rrb.ScalarAxis(range=(-0.3, float(record.head.sum()) + 0.3))
     shares = [f"{root}{GAME}/{name}" for name in ("precision", "recall")]
     curves = [
-        _curve([f"{root}{GAME}/heads_left"], "Heads left", axis_y=count),
-        _curve(shares, "Precision (blue), recall (yellow)", axis_y=unit),
-        _curve([f"{root}{GAME}/J"], "J so far"),
+        _curve(scribe, [f"{root}{GAME}/heads_left"], "Heads left", axis_y=count),
+        _curve(scribe, shares, "Precision (blue), recall (yellow)", axis_y=unit),
+        _curve(scribe, [f"{root}{GAME}/J"], "J so far"),
     ]
     lanes = rrb.StateTimelineView(origin=f"{root}{LANES}", name="The game and its heads")
     return _frame(
@@ -137,8 +152,13 @@ def arrange_comparison(scribes: Sequence[Scribe], labels: Sequence[str]) -> rrb.
         told = rrb.TextDocumentView(origin=f"/{scribe.root}{ROUND}", name=f"{label}: this round")
         views = [_space(scribe, f"{label}: answer", True), _space(scribe, f"{label}: verdict", False)]
         columns.append(rrb.Vertical(*views, told, row_shares=[3, 3, 2]))
+    longest = max(scribes, key=lambda scribe: scribe.record.rounds)
     curves = [
-        _curve([f"/{scribe.root}{GAME}/{name}" for scribe in scribes], f"{title}: {labels[0]} blue, {labels[1]} yellow")
+        _curve(
+            longest,
+            [f"/{scribe.root}{GAME}/{name}" for scribe in scribes],
+            f"{title}: {labels[0]} blue, {labels[1]} yellow",
+        )
         for name, title in (("heads_left", "Heads left"), ("J", "J so far"))
     ]
     about = rrb.TextDocumentView(origin=f"/{ABOUT}", name="What you see")

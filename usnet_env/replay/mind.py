@@ -157,6 +157,13 @@ def attention_maps(record: EpisodeRecord, r: int) -> list[tuple[str, NDArray[np.
     return [(title, _reduce(values[np.ix_(order, order)])) for title, values in maps]
 
 
+def place_maps(count: int, side: int) -> tuple[list[tuple[int, int]], tuple[int, int]]:
+    """Row and column of the first pixel of each of ``count`` square maps, and the shape of their sheet."""
+    step, across = max(round(side * _MAP_GAP), side + 1), min(count, _MAPS_IN_A_ROW)
+    places = [(k // across * step, k % across * step) for k in range(count)]
+    return places, (places[-1][0] + side, step * across - step + side)
+
+
 def _write_maps(scribe: Scribe) -> None:
     """Write the heat maps of attention, brighter for larger weights in relation to the largest one of the UAV.
 
@@ -166,10 +173,8 @@ def _write_maps(scribe: Scribe) -> None:
     for r in range(scribe.record.rounds):
         maps = attention_maps(scribe.record, r)
         side = len(maps[0][1])
-        step, across = max(round(side * _MAP_GAP), side + 1), min(len(maps), _MAPS_IN_A_ROW)
-        places = [(k // across * step, k % across * step) for k in range(len(maps))]  # row and column of pixels
-        shape = (places[-1][0] + side, step * across - step + side, 3)
-        sheet = np.full(shape, parse_color("#101418")[:3], np.uint8)
+        places, shape = place_maps(len(maps), side)
+        sheet = np.full((*shape, 3), parse_color("#101418")[:3], np.uint8)
         for (y, x), (_, values) in zip(places, maps, strict=True):
             share = np.clip(values / np.maximum(values.max(axis=1, keepdims=True), 1e-12), 0, 1)[..., None]
             sheet[y : y + side, x : x + side] = 20 + share * (np.array([255, 236, 120]) - 20)

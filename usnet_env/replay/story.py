@@ -139,8 +139,10 @@ def explain_uav(record: EpisodeRecord, number: int, uav: int) -> str:
     if record.attention is not None and record.attention[r].any():
         weight = float(record.attention[r][others, uav].sum())
         parts.append(f"gets {weight:.3g} of the attention of {int(others.sum())}")
-    rank = int((record.scores[r][record.alive[r]] > record.scores[r, uav]).sum()) + 1
-    return "; ".join([*parts, f"score rank {rank} of {int(record.alive[r].sum())}"]) + "."
+    if not parts:
+        rank = int((record.scores[r][record.alive[r]] > record.scores[r, uav]).sum()) + 1
+        parts.append(f"score rank {rank} of {int(record.alive[r].sum())}")
+    return "; ".join(parts) + "."
 
 
 def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tuple[str, str, str, str]:
@@ -231,13 +233,13 @@ colours, links and marks show what the detector found.
     attention = (
         f", {_link('world/found/attention', 'attention')} as white lines" if record.attention is not None else ""
     )
-    return f"""# Who leads this swarm?
+    return f"""## Who leads this swarm?
 
 {by}, seed {record.seed}. {describe_outcome(record)}
 
 {record.uavs} UAVs fly in {format_count(int(record.head.sum()), "cluster")}; in each, the followers follow one head.
-**Press play.** In each round the detector watches, names candidates, they are destroyed, and followers without a head
-join another one.
+**Press play.** In each round the detector watches and names candidates; these are destroyed, and their followers join
+another head.
 
 **Left: what the detector sees**, equal dots. With the answer: {_link("world/found/candidates", "candidates")}, blue
 spheres; {_link("world/found/uavs", "groups")} that it found in colours of its own, larger for a higher {size};
