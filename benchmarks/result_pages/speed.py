@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from result_pages.text import FORMER, RESULTS, page, source, table
+from result_pages.text import RESULTS, page, source, table
 
 
 def read(name: str) -> Any:
@@ -134,7 +134,6 @@ def text() -> str:
         "## The simulator",
         *simulator(),
         "## follow-mixture",
-        FORMER,
         *mixture(),
         "## The evaluator",
         *engine(),

@@ -13,7 +13,6 @@ from usnet_env.evaluation.statistics import Interval, rate_interval
 
 __all__ = [
     "FOLLOW",
-    "FORMER",
     "NOTICE",
     "RESULTS",
     "Row",
@@ -33,8 +32,6 @@ __all__ = [
 
 Row = Mapping[str, str]
 
-#: Of pages whose rows of follow-mixture were not measured again since.
-FORMER = "The rows of `follow-mixture` are of its [former core](follow_mixture_cores.md)."
 NOTICE = "<!-- Written by `python benchmarks/tables.py` from the rows in benchmarks/results. Do not edit. -->"
 
 
