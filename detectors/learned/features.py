@@ -163,9 +163,10 @@ def _compute_direction_cosine(window: Window, living: NDArray[np.intp]) -> Singl
 def _standardise_rows(values: Singles) -> Singles:
     """Standardise ``values`` ``(K, n, n)`` within each row, without the diagonal."""
     uavs = values.shape[1]
-    others = np.float32(max(uavs - 1, 1))
+    others = max(uavs - 1, 1)
     mean = values.sum(axis=2, keepdims=True) / others  # the diagonal is 0 and adds nothing
-    spread = np.sqrt(np.maximum((values**2).sum(axis=2, keepdims=True) / others - mean**2, 0.0))
-    scaled = np.clip((values - mean) / np.where(spread > 1e-6, spread, np.inf), -_SPREADS, _SPREADS)
-    scaled[:, np.arange(uavs), np.arange(uavs)] = 0.0
+    apart = values - mean
+    apart[:, np.arange(uavs), np.arange(uavs)] = 0.0
+    spread = np.sqrt((apart**2).sum(axis=2, keepdims=True) / others)
+    scaled = np.clip(apart / np.where(spread > 1e-6, spread, np.inf), -_SPREADS, _SPREADS)
     return np.asarray(scaled, np.float32)

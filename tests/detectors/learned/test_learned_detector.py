@@ -65,7 +65,7 @@ def test_turning_moving_and_measuring_otherwise_changes_no_feature(seed, metres)
         window.alive,
     )
     uavs = np.arange(9)
-    np.testing.assert_allclose(pair_features(moved, uavs), pair_features(window, uavs), atol=0.02)
+    np.testing.assert_allclose(pair_features(moved, uavs), pair_features(window, uavs), atol=0.002)
 
 
 def test_a_pair_of_head_and_follower_stands_out_in_its_row():
