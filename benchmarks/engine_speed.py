@@ -255,7 +255,7 @@ class Timed:
             append(store, rows)
             self.ends.append(time.perf_counter())
 
-        RunStore.append = note  # type: ignore[method-assign]
+        RunStore.append = note  # type: ignore[method-assign]  # to count its time
         try:
             with tempfile.TemporaryDirectory() as folder:
                 evaluate(
@@ -268,7 +268,7 @@ class Timed:
                     out=folder,
                 )
         finally:
-            RunStore.append = append  # type: ignore[method-assign]
+            RunStore.append = append  # type: ignore[method-assign]  # as it was
         skipped = episodes // 4  # the second node may start later
         self.seconds = self.ends[-1] - self.ends[skipped]
 

@@ -25,6 +25,7 @@ from usnet_env.provenance import machine, versions
 from usnet_env.swarm import SwarmConfig, advance, register_formation, start
 from usnet_env.swarm.flock_follow import Flock
 from usnet_env.swarm.follow import FIELD_MODELS
+from usnet_env.swarm.formation import Roles
 
 EPISODES, UAVS = 256, 82
 FOLLOW = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
@@ -69,9 +70,9 @@ def stepping(turns: int, **arguments: object) -> dict[str, object]:
     }
 
 
-def spread(rng: np.random.Generator, roles: object) -> np.ndarray:
+def spread(rng: np.random.Generator, roles: Roles) -> np.ndarray:
     """Positions at a density that doesn't depend on N: 10,000 UAVs fill the arena of 1000 m x 1000 m x 100 m."""
-    uavs = len(roles.leader)  # type: ignore[attr-defined]
+    uavs = len(roles.leader)
     side = 1000.0 * np.sqrt(uavs / SIZES[-1])
     return rng.uniform(0.0, (side, side, 100.0), (uavs, 3))
 

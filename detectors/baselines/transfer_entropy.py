@@ -67,7 +67,7 @@ def estimate_transfer_entropy(velocity: Floats, seen: Mask, delay: Indices, neig
 
 
 @compiled(fastmath={"nnan", "nsz", "arcp", "contract", "afn", "reassoc"}, error_model="numpy")
-def _estimate(series, seen, delay, rows, neighbours, table, entropy):  # type: ignore[no-untyped-def]  # see warping.py
+def _estimate(series, seen, delay, rows, neighbours, table, entropy):  # type: ignore[no-untyped-def]  # Numba
     uavs, many = len(series), len(rows)
     present, own = np.empty((many, many), np.float32), np.empty((many, many), np.float32)
     past = np.empty((many, many), np.float32)
@@ -117,7 +117,7 @@ def _estimate(series, seen, delay, rows, neighbours, table, entropy):  # type: i
 
 
 @compiled(fastmath={"nnan", "nsz", "arcp", "contract", "afn", "reassoc"})
-def _measure_distances(series, times, squared):  # type: ignore[no-untyped-def]
+def _measure_distances(series, times, squared):  # type: ignore[no-untyped-def]  # Numba infers the types
     """Squared distances between the rows of ``series`` ``(T, 3)`` at these times."""
     x, y, z = series[times, 0], series[times, 1], series[times, 2]
     for r in range(len(times)):

@@ -163,8 +163,8 @@ def bayes_factor(share: Floats, rows: Floats, width: int) -> Floats:
 def screen(targets: Targets, past: Floats, names: Sequence[str], groups: Indices) -> Floats:
     """``(K, c, n)``: evidence of laws of each group's own, for all candidates and K classes.
 
-    Classes of three features are compared exactly; for larger ones the screening ignores the weights of the rows and
-    what a candidate's features share with the group's own past.
+    Classes of three features are compared in single precision; for larger ones the screening ignores the weights of the
+    rows and what a candidate's features share with the group's own past.
 
     Args:
         targets: the groups.
@@ -175,7 +175,7 @@ def screen(targets: Targets, past: Floats, names: Sequence[str], groups: Indices
     weight = targets.weight[groups]
     rows = targets.rows[groups, None]
     power = targets.energy[groups][:, None]
-    # Single precision: this is most of the work in a large swarm, and only nominates the pairs that are then computed.
+    # Single precision is enough to order the candidates, and this is most of the work in a large swarm.
     flat, plain, own = (
         values.transpose(1, 0, 2).reshape(weight.shape[1], -1).astype(np.float32)
         for values in (
@@ -242,7 +242,7 @@ def _explain_roughly(white: Singles, flat: Singles) -> Floats:
 
 
 def _explain_by_three(features: Singles, flat: Singles, own: Singles, weight: Singles) -> Floats:
-    """``(C, k)``: energy that three features ``(k, R, 3)`` explain beyond the own pasts, exactly.
+    """``(C, k)``: energy that three features ``(k, R, 3)`` explain beyond the own pasts.
 
     ``flat`` ``(R, 3 C)`` are the innovations and ``own`` ``(R, z C)`` the own pasts, times the weights of their rows;
     ``weight`` ``(C, R)`` are the squares of these weights.
