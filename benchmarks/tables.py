@@ -55,6 +55,7 @@ PAGES = {
     "docs/results/real_tracks.md": real_tracks.text,
     "docs/results/literature.md": literature.text,
     "docs/results/suites.md": suites.text,
+    "docs/results/suites_cells.md": suites.cells_text,
     "docs/results/speed.md": speed.text,
     # Tables alone, which pages of docs include.
     "benchmarks/results/learned.md": lambda: table_alone(learned.games()),
@@ -110,7 +111,8 @@ def main() -> int:
         with atomic_write(path) as aside:
             aside.write_text(text, encoding="utf-8")
     if arguments.figures:
-        write_figure(tiers.reliability_figure(), tiers.FIGURE)
+        for path, figure in {tiers.FIGURE: tiers.reliability_figure(), **suites.figures()}.items():
+            write_figure(figure, path)
     return int(failed or (arguments.check and bool(changed)))
 
 

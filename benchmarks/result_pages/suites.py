@@ -5,35 +5,68 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+from pathlib import Path
 from statistics import median
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from result_pages.text import RESULTS, Row, mean_of, page, read_csv, share_of, source, table
+from usnet_env.drawing import caption_figure
 from usnet_env.evaluation import TRIVIAL, FrozenSuite, list_suites
-from usnet_env.evaluation.report import format_interval, group_rows
+from usnet_env.evaluation.report import format_interval, group_rows, make_panels
 from usnet_env.evaluation.statistics import rate_interval
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SOLVED = 0.95  # a suite is solved if every detector but the trivial policies is exact this often
 
 
 def text() -> str:
     """The page."""
-    parts, made = [], []
-    for suite in list_suites().values():
-        if rows := read_suite(suite):
-            parts += _describe(suite, rows)
-            made.append(_file(suite))
+    parts, files = [], []
+    for suite, rows in _played():
+        parts += _describe(suite, rows)
+        files += [_file(suite), _picture(suite)]
     return page(
         "Frozen suites",
         "[Frozen suites](../suites.md) are lists of environments with a version. All detectors met the same swarms, "
         "each in a process of its own; M was not given. *Exact* is the share of episodes in which round 1 names all "
-        "heads and no other UAV. Seconds are the median of one answer on a shared machine. *One track* is the area "
-        "under the curve of a classifier that sees the track of one UAV at a time: 0.5 is chance, and at 1 every head "
-        "can be recognised without looking at any other UAV. A detector may then have learned how heads fly, and not "
-        "who leads; no detector of this project is trained on these cells.",
+        "heads and no other UAV. Seconds are the median of one answer on a shared machine. "
+        "[Another page](suites_cells.md) has the numbers of each cell.",
         *parts,
         "## Raw rows and commands",
-        source([*made, "leak_probe.csv"]),
+        source(files),
     )
+
+
+def cells_text() -> str:
+    """The page of all cells."""
+    parts = []
+    for suite, rows in _played():
+        parts += [f"## {suite.label}", _cells(suite, rows)]
+    return page(
+        "All cells of the frozen suites",
+        "The share of episodes in which round 1 names all heads and no other UAV, in percent, with its 95 % interval, "
+        "and after the semicolon n. *One track* is the area under the curve of a classifier that sees the track of one "
+        "UAV at a time: 0.5 is chance, and at 1 every head can be recognised without looking at any other UAV. A "
+        "detector may then have learned how heads fly, and not who leads; no detector of this project is trained on "
+        "these cells.",
+        *parts,
+        "## Raw rows and commands",
+        source([*(_file(suite) for suite, _ in _played()), "leak_probe.csv"]),
+    )
+
+
+def figures() -> dict[Path, Figure]:
+    """A heat map of each suite, by file: cells, detectors, and how often a detector is exact."""
+    return {RESULTS / _picture(suite): _heat_map(suite, rows) for suite, rows in _played()}
+
+
+def _played() -> list[tuple[FrozenSuite, list[Row]]]:
+    """The suites with committed rows."""
+    return [(suite, rows) for suite in list_suites().values() if (rows := read_suite(suite))]
 
 
 def read_suite(suite: FrozenSuite) -> list[Row]:
@@ -46,6 +79,10 @@ def _file(suite: FrozenSuite) -> str:
     return f"suites/{suite.name}-v{suite.version}.csv.gz"
 
 
+def _picture(suite: FrozenSuite) -> str:
+    return f"suites/{suite.name}-v{suite.version}.png"
+
+
 def is_solved(rows: list[Row]) -> bool:
     """Whether all detectors, the trivial policies apart, solve the suite."""
     rates = [
@@ -56,26 +93,42 @@ def is_solved(rows: list[Row]) -> bool:
     return min(rates) >= SOLVED
 
 
+def _by_detector(rows: list[Row]) -> dict[str, list[Row]]:
+    """The rows of each detector; those that are exact most often come first."""
+    return dict(sorted(group_rows(rows, lambda row: row["detector"]).items(), key=lambda item: -_rate(item[1])))
+
+
 def _describe(suite: FrozenSuite, rows: list[Row]) -> list[str]:
-    """The summary of a suite, and its cells."""
-    by_detector = group_rows(rows, lambda row: row["detector"])
-    order = sorted(
-        by_detector, key=lambda name: -sum(float(r["exact"]) for r in by_detector[name]) / len(by_detector[name])
-    )
+    """The summary of a suite, and its picture."""
     lines = [
         (
             f"`{name}`",
-            str(len(by_detector[name])),
-            str(len({row["cell"] for row in by_detector[name]})),
-            share_of([int(row["exact"]) for row in by_detector[name]]),
-            mean_of(by_detector[name], "f1_first"),
-            mean_of(by_detector[name], "J"),
-            f"{median(float(row['seconds_per_round']) for row in by_detector[name]):.2g}",
+            str(len(own)),
+            str(len({row["cell"] for row in own})),
+            share_of([int(row["exact"]) for row in own]),
+            mean_of(own, "f1_first"),
+            mean_of(own, "J"),
+            f"{median(float(row['seconds_per_round']) for row in own):.2g}",
         )
-        for name in order
+        for name, own in _by_detector(rows).items()
     ]
-    cells = group_rows(rows, lambda row: (row["cell"], row["detector"]))
-    leaks = _read_leaks()
+    solved = " This suite is *solved*: every detector but the trivial policies is exact in 95 % of the episodes."
+    return [
+        f"## {suite.label}",
+        f"{suite.purpose} SHA-256 of the file: `{suite.digest[:16]}…`.{solved if is_solved(rows) else ''}",
+        table(("detector", "n", "cells", "exact", "F1 in round 1", "J", "seconds"), lines),
+        f"![Heat map of {suite.name}: how often each detector is exact in each cell]"
+        f"(../../benchmarks/results/{_picture(suite)})",
+    ]
+
+
+def _cells(suite: FrozenSuite, rows: list[Row]) -> str:
+    """How often each detector is exact in each cell, with intervals."""
+    order, cells, leaks = (
+        _by_detector(rows),
+        group_rows(rows, lambda row: (row["cell"], row["detector"])),
+        _read_leaks(),
+    )
     body = [
         (
             cell,
@@ -83,16 +136,43 @@ def _describe(suite: FrozenSuite, rows: list[Row]) -> list[str]:
             *(_exact(cells.get((cell, name), [])) for name in order),
         )
         for cell in suite.cells
-        if any((cell, name) in cells for name in order)
     ]
-    solved = " This suite is *solved*: every detector but the trivial policies is exact in 95 % of the episodes."
-    return [
-        f"## {suite.label}",
-        f"{suite.purpose} SHA-256 of the file: `{suite.digest[:16]}…`.{solved if is_solved(rows) else ''}",
-        table(("detector", "n", "cells", "exact", "F1 in round 1", "J", "seconds"), lines),
-        f"### {suite.name}: exact by cell, in percent",
-        table(("cell", "one track", *(f"`{name}`" for name in order)), body),
-    ]
+    return table(("cell", "one track", *(f"`{name}`" for name in order)), body)
+
+
+def _heat_map(suite: FrozenSuite, rows: list[Row]) -> Figure:
+    """Cells from top to bottom, detectors from left to right; a square is the share of exact episodes in percent."""
+    order, cells = list(_by_detector(rows)), group_rows(rows, lambda row: (row["cell"], row["detector"]))
+    share = np.full((len(suite.cells), len(order)), np.nan)
+    for place, cell in enumerate(suite.cells):
+        for column, name in enumerate(order):
+            if own := cells.get((cell, name)):
+                share[place, column] = 100 * _rate(own)
+    figure, grid = make_panels(4.2 + 0.42 * len(order), 3.4 + 0.24 * len(suite.cells))
+    axes = grid[0, 0]
+    axes.grid(False)
+    axes.imshow(share, cmap="cividis", vmin=0, vmax=100, aspect="auto")
+    for (place, column), value in np.ndenumerate(share):
+        shown = "–" if np.isnan(value) else f"{value:.0f}"
+        axes.text(column, place, shown, ha="center", va="center", fontsize=7.5, color="k" if value > 55 else "w")
+    axes.set_xticks(range(len(order)), order, rotation=50, ha="right", fontsize=8.5, color="k")
+    axes.set_yticks(range(len(suite.cells)), list(suite.cells), fontsize=8.5, color="k")
+    axes.tick_params(length=0)
+    counts = sorted({len(own) for own in cells.values()})
+    caption_figure(
+        figure,
+        f"{suite.label}: in how many percent of the episodes is round 1 exact?",
+        f"A line is a cell, a column is a detector; the best detector stands on the left. Exact: all heads are named, "
+        f"and no other UAV. n = {' or '.join(map(str, counts))} episodes in each square; the 95 % interval of a share "
+        f"of one half is ±{_half_width(counts[0]):.0f} points.",
+    )
+    return figure
+
+
+def _half_width(episodes: int) -> float:
+    """Half of the 95 % interval of a share of one half, in points."""
+    interval = rate_interval([place % 2 for place in range(episodes)])
+    return 50 * (interval.high - interval.low)
 
 
 def _rate(rows: list[Row]) -> float:
