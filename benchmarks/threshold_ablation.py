@@ -72,6 +72,8 @@ CHANGES = {
     "rare-0.5": Change("a head is missing in the window with probability 0.5 instead of 0.05", ((fit, "_RARE", 0.5),)),
     "rare-0.001": Change("a head is missing in the window with probability 0.001", ((fit, "_RARE", 0.001),)),
     "together-1": Change("a member of a group is as likely a head as a single UAV", ((fit, "_LEAST_TOGETHER", 1.0),)),
+    "relay-0": Change("a relay's leader may explain any share of its innovations", ((fit, "_RELAY", 0.0),)),
+    "relay-never": Change("no UAV that leads follows another", ((fit, "_RELAY", 1.0 - 1e-12),)),
     "rows-a-lag": Change("the own past has all lags, however short the window is", ((evidence, "_ROWS_A_LAG", 1),)),
     "freedom": Change("all rows have the same weight, sharp turns too", ((evidence, "_FREEDOM", INFINITE),)),
     "own-choice-free": Change("a single UAV chooses a head at no price", ((pooling, "OWN_LAW", 0.0),)),
@@ -119,7 +121,7 @@ def draw_game(tier: str, name: str, number: int, random: int, seed: int) -> Game
     """The first window of one game of a cell, or of a random swarm."""
     if tier in ("random", "drift"):
         rng = np.random.default_rng((seed, number))
-        window, head, _ = draw_window(draw_swarm(CalibrationTraining(swarms=random, seed=seed), rng), rng)
+        window, head = draw_window(draw_swarm(CalibrationTraining(swarms=random, seed=seed), rng), rng)
         if tier == "drift":
             flown = np.arange(len(window.position), dtype=np.float32)[:, None, None] * WIND
             window = replace(window, position=window.position + flown, velocity=window.velocity + WIND)

@@ -94,11 +94,11 @@ def field_tables() -> list[str]:
     for name, model in CONTROLS.items():
         cells = (f"`{model.equation}`", model.citation, list_values(model, model.parameters))
         controls.append(f"| `{name}` | {' | '.join(cells)} |")
-    moves = ["| name | equation | source | parameters |", "| --- | --- | --- | --- |"]
+    moves = [*follow[:2]]
     for name, kinematics in KINEMATICS.items():
         if dataclasses.is_dataclass(kinematics):
             fields = [field.name for field in dataclasses.fields(kinematics)]
-            cells = (f"`{kinematics.equation}`", kinematics.source, list_values(kinematics, fields))
+            cells = (f"`{kinematics.equation}`", kinematics.source, list_values(kinematics, fields), kinematics.breaks)
             moves.append(f"| `{name}` | {' | '.join(cells)} |")
     return ["\n".join(follow), "\n".join(controls), "\n".join(moves)]
 

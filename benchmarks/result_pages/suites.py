@@ -33,7 +33,8 @@ def text() -> str:
         "Frozen suites",
         "[Frozen suites](../suites.md) are lists of environments with a version. All detectors met the same swarms, "
         "each in a process of its own; M was not given. *Exact* is the share of episodes in which round 1 names all "
-        "heads and no other UAV. Seconds are the median of one answer on a shared machine. "
+        "heads and no other UAV. Seconds are the median of one answer; the rows were played on several days, on shared "
+        "machines of different speed, so seconds are rough. "
         "[Another page](suites_cells.md) has the numbers of each cell.",
         *parts,
         "## Raw rows and commands",
@@ -141,7 +142,7 @@ def _cells(suite: FrozenSuite, rows: list[Row]) -> str:
 
 
 def _heat_map(suite: FrozenSuite, rows: list[Row]) -> Figure:
-    """Cells from top to bottom, detectors from left to right; a square is the share of exact episodes in percent."""
+    """Cells from top to bottom, detectors from left to right; an entry is the share of exact episodes in percent."""
     order, cells = list(_by_detector(rows)), group_rows(rows, lambda row: (row["cell"], row["detector"]))
     share = np.full((len(suite.cells), len(order)), np.nan)
     for place, cell in enumerate(suite.cells):
@@ -162,8 +163,8 @@ def _heat_map(suite: FrozenSuite, rows: list[Row]) -> Figure:
     caption_figure(
         figure,
         f"{suite.label}: in how many percent of the episodes is round 1 exact?",
-        f"A line is a cell, a column is a detector; the best detector stands on the left. Exact: all heads are named, "
-        f"and no other UAV. n = {' or '.join(map(str, counts))} episodes in each square; the 95 % interval of a share "
+        f"A row is a cell, a column is a detector; the best detector is on the left. Exact: all heads are named, "
+        f"and no other UAV. n = {' or '.join(map(str, counts))} episodes in each entry; the 95 % interval of a share "
         f"of one half is ±{_half_width(counts[0]):.0f} points.",
     )
     return figure

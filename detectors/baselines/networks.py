@@ -22,7 +22,7 @@ from detectors.base import Detector
 from detectors.parameters import Lags
 from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
 from detectors.series.regressions import correlate_at_lag
-from detectors.series.votes import spread
+from detectors.series.votes import find_trees, spread
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
@@ -246,31 +246,8 @@ def correlate_flights(series: Floats, seen: Mask, lags: int) -> tuple[Floats, In
     return curves.max(axis=0), curves.argmax(axis=0) + 1
 
 
-def find_trees(pairs: Pairs, threshold: float) -> tuple[Indices, Indices]:
-    """Give each follower its direct leader so that no cycle closes.
-
-    Args:
-        pairs: the scores.
-        threshold: a lead above it is significant.
-
-    Returns:
-        ``(n,)`` direct leader, -1 for UAVs that follow none, and ``(n,)`` root of the tree, the UAV's own index if it
-        follows none.
-    """
-    uavs = len(pairs.lead)
-    follows = pairs.lead > threshold
-    leader, root = np.full(uavs, -1), np.arange(uavs)
-    best = np.where(follows, pairs.lead, -np.inf).max(axis=1, initial=-np.inf)
-    for i in np.argsort(-best, kind="stable")[: int((best > -np.inf).sum())]:
-        ahead = np.flatnonzero(follows[i] & (root != i))
-        if len(ahead):
-            leader[i] = ahead[pairs.strength[i, ahead].argmax()]
-            root[root == i] = root[leader[i]]
-    return leader, root
-
-
 def _describe(window: Window, living: Indices, pairs: Pairs, threshold: float) -> Detection:
-    leader, root = find_trees(pairs, threshold)
+    leader, root = find_trees(pairs.lead, pairs.strength, threshold)
     uavs, n = window.uavs, len(living)
     follows = leader >= 0
     leads = np.bincount(leader[follows], minlength=n) > 0

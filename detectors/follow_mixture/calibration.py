@@ -8,10 +8,8 @@ wrong as a whole: their errors come together, however strong the evidence is.
 from __future__ import annotations
 
 import json
-import os
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -19,7 +17,7 @@ from pydantic import Field
 from scipy.special import expit
 
 from usnet_env.arrays import Floats
-from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.config import Config
 
 MOST_ODDS = 14.0  # log-odds are clipped at this value
 
@@ -46,27 +44,4 @@ class Calibration(Config):
 def shipped_calibration() -> Calibration:
     """Read the calibration of the package."""
     source = files("detectors.follow_mixture") / "data" / "calibration.json"
-    return _parse(source.read_text(encoding="utf-8"), source.name)
-
-
-def read_calibration(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration file written by :func:`detectors.follow_mixture.train.train_calibration`.
-
-    Raises:
-        ArgumentError: the file is missing, or holds something else.
-    """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ArgumentError(f"path must be a calibration file, got {quote(str(path))}: {reason}.") from None
-    return _parse(text, str(path))
-
-
-def _parse(text: str, path: str) -> Calibration:
-    try:
-        return Calibration(**json.loads(text)["calibration"])
-    except ArgumentError as error:
-        raise ArgumentError(f"path must hold a calibration, got {quote(path)}: {str(error).rstrip('.')}.") from None
-    except (ValueError, KeyError, TypeError, AttributeError):
-        raise ArgumentError(f"path must hold a calibration as JSON, got {quote(path)}.") from None
+    return Calibration(**json.loads(source.read_text(encoding="utf-8"))["calibration"])

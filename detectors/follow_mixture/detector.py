@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
+from scipy.special import expit
 
 from detectors.base import Detector
 from detectors.follow_mixture.calibration import shipped_calibration
@@ -86,8 +87,9 @@ class FollowMixture(Detector):
         """Name the heads of one window.
 
         Returns:
-            Candidates by the policy, scores (log-odds of being a head), clusters and leader; in ``extras``:
-            ``probability`` ``(N,)``, if the fit is right, and ``doubt``, the probability that it is not; ``gain``
+            Candidates by the policy, scores (log-odds of being a head), clusters and leader (the direct one, a head or
+            a relay); in ``extras``: ``root`` ``(N,)``, the head of each UAV (-1: none); ``relay`` ``(N,)`` bool, UAVs
+            that lead and follow; ``probability`` ``(N,)``, if the fit is right, and ``doubt``, that it is not; ``gain``
             ``(N,)``, the log-likelihood that the UAV's group gains by its head, in nats; ``group`` ``(N,)``, the group
             of each living UAV, -1 for others; ``heads`` (indices) and ``reasons`` (one sentence per head, with its most
             probable lag in samples); ``strategy`` (feature class, weights of the shared law, noise) or ``None``;
@@ -107,18 +109,20 @@ class FollowMixture(Detector):
         motion = read_motion(window, living)
         found = None if motion is None else fit_motion(motion, arguments.memory, most, rng)
         probability, gain = np.zeros(window.uavs), np.zeros(window.uavs)
-        leader, clusters, group = np.full((3, window.uavs), -1, np.int64)
+        leader, root, clusters, group = np.full((4, window.uavs), -1, np.int64)
         extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "reasons": [], "nats": 0.0}
         probability[living] = 1.0 / (len(living) + 1.0)  # if no UAV seems to follow another one
         doubt = 0.0
         if found is not None:
             calibration = shipped_calibration()
-            doubt, probability[living] = calibration.doubt, calibration(found.log_odds)
+            doubt, leads = calibration.doubt, np.maximum(calibration(found.log_odds), expit(found.relays[1]))
+            probability[living] = leads * expit(-found.relays[0])
             heads = living[found.heads]
             leader[living] = np.where(found.leader >= 0, living[found.leader], -1)
+            root[living] = np.where(found.root >= 0, living[found.root], -1)
             leader[heads] = heads
             for label, head in enumerate(heads):
-                clusters[leader == head] = label
+                clusters[root == head] = label
             gain[living], group[living] = found.gain, found.group
             extras |= {
                 "strategy": {"features": found.features, "law": found.law, "noise": found.noise},
@@ -131,7 +135,8 @@ class FollowMixture(Detector):
         scores[living] = np.log(odds) - np.log1p(-odds)
         if found is not None:
             scores[window.alive] -= scores[window.alive].min()
-        extras |= {"probability": probability, "doubt": doubt, "gain": gain, "group": group}
+        extras |= {"probability": probability, "doubt": doubt, "gain": gain, "group": group, "root": root}
+        extras["relay"] = np.isin(np.arange(window.uavs), leader) & (leader >= 0) & (leader != np.arange(window.uavs))
         candidates = choose(probability, window.alive, arguments, rng.random(window.uavs), doubt)
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader, extras=extras)
 
@@ -142,8 +147,9 @@ def _give_reasons(found: Fit) -> list[str]:
     for head, lag in zip(found.heads, found.lag, strict=True):
         behind = found.leader == head
         groups, first = np.unique(found.group[behind], return_index=True)
-        nats, count = found.gain[behind][first].sum(), int(behind.sum())
+        nats, count, through = found.gain[behind][first].sum(), int(behind.sum()), int((found.root == head).sum()) - 1
         where = f" in {len(groups)} groups" if len(groups) > 1 else ""
         when = f" at lag {lag}" if lag else ""
-        reasons.append(f"Adds {nats:.0f} nats to {count} follower{'s' if count > 1 else ''}{where}{when}.")
+        more = f"; {through - count} follow through others" if through > count else ""
+        reasons.append(f"Adds {nats:.0f} nats to {count} follower{'s' if count > 1 else ''}{where}{when}{more}.")
     return reasons

@@ -293,11 +293,6 @@ def _solve_by_three(moment: Singles, known: Singles, gram: Singles, ridge: float
     return explained
 
 
-def join(one: Pairs, other: Pairs) -> Pairs:
-    """The pairs of both."""
-    return Pairs(*(np.append(getattr(one, name), getattr(other, name)) for name in ("group", "uav", "target")))
-
-
 def gather_statistics(targets: Targets, past: Floats, pairs: Pairs, names: Sequence[str]) -> list[Statistics]:
     """Compute the cross products of the feature classes ``names`` for the pairs; ``past`` ``(n, R, L, 3)``."""
     asked, place = np.unique(pairs.uav, return_inverse=True)

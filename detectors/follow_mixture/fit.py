@@ -16,7 +16,6 @@ from detectors.follow_mixture.evidence import (
     choose_pairs,
     fit_law,
     gather_statistics,
-    join,
     make_targets,
     own_evidence,
     screen,
@@ -27,11 +26,13 @@ from detectors.follow_mixture.groups import find_groups
 from detectors.follow_mixture.motion import Motion, lagged
 from detectors.follow_mixture.pooling import LonePairs, ask_single_uavs
 from detectors.follow_mixture.spectra import fit_spectra, smoothed_pasts
+from detectors.series.votes import find_trees
 from usnet_env.arrays import Floats, Indices
 
 _CERTAIN = 7.0  # log-odds of every UAV at which the search ends
-_RARE = 0.05  # prior probability that the head of a group is not in the window, and of a head of single UAVs only
+_RARE = 0.05  # prior probability: the head of a group is not in the window, leads single UAVs only, is a relay
 _LEAST_TOGETHER = 0.01  # least prior probability that a head moves with its followers, relative to a single UAV
+_RELAY = 1 / 3  # least share of a relay's innovations that its leader explains
 _ITERATIONS = 8
 _NOTHING = 1e-12
 
@@ -43,8 +44,10 @@ class Fit:
     Args:
         group: ``(n,)`` the group of each UAV.
         heads: ``(M,)`` ascending.
-        leader: ``(n,)`` the head of each UAV, -1 for none and for heads.
-        log_odds: ``(n,)`` of being a head, before calibration; -inf for UAVs without any evidence.
+        leader: ``(n,)`` the UAV that each UAV follows, a head or a relay; -1 for none and for heads.
+        root: ``(n,)`` the head of each UAV, at the end of its leaders; its own index for heads, -1 for none.
+        log_odds: ``(n,)`` of leading, before calibration; -inf for UAVs without any evidence.
+        relays: ``(2, n)`` log-odds that the UAV follows one that leads, and that a relay follows it; -inf: not asked.
         gain: ``(n,)`` log-likelihood that the UAV's group gains by its head, in nats.
         features: the class of features that the law uses.
         law: ``(p, 3)`` weights of the shared law, or ``None`` if each group has a law of its own.
@@ -56,7 +59,9 @@ class Fit:
     group: Indices
     heads: Indices
     leader: Indices
+    root: Indices
     log_odds: Floats
+    relays: Floats
     gain: Floats
     features: str
     law: Floats | None
@@ -125,7 +130,7 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
         ``None`` if no UAV moves with or after another one.
     """
     velocity = motion.velocity
-    lags = min(lags, motion.steps // 2)
+    lags = min(lags, velocity.shape[1] // 2)
     spectra = fit_spectra(velocity, motion.unit)
     targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
     past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
@@ -134,7 +139,7 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
     for names in LEVELS:
         pairs = choose_pairs(targets, screen(targets, past, names, several), several)
         if lone is not None:
-            pairs = join(pairs, lone.pairs)
+            pairs = Pairs(*map(np.append, vars(pairs).values(), vars(lone.pairs).values()))
         classes = gather_statistics(targets, past, pairs, names)
         own = np.array([own_evidence(targets, pairs, some) for some in classes])
         if lone is not None:
@@ -151,25 +156,73 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
             break
     if found.assignment.value <= 0 and not (targets.sizes > 1).any():
         return None
-    head = found.assignment.head
-    heads = found.assignment.heads
-    leader = head[label]
+    leads = np.union1d(found.assignment.heads, np.flatnonzero(log_odds > 0))
+    leader = found.assignment.head[label]
+    above, follows = _find_relays(velocity, past, leads, np.flatnonzero((targets.sizes[label] == 1) & (leader < 0)))
+    relay = above >= 0
+    heads = np.setdiff1d(np.union1d(found.assignment.heads, above[relay]), leads[relay])
+    top = np.isin(above, heads)
+    relays = np.full((2, len(leader)), -np.inf)
+    relays[0, leads] = follows
+    np.maximum.at(relays[1], above[top], follows[top])
+    leader[leads[relay]] = above[relay]
     leader[heads] = -1
+    root = np.where(leader >= 0, leader, np.arange(len(leader)))
+    for _ in leads:
+        root = root[root]
     chosen = search.chosen(found.assignment)
+    behind = Pairs(pairs.group[chosen], pairs.uav[chosen], pairs.target[chosen])
     gain = np.zeros(len(targets.sizes))
     gain[pairs.group[chosen]] = found.evidence[chosen]
     return Fit(
         group=label,
         heads=heads,
         leader=leader,
+        root=np.where(np.isin(root, heads), root, -1),
         log_odds=log_odds,
+        relays=relays,
         gain=np.where(leader >= 0, gain[label], 0.0),
         features=found.features,
         law=found.law,
         value=found.value,
         noise=spectra.noise,
-        lag=_find_lags(targets, past, Pairs(pairs.group[chosen], pairs.uav[chosen], pairs.target[chosen]), heads),
+        lag=_find_lags(targets, past, behind, heads),
     )
+
+
+def _find_relays(velocity: Floats, past: Floats, leads: Indices, others: Indices) -> tuple[Indices, Floats]:
+    """Tell relays from heads: a relay leads UAVs and follows another UAV, which leads or follows none.
+
+    Two UAVs that turn alike by chance predict each other alike. So the evidence that one follows the other counts only
+    as far as it exceeds that of the reverse, and that of a leader that explains little.
+
+    Args:
+        velocity: ``(n, T, 3)``.
+        past: ``(n, R, L, 3)`` pasts of the candidates.
+        leads: ``(M,)`` the UAVs that lead.
+        others: the UAVs that follow none.
+
+    Returns:
+        ``(M,)`` the UAV that each follows, -1 for heads, and the log-odds of following one.
+    """
+    above, lags = np.union1d(leads, others), velocity.shape[1] - past.shape[1]
+
+    def compare(behind: Indices, ahead: Indices) -> tuple[Floats, Floats]:
+        alone = make_targets(velocity[behind], np.arange(len(behind)), lags)
+        return alone.rows[: len(behind)], screen(alone, past[ahead], LEVELS[0], alone.label).max(axis=0, initial=0.0)
+
+    rows, best = compare(leads, above)
+    reverse = best if len(above) == len(leads) else compare(above, leads)[1]
+    least = -1.5 * rows[:, None] * np.log1p(-_RELAY)
+    price = np.log(1.0 / _RARE - 1.0) + np.log(max(len(above) - 1, 1) * len(LEVELS[0]))
+    odds = best - reverse.T - least - price
+    odds[leads[:, None] == above] = -np.inf
+    some = np.isin(above, leads) | (odds > 0).any(axis=0)
+    wide, strength = np.full((2, some.sum(), some.sum()), -np.inf)
+    place = np.searchsorted(above[some], leads)
+    wide[place], strength[place] = odds[:, some], best[:, some]
+    place = find_trees(wide, strength, 0.0)[0][place]
+    return np.where(place >= 0, above[some][place], -1), odds.max(axis=1, initial=-np.inf)
 
 
 def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) -> Indices:
@@ -188,7 +241,8 @@ def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) ->
     for lag, gained in enumerate(evidence):
         classes = gather_statistics(targets, past[:, :, lag : lag + 1], chosen, LONE)
         own = np.max([own_evidence(targets, chosen, some) for some in classes], axis=0)
-        np.add.at(gained, np.searchsorted(heads, chosen.uav), own)
+        led = np.isin(chosen.uav, heads)
+        np.add.at(gained, np.searchsorted(heads, chosen.uav[led]), own[led])
     return np.where(evidence.max(axis=0) > 0, evidence.argmax(axis=0) + 1, 0)
 
 

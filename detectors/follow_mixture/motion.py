@@ -34,11 +34,6 @@ class Motion:
     unit: bool
     drift: Floats
 
-    @property
-    def steps(self) -> int:
-        """T."""
-        return int(self.velocity.shape[1])
-
 
 def read_motion(window: Window, living: Indices) -> Motion | None:
     """Read the motion of the living UAVs.

@@ -122,6 +122,29 @@ def cover_voters(evidence: Evidence, most: int | None = None) -> list[int]:
     return heads
 
 
+def find_trees(lead: Floats, strength: Floats, threshold: float) -> tuple[Indices, Indices]:
+    """Give each follower its direct leader so that no cycle closes.
+
+    Args:
+        lead: ``(n, n)``, how much better j predicts i than i predicts j.
+        strength: ``(n, n)``, how closely i follows j; among those that lead i, the strongest is its direct leader.
+        threshold: a lead above it is significant.
+
+    Returns:
+        ``(n,)`` direct leader, -1 for UAVs that follow none, and ``(n,)`` root of the tree, the UAV's own index if it
+        follows none.
+    """
+    follows = lead > threshold
+    leader, root = np.full(len(lead), -1), np.arange(len(lead))
+    best = np.where(follows, lead, -np.inf).max(axis=1, initial=-np.inf)
+    for i in np.argsort(-best, kind="stable")[: int((best > -np.inf).sum())]:
+        ahead = np.flatnonzero(follows[i] & (root != i))
+        if len(ahead):
+            leader[i] = ahead[strength[i, ahead].argmax()]
+            root[root == i] = root[leader[i]]
+    return leader, root
+
+
 def detection_from_evidence(
     evidence: Evidence | None, alive: Mask, clusters: int | None, first_round: bool, rng: np.random.Generator
 ) -> Detection:

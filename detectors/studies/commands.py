@@ -267,8 +267,9 @@ def learned(*, out: str, resume: bool, progress: Progress, **settings: Any) -> P
 @train.command("follow-mixture", short_help="The calibration of follow-mixture.")
 @_training("runs/follow-mixture", "calibration and rows", "swarms", "swarms", 2**63 - 1, "the rows")
 @_number("--swarms", 1, 10**6, 600, "Number of simulated swarms.")
-def follow_mixture(*, out: str, resume: bool, progress: Progress, **settings: Any) -> Path:
+@_number("--workers", 1, 10**4, 1, "Number of processes.")
+def follow_mixture(*, out: str, resume: bool, progress: Progress, workers: int, **settings: Any) -> Path:
     """Calibrate the probabilities of follow-mixture, on swarms with random follow strategies."""
     from detectors.follow_mixture.train import CalibrationTraining, train_calibration
 
-    return train_calibration(out, CalibrationTraining.model_validate(settings), progress, resume)
+    return train_calibration(out, CalibrationTraining.model_validate(settings), progress, resume, workers)

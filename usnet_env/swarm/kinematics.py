@@ -43,6 +43,7 @@ class Kinematics(ABC):
     Attributes:
         equation: the equation as text, for lists and documentation pages.
         source: where the model comes from.
+        breaks: the assumption of a detector that it breaks.
         version: increases when the model's behaviour changes.
         top_speed: an upper bound of the speed, metres per step; at most 100.
         values: number of values in the state of one UAV.
@@ -51,6 +52,7 @@ class Kinematics(ABC):
 
     equation: ClassVar[str] = ""
     source: ClassVar[str] = ""
+    breaks: ClassVar[str] = ""
     version: ClassVar[int] = 1
     values: int = 0
     normals: int = 0
@@ -112,6 +114,7 @@ class Unit(Kinematics):
 
     equation = "v_{t+1} = u_{t+1}"
     source = "paper, §II-A"
+    breaks = "–"
 
     def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
         """The wanted directions."""
@@ -152,6 +155,7 @@ class VariedSpeed(_Compiled):
 
     equation = "v_{t+1} = s_{t+1} u_{t+1}, s = clip(s̄_i (1 + a)), a_{t+1} = φ a_t + σ √(1 − φ²) n"
     source = "AR(1), as in Gauss-Markov mobility (Liang & Haas 1999)"
+    breaks = "all UAVs fly at one constant speed"
     values = 2  # mean speed, relative deviation
     normals = 1
     _code = kinematic_kernels.VARIED_SPEED
@@ -195,6 +199,7 @@ class Lagged(_Compiled):
 
     equation = "v_{t+1} = v_t + (u_{t+1} − v_t) / τ_i"
     source = "first-order velocity response (Beard & McLain 2012, §9)"
+    breaks = "a UAV flies the wanted velocity at once"
     values = 1  # 1 / time constant
     _code = kinematic_kernels.LAGGED
     shortest: float = 1.5
@@ -222,6 +227,7 @@ class Limited(_Compiled):
 
     equation = "∠(v_{t+1}, v_t) ≤ ω_i, |s_{t+1} − s_t| ≤ a, s aims at s_0 + (1 − s_0) (1 + cos ∠(u, v)) / 2"
     source = "bounded turn rate and acceleration (Dubins 1957; Beard & McLain 2012)"
+    breaks = "a UAV can turn at any rate"
     values = 1  # turn rate
     _code = kinematic_kernels.LIMITED
     least_turn: float = 0.15
@@ -264,6 +270,7 @@ class Layered(_Compiled):
 
     equation = "v_z = clip((h_i − z) / 10, ±c), v_xy = √(1 − v_z²) u_xy / ‖u_xy‖"
     source = "altitude layers of urban airspace (Sunil et al. 2015, Metropolis)"
+    breaks = "the three axes are alike"
     values = 1  # altitude
     _code = kinematic_kernels.LAYERED
     layers: int = 5

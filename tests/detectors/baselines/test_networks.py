@@ -12,9 +12,10 @@ from detectors.baselines import (
     NetLagRegression,
     TransferEntropy,
 )
-from detectors.baselines.networks import Flight, Pairs, find_trees, reverse_blocks
+from detectors.baselines.networks import Flight, reverse_blocks
 from detectors.baselines.transfer_entropy import estimate_transfer_entropy
 from detectors.baselines.warping import warp_pairs
+from detectors.series.votes import find_trees
 from usnet_env import ArgumentError, Window
 
 KINDS = [DirectionalDelays, LaggedNetwork, NetLagRegression, TransferEntropy]
@@ -109,7 +110,7 @@ def test_surrogates_keep_what_is_simultaneous_and_cancel_leads():
 
 def test_trees_have_no_cycles():
     lead = np.array([[-np.inf, 2.0, -1], [1.0, -np.inf, 3.0], [2.5, -3.0, -np.inf]])
-    leader, root = find_trees(Pairs(lead, lead), 0.0)
+    leader, root = find_trees(lead, lead, 0.0)
     assert leader.tolist() == [-1, 2, 0]
     assert root.tolist() == [0, 0, 0]
 

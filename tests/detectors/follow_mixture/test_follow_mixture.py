@@ -156,6 +156,27 @@ def test_large_swarms(seed, config):
     assert detection.attention is None
 
 
+def test_heads_are_the_sources_of_chains_and_relays_are_not_named():
+    exact, right, relays = 0, 0, 0
+    for seed in range(8):
+        window, truth = swarm_window(
+            seed, follow="chain", mobility="gauss_markov", head_jitter=True, formation="around"
+        )
+        found = answer(window, policy="map")
+        exact += np.array_equal(found.candidates, truth.head)
+        relay, root = found.extras["relay"], found.extras["root"]
+        assert not (relay & found.candidates).any()
+        assert (found.leader[relay] >= 0).all()
+        assert (root[found.extras["heads"]] == found.extras["heads"]).all()
+        right += int((found.leader == truth.direct)[relay].sum())
+        relays += int(relay.sum())
+        known = (root >= 0) & ~truth.head
+        assert (root == truth.leader)[known].mean() > 0.8
+    assert exact >= 6
+    assert relays > 20
+    assert right >= 0.75 * relays
+
+
 def test_one_head_of_a_large_swarm():
     window, truth = swarm_window(798, uavs=600, clusters=1)
     assert np.array_equal(answer(window, objective="P1").candidates, truth.head)

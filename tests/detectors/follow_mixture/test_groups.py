@@ -28,7 +28,7 @@ def test_the_variance_of_the_noise_is_estimated(noise):
 def test_smoothed_pasts_are_expectations_given_earlier_observations():
     motion, spectra = flown(6, position_noise=0.5)
     pasts = smoothed_pasts(motion.velocity, spectra, 4)
-    assert pasts.shape == (len(motion.velocity), motion.steps - 4, 4, 3)
+    assert pasts.shape == (len(motion.velocity), motion.velocity.shape[1] - 4, 4, 3)
     for uav, row, lag in ((7, 40, 2), (0, 0, 1), (29, 95, 4)):
         t, seen = row + 4, motion.velocity[uav]
         power, memory = spectra.power[uav], spectra.memory[uav]
