@@ -125,11 +125,8 @@ def _describe(suite: FrozenSuite, rows: list[Row]) -> list[str]:
 
 def _cells(suite: FrozenSuite, rows: list[Row]) -> str:
     """How often each detector is exact in each cell, with intervals."""
-    order, cells, leaks = (
-        _by_detector(rows),
-        group_rows(rows, lambda row: (row["cell"], row["detector"])),
-        _read_leaks(),
-    )
+    cells = group_rows(rows, lambda row: (row["cell"], row["detector"]))
+    order, leaks = list(_by_detector(rows)), _read_leaks()
     body = [
         (
             cell,

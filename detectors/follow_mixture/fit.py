@@ -158,15 +158,15 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
         return None
     leads = np.union1d(found.assignment.heads, np.flatnonzero(log_odds > 0))
     leader = found.assignment.head[label]
-    above, follows = _find_relays(velocity, past, leads, np.flatnonzero((targets.sizes[label] == 1) & (leader < 0)))
-    relay = above >= 0
-    heads = np.setdiff1d(np.union1d(found.assignment.heads, above[relay]), leads[relay])
-    top = np.isin(above, heads)
+    single = np.flatnonzero((targets.sizes[label] == 1) & (leader < 0))
+    above, top, follows = _find_relays(velocity, past, leads, single)
+    heads = np.unique(top[np.isin(leads, found.assignment.heads)])  # no more than the assignment has
+    relay, ends = above >= 0, np.isin(above, np.setdiff1d(top, leads[above >= 0]))
     relays = np.full((2, len(leader)), -np.inf)
     relays[0, leads] = follows
-    np.maximum.at(relays[1], above[top], follows[top])
+    np.maximum.at(relays[1], above[ends], follows[ends])
     leader[leads[relay]] = above[relay]
-    leader[heads] = -1
+    leader[np.append(heads, above[ends])] = -1
     root = np.where(leader >= 0, leader, np.arange(len(leader)))
     for _ in leads:
         root = root[root]
@@ -190,7 +190,7 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
     )
 
 
-def _find_relays(velocity: Floats, past: Floats, leads: Indices, others: Indices) -> tuple[Indices, Floats]:
+def _find_relays(velocity: Floats, past: Floats, leads: Indices, others: Indices) -> tuple[Indices, Indices, Floats]:
     """Tell relays from heads: a relay leads UAVs and follows another UAV, which leads or follows none.
 
     Two UAVs that turn alike by chance predict each other alike. So the evidence that one follows the other counts only
@@ -203,7 +203,7 @@ def _find_relays(velocity: Floats, past: Floats, leads: Indices, others: Indices
         others: the UAVs that follow none.
 
     Returns:
-        ``(M,)`` the UAV that each follows, -1 for heads, and the log-odds of following one.
+        ``(M,)`` the UAV that each follows, -1 for heads, the one at the end of its leaders, and the log-odds.
     """
     above, lags = np.union1d(leads, others), velocity.shape[1] - past.shape[1]
 
@@ -221,8 +221,8 @@ def _find_relays(velocity: Floats, past: Floats, leads: Indices, others: Indices
     wide, strength = np.full((2, some.sum(), some.sum()), -np.inf)
     place = np.searchsorted(above[some], leads)
     wide[place], strength[place] = odds[:, some], best[:, some]
-    place = find_trees(wide, strength, 0.0)[0][place]
-    return np.where(place >= 0, above[some][place], -1), odds.max(axis=1, initial=-np.inf)
+    direct, root = (found[place] for found in find_trees(wide, strength, 0.0))
+    return np.where(direct >= 0, above[some][direct], -1), above[some][root], odds.max(axis=1, initial=-np.inf)
 
 
 def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) -> Indices:

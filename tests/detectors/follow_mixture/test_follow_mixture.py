@@ -177,6 +177,19 @@ def test_heads_are_the_sources_of_chains_and_relays_are_not_named():
     assert right >= 0.75 * relays
 
 
+@pytest.mark.parametrize("most", [1, 2])
+def test_relays_bring_no_more_heads_than_allowed_and_leaders_close_no_cycle(most):
+    for seed in range(6):
+        smooth = {"mobility": "gauss_markov", "head_jitter": True, "formation": "around"}
+        window, _ = swarm_window(seed, follow="chain", **smooth)
+        found = answer(window, clusters=most)
+        assert len(found.extras["heads"]) <= most
+        end = np.where(found.leader >= 0, found.leader, np.arange(window.uavs))
+        for _ in range(window.uavs):
+            end = np.where(found.leader[end] >= 0, found.leader[end], end)
+        assert ((found.leader[end] == end) | (found.leader[end] < 0)).all()
+
+
 def test_one_head_of_a_large_swarm():
     window, truth = swarm_window(798, uavs=600, clusters=1)
     assert np.array_equal(answer(window, objective="P1").candidates, truth.head)
