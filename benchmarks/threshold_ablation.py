@@ -26,20 +26,23 @@ from follow_mixture import cells, shifted_tracks
 from numpy.typing import NDArray
 from running import play_games
 
-from detectors.follow_mixture import FollowMixture, evidence, fit, motion, pooling
+from detectors.follow_mixture import FollowMixture, delays, detector, evidence, fit, motion, pooling
 from detectors.follow_mixture.features import LEVELS
 from detectors.follow_mixture.motion import lagged
-from detectors.follow_mixture.train import CalibrationTraining, draw_swarm, draw_window
+from detectors.follow_mixture.train import CalibrationTraining, draw_window
+from detectors.random_swarms import draw_calibration_swarm
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation import load_suite
 from usnet_env.evaluation.episode import episode_seeds
+from usnet_env.swarm import SwarmConfig
 
 RESULTS = Path(__file__).parent / "results" / "follow_mixture_thresholds.csv"
 SEED = 61  # seeds below 1000 are for tuning
 FIELD = load_suite("field")
 WIND = np.array([20.0, 10.0, 0.0], np.float32)  # metres per step; a UAV flies 1
 INFINITE = 1e9
+SWARMS = CalibrationTraining()
 
 
 @dataclass(frozen=True)
@@ -60,24 +63,57 @@ def _no_pool(targets: Any, pairs: Any, some: Any, follows: Any, fixed: Any) -> N
     return np.full(len(follows), -np.inf)
 
 
+def _share_strictly(search: Any, some: Any, assignment: Any, own: NDArray[np.float64]) -> Any:
+    """In place of a shared law from which groups may deviate: one from which they may not."""
+    return share_law(search, some, assignment, np.full(len(own), -np.inf))
+
+
+def _share_free(search: Any, some: Any, assignment: Any, own: NDArray[np.float64]) -> Any:
+    """In place of a shared law from which single UAVs deviate at a price: one without the price."""
+    alone = search.targets.sizes[search.pairs.group] == 1
+    return share_law(search, some, assignment, own + np.log(1.0 / fit.RARE - 1.0) * alone)
+
+
+def _four(*arguments: Any) -> int:
+    return 4
+
+
+def _many(*arguments: Any) -> int:
+    return 25
+
+
+def _everywhere(name: str, value: float) -> tuple[tuple[Any, str, Any], ...]:
+    return tuple((module, name, value) for module in (fit, delays, pooling))
+
+
+share_law = fit._share_law
+
 #: Key of each change. The first ones move thresholds, the others switch off parts.
 CHANGES = {
     "": Change("nothing", ()),
-    "own-law-free": Change("a group may deviate from the shared law at no price", ((fit, "OWN_LAW", 0.0),)),
-    "own-law-never": Change("no group may deviate from the shared law", ((fit, "OWN_LAW", INFINITE),)),
+    "own-law-free": Change(
+        "a single UAV deviates from the shared law at no price", ((fit, "_share_law", _share_free),)
+    ),
+    "own-law-never": Change("no group may deviate from the shared law", ((fit, "_share_law", _share_strictly),)),
     "certain-always": Change(
         "the first level is final if all groups follow, whatever its doubt", ((fit, "_CERTAIN", -1.0),)
     ),
     "certain-never": Change("all classes of features are always tried", ((fit, "_CERTAIN", INFINITE),)),
-    "rare-0.5": Change("a head is missing in the window with probability 0.5 instead of 0.05", ((fit, "_RARE", 0.5),)),
-    "rare-0.001": Change("a head is missing in the window with probability 0.001", ((fit, "_RARE", 0.001),)),
+    "rare-0.5": Change("what is rare has the prior probability 0.5 instead of 0.05", _everywhere("RARE", 0.5)),
+    "rare-0.001": Change("what is rare has the prior probability 0.001", _everywhere("RARE", 0.001)),
     "together-1": Change("a member of a group is as likely a head as a single UAV", ((fit, "_LEAST_TOGETHER", 1.0),)),
-    "relay-0": Change("a relay's leader may explain any share of its innovations", ((fit, "_RELAY", 0.0),)),
-    "relay-never": Change("no UAV that leads follows another", ((fit, "_RELAY", 1.0 - 1e-12),)),
+    "relay-0": Change(
+        "the leader of a relay or late follower may explain any share of its innovations", ((delays, "_RELAY", 0.0),)
+    ),
+    "relay-never": Change(
+        "no UAV that leads follows another, and none has a delay of its own", ((delays, "_RELAY", 1.0 - 1e-12),)
+    ),
+    "delay-4": Change("delays of a UAV's own are at most 4 samples instead of 12", ((detector, "count_lags", _four),)),
+    "delay-25": Change("they are at most 25 samples, or a quarter of the window", ((detector, "count_lags", _many),)),
     "rows-a-lag": Change("the own past has all lags, however short the window is", ((evidence, "_ROWS_A_LAG", 1),)),
     "freedom": Change("all rows have the same weight, sharp turns too", ((evidence, "_FREEDOM", INFINITE),)),
-    "own-choice-free": Change("a single UAV chooses a head at no price", ((pooling, "OWN_LAW", 0.0),)),
-    "own-choice-never": Change("no single UAV chooses a head by itself", ((pooling, "OWN_LAW", INFINITE),)),
+    "own-choice-free": Change("a single UAV chooses a head at no price", ((pooling, "RARE", 0.5),)),
+    "own-choice-never": Change("no single UAV chooses a head by itself", ((pooling, "RARE", 1e-300),)),
     "unit-spread": Change(
         "speeds are never taken for equal", ((motion, "_UNIT_SPREAD", 0.0), (motion, "_ROUNDING", 0.0))
     ),
@@ -102,6 +138,11 @@ class Game:
     seed: int
 
 
+def draw_swarm(rng: np.random.Generator) -> SwarmConfig:
+    """A swarm as the calibration draws them."""
+    return draw_calibration_swarm(SWARMS.most_uavs, SWARMS.most_clusters, rng)
+
+
 def list_windows(tiers: list[str], each: int, random: int, seed: int) -> list[tuple[str, str, int]]:
     """Tier, cell and number of the first windows of all cells of some tiers, and of random swarms."""
     found = []
@@ -110,8 +151,7 @@ def list_windows(tiers: list[str], each: int, random: int, seed: int) -> list[tu
             found += [(cell.tier, cell.name, n) for n in range(min(each, 2) if cell.kind != "P2" else each)]
     if "field" in tiers:
         found += [("field", name, n) for name in FIELD.cells for n in range(each)]
-    training = CalibrationTraining(swarms=random, seed=seed)
-    mobilities = [draw_swarm(training, np.random.default_rng((seed, number))).mobility for number in range(random)]
+    mobilities = [draw_swarm(np.random.default_rng((seed, number))).mobility for number in range(random)]
     swarms = ("random", "drift") if "drift" in tiers else ("random",)
     return [*found, *((tier, mobility, number) for tier in swarms for number, mobility in enumerate(mobilities))]
 
@@ -121,7 +161,7 @@ def draw_game(tier: str, name: str, number: int, random: int, seed: int) -> Game
     """The first window of one game of a cell, or of a random swarm."""
     if tier in ("random", "drift"):
         rng = np.random.default_rng((seed, number))
-        window, head = draw_window(draw_swarm(CalibrationTraining(swarms=random, seed=seed), rng), rng)
+        window, head = draw_window(draw_swarm(rng), rng)
         if tier == "drift":
             flown = np.arange(len(window.position), dtype=np.float32)[:, None, None] * WIND
             window = replace(window, position=window.position + flown, velocity=window.velocity + WIND)
@@ -142,12 +182,12 @@ def draw_game(tier: str, name: str, number: int, random: int, seed: int) -> Game
 
 def play(game: Game, key: str) -> dict[str, Any]:
     """One window under one change; J is the least J_m that this round allows, or the share of UAVs named in silence."""
-    detector = FollowMixture(policy="cost" if game.head.any() else "map", objective="P1" if game.kind == "P1" else "P2")
+    own = FollowMixture(policy="cost" if game.head.any() else "map", objective="P1" if game.kind == "P1" else "P2")
     with ExitStack() as stack:
         for module, name, value in CHANGES[key].patches:
             stack.enter_context(patch.object(module, name, value))
-        detector.reset(game.seed)
-        named = detector.detect(game.window).candidates
+        own.reset(game.seed)
+        named = own.detect(game.window).candidates
     wrong, missed = int((named & ~game.head).sum()), int((game.head & ~named).sum())
     cost = round(wrong / game.window.uavs + (missed > 0) + bool(game.head.any()), 6)
     heads, exact = int(game.head.sum()), int(not wrong and not missed)

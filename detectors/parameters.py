@@ -12,12 +12,14 @@ from typing import Annotated, Any, TypeVar, dataclass_transform
 
 from pydantic import Field, create_model
 
-from usnet_env.config import Config
+from usnet_env.config import ArgumentError, Config
+from usnet_env.window import Window
 
 Self = TypeVar("Self", bound="Parameters")
 
 Count = Annotated[int, Field(ge=1, le=100_000)]  # a number of UAVs, clusters or steps
 Lags = Annotated[int, Field(ge=1, le=1000)]  # a number of samples of the past
+Seconds = Annotated[float, Field(gt=0, le=1e9)]
 
 
 @dataclass_transform(eq_default=False)
@@ -168,3 +170,16 @@ def _make_config(owner: Any) -> type[Config]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # an argument may have the name of a method of pydantic's
         return create_model(owner.__name__, __base__=Config, **fields)
+
+
+def count_lags(window: Window, max_lag: int, max_delay: float | None) -> int:
+    """The longest delay in samples: ``max_lag``, or as many as ``max_delay`` seconds hold, at least 1.
+
+    Raises:
+        ArgumentError: ``max_delay`` is given, and the window doesn't know its step.
+    """
+    if max_delay is None:
+        return max_lag
+    if window.step is None:
+        raise ArgumentError("max_delay must be None in a window that doesn't know its step, got a simulated one.")
+    return max(1, round(min(max_delay / window.step, window.observation_steps)))

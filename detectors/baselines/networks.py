@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.parameters import Lags
+from detectors.parameters import Lags, Seconds, count_lags
 from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
 from detectors.series.regressions import correlate_at_lag
 from detectors.series.votes import find_trees, spread
@@ -92,7 +92,7 @@ class NetworkDetector(Detector):
     _gated: ClassVar[bool] = True  # whether pairs must be related to be compared, step 2
 
     max_lag: Lags = 4
-    max_delay: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    max_delay: Seconds | None = None
     level: Annotated[float, Field(gt=0, lt=1)] = 0.01
 
     @abstractmethod
@@ -124,7 +124,7 @@ class NetworkDetector(Detector):
         steps = window.observation_steps
         if steps < _LEAST_STEPS:
             raise ArgumentError(f"window must hold at least {_LEAST_STEPS} velocities, got {steps}.")
-        lags = max(1, min(self._count_lags(window), steps // 4))
+        lags = max(1, min(count_lags(window, self.max_lag, self.max_delay), steps // 4))
         living = np.flatnonzero(window.alive & window.velocity_seen.any(axis=0))
         if len(living) < 2:
             return _describe(window, living, Pairs(*np.full((2, len(living), len(living)), -np.inf)), np.inf)
@@ -156,13 +156,6 @@ class NetworkDetector(Detector):
         for matrix in (pairs.lead, pairs.strength):
             np.fill_diagonal(matrix, -np.inf)
         return pairs
-
-    def _count_lags(self, window: Window) -> int:
-        if self.max_delay is None:
-            return self.max_lag
-        if window.step is None:
-            raise ArgumentError("max_delay must be None in a window that doesn't know its step, got a simulated one.")
-        return round(min(self.max_delay / window.step, window.observation_steps))
 
 
 def _read_flight(window: Window, living: Indices) -> Flight:

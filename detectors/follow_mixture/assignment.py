@@ -8,7 +8,7 @@ import numpy as np
 
 from usnet_env.arrays import Floats, Indices, Mask
 
-LEAST_FOLLOWERS = 2  # m_j >= 2
+LEAST_FOLLOWERS = 2  # m_j >= 2; one in a window of two UAVs
 _ROUNDS = 50
 _LITTLE = 1e-9
 
@@ -32,7 +32,7 @@ class Assignment:
 
 
 def assign_groups(gain: Floats, candidates: Indices, itself: Indices, sizes: Indices, most: int | None) -> Assignment:
-    """Choose the heads with the highest value by greedy removals, additions and swaps.
+    """Choose the heads with the highest value by greedy removals and additions.
 
     A group follows the chosen head with its highest gain if that is positive. The value is the sum of these gains, less
     log n for each of the heads (n UAVs), less log(M + 1) for each group that names one of M heads or none: the
@@ -48,21 +48,22 @@ def assign_groups(gain: Floats, candidates: Indices, itself: Indices, sizes: Ind
     Returns:
         The best set found, in which each head has at least two followers.
     """
+    if not len(candidates):
+        return Assignment(np.full(len(gain), -1), 0.0)
     search = _Search(gain, itself, sizes > 1, float(np.log(max(sizes.sum(), 2))))
-    chosen = np.zeros(len(candidates), bool)
-    if len(candidates):
-        best = gain.argmax(axis=1)
-        chosen[best[gain.max(axis=1) > 0]] = True
-    for _ in range(_ROUNDS):
-        before = search.value(chosen)
-        chosen = search.drop(chosen, most)
-        chosen = search.add(chosen, most)
-        chosen = search.swap(chosen)
-        if search.value(chosen) <= before + _LITTLE:
-            break
+    best, chosen = -np.inf, np.zeros(len(candidates), bool)
+    preferred = np.isin(np.arange(len(candidates)), gain.argmax(axis=1)[(gain > 0).any(axis=1)])
+    for some in (preferred, chosen):  # each group's best candidate, or none
+        for _ in range(_ROUNDS):
+            before = search.value(some)
+            some = search.add(search.drop(some, most), most)
+            if search.value(some) <= before + _LITTLE:
+                break
+        if search.value(some) > best + _LITTLE:
+            best, chosen = search.value(some), some
     chosen = search.drop_small(chosen, sizes)
     place = search.follow(chosen)
-    return Assignment(np.where(place >= 0, candidates[place] if len(candidates) else -1, -1), search.value(chosen))
+    return Assignment(np.where(place >= 0, candidates[place], -1), search.value(chosen))
 
 
 class _Search:
@@ -91,17 +92,15 @@ class _Search:
 
     def _gained(self, chosen: Mask) -> Floats:
         """``(C,)``: gain of each group by its head."""
-        if not chosen.any():
-            return np.zeros(len(self.gain))
-        return np.where(self._follows(chosen), self.gain[:, chosen].max(axis=1), 0.0)
+        return np.where(self._follows(chosen), self.gain[:, chosen].max(axis=1, initial=0.0), 0.0)
 
     def value(self, chosen: Mask) -> float:
         """Gain of all groups less the prices."""
-        gained, count = self._gained(chosen), int(chosen.sum())
-        naming = (
-            np.log(max(count, 1)) * np.count_nonzero(gained[self.several])
-            + np.log1p(count) * (self.alone & self._follows(chosen)).sum()
-        )
+        return self._value(self._gained(chosen), self._follows(chosen), int(chosen.sum()))
+
+    def _value(self, gained: Floats, follows: Mask, count: int) -> float:
+        naming = np.log(max(count, 1)) * np.count_nonzero(gained[self.several])
+        naming += np.log1p(count) * (self.alone & follows).sum()
         return float(gained.sum() - self.price * count - naming)
 
     def drop(self, chosen: Mask, most: int | None) -> Mask:
@@ -116,7 +115,7 @@ class _Search:
             may = self._follows(chosen)
             lost = np.bincount(best, weights=(first - second) * may, minlength=len(there))
             single = self.itself[there]
-            returned = np.where(single >= 0, self._best_of_others(there, single), 0.0)
+            returned = np.where(single >= 0, ranked[np.maximum(single, 0)].max(axis=1), 0.0)
             follow = may & (first > 0) & self.several
             quit_ = np.bincount(best, weights=follow & (second <= 0), minlength=len(there))
             count = len(there)
@@ -130,61 +129,29 @@ class _Search:
             chosen[there[worst]] = False
         return chosen
 
-    def _best_of_others(self, there: Indices, single: Indices) -> Floats:
-        """``(M,)``: what each chosen head would gain as a follower of the other heads; unused if it is in a group."""
-        rows = self.gain[np.maximum(single, 0)][:, there].copy()
-        rows[np.arange(len(there)), np.arange(len(there))] = 0.0
-        return np.asarray(rows.max(axis=1))
-
-    def _rises(self, chosen: Mask) -> Floats:
-        """``(c,)``: rise of the gains by one more head, without prices; -inf for chosen ones."""
-        gained = self._gained(chosen)
-        return self._less_own(self._sum_rises(np.flatnonzero(self._follows(chosen)), gained), gained, chosen)
+    def add(self, chosen: Mask, most: int | None) -> Mask:
+        """Add the head that raises the gains most, as long as the value rises."""
+        chosen, gained, follows = chosen.copy(), self._gained(chosen), self._follows(chosen)
+        value = self._value(gained, follows, int(chosen.sum()))
+        rise = self._sum_rises(np.flatnonzero(follows), gained)
+        while chosen.sum() < (len(chosen) if most is None else most) and not chosen.all():
+            own = np.where(self.itself >= 0, gained[self.itself], 0.0)  # what each gains as a follower
+            best = int(np.where(chosen, -np.inf, rise - own).argmax())
+            may, after = follows.copy(), np.where(follows, np.maximum(gained, self.gain[:, best]), 0.0)
+            if self.itself[best] >= 0:
+                may[self.itself[best]], after[self.itself[best]] = False, 0.0
+            trial = self._value(after, may, int(chosen.sum()) + 1)
+            if trial <= value + _LITTLE:
+                break
+            changed = (after != gained) | (may != follows)  # the sums over all other groups stay
+            rise = rise - self._sum_rises(np.flatnonzero(changed & follows), gained)
+            rise += self._sum_rises(np.flatnonzero(changed & may), after)
+            chosen[best], gained, follows, value = True, after, may, trial
+        return chosen
 
     def _sum_rises(self, groups: Indices, gained: Floats) -> Floats:
         """``(c,)``: what some groups gain by each candidate beyond ``gained`` ``(C,)``, summed over them."""
         return np.asarray(np.maximum(self.gain[groups] - gained[groups, None], 0.0).sum(axis=0))
-
-    def _less_own(self, rise: Floats, gained: Floats, chosen: Mask) -> Floats:
-        """The rises less what each candidate gains as a follower; -inf for chosen ones."""
-        rise = rise - np.where(self.itself >= 0, gained[self.itself], 0.0)
-        rise[chosen] = -np.inf
-        return rise
-
-    def add(self, chosen: Mask, most: int | None) -> Mask:
-        """Add the head that raises the gains most, as long as the value rises."""
-        value = self.value(chosen)
-        while chosen.sum() < (len(chosen) if most is None else min(most, len(chosen))):
-            trial = chosen.copy()
-            trial[self._rises(chosen).argmax()] = True
-            if self.value(trial) <= value + _LITTLE:
-                break
-            chosen, value = trial, self.value(trial)
-        return chosen
-
-    def swap(self, chosen: Mask) -> Mask:
-        """Exchange each head for the best other candidate, if the value rises.
-
-        Without a head only its followers, and itself if it is a group, gain anything else: the sums over all other
-        groups stay, so that a pass takes about as long as two sums over all groups.
-        """
-        value, changed = self.value(chosen), True
-        for place in np.flatnonzero(chosen):
-            if changed:
-                gained, head, changed = self._gained(chosen), self.follow(chosen), False
-                summed = self._sum_rises(np.flatnonzero(self._follows(chosen)), gained)
-            trial = chosen.copy()
-            trial[place] = False
-            led = np.flatnonzero(head == place)
-            freed = np.append(led, self.itself[place]) if self.itself[place] >= 0 else led
-            after = gained.copy()
-            after[freed] = self.gain[np.ix_(freed, trial)].max(axis=1, initial=0.0)
-            rise = summed - self._sum_rises(led, gained) + self._sum_rises(freed, after)
-            best = int(self._less_own(rise, after, trial).argmax())
-            trial[best] = True
-            if best != place and self.value(trial) > value + _LITTLE:
-                chosen, value, changed = trial, self.value(trial), True
-        return chosen
 
     def drop_small(self, chosen: Mask, sizes: Indices) -> Mask:
         """Remove heads with too few followers, the smallest first; their groups move to other heads."""
@@ -193,7 +160,7 @@ class _Search:
             place = self.follow(chosen)
             count = np.bincount(place[place >= 0], weights=sizes[place >= 0], minlength=len(chosen))
             count[~chosen] = np.inf
-            if count.min() >= LEAST_FOLLOWERS:
+            if count.min() >= min(LEAST_FOLLOWERS, sizes.sum() - 1):
                 break
             chosen[count.argmin()] = False
         return chosen

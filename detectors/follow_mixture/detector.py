@@ -12,15 +12,11 @@ from detectors.base import Detector
 from detectors.follow_mixture.calibration import shipped_calibration
 from detectors.follow_mixture.fit import Fit, fit_motion
 from detectors.follow_mixture.motion import read_motion
-from detectors.policy import Policy, choose
+from detectors.parameters import Count, Lags, Seconds, count_lags
+from detectors.policy import choose
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
-
-
-class _Arguments(Policy):
-    clusters: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    memory: Annotated[int, Field(ge=1, le=64)] = 4
 
 
 class FollowMixture(Detector):
@@ -34,6 +30,9 @@ class FollowMixture(Detector):
     Args:
         clusters: an upper bound on the number of heads, or ``None``; the number is estimated.
         memory: the number of past velocities of a head that the strategy may use, at least 1.
+        max_lag: the longest delay of a follower that has a delay of its own, in samples; a quarter of the window at
+            most.
+        max_delay: the longest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
         policy: how candidates are chosen from the probabilities.
 
             * ``"cost"`` (default) minimises the expected J_m (J_s for ``objective="P1"``). A missed head costs another
@@ -53,35 +52,15 @@ class FollowMixture(Detector):
 
     tags = Tags(takes_clusters=True)
 
-    def __init__(
-        self,
-        clusters: int | None = None,
-        memory: int = 4,
-        policy: Literal["cost", "map"] = "cost",
-        objective: Literal["P1", "P2"] = "P2",
-        shot_budget: int | None = None,
-        redundancy_price: float = 1.0,
-        round_price: float | None = None,
-    ) -> None:
-        self.clusters = clusters
-        self.memory = memory
-        self.policy = policy
-        self.objective = objective
-        self.shot_budget = shot_budget
-        self.redundancy_price = redundancy_price
-        self.round_price = round_price
-
-    def _arguments(self) -> _Arguments:
-        return _Arguments(**self.get_params())
-
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the generator breaks ties and draws samples of large swarms.
-
-        Raises:
-            ArgumentError: an argument of the constructor is refused.
-        """
-        self._arguments()
-        super().reset(seed)
+    clusters: Count | None = None
+    memory: Annotated[int, Field(ge=1, le=64)] = 4
+    max_lag: Lags = 12
+    max_delay: Seconds | None = None
+    policy: Literal["cost", "map"] = "cost"
+    objective: Literal["P1", "P2"] = "P2"
+    shot_budget: Count | None = None
+    redundancy_price: Annotated[float, Field(ge=0)] = 1.0
+    round_price: Annotated[float, Field(gt=0)] | None = None
 
     def detect(self, window: Window) -> Detection:
         """Name the heads of one window.
@@ -96,9 +75,10 @@ class FollowMixture(Detector):
             ``nats``, the gain of the whole fit less the prices.
 
         Raises:
-            ArgumentError: an argument of the constructor is refused, or ``clusters`` exceeds the window's N.
+            ArgumentError: an argument of the constructor is refused, ``clusters`` exceeds the window's N, or the window
+                doesn't know the step that ``max_delay`` needs.
         """
-        arguments = self._arguments()
+        arguments = self.check_arguments()
         if arguments.clusters is not None and arguments.clusters > window.uavs:
             raise ArgumentError(
                 f"clusters must be at most the number of UAVs in the window ({window.uavs}), got {arguments.clusters}."
@@ -107,7 +87,8 @@ class FollowMixture(Detector):
         living = np.flatnonzero(window.alive)
         most = 1 if arguments.objective == "P1" else arguments.clusters
         motion = read_motion(window, living)
-        found = None if motion is None else fit_motion(motion, arguments.memory, most, rng)
+        longest = count_lags(window, arguments.max_lag, arguments.max_delay)
+        found = None if motion is None else fit_motion(motion, arguments.memory, longest, most, rng)
         probability, gain = np.zeros(window.uavs), np.zeros(window.uavs)
         leader, root, clusters, group = np.full((4, window.uavs), -1, np.int64)
         extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "reasons": [], "nats": 0.0}

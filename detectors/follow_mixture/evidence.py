@@ -23,7 +23,7 @@ from detectors.follow_mixture.motion import lagged
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.compiling import compiled
 
-OWN_LAW = 3.0  # log prior odds of a law that UAVs share against a law of a group's or UAV's own
+RARE = 0.05  # prior probability: a group's head is not in the window or leads single UAVs only, a UAV has its own law
 _ROWS_A_LAG = 12  # rows of a window per lag of the own past in Z
 RIDGE = 1e-6  # of the mean square of a feature
 _GRAIN = 1e-3  # innovations below this share of the mean speed are rounding of the positions
@@ -117,10 +117,11 @@ def make_targets(velocity: Floats, label: Indices, lags: int) -> Targets:
     few = np.maximum(sizes[label] - 1, 1)[:, None, None]
     mean = np.concatenate([total / sizes[:, None, None], rest / few])
     width = 1 + 3 * own_lags
-    innovation, own = np.empty((len(mean), rows, 3)), np.empty((len(mean), rows, width))
+    innovation, own = np.zeros((len(mean), rows, 3)), np.zeros((len(mean), rows, width))
     weight = np.ones((len(mean), rows))
-    for first in range(0, len(mean), _CHUNK):
-        part = slice(first, first + _CHUNK)
+    there = np.flatnonzero(np.append(sizes > 0, sizes[label] > 1))  # nothing is the rest of a group of one
+    for first in range(0, len(there), _CHUNK):
+        part = there[first : first + _CHUNK]
         past = lagged(mean[part], lags)[:, :, :own_lags].reshape(-1, rows, 3 * own_lags)
         known = np.concatenate([np.ones((len(past), rows, 1)), past], axis=2)
         plain = _residuals(whiten(known), mean[part, lags:])
@@ -129,7 +130,6 @@ def make_targets(velocity: Floats, label: Indices, lags: int) -> Targets:
         weight[part] = 1.0 / np.sqrt(1.0 + square / (_FREEDOM * scale))
         own[part] = whiten(known * weight[part][:, :, None])
         innovation[part] = _residuals(own[part], mean[part, lags:] * weight[part][:, :, None])
-    innovation[len(sizes) :][sizes[label] == 1] = 0.0
     square = (innovation**2).sum(axis=2)
     # Of normal innovations the participation ratio is 3/5 of their number; a few sharp turns count as a few rows.
     effective = 5.0 / 3.0 * square.sum(axis=1) ** 2 / np.maximum((square**2).sum(axis=1), _NOTHING**2)
@@ -234,6 +234,11 @@ def pair(targets: Targets, group: Indices, uav: Indices) -> Pairs:
     return Pairs(group, uav, np.where(member, len(targets.sizes) + uav, group))
 
 
+def pick(pairs: Pairs, places: Indices | Mask) -> Pairs:
+    """Some of the pairs."""
+    return Pairs(pairs.group[places], pairs.uav[places], pairs.target[places])
+
+
 def _explain_roughly(white: Singles, flat: Singles) -> Floats:
     """``(C, k)``: energy of unweighted innovations ``(R, 3 C)`` that orthonormal features ``(k, R, p)`` explain."""
     product = (white.transpose(0, 2, 1).reshape(-1, len(flat)) @ flat).reshape(len(white), white.shape[2], -1)
@@ -328,23 +333,12 @@ def fit_law(statistics: Statistics, used: Indices, variance: Floats) -> Floats:
     return np.asarray(np.linalg.solve(gram, moment))
 
 
-def shared_evidence(targets: Targets, pairs: Pairs, statistics: Statistics, law: Floats) -> tuple[Floats, Floats]:
-    """Log-likelihood that each pair gains by a law ``(p, 3)``, and its error variance per axis and row; both ``(P,)``.
+def gain_by_law(targets: Targets, pairs: Pairs, statistics: Statistics, law: Floats) -> tuple[Floats, Floats]:
+    """Log-likelihood that each pair gains by a law ``(p, 3)``, or its own ``(P, p, 3)``, which is given; both ``(P,)``.
 
-    Each pair has an error variance of its own.
+    Each pair has an error variance of its own per axis and row, which is returned too.
     """
-    gain, left = _gain_and_rest(targets, pairs, statistics, law)
-    return gain, left / (3.0 * np.maximum(targets.rows[pairs.target], 1.0))
-
-
-def gain_by_laws(targets: Targets, pairs: Pairs, statistics: Statistics, laws: Floats) -> Floats:
-    """``(P,)``: log-likelihood that each pair gains by a law of its own ``(P, p, 3)``, which is given."""
-    return _gain_and_rest(targets, pairs, statistics, laws)[0]
-
-
-def _gain_and_rest(targets: Targets, pairs: Pairs, statistics: Statistics, law: Floats) -> tuple[Floats, Floats]:
-    """Log-likelihood gained by laws ``(p, 3)`` or ``(P, p, 3)``, and the energy that they leave."""
-    power = targets.energy[pairs.target]
+    power, rows = targets.energy[pairs.target], targets.rows[pairs.target]
     left = power + (law * (statistics.gram @ law - 2.0 * statistics.moment)).sum(axis=(1, 2))
     left = np.maximum(left, 3 * targets.innovation.shape[1] * _GRAIN**2)
-    return -1.5 * targets.rows[pairs.target] * np.log(left / power), left
+    return -1.5 * rows * np.log(left / power), left / (3.0 * np.maximum(rows, 1.0))

@@ -7,32 +7,30 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from detectors.follow_mixture.assignment import Assignment, assign_groups
+from detectors.follow_mixture.assignment import LEAST_FOLLOWERS, Assignment, assign_groups
+from detectors.follow_mixture.delays import ask_delays, find_hierarchy, sample_single_uavs
 from detectors.follow_mixture.evidence import (
-    OWN_LAW,
+    RARE,
     Pairs,
     Statistics,
     Targets,
     choose_pairs,
     fit_law,
+    gain_by_law,
     gather_statistics,
     make_targets,
     own_evidence,
+    pick,
     screen,
-    shared_evidence,
 )
 from detectors.follow_mixture.features import LEVELS, LONE
 from detectors.follow_mixture.groups import find_groups
-from detectors.follow_mixture.motion import Motion, lagged
-from detectors.follow_mixture.pooling import LonePairs, ask_single_uavs
-from detectors.follow_mixture.spectra import fit_spectra, smoothed_pasts
-from detectors.series.votes import find_trees
+from detectors.follow_mixture.motion import Motion, fit_spectra, lagged, smoothed_pasts
+from detectors.follow_mixture.pooling import MorePairs, ask_single_uavs
 from usnet_env.arrays import Floats, Indices
 
 _CERTAIN = 7.0  # log-odds of every UAV at which the search ends
-_RARE = 0.05  # prior probability: the head of a group is not in the window, leads single UAVs only, is a relay
 _LEAST_TOGETHER = 0.01  # least prior probability that a head moves with its followers, relative to a single UAV
-_RELAY = 1 / 3  # least share of a relay's innovations that its leader explains
 _ITERATIONS = 8
 _NOTHING = 1e-12
 
@@ -100,7 +98,7 @@ class _Search:
         candidates, column = np.unique(self.pairs.uav, return_inverse=True)
         sizes = self.targets.sizes
         gain = np.full((len(sizes), len(candidates)), -np.inf)
-        follows = np.where(sizes > 1, np.log(1.0 / _RARE - 1.0), 0.0)  # several do, unless their head is not there
+        follows = np.where(sizes > 1, np.log(1.0 / RARE - 1.0), 0.0)  # several do, unless their head is not there
         gain[self.pairs.group, column] = evidence + follows[self.pairs.group]
         own = self.targets.label[candidates]
         return assign_groups(gain, candidates, np.where(sizes[own] == 1, own, -1), sizes, self.most)
@@ -116,13 +114,20 @@ class _Search:
         """The pairs, each a group and its head, of an assignment."""
         return np.flatnonzero(assignment.head[self.pairs.group] == self.pairs.uav)
 
+    def gain(self, found: _Answer) -> Floats:
+        """``(C,)``: the evidence of each group for its head, 0 without one."""
+        chosen, gain = self.chosen(found.assignment), np.zeros(len(self.targets.sizes))
+        gain[self.pairs.group[chosen]] = found.evidence[chosen]
+        return gain
 
-def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Generator) -> Fit | None:
+
+def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: np.random.Generator) -> Fit | None:
     """Fit one window.
 
     Args:
         motion: the velocities of n UAVs.
         lags: the number of past velocities of a head that a law may use; fewer in short windows.
+        longest: the longest delay of a follower by itself, in samples; a quarter of the window at most.
         most: the largest number of heads, or ``None``.
         rng: draws the UAVs that are grouped together in a large swarm.
 
@@ -135,94 +140,51 @@ def fit_motion(motion: Motion, lags: int, most: int | None, rng: np.random.Gener
     targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
     past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
     several = np.flatnonzero(targets.sizes > 1)
-    lone: LonePairs | None = None  # at first no single UAV follows, as heads and decoys do not
+    more: MorePairs | None = None  # at first no single UAV follows, as heads and decoys do not
     for names in LEVELS:
         pairs = choose_pairs(targets, screen(targets, past, names, several), several)
-        if lone is not None:
-            pairs = Pairs(*map(np.append, vars(pairs).values(), vars(lone.pairs).values()))
+        if more is not None:
+            pairs = more.join(targets, pairs)
         classes = gather_statistics(targets, past, pairs, names)
         own = np.array([own_evidence(targets, pairs, some) for some in classes])
-        if lone is not None:
-            for values, some in zip(own, classes, strict=True):
-                values[len(values) - len(lone.own) :] = lone.compare(targets, pairs, some, values)
+        if more is not None:
+            own = np.array(
+                [more.compare(targets, pairs, some, values) for values, some in zip(own, classes, strict=True)]
+            )
         search = _Search(targets, pairs, most)
         found = _search_laws(search, classes, own)
         log_odds = _posterior(search, found, spectra.memory**lags)
         certain = np.abs(log_odds).min() > _CERTAIN
-        if lone is not None or (certain and search.explains(found.assignment)):
+        if more is not None or (certain and search.explains(found.assignment)):
             break
-        lone = ask_single_uavs(targets, past, LEVELS[-1], found.assignment.head)
-        if certain and search.explains(found.assignment, single=False) and not lone.asks_more:
+        leads = np.union1d(found.assignment.heads, np.flatnonzero(log_odds > 0))
+        late = ask_delays(targets, velocity, past, leads, search.gain(found), longest)
+        more = ask_single_uavs(targets, past, LEVELS[-1], found.assignment.head, *late)
+        if certain and search.explains(found.assignment, single=False) and not more.new:
             break
     if found.assignment.value <= 0 and not (targets.sizes > 1).any():
         return None
     leads = np.union1d(found.assignment.heads, np.flatnonzero(log_odds > 0))
-    leader = found.assignment.head[label]
-    single = np.flatnonzero((targets.sizes[label] == 1) & (leader < 0))
-    above, top, follows = _find_relays(velocity, past, leads, single)
-    heads = np.unique(top[np.isin(leads, found.assignment.heads)])  # no more than the assignment has
-    relay, ends = above >= 0, np.isin(above, np.setdiff1d(top, leads[above >= 0]))
-    relays = np.full((2, len(leader)), -np.inf)
-    relays[0, leads] = follows
-    np.maximum.at(relays[1], above[ends], follows[ends])
-    leader[leads[relay]] = above[relay]
-    leader[np.append(heads, above[ends])] = -1
-    root = np.where(leader >= 0, leader, np.arange(len(leader)))
-    for _ in leads:
-        root = root[root]
-    chosen = search.chosen(found.assignment)
-    behind = Pairs(pairs.group[chosen], pairs.uav[chosen], pairs.target[chosen])
-    gain = np.zeros(len(targets.sizes))
-    gain[pairs.group[chosen]] = found.evidence[chosen]
+    behind, gain = pick(pairs, search.chosen(found.assignment)), search.gain(found)
+    single = np.flatnonzero(np.isin(label, sample_single_uavs(targets)))
+    order = find_hierarchy(velocity, past, leads, single, found.assignment.head[label], gain[label], longest)
+    heads, count = np.unique(order.root, return_counts=True)
+    heads = heads[(count > min(LEAST_FOLLOWERS, len(label) - 1)) & np.isin(heads, order.root[found.assignment.heads])]
+    follows = np.isin(order.root, heads) & (order.leader >= 0)
     return Fit(
         group=label,
         heads=heads,
-        leader=leader,
-        root=np.where(np.isin(root, heads), root, -1),
+        leader=np.where(follows, order.leader, -1),
+        root=np.where(np.isin(order.root, heads), order.root, -1),
         log_odds=log_odds,
-        relays=relays,
-        gain=np.where(leader >= 0, gain[label], 0.0),
+        relays=order.relays,
+        gain=np.where(follows, order.gain, 0.0),
         features=found.features,
         law=found.law,
         value=found.value,
         noise=spectra.noise,
         lag=_find_lags(targets, past, behind, heads),
     )
-
-
-def _find_relays(velocity: Floats, past: Floats, leads: Indices, others: Indices) -> tuple[Indices, Indices, Floats]:
-    """Tell relays from heads: a relay leads UAVs and follows another UAV, which leads or follows none.
-
-    Two UAVs that turn alike by chance predict each other alike. So the evidence that one follows the other counts only
-    as far as it exceeds that of the reverse, and that of a leader that explains little.
-
-    Args:
-        velocity: ``(n, T, 3)``.
-        past: ``(n, R, L, 3)`` pasts of the candidates.
-        leads: ``(M,)`` the UAVs that lead.
-        others: the UAVs that follow none.
-
-    Returns:
-        ``(M,)`` the UAV that each follows, -1 for heads, the one at the end of its leaders, and the log-odds.
-    """
-    above, lags = np.union1d(leads, others), velocity.shape[1] - past.shape[1]
-
-    def compare(behind: Indices, ahead: Indices) -> tuple[Floats, Floats]:
-        alone = make_targets(velocity[behind], np.arange(len(behind)), lags)
-        return alone.rows[: len(behind)], screen(alone, past[ahead], LEVELS[0], alone.label).max(axis=0, initial=0.0)
-
-    rows, best = compare(leads, above)
-    reverse = best if len(above) == len(leads) else compare(above, leads)[1]
-    least = -1.5 * rows[:, None] * np.log1p(-_RELAY)
-    price = np.log(1.0 / _RARE - 1.0) + np.log(max(len(above) - 1, 1) * len(LEVELS[0]))
-    odds = best - reverse.T - least - price
-    odds[leads[:, None] == above] = -np.inf
-    some = np.isin(above, leads) | (odds > 0).any(axis=0)
-    wide, strength = np.full((2, some.sum(), some.sum()), -np.inf)
-    place = np.searchsorted(above[some], leads)
-    wide[place], strength[place] = odds[:, some], best[:, some]
-    direct, root = (found[place] for found in find_trees(wide, strength, 0.0))
-    return np.where(direct >= 0, above[some][direct], -1), above[some][root], odds.max(axis=1, initial=-np.inf)
 
 
 def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) -> Indices:
@@ -249,8 +211,8 @@ def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) ->
 def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _Answer:
     """Find the heads: first every group has a law of its own; then groups share one, of each class of features.
 
-    A group may deviate from the shared law, at a price. The state with the highest value wins. The search ends when a
-    shared law assigns all groups but the heads.
+    A group may deviate from the shared law; a single UAV pays for it, since most of those fly by themselves. The state
+    with the highest value wins. The search ends when a shared law assigns all groups but the heads.
 
     Args:
         search: the groups and pairs.
@@ -260,12 +222,14 @@ def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _An
     each = own.max(axis=0) - np.log(len(own))
     together = search.assign(each)
     best = begin = _Answer(together, each, together.value)
+    alone = search.targets.sizes[search.pairs.group] == 1
+    other = each - np.log(1.0 / RARE - 1.0) * alone
     gained = np.maximum(own, 0.0)
     order = np.argsort(-gained[:, search.chosen(together)].sum(axis=1), kind="stable")
     for start in (begin, None):
         start = best if start is None else start
         for some in order:
-            found = _share_law(search, classes[some], start.assignment, each - OWN_LAW)
+            found = _share_law(search, classes[some], start.assignment, other)
             if found is not None and found.value > best.value:
                 best = found
                 if search.explains(found.assignment):
@@ -283,7 +247,7 @@ def _share_law(search: _Search, some: Statistics, assignment: Assignment, own: F
             break
         rows = float(search.targets.rows[search.pairs.target[used]].sum())
         law = fit_law(some, used, variance[used])
-        shared, variance = shared_evidence(search.targets, search.pairs, some, law)
+        shared, variance = gain_by_law(search.targets, search.pairs, some, law)
         evidence = np.maximum(shared, own)
         before, assignment = assignment, search.assign(evidence)
         value = assignment.value - 1.5 * some.width * float(np.log(3.0 * rows))
@@ -322,7 +286,7 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
     together = max(float(np.median(kept[alone] if alone.sum() > 1 else kept)), _LEAST_TOGETHER)
     prior = np.where(alone, 0.0, np.log(together / sizes[targets.label]))
     row = np.cumsum(several) - 1
-    logit = np.tile(np.append(prior, np.log(_RARE * np.exp(prior).sum())), (several.sum(), 1))
+    logit = np.tile(np.append(prior, np.log(RARE * np.exp(prior).sum())), (several.sum(), 1))
     some = several[pairs.group]  # pairs that were not chosen have no evidence
     logit[row[pairs.group[some]], pairs.uav[some]] += found.evidence[some] + paid[some]
     share = np.exp(logit - logsumexp(logit, axis=1, keepdims=True))[:, :uavs]
@@ -352,11 +316,11 @@ def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats]
     odds[np.isin(single, targets.label[heads])] = -np.inf
     count = np.isfinite(odds).sum(axis=0)
     every = np.logaddexp(odds, 0.0).sum(axis=0)
-    fewer = np.logaddexp(np.logaddexp.reduce(odds, axis=0, initial=-np.inf), 0.0)  # none or one: no head
+    fewer = np.logaddexp(np.logaddexp.reduce(odds, axis=0, initial=-np.inf), 0.0) if uavs > 2 else 0.0  # is no head
     led = every + np.log(np.maximum(-np.expm1(np.minimum(fewer - every, 0.0)), _NOTHING))
-    led += np.log(_RARE / uavs) - count * np.log1p(1.0 / np.maximum(known + ~head, 1))
-    pool = np.where(targets.sizes[targets.label] == 1, np.log(_RARE / uavs), -np.inf)  # without any evidence
-    pool[candidates] = np.where(count > 1, led, -np.inf)
+    led += np.log(RARE / uavs) - count * np.log1p(1.0 / np.maximum(known + ~head, 1))
+    pool = np.where(targets.sizes[targets.label] == 1, np.log(RARE / uavs), -np.inf)  # without any evidence
+    pool[candidates] = np.where(count >= min(LEAST_FOLLOWERS, uavs - 1), led, -np.inf)
     itself = np.full(len(targets.sizes), 0.0)
     itself[single] = together - np.log1p(known)
     return pool, itself[targets.label]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detectors.follow_mixture.spectra import FlightSpectra
+from detectors.follow_mixture.motion import FlightSpectra
 from usnet_env.arrays import Floats, Indices
 from usnet_env.compiling import compiled
 
@@ -67,9 +67,7 @@ def find_groups(velocity: Floats, spectra: FlightSpectra, rng: np.random.Generat
     """
     power = float(np.median(spectra.power))
     still = np.zeros(len(velocity), bool)
-    if (
-        spectra.noise == 0
-    ):  # a strategy may answer one head's turns more than another's; jitter is a share of the answer
+    if spectra.noise == 0:  # a strategy may answer one head's turns more than another's; jitter is a share of it
         own = velocity.var(axis=1).mean(axis=1)
         still = own <= _GRAIN**2  # flies straight: moves like every other UAV that does, or like none
         velocity = velocity * np.sqrt(power / np.where(still, 1.0, own))[:, None, None]

@@ -1,4 +1,11 @@
-"""Converts a window to the velocities of its living UAVs: without a common drift, in units of speed, without gaps."""
+"""Converts a window to the velocities of its living UAVs: without a common drift, in units of speed, without gaps.
+
+Observed velocities are differences of noisy positions; their noise has the spectrum 2 sigma² (1 - cos w), which is
+small at low frequencies and four times sigma² at the highest. It attenuates a regression on them. So the variance of
+the noise is estimated, and the past of a candidate is replaced by its conditional expectation given the observations
+(Wiener smoothing). The error of this regressor is uncorrelated with it (Berkson errors), so that least squares remain
+unbiased.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +23,11 @@ LEAST_STEPS = 5  # velocities; a shorter window has no past to compare with
 _UNIT_SPREAD = 0.02
 _ROUNDING = 1e-5  # of the speed; speeds that differ less are equal in single precision
 _DRIFT = 3.0  # a mean velocity of more than this many times the scatter is a drift of the swarm and taken off
+_LEAST_NOISE = 0.004  # smaller variances of position noise per axis, relative to the squared speed, count as 0
+_MEMORIES = np.concatenate([np.linspace(0.0, 0.9, 7), [0.95, 0.98]])
+_POWERS = np.exp(np.linspace(np.log(0.005), np.log(2.0), 16))  # of the mean periodogram
+_NOISES = np.concatenate([[1e-4], np.exp(np.linspace(np.log(0.005), 0.0, 24))])
+_NOTHING = 1e-12  # least scale, in squared mean speeds: straight motion without noise has no spectrum
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,3 +108,93 @@ def lagged(velocity: Floats, lags: int) -> Floats:
     """The velocities before each step from ``lags`` on: ``(n, T - lags, lags, 3)``, newest first."""
     rows = velocity.shape[1] - lags
     return velocity[:, np.arange(rows)[:, None] + lags - 1 - np.arange(lags)[None]]
+
+
+@dataclass(frozen=True, eq=False)
+class FlightSpectra:
+    """AR(1) models of the velocities, one per UAV, with one common position noise; per axis, in units of mean speed.
+
+    Args:
+        power: ``(n,)`` variance of each UAV's velocity about its mean.
+        memory: ``(n,)`` its lag-1 autocorrelation.
+        noise: variance of a position.
+    """
+
+    power: Floats
+    memory: Floats
+    noise: float
+
+    def typical(self, omega: Floats) -> Floats:
+        """Spectrum ``(K,)`` at angular frequencies, for the median power and autocorrelation."""
+        memory = float(np.median(self.memory))
+        shape = (1.0 - memory**2) / (1.0 - 2.0 * memory * np.cos(omega) + memory**2)
+        return np.asarray(float(np.median(self.power)) * shape)
+
+    def flight(self, steps: int) -> Floats:
+        """Covariances ``(n, steps, steps)`` of the true velocities."""
+        apart = np.abs(np.arange(steps)[:, None] - np.arange(steps)[None, :])
+        decay = self.memory[:, None] ** np.arange(steps)
+        return np.asarray(self.power[:, None, None] * decay[:, apart])
+
+    def seen(self, steps: int) -> Floats:
+        """Covariance ``(steps, steps)`` of the noise in the observed velocities."""
+        return self.noise * (2.0 * np.eye(steps) - np.eye(steps, k=1) - np.eye(steps, k=-1))
+
+
+def fit_spectra(velocity: Floats, noiseless: bool) -> FlightSpectra:
+    """Fit the spectra by Whittle's likelihood of the periodograms; power and memory of each UAV, one noise for all.
+
+    Args:
+        velocity: ``(n, T, 3)``.
+        noiseless: whether positions are known to be seen without noise.
+    """
+    uavs, steps = velocity.shape[:2]
+    flight = velocity - velocity.mean(axis=1, keepdims=True)
+    periodogram = (np.abs(np.fft.rfft(flight, axis=1)) ** 2).mean(axis=2)[:, 1:] / steps
+    omega = 2.0 * np.pi * np.arange(1, periodogram.shape[1] + 1) / steps
+    wave = 2.0 * (1.0 - np.cos(omega))
+    scale = max(float(periodogram.mean()), _NOTHING)
+    powers = scale * _POWERS
+    shapes = (1.0 - _MEMORIES[:, None] ** 2) / (
+        1.0 - 2.0 * _MEMORIES[:, None] * np.cos(omega) + _MEMORIES[:, None] ** 2
+    )
+    best, found = np.inf, FlightSpectra(np.full(uavs, scale), np.zeros(uavs), 0.0)
+    for noise in 0.5 * scale * (_NOISES[:1] if noiseless else _NOISES):
+        model = powers[:, None, None] * shapes[None] + noise * wave
+        model = model.reshape(-1, len(omega))
+        fit = np.log(model).sum(axis=1)[None] + periodogram @ (1.0 / model).T
+        choice = fit.argmin(axis=1)
+        total = float(fit.min(axis=1).sum())
+        if total < best:
+            best, seen = total, 0.0 if noise < _LEAST_NOISE else float(noise)
+            found = FlightSpectra(powers[choice // len(_MEMORIES)], _MEMORIES[choice % len(_MEMORIES)], seen)
+    return found
+
+
+def smoothed_pasts(velocity: Floats, spectra: FlightSpectra, lags: int) -> Floats:
+    """Expectation of each UAV's past velocities, given its observations before the row's time.
+
+    Only earlier observations are used: with noise, a fellow follower smoothed with its future would predict a follower
+    better than their head does.
+
+    Args:
+        velocity: ``(n, T, 3)`` observed.
+        spectra: the spectra of these velocities.
+        lags: L, the number of past velocities.
+
+    Returns:
+        ``(n, T - L, L, 3)``, newest first, in place of :func:`lagged`.
+    """
+    uavs, steps = velocity.shape[:2]
+    flight, noise = spectra.flight(steps), spectra.seen(steps)
+    mean = velocity.mean(axis=1, keepdims=True)
+    # With V = L L' and z = L^-1 y, the expectation of v at s given y before t is sum over k < t of (S L'^-1)_sk z_k.
+    lower = np.linalg.cholesky(flight + noise)
+    innovation = np.linalg.solve(lower, velocity - mean)
+    reach = np.linalg.solve(lower, flight).transpose(0, 2, 1)
+    times = np.arange(lags, steps)
+    before = np.arange(steps)[None, :] < times[:, None]
+    past = np.empty((uavs, steps - lags, lags, 3))
+    for lag in range(lags):
+        past[:, :, lag] = mean + (reach[:, times - 1 - lag] * before) @ innovation
+    return past

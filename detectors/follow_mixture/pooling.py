@@ -6,7 +6,7 @@ this one gains as much as that law predicts of it. A UAV that follows no candida
 slowly the UAVs turn, so no threshold is needed.
 
 Followers may have different laws, however. So each single UAV may also choose one candidate for itself, if that stands
-out from all others.
+out from all others; and :mod:`detectors.follow_mixture.delays` finds the leaders of those with delays of their own.
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import betaln
 
+from detectors.follow_mixture.delays import sample_single_uavs
 from detectors.follow_mixture.evidence import (
-    OWN_LAW,
+    RARE,
     RIDGE,
     Pairs,
     Statistics,
     Targets,
-    gain_by_laws,
+    gain_by_law,
     pair,
+    pick,
     screen,
     whiten,
 )
@@ -32,7 +34,6 @@ from detectors.follow_mixture.features import LONE, make_features
 from usnet_env.arrays import Floats, Indices, Mask
 
 _TURNS = 3  # of choosing the followers of a candidate and fitting their law
-_ASKED = 200  # most single UAVs that are asked; bounds time and memory
 _CLASSES = 2  # in which the greedy search goes on
 _SHORTLISTED = 100  # candidates that the greedy search compares
 _NUMBERS = 4_000_000  # of one array; bounds the memory
@@ -40,30 +41,47 @@ _NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class LonePairs:
-    """The pairs of single UAVs and candidates.
+class MorePairs:
+    """Pairs that the first level leaves out: of single UAVs, and of groups that follow with a delay of their own.
 
     Args:
-        pairs: P pairs.
-        own: ``(P,)`` what the UAV gains by a law of its own; -inf for candidates that it does not choose.
-        asks_more: whether a candidate was nominated or chosen, beside the heads that are known.
+        single: P pairs of single UAVs and candidates.
+        late: D pairs of a group, or a single UAV, and a UAV that it follows with a delay.
+        odds: ``(D,)`` log-odds of these.
+        new: whether a candidate was found beside the heads that are known.
         head: ``(C,)`` the heads of the groups, whose laws their single followers share; -1 for none.
     """
 
-    pairs: Pairs
-    own: Floats
-    asks_more: bool
+    single: Pairs
+    late: Pairs
+    odds: Floats
+    new: bool
     head: Indices
 
+    def join(self, targets: Targets, pairs: Pairs) -> Pairs:
+        """The ``pairs`` of groups, and these; those of single UAVs are the last ones."""
+        new = (targets.sizes[self.late.group] > 1) & ~np.isin(_code(targets, self.late), _code(targets, pairs))
+        three = zip(*(vars(some).values() for some in (pairs, pick(self.late, new), self.single)), strict=True)
+        return Pairs(*map(np.concatenate, three))
+
     def compare(self, targets: Targets, pairs: Pairs, some: Statistics, evidence: Floats) -> Floats:
-        """Evidence ``(P,)`` of these pairs, the last ones of ``pairs``, in one class; ``evidence`` is of all pairs."""
-        lone = np.arange(len(evidence)) >= len(evidence) - len(self.own)
-        led = self.head[pairs.group] == pairs.uav
-        pooled = _pool(targets, pairs, some, np.where(lone, evidence > 0, led), ~lone)
-        return np.maximum(pooled[lone], self.own)
+        """Evidence ``(P,)`` of all ``pairs`` that :meth:`join` made, in one class; ``evidence`` is that of own laws."""
+        single = np.arange(len(evidence)) >= len(evidence) - len(self.single.group)
+        follows = np.where(single, evidence > 0, self.head[pairs.group] == pairs.uav)
+        found = np.where(single, _pool(targets, pairs, some, follows, ~single), evidence)
+        _, place, late = np.intersect1d(_code(targets, pairs), _code(targets, self.late), return_indices=True)
+        found[place] = np.maximum(found[place], self.odds[late])
+        return found
 
 
-def ask_single_uavs(targets: Targets, past: Floats, names: Sequence[str], head: Indices) -> LonePairs:
+def _code(targets: Targets, pairs: Pairs) -> Indices:
+    """A number for each pair."""
+    return np.asarray(pairs.group * len(targets.label) + pairs.uav)
+
+
+def ask_single_uavs(
+    targets: Targets, past: Floats, names: Sequence[str], head: Indices, late: Pairs, odds: Floats
+) -> MorePairs:
     """The candidates that single UAVs may follow.
 
     Args:
@@ -71,18 +89,22 @@ def ask_single_uavs(targets: Targets, past: Floats, names: Sequence[str], head: 
         past: ``(n, R, L, 3)`` pasts of the candidates.
         names: the feature classes of laws that followers share.
         head: ``(C,)`` the heads of the groups of several; -1 for none.
+        late: D pairs of a group and a UAV that it follows with a delay of its own.
+        odds: ``(D,)`` log-odds of these.
     """
-    single = np.flatnonzero(targets.sizes == 1)
-    single = single[:: max(-(-len(single) // _ASKED), 1)]
-    itself = single[:, None] == targets.label
-    choice, gained = _choose(np.where(itself, -np.inf, screen(targets, past, LONE, single)))
-    chooses = gained > 0
+    single = sample_single_uavs(targets)
     new = _nominate(targets, past, names, single)
-    own = np.full(itself.shape, -np.inf)
-    own[np.flatnonzero(chooses), choice[chooses]] = gained[chooses]
-    asked = (np.isin(np.arange(len(past)), np.union1d(head[head >= 0], new)) | np.isfinite(own)) & ~itself
+    itself = single[:, None] == targets.label
+    if len(single) and len(past) > 3:
+        chosen, gained = _choose(targets, np.where(itself, -np.inf, screen(targets, past, LONE, single)), single)
+        other = ~np.isin(_code(targets, chosen), _code(targets, late))
+        late = Pairs(*map(np.append, vars(late).values(), vars(pick(chosen, other)).values()))
+        odds = np.append(odds, gained[other])
+    asked = np.isin(np.arange(len(past)), np.union1d(head[head >= 0], new)) & ~itself
+    alone = np.isin(late.group, single)
+    asked[np.searchsorted(single, late.group[alone]), late.uav[alone]] = True
     place, uav = np.nonzero(asked)
-    return LonePairs(pair(targets, single[place], uav), own[place, uav], bool(len(new) or chooses.any()), head)
+    return MorePairs(pair(targets, single[place], uav), late, odds, bool(len(new) or len(odds)), head)
 
 
 def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indices) -> Indices:
@@ -210,7 +232,7 @@ def _pool(targets: Targets, pairs: Pairs, some: Statistics, follows: Mask, fixed
         np.add.at(moments, column[follows], moment[follows])
         law = _fit_laws(grams, moments)[column]
         law[follows] = _fit_laws(grams[column[follows]] - gram[follows], moments[column[follows]] - moment[follows])
-        evidence = gain_by_laws(targets, pairs, some, law)
+        evidence = gain_by_law(targets, pairs, some, law)[0]
         before, follows = follows, np.where(fixed, follows, evidence > 0)
         if np.array_equal(before, follows):
             break
@@ -226,21 +248,20 @@ def _fit_laws(gram: Floats, moment: Floats) -> Floats:
     return np.asarray(law * np.maximum(1.0 - 3.0 * width / np.maximum(explained, _NOTHING), 0.0)[:, None, None])
 
 
-def _choose(evidence: Floats) -> tuple[Indices, Floats]:
-    """The candidate that each single UAV would follow with a law of its own, ``(c,)``, and what it gains, ``(c,)``.
+def _choose(targets: Targets, evidence: Floats, single: Indices) -> tuple[Pairs, Floats]:
+    """Pairs of a single UAV and the candidate that stands out for it from all others; the log-odds of each.
 
     The likelihoods of candidates that a UAV does not follow differ by chance, the more the slower the UAVs turn. The
     largest of many exponential variables exceeds the second by their scale on average, and the second exceeds the third
     by half of it. So the first difference, which is the gain, is measured in units of the second ones.
 
     Args:
+        targets: the groups.
         evidence: ``(K, c, n)`` of the screening, -inf for the UAV itself.
+        single: ``(c,)`` the groups of one UAV.
     """
-    if min(evidence.shape[1:]) < 1 or evidence.shape[2] < 4:
-        return np.zeros(evidence.shape[1], np.int64), np.full(evidence.shape[1], -np.inf)
-    ranked = -np.partition(-evidence, 2, axis=2)[:, :, :3]
-    scale = max(2.0 * float((ranked[:, :, 1] - ranked[:, :, 2]).mean()), 1.0)
-    gain = (ranked[:, :, 0] - ranked[:, :, 1]) / scale
-    best = gain.argmax(axis=0)
-    every = np.arange(evidence.shape[1])
-    return evidence[best, every].argmax(axis=1), gain[best, every] - np.log(len(evidence)) - OWN_LAW
+    first, second, third = np.moveaxis(-np.partition(-evidence, 2, axis=2)[:, :, :3], 2, 0)
+    gain = (first - second) / max(2.0 * float((second - third).mean()), 1.0)
+    odds = gain.max(axis=0) - np.log(len(evidence)) - np.log(1.0 / RARE - 1.0)
+    choice = evidence[gain.argmax(axis=0), np.arange(len(single))].argmax(axis=1)
+    return pair(targets, single[odds > 0], choice[odds > 0]), odds[odds > 0]

@@ -10,7 +10,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
@@ -24,21 +24,19 @@ from scipy.special import expit
 from detectors.follow_mixture.calibration import MOST_ODDS, Calibration
 from detectors.follow_mixture.fit import fit_motion
 from detectors.follow_mixture.motion import read_motion
+from detectors.random_swarms import draw_calibration_swarm, observe
 from usnet_env.arrays import Floats, Mask
 from usnet_env.config import Config
 from usnet_env.evaluation.store import write_text
 from usnet_env.evaluation.suite import Game, Place, Suite, list_games
 from usnet_env.provenance import versions
-from usnet_env.swarm import SwarmConfig, advance, destroy, start
-from usnet_env.swarm.random_follow import RandomFollowStrategy, random_follow_strategy
+from usnet_env.swarm import SwarmConfig
 from usnet_env.window import Window
 
-_MOBILITIES = ("iid", "gauss_markov", "smooth_turn", "local_waypoint", "waypoint", "straight")
-_SMOOTH = _MOBILITIES[1:4]
 _BIN = 0.25  # width of a bin of log-odds
 _BINS = int(2 * MOST_ODDS / _BIN) + 1
 _ODDS = np.linspace(-MOST_ODDS, MOST_ODDS, _BINS)
-_EDGES = (0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97, 0.99, 1)
+_SCORES = ((0, "brier"), (1, "log loss"))
 #: Prior of a calibration: mean and standard deviation of the log slope, the offset and the log-odds of the doubt.
 _PRIOR = np.array([[0.0, 1.0], [0.0, 3.0], [-2.0, 2.0]])
 
@@ -70,7 +68,7 @@ class Draws:
 
 @dataclass(frozen=True, kw_only=True)
 class Row(Draws):
-    """A swarm and its fit; :func:`draw_swarm` makes the swarm again.
+    """A swarm and its fit; the draws make the swarm again.
 
     Args:
         swarm: its number.
@@ -89,69 +87,18 @@ class Row(Draws):
     log_odds: str
 
 
-def _log_uniform(rng: np.random.Generator, least: int, most: int) -> int:
-    return round(math.exp(rng.uniform(math.log(least), math.log(most))))
-
-
-def _linear_strategy(rng: np.random.Generator) -> RandomFollowStrategy:
-    """Draw a random strategy with linear terms only; these are rare in the grammar and suit the first search."""
-    while True:
-        drawn = random_follow_strategy(rng)
-        if all(term.kind == "linear" for term in drawn.terms):
-            return drawn
-
-
-def draw_swarm(draws: Draws | CalibrationTraining, rng: np.random.Generator) -> SwarmConfig:
-    """Draw the configuration of a swarm and its observer.
-
-    The grammar of the follow strategies contains none of f1 to f7. But in half of the noisy swarms with followers the
-    strategy is linear and the identity replaces its rotation, so that its axes are alike. A strategy with the single
-    term v_t, which would be f1, is drawn again.
-    """
-    uavs = _log_uniform(rng, 20, draws.most_uavs)
-    decoys = int(rng.integers(1, 6)) if rng.random() < 0.3 else 0
-    clusters = int(rng.integers(1, min(draws.most_clusters, (uavs - decoys) // 3) + 1))
-    kind = rng.random()  # no UAV follows in 10 % of the swarms; all terms are linear in another 40 %
-    follow = "none" if kind < 0.1 else _linear_strategy(rng) if kind < 0.5 else random_follow_strategy(rng)
-    drawn = SwarmConfig(
-        follow=follow,
-        mobility="iid" if rng.random() < 0.3 else str(rng.choice(_MOBILITIES)),
-        formation=str(rng.choice(["uniform", "around"], p=[0.8, 0.2])),
-        clusters=clusters,
-        uavs=uavs,
-        observation_steps=100 if rng.random() < 0.5 else _log_uniform(rng, 12, 150),
-        miss_rate=float(rng.uniform(0.0, 0.3)) if rng.random() < 0.15 else 0.0,
-        position_noise=float(rng.uniform(0.1, 1.0)) if rng.random() < 0.2 else 0.0,
-        decoys=decoys,
-        head_jitter=bool(rng.random() < 0.5),
-    )
-    if drawn.position_noise > 0 and kind >= 0.1 and rng.random() < 0.5:
-        # Strategies that are equal on all axes, with smooth heads, behind noise: rare otherwise.
-        alike = _linear_strategy(rng)
-        while len(alike.terms) == 1 and alike.terms[0].lag == 0:  # that is f1
-            alike = _linear_strategy(rng)
-        smooth = {"follow": replace(alike, rotation=np.eye(3, dtype=np.float32)), "mobility": str(rng.choice(_SMOOTH))}
-        drawn = drawn.model_copy(update={**smooth, "head_jitter": True})
-    return drawn
-
-
 def draw_window(config: SwarmConfig, rng: np.random.Generator) -> tuple[Window, Mask]:
     """Draw a window of a swarm; in 20 % of the cases some UAVs were destroyed before.
 
     Returns:
         The window; ``(N,)`` bool, the living heads.
     """
-    (own,) = rng.spawn(1)
-    state = start(config, [own])
-    if rng.random() < 0.2:
-        chance = np.where(state.head, rng.uniform(0.0, 1.0), rng.uniform(0.0, 0.1))  # earlier rounds hit heads
-        gone = rng.random((1, config.uavs)) < chance
-        gone[0, rng.choice(np.flatnonzero(state.head[0]))] = False
-        gone[0, rng.choice(np.flatnonzero(~state.head[0]), 2, replace=False)] = False
-        state, _ = advance(config, state, [own])
-        state = destroy(state, gone)
-    state, sighting = advance(config, state, [own])
-    window = Window(sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0])
+
+    def lose(head: Mask) -> Mask:
+        chance = np.where(head[0], rng.uniform(0.0, 1.0), rng.uniform(0.0, 0.1))  # earlier rounds hit heads
+        return np.asarray(rng.random((1, config.uavs)) < chance)
+
+    window, state = observe(config, rng, 0.2, lose)
     return window, state.head[0] & state.alive[0] & (config.follow != "none")
 
 
@@ -162,12 +109,14 @@ def play(games: Sequence[Game[Draws]]) -> list[Row]:
 
 def _play(draws: Draws, swarm: int) -> Row:
     rng = np.random.default_rng([draws.seed, swarm])
-    config = draw_swarm(draws, rng)
+    config = draw_calibration_swarm(draws.most_uavs, draws.most_clusters, rng)
     window, leads = draw_window(config, rng)
     living = np.flatnonzero(window.alive)
     head = leads[living]
     motion = read_motion(window, living)
-    found = None if motion is None else fit_motion(motion, 4, None, rng)  # 4: the detector's memory by default
+    found = (
+        None if motion is None else fit_motion(motion, 4, 12, None, rng)
+    )  # the detector's memory and max_lag by default
     counts, exact = "", not head.any()
     if found is not None:
         place = np.rint((np.clip(found.log_odds, -MOST_ODDS, MOST_ODDS) + MOST_ODDS) / _BIN).astype(np.int64)
@@ -212,14 +161,8 @@ def fit_calibration(rows: Sequence[Row]) -> Calibration:
     return Calibration(**{name: round(value, 5) for name, value in fitted.model_dump().items()})
 
 
-def _reliability(rows: Sequence[Row]) -> tuple[Floats, dict[str, float]]:
-    """Compare probabilities with the truth by two-fold cross-validation.
-
-    Returns:
-        ``(bins, 3)``: UAVs, heads and summed probability between the edges; Brier score and log loss, before and after
-        calibration.
-    """
-    table: Floats = np.zeros((len(_EDGES) - 1, 3))
+def _score(rows: Sequence[Row]) -> dict[str, float]:
+    """Brier score and log loss of the probabilities by two-fold cross-validation, before and after calibration."""
     totals: dict[str, Floats] = {name: np.zeros(3) for name in ("", ", before calibration")}
     for half in (0, 1):
         fitted = fit_calibration([row for row in rows if row.swarm % 2 != half])
@@ -229,14 +172,8 @@ def _reliability(rows: Sequence[Row]) -> tuple[Floats, dict[str, float]]:
             brier = (heads @ (1.0 - share) ** 2 + (uavs - heads) @ share**2).sum()
             loss = -(heads @ np.log(share) + (uavs - heads) @ np.log1p(-share)).sum()
             totals[name] += brier, loss, uavs.sum()
-        share, all_uavs = fitted(_ODDS), uavs.sum(axis=0)
-        counts = np.stack([all_uavs, heads.sum(axis=0), all_uavs * share], axis=1)
-        np.add.at(table, np.digitize(share, _EDGES[1:-1]), counts)
-    scores = {}
-    for name, (brier, loss, count) in totals.items():
-        scores[f"brier{name}"] = round(float(brier / max(count, 1.0)), 6)
-        scores[f"log loss{name}"] = round(float(loss / max(count, 1.0)), 6)
-    return table, scores
+    both = [(f"{kind}{name}", total[k] / max(total[2], 1.0)) for name, total in totals.items() for k, kind in _SCORES]
+    return {name: round(float(value), 6) for name, value in both}
 
 
 def train_calibration(
@@ -248,8 +185,8 @@ def train_calibration(
 ) -> Path:
     """Fit swarms, count, estimate the calibration and write it.
 
-    It writes these files to ``out``: ``calibration.json``, ``rows-HASH.csv`` (a :class:`Row` for each swarm; the hash
-    is that of the detector's source files) and ``reliability.csv``.
+    It writes these files to ``out``: ``calibration.json`` and ``rows-HASH.csv`` (a :class:`Row` for each swarm; the
+    hash is that of the detector's source files).
 
     Args:
         out: the output folder; created if it is missing.
@@ -270,15 +207,8 @@ def train_calibration(
     if not resume:
         path.unlink(missing_ok=True)
     draws = Draws(training.seed, training.most_uavs, training.most_clusters)
-    suite, games = (
-        Suite(Draws, Row, play, number="swarm", order=("seed", "swarm")),
-        list_games([draws], training.swarms),
-    )
-    rows = suite.run(games, path, workers=workers, progress=progress)
-    table, scores = _reliability(rows)
-    bins = zip(_EDGES[:-1], _EDGES[1:], table, strict=True)
-    lines = [f"{low},{high},{n:.0f},{k:.0f},{round(total / n, 6)}\n" for low, high, (n, k, total) in bins if n]
-    write_text(folder / "reliability.csv", "".join(["from,to,uavs,heads,mean_probability\n", *lines]))
+    suite = Suite(Draws, Row, play, number="swarm", order=("seed", "swarm"))
+    rows = suite.run(list_games([draws], training.swarms), path, workers=workers, progress=progress)
     made = {"command": "usnet train follow-mixture", "detector": detector, "versions": versions()}
     record = {
         "calibration": fit_calibration(rows).model_dump(mode="json"),
@@ -288,7 +218,7 @@ def train_calibration(
             "heads": sum(row.heads for row in rows),
             "swarms with followers": sum(row.follows for row in rows),
             "exact": sum(row.exact for row in rows),
-            **scores,
+            **_score(rows),
         },
     }
     write_text(folder / "calibration.json", json.dumps(record, indent=2) + "\n")

@@ -20,15 +20,13 @@ from torch import Tensor
 
 from detectors.learned.inputs import Inputs, make_inputs
 from detectors.learned.network import Answer, HeadNetwork, NetworkSizes, draw_network
+from detectors.random_swarms import draw_training_swarm, observe
 from detectors.weights import Checkpoint, record_training, write_losses, write_weights
+from usnet_env.arrays import Mask
 from usnet_env.config import Config
-from usnet_env.swarm import SwarmConfig, advance, destroy, start
-from usnet_env.swarm.random_follow import random_follow_strategy
-from usnet_env.window import Window
 
 _START, _STEP, _HELD_OUT = range(3)  # purpose of a seed
 _HELD_OUT_SWARMS = 200
-_MOBILITIES = ("iid", "gauss_markov", "smooth_turn", "waypoint", "local_waypoint")
 
 Count = Annotated[int, Field(ge=1, le=10_000_000)]
 Positive = Annotated[float, Field(gt=0)]
@@ -87,46 +85,15 @@ def _make_rng(training: HeadTraining, purpose: int, *numbers: int) -> np.random.
     return np.random.default_rng([training.seed, purpose, *numbers])
 
 
-def _draw_log_uniform(rng: np.random.Generator, least: int, most: int) -> int:
-    return round(math.exp(rng.uniform(math.log(least), math.log(most))))
-
-
-def draw_swarm(training: HeadTraining, rng: np.random.Generator) -> SwarmConfig:
-    """Draw the configuration of a swarm and its observer; the follow strategy is none of f1 to f7."""
-    uavs = _draw_log_uniform(rng, 10, training.most_uavs)
-    clusters = int(rng.integers(1, min(training.most_clusters, uavs // 3) + 1))
-    decoys = int(rng.integers(0, min(5, uavs - 3 * clusters) + 1)) if rng.random() < 0.3 else 0
-    noisy = rng.random() < 0.1
-    return SwarmConfig(
-        follow=random_follow_strategy(rng) if rng.random() < 0.97 else "none",
-        mobility="iid" if rng.random() < 0.35 else str(rng.choice(_MOBILITIES)),
-        formation=str(rng.choice(["uniform", "around"], p=[0.8, 0.2])),
-        clusters=clusters,
-        uavs=uavs,
-        observation_steps=100 if rng.random() < 0.6 else _draw_log_uniform(rng, 8, 160),
-        miss_rate=float(rng.uniform(0.0, 0.3)) if rng.random() < 0.2 else 0.0,
-        position_noise=float(rng.uniform(0.02, 0.5)) if noisy else 0.0,
-        sample_every=2 if rng.random() < 0.05 else 1,
-        decoys=decoys,
-        head_jitter=bool(rng.random() < 0.5),
-    )
-
-
 def draw_example(training: HeadTraining, rng: np.random.Generator) -> Example:
     """Draw one labelled window of a swarm, in its first round or after some UAVs were destroyed."""
-    config = draw_swarm(training, rng)
-    (own,) = rng.spawn(1)
-    state = start(config, [own])
+    config = draw_training_swarm(training.most_uavs, training.most_clusters, rng)
+
+    def lose(head: Mask) -> Mask:
+        return np.asarray(rng.random(head.shape) < rng.uniform(0.0, 0.5))
+
+    window, state = observe(config, rng, 0.25, lose)
     follows = config.follow != "none"
-    if rng.random() < 0.25:
-        gone = rng.random((1, config.uavs)) < rng.uniform(0.0, 0.5)
-        spared = rng.choice(np.flatnonzero(state.head[0]))
-        gone[0, spared] = False
-        gone[0, rng.choice(np.flatnonzero(~state.head[0]), 2, replace=False)] = False
-        state, _ = advance(config, state, [own])
-        state = destroy(state, gone)
-    state, sighting = advance(config, state, [own])
-    window = Window(sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0])
     living = np.flatnonzero(window.alive)
     place = np.zeros(config.uavs, np.int64)
     place[living] = np.arange(len(living))

@@ -16,11 +16,11 @@ from detectors.follow_mixture.calibration import Calibration, shipped_calibratio
 from detectors.follow_mixture.train import (
     CalibrationTraining,
     Row,
-    draw_swarm,
     fit_calibration,
     train_calibration,
 )
 from detectors.policy import Policy, choose
+from detectors.random_swarms import draw_calibration_swarm
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation.suite import read_rows
 from usnet_env.swarm.follow import FollowInputs, follow_strategy
@@ -90,7 +90,7 @@ def test_interrupted_training_is_resumed_to_the_identical_result(tmp_path):
     parts = train_calibration(tmp_path / "parts", TINY, lambda *call: calls.append(call))
     assert calls == [(3, 4), (4, 4)]
     assert few == parts
-    for name in ("calibration.json", rows.name, "reliability.csv"):
+    for name in ("calibration.json", rows.name):
         assert (whole.parent / name).read_bytes() == (parts.parent / name).read_bytes()
     other = TINY.model_copy(update={"seed": 1})
     assert train_calibration(tmp_path / "parts", other, workers=2).read_bytes() != whole.read_bytes()
@@ -103,7 +103,7 @@ def test_interrupted_training_is_resumed_to_the_identical_result(tmp_path):
 
 
 def test_swarms_are_of_every_kind_and_follow_no_strategy_of_the_paper():
-    drawn = [draw_swarm(CalibrationTraining(), np.random.default_rng([0, swarm])) for swarm in range(300)]
+    drawn = [draw_calibration_swarm(150, 12, np.random.default_rng([0, swarm])) for swarm in range(300)]
     assert all(config.follow == "none" or isinstance(config.follow, RandomFollowStrategy) for config in drawn)
     assert 10 < sum(config.follow == "none" for config in drawn) < 60
     assert {config.mobility for config in drawn} >= {"iid", "gauss_markov", "straight", "waypoint"}
@@ -123,7 +123,7 @@ def test_the_calibration_never_draws_f1():
     f1 = follow_strategy("f1").direction(inputs)
     alike, nearest = 0, -1.0
     for swarm in range(400):  # the first swarms of the calibration that ships
-        follow = draw_swarm(CalibrationTraining(), np.random.default_rng([0, swarm])).follow
+        follow = draw_calibration_swarm(150, 12, np.random.default_rng([0, swarm])).follow
         if follow == "none":
             continue
         wanted = follow.direction(inputs)

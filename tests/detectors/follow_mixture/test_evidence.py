@@ -12,11 +12,11 @@ from detectors.follow_mixture.evidence import (
     bayes_factor,
     choose_pairs,
     fit_law,
+    gain_by_law,
     gather_statistics,
     make_targets,
     own_evidence,
     screen,
-    shared_evidence,
 )
 from detectors.follow_mixture.features import make_features
 
@@ -139,7 +139,7 @@ def test_a_shared_law_is_a_stacked_weighted_regression(name):
     expected = np.linalg.lstsq(np.concatenate(design), np.concatenate(target), rcond=None)[0][-statistics.width :]
     law = fit_law(statistics, used, variance)
     np.testing.assert_allclose(law, expected, atol=2e-3)
-    gained, left = shared_evidence(targets, pairs, statistics, law)
+    gained, left = gain_by_law(targets, pairs, statistics, law)
     for group, uav in ((1, 0), (2, 6), (1, 3), (0, 5)):
         (place,) = np.flatnonzero((pairs.group == group) & (pairs.uav == uav))
         y, known, weight = weighted_parts(velocity, members_of(group, uav))

@@ -8,8 +8,7 @@ from mixture_windows import swarm_window
 from scipy.stats import multivariate_normal
 
 from detectors.follow_mixture.groups import _Bands, _merge_best, _spectral_bands
-from detectors.follow_mixture.motion import read_motion
-from detectors.follow_mixture.spectra import fit_spectra, smoothed_pasts
+from detectors.follow_mixture.motion import fit_spectra, read_motion, smoothed_pasts
 
 
 def flown(seed, **config):

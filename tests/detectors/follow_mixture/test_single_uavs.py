@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from detectors.follow_mixture.evidence import gather_statistics, make_targets, own_evidence
+from detectors.follow_mixture.evidence import gather_statistics, make_targets, own_evidence, pair
 from detectors.follow_mixture.fit import fit_motion
 from detectors.follow_mixture.motion import Motion, lagged
 from detectors.follow_mixture.pooling import ask_single_uavs
@@ -26,14 +26,14 @@ def compare(velocity, heads=()):
     past = lagged(velocity, LAGS)
     head = np.full(len(velocity), -1)
     head[: len(heads)] = heads  # so that they are asked
-    lone = ask_single_uavs(targets, past, NAMES, head)
-    classes = gather_statistics(targets, past, lone.pairs, NAMES)
-    found = [lone.compare(targets, lone.pairs, some, own_evidence(targets, lone.pairs, some)) for some in classes]
+    lone = ask_single_uavs(targets, past, NAMES, head, pair(targets, *np.zeros((2, 0), int)), np.zeros(0))
+    classes = gather_statistics(targets, past, lone.single, NAMES)
+    found = [lone.compare(targets, lone.single, some, own_evidence(targets, lone.single, some)) for some in classes]
     return targets, past, lone, classes, np.array(found)
 
 
 def fit(velocity):
-    return fit_motion(Motion(velocity, 1.0, False, np.zeros(3)), LAGS, None, np.random.default_rng(0))
+    return fit_motion(Motion(velocity, 1.0, False, np.zeros(3)), LAGS, 12, None, np.random.default_rng(0))
 
 
 def test_a_follower_gains_by_the_law_of_the_others():
@@ -56,7 +56,7 @@ def test_a_follower_gains_by_the_law_of_the_others():
         law *= 1.0 - 9.0 / explained
         left = ((targets.innovation[uav] - residual(uav, features) @ law) ** 2).sum()
         expected = -1.5 * targets.rows[uav] * np.log(left / (targets.innovation[uav] ** 2).sum())
-        (place,) = np.flatnonzero((lone.pairs.group == uav) & (lone.pairs.uav == 0))
+        (place,) = np.flatnonzero((lone.single.group == uav) & (lone.single.uav == 0))
         assert expected > 5.0  # so that all are followers in the definition, too
         assert evidence[0, place] == pytest.approx(expected, rel=0.02, abs=0.1)
 
@@ -65,8 +65,8 @@ def test_uavs_that_follow_no_candidate_lose_on_average():
     gained = []
     for seed in range(30):
         velocity = np.random.default_rng(seed).normal(size=(20, 80, 3))
-        _, _, lone, _, evidence = compare(velocity, heads=[0, 1, 2])
-        gained.append(evidence[0][~np.isfinite(lone.own)])
+        *_, evidence = compare(velocity, heads=[0, 1, 2])
+        gained.append(evidence[0])
     gained = np.concatenate(gained)
     assert gained.mean() < -0.1
 
@@ -76,7 +76,7 @@ def test_followers_that_no_regression_finds_alone_are_found_together():
     for seed in range(3):
         velocity = make_swarm(seed, followers=25)
         targets, _, lone, classes, _ = compare(velocity, heads=[0])
-        alone = own_evidence(targets, lone.pairs, classes[0])[lone.pairs.uav == 0]
+        alone = own_evidence(targets, lone.single, classes[0])[lone.single.uav == 0]
         assert np.median(alone) < np.log(len(velocity))
         found = fit(velocity)
         heads += found is not None and found.heads.tolist() == [0]

@@ -14,7 +14,8 @@ from detectors.checks.windows import simulate_window
 from detectors.learned import Learned
 from detectors.learned.detector import load_network
 from detectors.learned.network import build_network
-from detectors.learned.train import HeadTraining, draw_swarm, train_heads
+from detectors.learned.train import HeadTraining, train_heads
+from detectors.random_swarms import draw_training_swarm
 from detectors.weights import arrays_of, packaged_record, read_arrays, write_weights
 from usnet_env.config import ArgumentError
 from usnet_env.swarm.random_follow import RandomFollowStrategy
@@ -82,7 +83,7 @@ def test_the_shipped_weights_are_those_of_their_record():
 
 
 def test_swarms_of_training_are_of_every_kind():
-    drawn = [draw_swarm(HeadTraining(), np.random.default_rng(seed)) for seed in range(300)]
+    drawn = [draw_training_swarm(120, 10, np.random.default_rng(seed)) for seed in range(300)]
     assert all(config.follow == "none" or isinstance(config.follow, RandomFollowStrategy) for config in drawn)
     assert {config.mobility for config in drawn} >= {"iid", "gauss_markov", "smooth_turn", "waypoint"}
     assert {config.clusters for config in drawn} == set(range(1, 11))
