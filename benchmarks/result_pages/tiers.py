@@ -220,7 +220,7 @@ def text() -> str:
         "follow strategy. *Exact* is the share of episodes in which round 1 names all heads and no other UAV. J_m is "
         "better when lower; the best value is 1. n counts the episodes over all seven strategies.",
         "The published seed is 7077. Rules of the detector were changed after looks at rows of this seed. "
-        "[Another page](follow_mixture_cores.md) has seeds that were first played after the last change.",
+        "[Another page](follow_mixture_cores.md) has a seed on which no rule was tuned.",
         by_variant(),
         "Straight heads without jitter fly a line that each of their followers repeats: the data do not show which of "
         "them is the head. The default policy then names all UAVs.",

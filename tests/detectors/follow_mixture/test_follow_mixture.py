@@ -177,11 +177,52 @@ def test_heads_are_the_sources_of_chains_and_relays_are_not_named():
     assert right >= 0.75 * relays
 
 
+SMOOTH = {"mobility": "gauss_markov", "head_jitter": True, "formation": "around", "memory": 12}
+
+
+def test_followers_with_delays_of_their_own_lead_to_their_head():
+    """Their delays are 1 to 12 steps, so that those with short ones precede those with long ones."""
+    exact, short, right = 0, 0, []
+    for seed in range(8):
+        window, truth = swarm_window(seed, follow="unequal_delays", **SMOOTH)
+        found = answer(window, policy="map")
+        exact += np.array_equal(found.candidates, truth.head)
+        known = (found.extras["root"] >= 0) & ~truth.head
+        right.append((found.extras["root"] == truth.leader)[known].mean())
+        short += np.array_equal(answer(window, policy="map", max_lag=4).candidates, truth.head)
+    assert exact >= 5 > 2 >= short
+    assert np.mean(right) > 0.85
+
+
+def test_the_longest_delay_is_given_in_samples_or_in_seconds():
+    velocity = np.random.default_rng(3).normal(size=(100, 12, 3))
+    velocity[9:, 1:5] = velocity[:-9, :1] + 0.1 * velocity[9:, 1:5]  # all move alike, nine samples after UAV 0
+    position = np.concatenate([np.zeros((1, 12, 3)), np.cumsum(velocity, axis=0)])
+    window = Window(position, velocity, np.ones((101, 12), bool), np.ones(12, bool), step=0.5)
+    for longest in ({"max_lag": 9}, {"max_delay": 4.5}, {"max_lag": 1, "max_delay": 6.0}):
+        found = answer(window, policy="map", **longest)
+        assert np.flatnonzero(found.candidates).tolist() == [0]
+        assert (found.leader[1:5] == 0).all()
+    for short in ({"max_lag": 8}, {"max_delay": 4.0}):
+        assert not answer(window, policy="map", **short).candidates[0]
+    simulated, _ = swarm_window(0, observation_steps=10)
+    with pytest.raises(ArgumentError, match="max_delay must be None in a window that doesn't know its step"):
+        answer(simulated, max_delay=1.0)
+
+
+def test_a_head_with_one_follower_is_found_if_there_are_no_others():
+    velocity = np.random.default_rng(4).normal(size=(100, 2, 3))
+    velocity[7:, 1] = velocity[:-7, 0] + 0.2 * velocity[7:, 1]
+    position = np.concatenate([np.zeros((1, 2, 3)), np.cumsum(velocity, axis=0)])
+    found = answer(Window(position, velocity, np.ones((101, 2), bool), np.ones(2, bool)), policy="map")
+    assert found.candidates.tolist() == [True, False]
+    assert found.leader.tolist() == [0, 0]
+
+
 @pytest.mark.parametrize("most", [1, 2])
 def test_relays_bring_no_more_heads_than_allowed_and_leaders_close_no_cycle(most):
     for seed in range(6):
-        smooth = {"mobility": "gauss_markov", "head_jitter": True, "formation": "around"}
-        window, _ = swarm_window(seed, follow="chain", **smooth)
+        window, _ = swarm_window(seed, follow="chain" if seed % 2 else "unequal_delays", **SMOOTH)
         found = answer(window, clusters=most)
         assert len(found.extras["heads"]) <= most
         end = np.where(found.leader >= 0, found.leader, np.arange(window.uavs))
@@ -274,6 +315,8 @@ def test_the_constructor_only_stores():
         ("clusters", 0),
         ("clusters", 2.5),
         ("memory", 0),
+        ("max_lag", 0),
+        ("max_delay", 0.0),
         ("policy", "best"),
         ("objective", "P3"),
         ("shot_budget", 0),
