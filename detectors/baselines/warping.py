@@ -67,7 +67,7 @@ class Flica(Mflica):
         whole = super().detect(window)
         assert whole.attention is not None
         network = np.where(whole.attention > whole.extras["threshold"], whole.attention, 0.0)
-        scores = np.where(window.alive, compute_pagerank(network), 0.0)
+        scores = np.where(window.alive, compute_pagerank(network).round(12), 0.0)  # equal ranks are ties
         led = network.any(axis=1) | network.any(axis=0)
         candidates = np.zeros(window.uavs, bool)
         leader = np.full(window.uavs, -1)

@@ -100,6 +100,8 @@ class Learned(Detector):
         clusters = np.full(window.uavs, -1, np.int64)
         if len(living):
             probability[living], following = _predict_probabilities(self._network, window, living)
+            if not window.velocity_seen.any():  # equal inputs, of which rounding must not make an order
+                probability[living] = probability[living].mean()
             attention[np.ix_(living, living)] = following
             leader[living] = living[following.argmax(axis=1)]
             clusters[living] = np.unique(leader[living], return_inverse=True)[1]
