@@ -23,7 +23,7 @@ _ASKED = 200  # most single UAVs that are asked; bounds time and memory
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
-    """Who follows whom, for n UAVs.
+    """The direct leader and the root of each of n UAVs.
 
     Args:
         leader: ``(n,)`` the UAV that each follows directly, -1 for none.

@@ -45,7 +45,7 @@ class Fit:
         leader: ``(n,)`` the UAV that each UAV follows, a head or a relay; -1 for none and for heads.
         root: ``(n,)`` the head of each UAV, at the end of its leaders; its own index for heads, -1 for none.
         log_odds: ``(n,)`` of leading, before calibration; -inf for UAVs without any evidence.
-        relays: ``(2, n)`` log-odds that the UAV follows one that leads, and that a relay follows it; -inf: not asked.
+        relays: ``(2, n)``, see :class:`detectors.follow_mixture.delays.Hierarchy`.
         gain: ``(n,)`` log-likelihood that the UAV's group gains by its head, in nats.
         features: the class of features that the law uses.
         law: ``(p, 3)`` weights of the shared law, or ``None`` if each group has a law of its own.
