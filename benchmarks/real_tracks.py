@@ -13,6 +13,7 @@ import argparse
 import csv
 import time
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 
@@ -92,8 +93,9 @@ def main() -> None:
                     "step": round(float(even.step), 4),
                     "window": int(k),
                 }
+                seed = crc32(f"{path.stem} {given} {k}".encode())
                 for name in arguments.detector or DETECTORS:
-                    rows.append({**about, "detector": name, **score(cuts[k], name, int(k))})
+                    rows.append({**about, "detector": name, **score(cuts[k], name, seed)})
     with atomic_write(arguments.out) as aside, aside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()

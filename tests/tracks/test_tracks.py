@@ -1,12 +1,14 @@
 """Tracks: resampling, windows, and what is reported."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from track_files import example, straight
 
-from usnet_env import ArgumentError
+from usnet_env import ArgumentError, make_detector
 from usnet_env.tracks import Tracks, read_tracks
 
 
@@ -112,7 +114,23 @@ def test_the_step_puts_the_delay_at_1_to_4_samples(delay):
     tracks = dense(wandering(steps=1500, delay=delay))
     even = tracks.resample()
     assert 1 <= delay * 0.5 / even.step <= 4
-    assert f"after {delay * 0.5:g} s" in even.notes[-1]
+    told = float(re.search(r"after about (\S+) s", even.notes[-1])[1])
+    assert told == pytest.approx(delay * 0.5, abs=even.step / 4)
+
+
+@pytest.mark.parametrize("delay", [0.4, 2.0])
+def test_the_step_suits_the_movement_where_sampling_is_faster_than_it(delay):
+    """Two ids sampled at 25 Hz, of which one goes where the other was: their velocities change within seconds."""
+    rng = np.random.default_rng(4)
+    samples, shift = 12_000, round(delay * 25)
+    turn = np.convolve(rng.normal(0, 1, samples), np.ones(25) / 25, "same")
+    path = np.cumsum(0.2 * np.stack([np.cos(np.cumsum(turn) / 5), np.sin(np.cumsum(turn) / 5)], axis=1), axis=0)
+    places = np.stack([path, np.roll(path, shift, axis=0)], axis=1)[shift:]
+    places += rng.normal(0, 0.02, places.shape)  # a tenth of the movement in an interval
+    even = dense(np.concatenate([places, 0 * places[..., :1]], axis=2), step=0.04).resample()
+    assert delay / 4 <= even.step <= 2 * delay
+    answer = make_detector("follow-mixture(policy='map')").detect(next(even.windows(100)).window)
+    assert answer.candidates.tolist() == [True, False]
 
 
 def test_the_step_is_longer_where_positions_are_noisy():
@@ -120,7 +138,7 @@ def test_the_step_is_longer_where_positions_are_noisy():
     assert quiet.step == 0.5
     assert noisy.step > 1
     assert "about 3 m" in noisy.notes[0]
-    assert "Warning: the step is longer than the delay" in noisy.notes[-1]
+    assert "Warning: the step is this long because of the noise" in noisy.notes[-1]
 
 
 def test_where_no_id_follows_the_sampling_interval_stays():

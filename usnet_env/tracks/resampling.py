@@ -22,13 +22,17 @@ _SNAP = 1e-6  # grid steps; times that differ by less are the same
 _TYPICAL_SHARE, _BRIDGE = 0.9, 1.5  # intervals up to 1.5 times that of this quantile are interpolated
 _MOST_GRID = 10**8  # samples of the result
 
-# The choice of the step looks at a part of the tracks: followers, neighbours of each, ids in all, and samples.
-_FOCAL, _NEIGHBOURS, _POOL, _PART = 48, 24, 400, 2048
-_LARGEST_LAG, _LARGEST_SCALE = 64, 16  # samples
-_BEST_LAG, _WORST_LAG = 2, 4  # steps; the best lag should lie at about 2, and may lie at 1 to 4
+# The choice of the step looks at a part of the tracks: followers, ids in all, steps, and samples.
+_FOCAL, _POOL, _PART, _MOST_SAMPLES = 48, 400, 2048, 2**21
+_LAGS = 4  # steps; detectors look at least as far back
+_LEAST_STEPS, _FEWEST_STEPS = 100, 16  # of the longest step that is tried; of the shortest
+_GROWTH = 2**0.5  # from one step that is tried to the next
+_SHIFTS = 64
+_SIGNIFICANT = 5.0  # a lead exceeds those of shifted tracks by this many robust standard deviations
+_FEWEST_FOLLOWERS = 3
+_NEARLY = 0.8  # the shortest step whose lead is at least this share of the largest is chosen
 _SIGNAL = 4.0  # in a step, the squared movement should exceed the noise of the squared movement this many times
-_SIGNIFICANT = 5.0  # a peak of the correlation exceeds the other lags' by this many robust standard deviations
-_FEWEST_PAIRS = 3
+_LARGEST_SCALE = 64  # samples; the noise asks for no longer step
 
 
 class _Grid(NamedTuple):
@@ -145,7 +149,7 @@ class StepChoice:
         step: seconds.
         reasons: a sentence each.
         noise: standard deviation of the positions' noise per axis, metres.
-        lag: seconds after which an id follows a neighbour, the median over the pairs; ``None``: no pair follows.
+        lag: seconds after which an id follows another, the median over the ids; ``None``: no id follows.
     """
 
     step: float
@@ -154,14 +158,27 @@ class StepChoice:
     lag: float | None
 
 
+class _Lead(NamedTuple):
+    """How far ids are led at one step: the mean over the ids, the median lag in steps, and the number of followers."""
+
+    mean: float
+    lag: float
+    followers: int
+
+
 def choose_step(tracks: Tracks) -> StepChoice:
-    """Choose the step of the grid.
+    """Choose the step of the grid: the shortest at which the changes of velocity tell clearly who follows.
 
     The noise of the positions is white, so it adds -σ² to the covariance of successive steps and nothing to later ones:
     σ² = 2 c₂ - c₃ - c₁ (at least 0), with the covariances c_k of steps k apart, because those of the movement itself
-    change slowly. The step is long enough that the mean squared movement is at least four times its noise. Then
-    the lag of each pair of neighbours is the peak of the cross-correlation of their velocities; the step is half the
-    median of the lags that are significant and not 0, so that an id follows after about 2 steps.
+    change slowly. The shortest step that is tried is long enough that the mean squared movement is at least four times
+    its noise. Each further step is √2 times as long, as long as the tracks have 100 steps.
+
+    At each step, the lead of j over i is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4, with the correlation C(τ) of the
+    changes of i's velocity with those of j's velocity τ steps before. The lead over i is that of the best j, less the
+    median for tracks that are shifted in time. It counts if it is significant and the delay is at most 4 steps. The
+    mean lead over the ids is small if the step is much shorter than the delays or than the time between turns, or much
+    longer than the delays. The shortest step with 80 % of the largest mean lead is chosen.
 
     Raises:
         ArgumentError: no id has two samples.
@@ -170,10 +187,14 @@ def choose_step(tracks: Tracks) -> StepChoice:
     if not np.isfinite(typical).any():
         raise ArgumentError("tracks must hold an id with at least 2 samples; each id has only one.")
     interval = float(np.nanmedian(typical))
-    velocity = _sample_velocities(tracks, interval)
-    noise, needed = _noise(velocity)
-    lag, edge, pairs = _lag(velocity, needed)
-    factor = float(needed)
+    noise, needed = _noise(_sample_velocities(tracks, interval))
+    factors = _step_factors(needed, tracks.duration / interval)
+    leads = [_measure_leads(_sample_velocities(tracks, factor * interval)) for factor in factors]
+    largest = max(lead.mean for lead in leads)
+    best = next(k for k, lead in enumerate(leads) if lead.mean >= _NEARLY * largest) if largest else 0
+    factor, lead = factors[best], leads[best]
+    step = factor * interval
+    sampled = "the sampling interval" if factor == 1 else f"{factor:g} sampling intervals of {interval:g} s"
     reasons = []
     if needed > 1:
         reasons.append(
@@ -182,30 +203,36 @@ def choose_step(tracks: Tracks) -> StepChoice:
         )
     elif noise:
         reasons.append(f"the noise of the positions is about {noise:.2g} m, less than half of the movement in a step")
-    if lag is None:
-        reasons.append("no id follows a neighbour with a significant delay, so delays have no part in the choice")
-    else:
-        follows = f"an id follows its neighbours after {lag * interval:g} s (median of {pairs} pairs)"
-        if lag > _WORST_LAG:
-            factor = max(factor, float(round(lag / _BEST_LAG)))
-        reasons.append(f"{follows}, which is {lag / factor:.2g} times the step")
-    step = factor * interval
-    sampled = "the sampling interval" if factor == 1 else f"{factor:g} sampling intervals of {interval:g} s"
+    if not largest:
+        reasons.append("no id follows another with a significant delay, so delays have no part in the choice")
+        return StepChoice(step, (f"The step is {step:g} s, {sampled}: {'; '.join(reasons)}.",), noise, None)
+    reasons.append(
+        f"it is the shortest that shows clearly who follows: an id follows another after about {lead.lag * step:.2g} s "
+        f"(median of {lead.followers})"
+    )
     sentences = [f"The step is {step:g} s, {sampled}: {'; '.join(reasons)}."]
-    if edge:
+    if best == len(factors) - 1 and len(factors) > 1:
         sentences.append(
-            f"Warning: the best lag of {edge} pairs lies at the edge of the range that was searched, "
-            f"{_LARGEST_LAG * interval:g} s; a longer step may suit them better."
+            f"Warning: it is the longest step that was tried, since the tracks should have at least {_LEAST_STEPS} "
+            "steps; a longer step may suit them better."
         )
-    if lag is not None and lag / factor < 1:
-        sentences.append("Warning: the step is longer than the delay, because of the noise; leaders may be missed.")
-    return StepChoice(step, tuple(sentences), noise, None if lag is None else lag * interval)
+    if best == 0 and needed > 1:
+        sentences.append(
+            "Warning: the step is this long because of the noise; ids that follow after much less time may be missed."
+        )
+    return StepChoice(step, tuple(sentences), noise, lead.lag * step)
+
+
+def _step_factors(shortest: int, samples: float) -> list[int]:
+    """Steps to try, in sampling intervals, for tracks as long as ``samples`` intervals."""
+    count = 1 + max(0, int(np.floor(np.log(samples / (_LEAST_STEPS * shortest)) / np.log(_GROWTH) + 1e-9)))
+    return sorted({round(shortest * _GROWTH**k) for k in range(count)})
 
 
 def _sample_velocities(tracks: Tracks, interval: float) -> Floats:
-    """Velocities of a part of the tracks at the sampling interval, ``(T, n, 3)`` metres per interval; NaN unseen.
+    """Velocities of a part of the tracks at steps of ``interval``, ``(T, n, 3)`` metres per step; NaN where unseen.
 
-    The part is the stretch of time in which most samples lie, and its longest tracks.
+    The part is the stretch of 2048 steps in which most samples lie, and its longest tracks.
     """
     length = _PART * interval
     edges = np.arange(0.0, tracks.duration + length, length / 2)
@@ -217,6 +244,7 @@ def _sample_velocities(tracks: Tracks, interval: float) -> Floats:
     for i, (first, last) in enumerate(zip(tracks.offsets[:-1], tracks.offsets[1:], strict=True)):
         low[i], high[i] = first + np.searchsorted(tracks.time[first:last], (begin, begin + length))
     longest = np.argsort(low - high, kind="stable")[:_POOL]
+    longest = longest[: max(2, int(np.searchsorted(np.cumsum((high - low)[longest]), _MOST_SAMPLES)) + 1)]
     instants = int(min(_PART, tracks.duration / interval)) + 1
     place = np.full((instants, len(longest), 3), np.nan)
     for k, i in enumerate(longest):
@@ -248,7 +276,7 @@ def _noise(velocity: Floats) -> tuple[float, int]:
         return 0.0, 1
     place = np.cumsum(np.nan_to_num(velocity), axis=0)
     needed = 1
-    while needed < min(_LARGEST_LAG, len(place) // 4):
+    while needed < min(_LARGEST_SCALE, len(place) // 4):
         moved = float(((place[needed:] - place[:-needed]) ** 2).sum(axis=2).mean())
         if moved - 2 * variance >= _SIGNAL * 2 * variance / needed:
             break
@@ -257,69 +285,48 @@ def _noise(velocity: Floats) -> tuple[float, int]:
     return float(np.sqrt(variance / axes)), needed
 
 
-def _lag(velocity: Floats, width: int) -> tuple[float | None, int, int]:
-    """Find after how many samples ids follow their neighbours, at the time scale that shows it for the most pairs.
-
-    Scales double from ``width`` up to 16 samples; the shortest of those that are equally good counts.
-
-    Returns:
-        As :func:`_lag_at`.
-    """
-    found = [_lag_at(velocity, width << k) for k in range(5) if k == 0 or width << k <= _LARGEST_SCALE]
-    return max(found, key=lambda each: (each[0] is not None, each[2]))
-
-
-def _lag_at(velocity: Floats, width: int) -> tuple[float | None, int, int]:
-    """Find after how many samples ids follow their neighbours, at one time scale.
-
-    What is correlated are changes: the mean velocity over ``width`` samples less that over the ``width`` samples before
-    it. Velocities that are sampled faster than they change would be correlated at all lags.
-
-    Returns:
-        The median lag over the pairs whose peak is significant and not at 0 (``None`` if they are fewer than three),
-        the number of pairs whose peak lies at the edge of the range, and the number of pairs.
-    """
-    steps, ids = velocity.shape[:2]
-    largest = min(_LARGEST_LAG, steps // 4)
-    if largest < 2 or ids < 2 or steps < 4 * width:
-        return None, 0, 0
-    centred = np.nan_to_num(velocity - _mean_of_known(velocity))
-    total = np.concatenate([np.zeros((1, ids, 3)), np.cumsum(centred, axis=0)])
-    centred = total[2 * width :] - 2 * total[width:-width] + total[: -2 * width]
-    size = np.sqrt((centred**2).sum(axis=(0, 2)))
-    centred = centred / np.where(size > 0, size, np.inf)[:, None]
-    padded = 2 ** int(np.ceil(np.log2(steps + largest)))
-    spectrum = np.fft.rfft(centred, padded, axis=0)
+def _measure_leads(velocity: Floats) -> _Lead:
+    """How far the velocities ``(T, n, 3)`` of some ids are led by those of others; see :func:`choose_step`."""
+    none = _Lead(0.0, 0.0, 0)
+    if velocity.shape[1] < 2 or len(velocity) <= _FEWEST_STEPS:
+        return none
+    changes = np.diff(np.nan_to_num(velocity - _mean_of_known(velocity)), axis=0)
+    steps, ids = changes.shape[:2]
+    size = np.sqrt((changes**2).sum(axis=(0, 2)))
+    scaled = (changes / np.where(size > 0, size, np.inf)[:, None]).transpose(1, 2, 0).astype(np.float32)  # (n, 3, T)
+    spectrum = np.fft.rfft(scaled)
+    shifts = np.arange(_SHIFTS) * steps // _SHIFTS if steps > _SHIFTS else np.arange(steps)  # 0 is among them
+    lags = np.arange(1, _LAGS + 1)[:, None]
+    later, earlier = (shifts + lags) % steps, (shifts - lags) % steps  # (4, S)
     focal = np.linspace(0, ids - 1, min(ids, _FOCAL)).astype(int)
-    near = np.argsort(-np.abs(_correlate(spectrum, focal, padded, 0)), axis=1)[:, : _NEIGHBOURS + 1]
-    lags, edge = [], 0
-    for k, i in enumerate(focal):
-        others = np.array([j for j in near[k] if j != i])
-        product = (spectrum[:, [i]] * np.conj(spectrum[:, others])).sum(axis=2)
-        whole = np.fft.irfft(product, padded, axis=0)
-        curve = np.concatenate([whole[-largest:], whole[: largest + 1]])  # lags -largest to largest
-        peak = curve.argmax(axis=0)
-        middle = np.median(curve, axis=0)
-        spread = 1.4826 * np.median(np.abs(curve - middle), axis=0)
-        sure = curve.max(axis=0) > middle + _SIGNIFICANT * spread + 4 / np.sqrt(3 * steps)
-        edge += int((sure & ((peak == 0) | (peak == 2 * largest))).sum())
-        lags += np.abs(peak - largest)[sure & (peak != largest)].tolist()
-    if len(lags) < min(_FEWEST_PAIRS, ids - 1):
-        return None, 0, len(lags)
-    return float(np.median(lags)), edge if edge > len(lags) / 2 else 0, len(lags)
+    leads, delays = [], []
+    for i in focal:
+        curve = np.fft.irfft((spectrum[i] * np.conj(spectrum)).sum(axis=1), steps)  # (n, T): i, after each id
+        leads_of = curve[:, later].max(axis=1) - curve[:, earlier].max(axis=1)  # (n, S)
+        leads_of[i] = -np.inf
+        by_chance = leads_of[:, 1:].max(axis=0)
+        inside = curve[:, 1 : _LAGS + 1].max(axis=1) > curve[:, _LAGS + 1]  # otherwise the delay is longer than 4 steps
+        own = np.where(inside, leads_of[:, 0], -np.inf)
+        middle = float(np.median(by_chance))
+        spread = 1.4826 * float(np.median(np.abs(by_chance - middle)))
+        if own.max() > middle + _SIGNIFICANT * spread:
+            leads.append(float(own.max()) - middle)
+            delays.append(_find_peak(curve[own.argmax()]))
+    if len(leads) < min(_FEWEST_FOLLOWERS, ids - 1):
+        return none
+    return _Lead(sum(leads) / len(focal), float(np.median(delays)), len(leads))
+
+
+def _find_peak(curve: Floats) -> float:
+    """The lag of the largest of the correlations ``(T,)`` at the lags 1 to 4: the peak of the parabola through it."""
+    lag = 1 + int(curve[1 : _LAGS + 1].argmax())
+    before, at, after = (float(curve[lag + k]) for k in (-1, 0, 1))
+    bend = before - 2 * at + after
+    shift = (before - after) / (2 * bend) if bend < 0 else 0.0
+    return lag + min(max(shift, -0.5), 0.5)
 
 
 def _mean_of_known(velocity: Floats) -> Floats:
     """Mean of the known velocities of each id, ``(n, 3)``."""
     known = np.isfinite(velocity[..., 0]).sum(axis=0)
     return np.nansum(velocity, axis=0) / np.maximum(known, 1)[:, None]
-
-
-def _correlate(spectrum: NDArray[np.complex128], focal: NDArray[np.intp], padded: int, lag: int) -> Floats:
-    """Largest absolute correlation of each focal id with each id over short lags, ``(f, n)``."""
-    out = np.zeros((len(focal), spectrum.shape[1]))
-    for k, i in enumerate(focal):
-        product = np.einsum("fnd,fd->fn", spectrum, np.conj(spectrum[:, i]))
-        whole = np.abs(np.fft.irfft(product, padded, axis=0))
-        out[k] = np.maximum(whole[: _LARGEST_LAG + 1].max(axis=0), whole[-_LARGEST_LAG:].max(axis=0))
-    return out
