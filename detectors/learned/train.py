@@ -9,7 +9,9 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +26,8 @@ from detectors.random_swarms import draw_training_swarm, observe
 from detectors.weights import Checkpoint, record_training, write_losses, write_weights
 from usnet_env.arrays import Mask
 from usnet_env.config import Config
+from usnet_env.evaluation.engine import Place
+from usnet_env.evaluation.mapping import run_in_order
 
 _START, _STEP, _HELD_OUT = range(3)  # purpose of a seed
 _HELD_OUT_SWARMS = 200
@@ -122,6 +126,7 @@ def train_heads(
     progress: Callable[[int, int], None] = lambda done, total: None,
     resume: bool = True,
     checkpoint_every: int = 100,
+    workers: int | Place = 1,
 ) -> Path:
     """Train the network and write its weights.
 
@@ -134,37 +139,52 @@ def train_heads(
         progress: function that is called with the number of finished steps and of all steps.
         resume: whether to resume from the checkpoint in ``out``, if there is one.
         checkpoint_every: the number of steps between two checkpoints.
+        workers: number of processes that draw the swarms, or a place; with 1, the process that trains draws them. The
+            weights do not depend on it.
 
     Returns:
         The path of the weights file.
 
     Raises:
         ArgumentError: an argument is refused, ``out`` can't be written, or it holds a checkpoint with other settings.
+        EvaluationError: a process that draws swarms ended.
     """
     training = HeadTraining() if training is None else training
     checkpoint = Checkpoint(Path(out), training.model_dump(mode="json"), checkpoint_every)
     network = draw_network(training.sizes(), int(_make_rng(training, _START).integers(2**63)))
     optimiser = torch.optim.AdamW(network.parameters(), lr=training.rate, weight_decay=training.decay)
     losses = _read_checkpoint(checkpoint, network, optimiser) if resume else []
-    while len(losses) < training.steps:
-        losses.append(_run_step(training, len(losses), network, optimiser))
-        progress(len(losses), training.steps)
-        if len(losses) % checkpoint_every == 0 or len(losses) == training.steps:
-            _write_checkpoint(checkpoint, network, optimiser, losses)
+    steps = range(len(losses), training.steps)
+    with closing(run_in_order(partial(_draw_step, training), steps, workers, "Step")) as drawn:
+        for step, examples in zip(steps, drawn, strict=True):
+            losses.append(_run_step(training, step, examples, network, optimiser))
+            progress(len(losses), training.steps)
+            if len(losses) % checkpoint_every == 0 or len(losses) == training.steps:
+                _write_checkpoint(checkpoint, network, optimiser, losses)
     write_losses(checkpoint.folder, "step", [round(loss, 6) for loss in losses])
     metrics = _evaluate_network(training, network, losses)
     path = checkpoint.folder / "learned.safetensors"
     return write_weights(path, network.state_dict(), record_training(training), metrics)
 
 
-def _run_step(training: HeadTraining, step: int, network: HeadNetwork, optimiser: torch.optim.Optimizer) -> float:
-    """Run one step of the optimiser on newly drawn swarms and return their mean loss."""
+def _draw_step(training: HeadTraining, step: int) -> list[Example]:
+    """Draw the examples of one step."""
+    return [draw_example(training, _make_rng(training, _STEP, step, number)) for number in range(training.swarms)]
+
+
+def _run_step(
+    training: HeadTraining,
+    step: int,
+    examples: list[Example],
+    network: HeadNetwork,
+    optimiser: torch.optim.Optimizer,
+) -> float:
+    """Run one step of the optimiser and return the mean loss of the examples."""
     for group in optimiser.param_groups:
         group["lr"] = _compute_learning_rate(training, step)
     optimiser.zero_grad()
     total = 0.0
-    for number in range(training.swarms):
-        example = draw_example(training, _make_rng(training, _STEP, step, number))
+    for example in examples:
         loss = compute_loss(network(*example.inputs), example, training.leader_weight) / training.swarms
         loss.backward()  # type: ignore[no-untyped-call]
         total += float(loss.detach())

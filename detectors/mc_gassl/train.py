@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,6 +26,8 @@ from detectors.mc_gassl.weights import NAMES, parameters_of, save_weights
 from detectors.weights import Checkpoint, record_training, write_losses
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.evaluation.engine import Place
+from usnet_env.evaluation.mapping import run_in_order
 from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
 from usnet_env.window import Window
@@ -109,6 +113,11 @@ def draw_task(training: MetaTraining, rng: np.random.Generator) -> Task:
     return Task(*drawn)
 
 
+def _draw_task(training: MetaTraining, number: int) -> Task:
+    """Draw the task of this number."""
+    return draw_task(training, _rng(training, _TASK, number))
+
+
 def start_of(training: MetaTraining) -> GruParameters:
     """The random parameters that the training starts from."""
     return draw_parameters(GruSizes(width=training.width), _generator(training, _START))
@@ -116,7 +125,7 @@ def start_of(training: MetaTraining) -> GruParameters:
 
 def trained(training: MetaTraining) -> tuple[GruParameters, list[float]]:
     """The parameters, and the query loss of every episode; nothing is written."""
-    tasks = [draw_task(training, _rng(training, _TASK, number)) for number in range(training.strategies)]
+    tasks = [_draw_task(training, number) for number in range(training.strategies)]
     return train_offline(
         start_of(training),
         tasks,
@@ -152,6 +161,7 @@ def train_meta(
     progress: Callable[[int, int], None] = lambda done, total: None,
     resume: bool = True,
     checkpoint_every: int = 500,
+    workers: int | Place = 1,
 ) -> Path:
     """Train the GRU network off-line and write its weights.
 
@@ -164,6 +174,7 @@ def train_meta(
         progress: called with what is done (strategies drawn, then episodes) and all there is to do.
         resume: go on from the checkpoint in ``out``, if there is one; otherwise start again.
         checkpoint_every: episodes between two checkpoints.
+        workers: number of processes that draw the swarms, or a place; the weights do not depend on it.
 
     Returns:
         The weights file.
@@ -171,6 +182,7 @@ def train_meta(
     Raises:
         ArgumentError: an argument is refused, ``out`` can't be written to, or its checkpoint is of another training
             or of more episodes.
+        EvaluationError: a process that draws swarms ended.
     """
     training = MetaTraining() if training is None else training
     # A training can be prolonged: a checkpoint may be of fewer episodes.
@@ -184,9 +196,10 @@ def train_meta(
         )
     parameters = parameters_of(str(checkpoint.path), arrays) if arrays else start_of(training)
     tasks = []
-    for number in range(training.strategies):
-        tasks.append(draw_task(training, _rng(training, _TASK, number)))
-        progress(number + 1, total)
+    with closing(run_in_order(partial(_draw_task, training), range(training.strategies), workers, "Strategy")) as drawn:
+        for task in drawn:
+            tasks.append(task)
+            progress(len(tasks), total)
     while len(losses) < training.episodes:
         episodes = range(len(losses), min(len(losses) + checkpoint_every, training.episodes))
         parameters, more = train_offline(

@@ -15,6 +15,7 @@ from usnet_env.cli.output import progress_bar, show_markdown
 
 if TYPE_CHECKING:
     from detectors.studies.common import Reproduction
+    from usnet_env.evaluation.engine import Place
 
 Option = Callable[[Callable[..., Any]], Callable[..., Any]]
 Progress = Callable[[int, int], None]
@@ -68,6 +69,14 @@ def _head_motion(command: Callable[..., Any]) -> Callable[..., Any]:
     return _add_options(command, jitter, mobility)
 
 
+def _choose_place(backend: str | None, workers: int, address: str | None) -> Place:
+    """Check where to run; the engine is imported only when a command runs."""
+    from usnet_env.evaluation.engine import choose_place
+    from usnet_env.processes import Limits
+
+    return choose_place(backend, workers, Limits(), address)
+
+
 def _measurement(folder: str, unit: str, seed_of: str = "episodes") -> Option:
     """The options that all measurements share; they show their progress, and print their report.
 
@@ -86,14 +95,12 @@ def _measurement(folder: str, unit: str, seed_of: str = "episodes") -> Option:
         @wraps(command)
         def called(*, out: str, workers: int | None, backend: str | None, address: str | None, **values: Any) -> None:
             from usnet_env.drawing import new_figure
-            from usnet_env.evaluation.engine import choose_place
-            from usnet_env.processes import Limits
 
             new_figure(1, 1)  # before anything is measured
             resume = f"Finished {unit} are kept in {out}: the same command continues from there."
             click.get_current_context().find_root().obj = resume
             cores = 1 if backend == "serial" else os.cpu_count() or 1
-            place = choose_place(backend, workers or cores, Limits(), address)
+            place = _choose_place(backend, workers or cores, address)
             values["formats"] = tuple(dict.fromkeys(values["formats"]))
             given = {name: value for name, value in values.items() if value not in ((), None)}
             with progress_bar(unit) as progress:
@@ -227,14 +234,18 @@ def _training(folder: str, what: str, unit: str, seed_of: str, most: int, resume
 
     def with_options(command: Callable[..., Path]) -> Callable[..., Any]:
         @wraps(command)
-        def called(**values: Any) -> None:
+        def called(*, workers: int, backend: str | None, address: str | None, **values: Any) -> None:
+            place = _choose_place(backend, workers, address)
             with progress_bar(unit) as progress:
-                click.echo(str(command(progress=progress, **values)))
+                click.echo(str(command(progress=progress, workers=place, **values)))
 
         text = f"Resume from {resume_from} in --out."
         resume = click.option("--resume/--no-resume", default=True, show_default=True, help=text)
         seed = _number("--seed", 0, most, 0, f"Seed of the {seed_of}.")
-        return _add_options(called, resume, seed, _out(folder, f"for {what}"))
+        count = _number(
+            "--workers", 1, 10**4, 1, "Number of processes that draw swarms; the result does not depend on it."
+        )
+        return _add_options(called, resume, add_place, count, seed, _out(folder, f"for {what}"))
 
     return with_options
 
@@ -246,29 +257,28 @@ def _training(folder: str, what: str, unit: str, seed_of: str, most: int, resume
 )
 @_number("--strategies", 1, 10**7, 100, "F, number of random follow strategies.")
 @_number("--episodes", 1, 10**7, 10_000, "Number of episodes.")
-def meta(*, out: str, resume: bool, progress: Progress, **settings: Any) -> Path:
+def meta(*, out: str, resume: bool, progress: Progress, workers: Place, **settings: Any) -> Path:
     """Train the GRU network of mc-gassl off-line, on random follow strategies that exclude f1 to f7."""
     from detectors.mc_gassl.train import MetaTraining, train_meta
 
-    return train_meta(out, MetaTraining.model_validate(settings), progress, resume)
+    return train_meta(out, MetaTraining.model_validate(settings), progress, resume, workers=workers)
 
 
 @train.command(short_help="The network of the learned detector.")
 @_training("runs/learned", "weights and losses", "steps", "training", 2**63 - 1, "a checkpoint")
 @_number("--steps", 1, 10**7, 4000, "Number of optimiser steps.")
 @_number("--swarms", 1, 10**5, 8, "Swarms in each step.")
-def learned(*, out: str, resume: bool, progress: Progress, **settings: Any) -> Path:
+def learned(*, out: str, resume: bool, progress: Progress, workers: Place, **settings: Any) -> Path:
     """Train the network of the learned detector, on random follow strategies that exclude f1 to f7."""
     from detectors.learned.train import HeadTraining, train_heads
 
-    return train_heads(out, HeadTraining.model_validate(settings), progress, resume)
+    return train_heads(out, HeadTraining.model_validate(settings), progress, resume, workers=workers)
 
 
 @train.command("follow-mixture", short_help="The calibration of follow-mixture.")
 @_training("runs/follow-mixture", "calibration and rows", "swarms", "swarms", 2**63 - 1, "the rows")
 @_number("--swarms", 1, 10**6, 600, "Number of simulated swarms.")
-@_number("--workers", 1, 10**4, 1, "Number of processes.")
-def follow_mixture(*, out: str, resume: bool, progress: Progress, workers: int, **settings: Any) -> Path:
+def follow_mixture(*, out: str, resume: bool, progress: Progress, workers: Place, **settings: Any) -> Path:
     """Calibrate the probabilities of follow-mixture, on swarms with random follow strategies."""
     from detectors.follow_mixture.train import CalibrationTraining, train_calibration
 

@@ -54,11 +54,12 @@ class PositiveNumber(click.ParamType):  # type: ignore[type-arg]  # generic in t
 
 
 def add_place(command: Any) -> Any:
-    """Add the options ``--backend`` and ``--address`` to a command: where its episodes are played."""
+    """Add the options ``--backend`` and ``--address`` to a command: where its tasks run."""
     backend = click.option(
         "--backend",
         type=click.Choice(["serial", "processes", "ray"]),
-        help="Play in this process, in child processes, or on the nodes of a Ray cluster.  [default: processes]",
+        help="Run in this process, in child processes, or on the nodes of a Ray cluster.  [default: processes, if there "
+        "are several workers]",
     )
     return backend(
         click.option(

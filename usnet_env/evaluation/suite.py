@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -15,12 +15,12 @@ from usnet_env.envs.play import PlayedRound
 from usnet_env.evaluation.agents import Agent, Answer, as_agent
 from usnet_env.evaluation.engine import Place
 from usnet_env.evaluation.episode import episode_seeds, play_agent, warm_up
-from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.isolation import IsolatedAgent
+from usnet_env.evaluation.mapping import run_tasks
 from usnet_env.evaluation.store import RowFile
 from usnet_env.evaluation.table import RowTable, columns_of, read_table
 from usnet_env.plugins import make_detector
-from usnet_env.processes import Backend, Limits, ProcessDied, SendError, make_backend
+from usnet_env.processes import Limits
 
 __all__ = ["Game", "Place", "Suite", "list_games", "play_detector", "read_rows", "split_games"]
 
@@ -83,8 +83,8 @@ class Suite(Generic[CellT, RowT]):
             todo = [task for task in tasks if any(self._key_of_game(game) not in rows for game in task)]
             done = len(set(wanted) & rows.keys())
             progress(done, len(wanted))
-            with closing(_played(self.play, todo, workers)) as played:
-                for made in played:
+            with closing(run_tasks(self.play, todo, workers, _name_task)) as played:
+                for _, made in played:
                     fresh = {self._key(row): row for row in made if self._key(row) not in rows}
                     rows.update(fresh)
                     file.append(map(vars, fresh.values()))
@@ -167,41 +167,10 @@ def _other_rows(path: Path) -> ArgumentError:
     return ArgumentError(f"out must hold rows of this measurement, got something else in {path.name!r}.")
 
 
-def _played(
-    play: Callable[[Sequence[Game[CellT]]], Iterable[RowT]],
-    tasks: Sequence[Sequence[Game[CellT]]],
-    workers: int | Place,
-) -> Generator[list[RowT], None, None]:
-    """Play the tasks in this process if there is one worker or task and no other backend is asked for."""
-    place = workers if isinstance(workers, Place) else Place(None, workers)
-    backend = place.backend or ("serial" if place.workers == 1 or len(tasks) < 2 else "processes")
-    if not tasks:
-        return
-    begun: list[Sequence[Game[CellT]]] = []
-    noted = (begun.append(task) or task for task in tasks)  # type: ignore[func-returns-value]
-    pool: Backend[Sequence[Game[CellT]], Iterable[RowT]]
-    with closing(make_backend(backend, play, min(place.workers, len(tasks)), place.limits, place.address)) as pool:
-        try:
-            for outcome in pool.run(noted):
-                if isinstance(outcome.error, Exception) and not isinstance(outcome.error, ProcessDied):
-                    raise outcome.error
-                if outcome.error is not None:
-                    raise _failure(outcome.task, outcome.error)
-                yield list(cast(Iterable[RowT], outcome.result))
-        except SystemExit as error:  # in this process, during the last task that was begun
-            raise _failure(begun[-1], error) from error
-        except SendError as error:
-            raise EvaluationError(
-                f"{error}. A worker process imports the script that started it, so a script must start a suite "
-                'in a block that begins with `if __name__ == "__main__":`.'
-            ) from None
-
-
-def _failure(task: Sequence[Game[Any]], error: BaseException) -> EvaluationError:
-    """The error for a task that ended its process; one sentence with its first game."""
+def _name_task(task: Sequence[Game[Any]]) -> str:
+    """Name a task by its first game."""
     cell, number = task[0]
-    reason = error.reason if isinstance(error, ProcessDied) else f"{type(error).__name__}: {error}"
-    return EvaluationError(f"Game {number} of {' '.join(repr(cell).split())} failed: {reason}.")
+    return f"Game {number} of {' '.join(repr(cell).split())}"
 
 
 _agents: dict[tuple[str, bool], Agent] = {}  # of this process

@@ -31,7 +31,7 @@ def test_interrupted_training_goes_on_to_the_identical_result(tmp_path, method):
 def test_training_can_be_prolonged_but_not_cut_short_or_changed(tmp_path):
     long = train_meta(tmp_path / "long", MetaTraining(**SMALL))
     short = {**SMALL, "episodes": 7}
-    train_meta(tmp_path / "grown", MetaTraining(**short))
+    train_meta(tmp_path / "grown", MetaTraining(**short), workers=2)
     grown = train_meta(tmp_path / "grown", MetaTraining(**SMALL))
     assert long.read_bytes() == grown.read_bytes()
     with pytest.raises(ArgumentError, match="episodes must be at least the 12"):
