@@ -31,7 +31,7 @@ def lines_of(setting: str, rows: Sequence[Row], columns: Sequence[str]) -> list[
                 "J": lambda own=own: cost_of(own),
                 "decoys": lambda own=own: mean_of(own, "decoys_named"),
                 "named": lambda own=own: mean_of(own, "named"),
-                "silent": lambda own=own: share_of([int(row["named"]) == 0 for row in own]),
+                "silent": lambda own=own: share_of(own, lambda row: int(row["named"]) == 0),
             }
             lines.append((setting, f"`{name}`", f"{len(own):,}", *(values[column]() for column in columns)))
     return lines

@@ -1,121 +1,137 @@
-"""The first page of the results, and README.md's table."""
+"""The first page of the results, and README.md's tables."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 
 from detectors.studies import rounds, table2
 from result_pages.suites import read_suite
-from result_pages.text import RESULTS, Row, mean_of, page, share, table
-from result_pages.tiers import of, tier_rows
+from result_pages.text import RESULTS, Row, exact_of, mean_of, page, share, table
 from usnet_env.evaluation import load_suite
-from usnet_env.evaluation.report import format_interval, mean_over_episodes
-from usnet_env.evaluation.statistics import rate_interval
+from usnet_env.evaluation.report import format_interval, group_rows, mean_over_episodes
 from usnet_env.evaluation.suite import read_rows
 
+SUITES = ("paper", "controls", "sensing", "field")
+#: The rows of README.md's table; the index has every detector.
 DETECTORS = (
     "follow-mixture",
     "follow-mixture(policy='map')",
-    "learned",
-    "lagged-regression",
+    "learned(policy='map')",
     "lagged-network",
+    "lagged-regression",
     "destroy-all",
+    "random",
+    "none",
 )
 HEADER = (
     "detector",
-    "P1, no decoy, m = 2: head alone named",
-    "P1, 1 decoy, m = 2, 15: head alone named",
-    "P2, no decoy: J_m",
-    "P2, 10 decoys: J_m",
-    "no UAV follows another: UAVs named",
-    "the field: heads alone named in round 1",
+    "`paper`: exact",
+    "`controls`: exact",
+    "`sensing`: exact",
+    "`field`: exact",
+    "`paper`: J_m",
+    "`field`: J_m",
 )
 
 
-def _with_n(rows: Sequence[Row], made: Callable[[Sequence[Row]], str]) -> str:
-    """A number and its n; nothing without rows."""
-    return f"{made(rows)}; {len(rows)}" if rows else "–"
+@cache
+def _played() -> dict[str, dict[str, list[Row]]]:
+    """The rows of each suite by detector; only detectors that played all cells."""
+    found = {}
+    for name in SUITES:
+        suite = load_suite(name)
+        rows = group_rows(read_suite(suite), lambda row: row["detector"])
+        expected = suite.episodes * len(suite.cells)
+        short = [detector for detector, own in rows.items() if len(own) != expected]
+        if short:
+            raise ValueError(f"suite {name} must have {expected} rows of each detector, got another number of {short}.")
+        found[name] = rows
+    return found
 
 
-def _named_alone(rows: Sequence[Row]) -> str:
-    return share(rate_interval([float(row["exact"]) for row in rows]))
+def _line(name: str) -> tuple[str, ...]:
+    own = {suite: rows.get(name, []) for suite, rows in _played().items()}
+    return (
+        f"`{name}`",
+        *(exact_of(own[suite]) if own[suite] else "–" for suite in SUITES),
+        *(mean_of(own[suite], "J", 2) if own[suite] else "–" for suite in ("paper", "field")),
+    )
 
 
-def _paper() -> tuple[str, ...]:
-    """The paper's own numbers."""
+def _compare_suites(names: Sequence[str]) -> str:
+    return table(HEADER, [_line(name) for name in names])
+
+
+def _list_detectors() -> list[str]:
+    """All detectors of the suites, those that are exact most often in ``field`` first."""
+    rows = _played()["field"]
+    return sorted(rows, key=lambda name: -sum(int(row["exact"]) for row in rows[name]))
+
+
+def _name_best() -> str:
+    """The detector that is exact most often in each suite."""
+    best = []
+    for suite, rows in _played().items():
+        name = max(rows, key=lambda each: sum(int(row["exact"]) for row in rows[each]))
+        best.append(f"`{suite}` `{name}`, {exact_of(rows[name])}")
+    counts = [len(rows) for rows in _played().values()]
+    return f"The best of the {min(counts)} to {max(counts)} detectors that played a suite: {'; '.join(best)}."
+
+
+def _describe_suites() -> str:
+    sizes = [f"`{name}` {len(suite.cells)} × {suite.episodes}" for name in SUITES for suite in [load_suite(name)]]
+    return (
+        "In each [frozen suite](SUITES) all detectors meet the same swarms, and none is given the number of clusters. "
+        f"Cells × episodes, which is n: {', '.join(sizes)}. `paper` is the game of the paper, `controls` are swarms in "
+        "which the obvious answer is wrong, `sensing` has bad sensors, and in `field` leaders are late, weak, indirect "
+        "or hard to see. *Exact*: round 1 names all heads and no other UAV. J_m: rounds plus redundant candidates "
+        "divided by N; lower is better, 1 is best. Intervals are 95 %; a mean without an interval means that all "
+        "values were equal. A name without arguments means the default settings; –: not played."
+    )
+
+
+def _paper() -> str:
+    """The paper's algorithms: its own numbers, and those of the printed algorithms here."""
     rates = [rate.mean for (_, followers), rate in table2.read_paper().items() if followers == 2]
     low, high = rounds.read_paper()["follow"].bounds("J", 82)
     single = f"{100 * sum(rates) / len(rates):.1f} %; 7,000"
-    return ("the paper (GASSL, MC-GASSL), in its own words", single, "–", f"{low:.2f}–{high:.2f}", "–", "–", "–")
-
-
-def _algorithms() -> tuple[str, ...]:
-    """`gassl` in P1 and `mc-gassl` in P2."""
-    rates = []
+    lines = [("in the paper's words", single, "–", f"{low:.2f}–{high:.2f}; –")]
+    measured = []
     for name, sizes in (("episodes-seed2022.csv", (2,)), ("episodes-decoys1-seed2022.csv", (2, 15))):
-        hits = [
-            float(row.hit)
+        found = table2.rate_of(
+            row
             for row in read_rows(RESULTS / "table2" / name, table2.Row)
             if row.detector == "gassl" and row.followers in sizes
-        ]
-        rates.append(f"{share(rate_interval(hits))}; {len(hits)}" if hits else "–")
-    played = [
+        )
+        measured.append(f"{share(found[1])}; {found[0]}" if found else "–")
+    games = [
         row
         for row in read_rows(RESULTS / "rounds" / "rounds-seed2022.csv", rounds.Row)
         if row.detector == "mc-gassl" and (row.clusters, row.uavs) == (5, 82)
     ]
-    cost = "–"
-    if played:
-        cost = f"{format_interval(mean_over_episodes(played, 'J'), short=True)}; {len(played)}"
-    return ("`gassl` (P1), `mc-gassl` (P2)", *rates, cost, "–", "–", _field("mc-gassl"))
-
-
-@cache
-def _field_rows() -> list[Row]:
-    return read_suite(load_suite("field"))
-
-
-def _field(name: str) -> str:
-    return _with_n([row for row in _field_rows() if row["detector"] == name], _named_alone)
-
-
-def _line(name: str) -> tuple[str, ...]:
-    single, decoys = of(tier_rows("P1"), name), of(tier_rows("decoys"), name)
-    with_decoy = [row for row in single if row["variant"].endswith("-d1")]
-    return (
-        f"`{name}`",
-        _with_n([row for row in single if row["variant"] == "m2-d0"], _named_alone),
-        _with_n(with_decoy, _named_alone),
-        _with_n(of(tier_rows("paper"), name), lambda rows: mean_of(rows, "J", 2)),
-        _with_n([row for row in decoys if row["variant"].endswith("-10")], lambda rows: mean_of(rows, "J", 2)),
-        _with_n(of(tier_rows("silence"), name), lambda rows: mean_of(rows, "named", 1)),
-        _field(name),
+    cost = f"{format_interval(mean_over_episodes(games, 'J'), short=True)}; {len(games)}" if games else "–"
+    lines.append(("`gassl` and `mc-gassl`, as printed", *measured, cost))
+    header = (
+        "the paper's algorithms",
+        "P1, m = 2, no decoy: head alone named",
+        "P1, m = 2 and 15, 1 decoy: head alone named",
+        "P2, M = 5, N = 82: J_m",
     )
+    return table(header, lines)
 
 
-@cache
-def _lines() -> list[Sequence[str]]:
-    return [_paper(), _algorithms(), *(_line(name) for name in DETECTORS)]
+_PAPER = (
+    "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, seed 2022, n after the semicolon. A *decoy* flies like a "
+    "head, and no UAV follows it."
+)
 
 
 def summary(short: bool = False) -> str:
-    """The table of README.md, at most eight rows; ``short`` leaves out what the index says around it."""
-    lines = _lines()
-    caption = (
-        "Means over f1–f7 with 95 % intervals, and n after the semicolon; a mean alone: all episodes were equal. "
-        "*Head alone named*: higher is better. J_m: rounds plus redundant candidates divided by N; lower is better, "
-        "the best value is 1. *UAVs named*: 0 is right. P2 has M = 5 clusters and N = 82 UAVs plus the decoys; M "
-        "is not given. No decoy: iid heads; decoys: half of the episodes with iid, half with Gauss–Markov heads. *The "
-        "field* is the frozen suite `field`, whose leaders are late, weak, indirect or hard to see. A name without "
-        "arguments is the detector as it comes."
-    )
-    trivial = [
-        f"`{name}`: J_m {_with_n(of(tier_rows('paper'), name), lambda rows: mean_of(rows, 'J', 2))}"
-        for name in ("random", "none")
-    ]
-    ends = f"The other trivial policies in P2 without decoys, which ends after 20 rounds: {', '.join(trivial)}."
-    return f"{table(HEADER, lines)}\n\n{caption} {ends}" if short else f"{caption} {ends}\n\n{table(HEADER, lines)}"
+    """The tables of README.md; ``short``: for README.md, with fewer detectors."""
+    names, suites = (DETECTORS, "docs/suites.md") if short else (_list_detectors(), "../suites.md")
+    about = _describe_suites().replace("SUITES", suites)
+    return "\n\n".join([about, _compare_suites(names), f"{_name_best()} {_PAPER}", _paper()])
 
 
 PAGES = (
@@ -146,12 +162,12 @@ def text() -> str:
         "All tables of these pages are made by `python benchmarks/tables.py` from the rows in `benchmarks/results/`; "
         "`benchmarks/README.md` lists the command of every file. The label of a row is the detector's full name with "
         "every argument that differs from its default. Intervals are 95 %: Wilson's for rates, the percentile "
-        "bootstrap over episodes for means.",
+        "bootstrap for means. Episodes of several cells that share a seed are one group, which widens both; if all "
+        "episodes have the same value, the n of Wilson's interval is the number of seeds.",
         "## One table",
         summary(),
-        "J alone is won by policies that no observer would want: destroying all UAVs in round 1 costs less than 2, "
-        "and beats every detector that needs a second round. So precision, recall, the share of exact episodes and "
-        "the trivial policies stand beside it on the pages.",
+        "Destroying all UAVs in round 1 costs J_m < 2, less than any detector that needs a second round. So J_m alone "
+        "does not rank detectors: the share of exact episodes and the trivial policies stand beside it.",
         "## Pages",
         "\n".join(
             f"* [{words[0].upper()}{words[1:]}]({name}.md)" if words[0] != "`" else f"* [{words}]({name}.md)"

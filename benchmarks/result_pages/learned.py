@@ -24,7 +24,7 @@ def pivot(rows: Sequence[Row], episode: str) -> str:
     return table(("swarm", "strategy", "n", *(f"`{name}`: J_m" for name in names)), lines)
 
 
-def exact(rows: Sequence[Row]) -> str:
+def exact(rows: Sequence[Row], episode: str) -> str:
     """The share of exact episodes by swarm, over f1 to f7 and over the other strategies."""
     names = list(dict.fromkeys(row["detector"] for row in rows))
     lines = []
@@ -33,7 +33,7 @@ def exact(rows: Sequence[Row]) -> str:
         swarm, strategies = key
         by_name = [[row for row in own if row["detector"] == name] for name in names]
         counts = "–".join(map(str, sorted({len(some) for some in by_name})))
-        lines.append((swarm, strategies, counts, *(exact_of(some) for some in by_name)))
+        lines.append((swarm, strategies, counts, *(exact_of(some, episode) for some in by_name)))
     return table(("swarm", "strategies", "n", *(f"`{name}`: exact" for name in names)), lines)
 
 
@@ -54,7 +54,9 @@ def limits() -> str:
                 f"`{name}`",
                 str(len(own)),
                 "" if empty else mean_of(own, "J", 2, "seed"),
-                share_of([int(row["named"]) == 0 for row in own]) + " empty" if empty else exact_of(own),
+                share_of(own, lambda row: int(row["named"]) == 0, "seed") + " empty"
+                if empty
+                else exact_of(own, "seed"),
                 mean_of(own, "named", 2, "seed"),
                 mean_of(own, "decoys_named", 2, "seed") if tier in ("decoys", "bare") else "",
             )
@@ -74,14 +76,14 @@ def _variant(row: Row) -> tuple[str, str, str]:
 def games() -> str:
     """The tables of learned.csv."""
     rows = read_csv(RESULTS / "learned.csv")
-    return f"{pivot(rows, 'seed')}\n\n{exact(rows)}"
+    return f"{pivot(rows, 'seed')}\n\n{exact(rows, 'seed')}"
 
 
 @cache
 def trained() -> str:
     """The tables of ppo_observer.csv."""
     rows = read_csv(RESULTS / "ppo_observer.csv")
-    return f"{pivot(rows, 'episode')}\n\n{exact(rows)}"
+    return f"{pivot(rows, 'episode')}\n\n{exact(rows, 'episode')}"
 
 
 def text() -> str:

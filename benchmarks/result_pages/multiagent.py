@@ -14,7 +14,7 @@ def means(rows: Sequence[Row], keys: Sequence[str], columns: dict[str, str]) -> 
     lines = []
     for key, own in group_rows(rows, lambda row: tuple(row[name] for name in keys)).items():
         numbers = [
-            share_of([int(float(row["success"])) for row in own])
+            share_of(own, lambda row: float(row["success"]) > 0, "seed")
             if name == "success"
             else mean_of(own, name, 2, "seed")
             for name in columns

@@ -50,7 +50,7 @@ def text() -> str:
                 mean_of(own[name], "ap_first"),
                 mean_of(own[name], "rounds"),
                 mean_of(own[name], "redundancy"),
-                share_of([int(float(row["success"])) for row in own[name]]),
+                share_of(own[name], lambda row: float(row["success"]) > 0),
             )
             for name in DETECTORS
         ],

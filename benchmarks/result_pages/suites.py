@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from result_pages.text import RESULTS, Row, mean_of, page, read_csv, share_of, source, table
+from result_pages.text import RESULTS, Row, exact_of, mean_of, page, read_csv, source, table
 from usnet_env.drawing import caption_figure
 from usnet_env.evaluation import TRIVIAL, FrozenSuite, list_suites
 from usnet_env.evaluation.report import format_interval, group_rows, make_panels
@@ -106,7 +106,7 @@ def _describe(suite: FrozenSuite, rows: list[Row]) -> list[str]:
             f"`{name}`",
             str(len(own)),
             str(len({row["cell"] for row in own})),
-            share_of([int(row["exact"]) for row in own]),
+            exact_of(own),
             mean_of(own, "f1_first"),
             mean_of(own, "J"),
             f"{median(float(row['seconds_per_round']) for row in own):.2g}",

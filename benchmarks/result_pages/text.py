@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from commands import commands_of
 from running import RESULTS, read_csv
@@ -56,14 +56,15 @@ def cost_of(rows: Iterable[Row], digits: int = 3) -> str:
     return mean_of(rows, "J", digits)
 
 
-def share_of(hits: Sequence[bool | int]) -> str:
-    """The share of true values in percent, with Wilson's interval."""
-    return share(rate_interval([float(hit) for hit in hits]))
+def share_of(rows: Iterable[Row], is_hit: Callable[[Row], bool], episode: str = "episode") -> str:
+    """The share of hits in percent, with Wilson's interval; rows of one episode are a group."""
+    known = list(rows)
+    return share(rate_interval([float(is_hit(row)) for row in known], [row[episode] for row in known]))
 
 
-def exact_of(rows: Iterable[Row]) -> str:
+def exact_of(rows: Iterable[Row], episode: str = "episode") -> str:
     """The share of exact episodes."""
-    return share_of([int(float(row["exact"])) for row in rows])
+    return share_of(rows, lambda row: float(row["exact"]) > 0, episode)
 
 
 def table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:

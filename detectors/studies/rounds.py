@@ -247,12 +247,13 @@ def read_paper() -> dict[str, Words]:
 def measure_field(rows: Sequence[Row], field: str) -> Interval | None:
     """Mean over all episodes with its interval, the rows of an episode taken together; ``None`` without a value.
 
-    The cluster metrics are over those with clusters. Rates have Wilson's interval of all rows.
+    The cluster metrics are over those with clusters. Rates have Wilson's interval.
     """
     if field in RATES:
-        return rate_interval([getattr(row, field) for row in rows]) if rows else None
-    values = report.episode_means(rows, field)
-    return mean_interval(values) if values else None
+        values = [getattr(row, field) for row in rows]
+        return rate_interval(values, [row.episode for row in rows]) if rows else None
+    means = report.episode_means(rows, field)
+    return mean_interval(means) if means else None
 
 
 def find_by_round(rows: Sequence[Row], rounds: int) -> list[tuple[list[float], list[float]]]:

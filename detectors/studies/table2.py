@@ -160,9 +160,15 @@ def make_suite(seed: int) -> Suite[Cell, Row]:
 
 
 def rate_of(rows: Iterable[Row], what: str = "hit") -> tuple[int, Interval] | None:
-    """Number of episodes and the share with ``what`` (``"hit"`` or ``"named"``), Wilson; ``None`` without a row."""
-    values = [getattr(row, what) for row in rows]
-    return (len(values), rate_interval(values)) if values else None
+    """Number of episodes and the share with ``what`` (``"hit"`` or ``"named"``), Wilson; ``None`` without a row.
+
+    Cells share the seeds of an episode, so its rows are one group.
+    """
+    values, episodes = [], []
+    for row in rows:
+        values.append(getattr(row, what))
+        episodes.append(row.episode)
+    return (len(values), rate_interval(values, episodes)) if values else None
 
 
 def read_paper() -> dict[tuple[str, int], Interval]:

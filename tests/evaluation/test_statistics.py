@@ -112,6 +112,42 @@ def test_a_rate_is_made_of_zeros_and_ones():
         rate_interval([0.5])
 
 
+@given(st.lists(st.booleans(), min_size=2, max_size=40), st.integers(2, 8))
+def test_copies_of_a_value_in_one_group_add_nothing(hits, copies):
+    groups = np.repeat(np.arange(len(hits)), copies)
+    copied = np.repeat(np.array(hits, float), copies)
+    assert rate_interval(copied, groups) == pytest.approx(rate_interval(np.array(hits, float)), abs=1e-12)
+    assert mean_interval(copied, groups=groups) == pytest.approx(mean_interval(np.array(hits, float)), abs=1e-12)
+
+
+def test_intervals_of_groups_hold_where_those_of_single_values_are_too_narrow():
+    """30 groups of 20: the rate of a group is uniform, so that values of one group are alike; the true rate is 1/2."""
+    rng, groups = np.random.default_rng(0), np.repeat(np.arange(30), 20)
+    held = np.zeros(3)
+    for _ in range(300):
+        values = (rng.random(600) < rng.random(30)[groups]).astype(float)
+        for k, found in enumerate(
+            (rate_interval(values, groups), mean_interval(values, groups=groups), rate_interval(values))
+        ):
+            held[k] += found.low <= 0.5 <= found.high
+    assert (held[:2] / 300 > 0.91).all()
+    assert held[2] / 300 < 0.7
+
+
+def test_groups_of_one_and_independent_values_change_nothing():
+    values = (np.random.default_rng(1).random(200) < 0.3).astype(float)
+    assert rate_interval(values, np.arange(200)[::-1]) == rate_interval(values)
+    assert mean_interval(values, groups=np.arange(200)[::-1]) == mean_interval(values)
+    alike = rate_interval(values, np.arange(200) // 4)  # groups by chance
+    assert alike.high - alike.low < 1.4 * (rate_interval(values).high - rate_interval(values).low)
+
+
+def test_where_all_are_equal_a_group_counts_as_one_value():
+    assert rate_interval(np.ones(60), np.arange(60) % 6) == rate_interval(np.ones(6))
+    with pytest.raises(ArgumentError, match="groups must have one entry for each of the 3 values, got 2"):
+        rate_interval([0, 1, 1], [0, 1])
+
+
 TASKS = [np.random.default_rng(task).gamma(2, size=n) + task for task, n in enumerate((30, 45, 60))]
 
 

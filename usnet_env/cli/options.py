@@ -58,8 +58,8 @@ def add_place(command: Any) -> Any:
     backend = click.option(
         "--backend",
         type=click.Choice(["serial", "processes", "ray"]),
-        help="Run in this process, in child processes, or on the nodes of a Ray cluster.  [default: processes, if there "
-        "are several workers]",
+        help="Run in this process, in child processes, or on the nodes of a Ray cluster.  "
+        "[default: processes, if there are several workers]",
     )
     return backend(
         click.option(

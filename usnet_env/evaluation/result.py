@@ -31,23 +31,24 @@ def summarise(rows: RowTable) -> Summary:
     """Summarise rows: one entry for each detector, in the order of their first rows.
 
     An entry is ``{"detector", "episodes", "metrics"}``. Each metric has its mean over all episodes, including those
-    truncated at ``max_rounds``, and its 95 % interval. The cluster metrics use only the episodes whose first answer has
-    clusters, and are absent if there is no such episode.
+    truncated at ``max_rounds``, and its 95 % interval; episodes of several cells with the same seed of the swarm are
+    one group. The cluster metrics use only the episodes whose first answer has clusters, and are absent if there is
+    none.
     """
     entries = []
     labels = rows.column("detector")
     for label in dict.fromkeys(labels):
         own = labels == label
-        metrics = {}
+        swarms, metrics = rows.column("swarm_seed")[own], {}
         for name in rows.columns:
             if name in KEYS:
                 continue
-            values = rows.column(name)[own].astype(np.float64)
+            values, groups = rows.column(name)[own].astype(np.float64), swarms
             if name in OPTIONAL_METRICS:
-                values = values[~np.isnan(values)]
+                values, groups = values[~np.isnan(values)], swarms[~np.isnan(values)]
                 if not len(values):
                     continue
-            interval = statistics.rate_interval(values) if name in RATES else mean_interval(values)
+            interval = (statistics.rate_interval if name in RATES else mean_interval)(values, groups=groups)
             metrics[name] = interval._asdict()
         entries.append({"detector": label, "episodes": int(own.sum()), "metrics": metrics})
     return entries

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,10 @@ _RESAMPLES = 9_999
 _PROFILE_RESAMPLES = 2_000
 _DRAWS_AT_ONCE = 2_000_000  # limits the indices in memory to 16 MB for any number of episodes
 _MOST_RESAMPLED = 5_000  # values; of more, the quantiles of the resampled mean are computed, not drawn
+
+
+#: What says which values belong together: a number or a name for each.
+Groups: TypeAlias = "Sequence[Any] | NDArray[Any]"
 
 
 class Interval(NamedTuple):
@@ -51,11 +55,33 @@ def _check_sample(values: Sequence[float] | NDArray[np.float64]) -> NDArray[np.f
     return sample
 
 
-def rate_interval(values: Sequence[float] | NDArray[np.float64]) -> Interval:
+def _mean_by_group(sample: NDArray[np.float64], groups: Groups) -> NDArray[np.float64]:
+    """Independent values ``(g,)`` with the mean of the sample and, nearly, the variance of that mean.
+
+    The value of a group is the mean plus the sum of its deviations, in units of the mean size of a group (the
+    linearised ratio estimator: Cochran, Sampling Techniques, 3rd edition, 1977, section 9A.1).
+    """
+    names, numbers = np.unique(np.asarray(groups), return_inverse=True)
+    if numbers.shape != sample.shape:
+        raise ArgumentError(f"groups must have one entry for each of the {len(sample)} values, got {numbers.size}.")
+    if len(names) == len(sample):
+        return sample
+    mean = sample.mean()
+    sums = np.bincount(numbers, sample - mean)
+    return np.asarray(mean + sums * (len(sums) / len(sample)))
+
+
+def rate_interval(values: Sequence[float] | NDArray[np.float64], groups: Groups | None = None) -> Interval:
     """Compute the share of ones in a sample of zeros and ones, with Wilson's score interval.
+
+    Values of one group depend on each other. Then n is the effective number of values: n divided by the design effect
+    (Kish, Survey Sampling, 1965, section 8.2), the ratio of the variance of the mean over groups to that over
+    independent values, if that is above 1. If all values are equal, n is the number of groups.
 
     Args:
         values: ``(n,)`` of 0 and 1.
+        groups: ``(n,)`` the group of each, such as the number of an episode that several cells share; ``None``: all
+            are independent.
 
     Raises:
         ArgumentError: there is no value, or a value is neither 0 nor 1.
@@ -64,7 +90,11 @@ def rate_interval(values: Sequence[float] | NDArray[np.float64]) -> Interval:
     if not ((sample == 0) | (sample == 1)).all():
         raise ArgumentError("values of a rate must be 0 or 1.")
     # The formula of scipy.stats.binomtest, whose import takes seconds.
-    mean, n = float(sample.mean()), len(sample)
+    mean, n = float(sample.mean()), float(len(sample))
+    if groups is not None and len(grouped := _mean_by_group(sample, groups)) < n:
+        count = len(grouped)
+        variance = float(grouped.var()) / count
+        n = min(n, mean * (1 - mean) / variance) if variance > 0 else count if mean in (0.0, 1.0) or count == 1 else n
     width = 2 * (n + _QUANTILE**2)
     middle = (2 * n * mean + _QUANTILE**2) / width
     half = _QUANTILE / width * math.sqrt(4 * n * mean * (1 - mean) + _QUANTILE**2)
@@ -73,7 +103,10 @@ def rate_interval(values: Sequence[float] | NDArray[np.float64]) -> Interval:
 
 
 def mean_interval(
-    values: Sequence[float] | NDArray[np.float64], seed: int = 0, confidence: float = CONFIDENCE
+    values: Sequence[float] | NDArray[np.float64],
+    seed: int = 0,
+    confidence: float = CONFIDENCE,
+    groups: Groups | None = None,
 ) -> Interval:
     """Compute the mean of a sample, with the percentile bootstrap interval of 9,999 resamples.
 
@@ -87,11 +120,15 @@ def mean_interval(
         values: ``(n,)``.
         seed: seeds the resampling; the same values and seed give the same interval.
         confidence: of the interval.
+        groups: ``(n,)`` the group of each value; values of one group depend on each other, and groups are resampled as
+            a whole. ``None``: all are independent.
 
     Raises:
         ArgumentError: there is no value, or one is not finite.
     """
     sample = _check_sample(values)
+    if groups is not None:
+        sample = _mean_by_group(sample, groups)
     if (sample == sample[0]).all():
         constant = float(sample[0])
         return Interval(constant, constant, constant)
