@@ -28,8 +28,8 @@ _LAGS = 4  # steps; detectors look at least as far back
 _LEAST_STEPS, _FEWEST_STEPS = 100, 16  # of the longest step that is tried; of the shortest
 _GROWTH = 2**0.5  # from one step that is tried to the next
 _SHIFTS = 64
+_FEWEST = 16  # one in this many ids must follow another
 _SIGNIFICANT = 5.0  # a lead exceeds those of shifted tracks by this many robust standard deviations
-_FEWEST_FOLLOWERS = 3
 _NEARLY = 0.8  # the shortest step whose lead is at least this share of the largest is chosen
 _SIGNAL = 4.0  # in a step, the squared movement should exceed the noise of the squared movement this many times
 _LARGEST_SCALE = 64  # samples; the noise asks for no longer step
@@ -312,7 +312,7 @@ def _measure_leads(velocity: Floats) -> _Lead:
         if own.max() > middle + _SIGNIFICANT * spread:
             leads.append(float(own.max()) - middle)
             delays.append(_find_peak(curve[own.argmax()]))
-    if len(leads) < min(_FEWEST_FOLLOWERS, ids - 1):
+    if len(leads) < max(1, len(focal) / _FEWEST):
         return none
     return _Lead(sum(leads) / len(focal), float(np.median(delays)), len(leads))
 
