@@ -10,7 +10,7 @@ from track_files import Sure, example
 
 from usnet_env import ArgumentError, Detection
 from usnet_env.replay import EpisodeRecord
-from usnet_env.tracks import find_leaders, read_tracks
+from usnet_env.tracks import Tracks, find_leaders, read_tracks
 
 QUICK = ["--detector", "lagged-regression"]
 
@@ -134,7 +134,8 @@ def test_json_is_one_object_with_these_keys(run, folder):
     assert set(found) == {"windows", "leaders"}
     assert len(found["windows"]) == 5
     for window in found["windows"]:
-        assert set(window) == {"start", "end", "leaders"}
+        assert set(window) == {"start", "end", "leaders", "not_confirmed", "links", "left_out"}
+        assert [set(link) for link in window["links"]] == [{"follower", "leader", "head", "delay"}] * 11
         for leader in window["leaders"]:
             assert set(leader) == {"id", "probability", "followers", "reason"}
     assert [set(leader) for leader in found["leaders"]] == [{"id", "probability", "followers", "reason"}]
@@ -190,7 +191,83 @@ def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monke
     assert "usnet[render]" in err
     assert "usnet[replay]" in err
     written = {path.name for path in tmp_path.iterdir()}
-    assert written == {"episode.npz", "leaders.csv", "leaders.json", "windows.csv"}
+    assert written == {"episode.npz", "leaders.csv", "leaders.json", "links.csv", "windows.csv"}
+
+
+def test_links_have_the_direct_leader_and_the_delay_in_seconds():
+    """b follows a after 1 s, and c follows b after 1.5 s: b is a relay."""
+    rng = np.random.default_rng(3)
+    turn = np.convolve(rng.normal(0, 1, 600), np.ones(4) / 4, "same")
+    path = 4 * np.stack([np.cos(np.cumsum(turn)), np.sin(np.cumsum(turn))], axis=1)
+    velocity = np.stack([path, np.roll(path, 2, axis=0), np.roll(path, 5, axis=0)], axis=1)
+    place = np.cumsum(velocity + rng.normal(0, 0.3, velocity.shape), axis=0)
+    time, who = np.repeat(np.arange(600) * 0.5, 3), ["a", "b", "c"] * 600
+    tracks = Tracks.from_samples(who, time, place.reshape(-1, 2)).resample(0.5)
+
+    class Chain:
+        def reset(self, seed=None):
+            pass
+
+        def detect(self, window):
+            return Detection(np.array([True, False, False]), np.array([2.0, 1.0, 0.0]), leader=np.array([0, 0, 1]))
+
+    for window in find_leaders(tracks, Chain()).windows[1:]:
+        found = {(link.follower, link.leader, link.head): link.delay for link in window.links}
+        assert found == {("b", "a", "a"): 1.0, ("c", "b", "a"): 1.5}
+
+
+def test_ids_that_are_seen_too_little_are_named(folder, run, tmp_path):
+    lines = (folder / "flock.csv").read_text().splitlines()
+    kept = [line for line in lines if not (line.startswith("bird-3,") and 60 < float(line.split(",")[1]) < 140)]
+    (tmp_path / "gap.csv").write_text("\n".join(kept))
+    found = find_leaders(read_tracks(tmp_path / "gap.csv").resample(0.5), "lagged-regression")
+    assert [window.left_out for window in found.windows] == [(), ("bird-3",), ("bird-3",), (), ()]
+    _, out, _ = run("detect", tmp_path / "gap.csv", *QUICK, "--window", "250")
+    assert "The last 49.5 s are in no window." in out
+
+
+def test_a_leader_that_chance_may_have_made_is_called_so(folder):
+    class Once:
+        def __init__(self, windows):
+            self.windows, self.number = windows, -1
+
+        def reset(self, seed=None):
+            self.number += 1
+
+        def detect(self, window):
+            candidates = (np.arange(window.uavs) == 0) & (self.number in self.windows)
+            return Detection(candidates, candidates * 1.0, leader=np.zeros(window.uavs, np.int64))
+
+    tracks = read_tracks(folder / "flock.csv").resample(0.5)
+    (once,) = find_leaders(tracks, Once([1])).leaders
+    assert (
+        once.reason == "Leads group 1 in 1 of the 5 windows. By chance, a group without a leader has as many with "
+        "probability 0.23."
+    )
+    (always,) = find_leaders(tracks, Once(range(5))).leaders
+    assert always.reason == "Leads group 1 in 5 of the 5 windows."
+
+
+def test_a_recording_shows_what_was_found_and_no_truth(run, folder, tmp_path):
+    """The leaders that are not confirmed are no leaders in the replay, the animation and the page either."""
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "found"
+    assert run("detect", folder / "shepherd.csv", *QUICK, "--step", "0.5", "--out", out, "--record")[0] == 0
+    windows = json.loads((out / "leaders.json").read_text())["windows"]
+    assert sum(bool(window["not_confirmed"]) for window in windows) >= 3
+    record = EpisodeRecord.load(out / "episode.npz")
+    for window, candidates in zip(windows, record.candidates, strict=True):
+        assert [each["id"] for each in window["leaders"]] == [
+            record.config["ids"][i] for i in np.flatnonzero(candidates)
+        ]
+    _, told, _ = run("replay", out, "--animation", out / "game.gif")
+    assert f"{record.head.sum()} of 12 ids lead in one of 5 windows" in told
+    assert "seed" not in told
+    assert run("report", out / "episode.npz", "--html", out / "page.html")[0] == 0
+    page = (out / "page.html").read_text()
+    assert "What it found" in page
+    assert "dog" in page
+    assert not [words for words in ("The truth<", "heads not found", "destroyed", "J =", "UAV 0") if words in page]
 
 
 def test_warnings_go_to_standard_error(run, folder, tmp_path):
@@ -208,11 +285,11 @@ def test_warnings_go_to_standard_error(run, folder, tmp_path):
     [
         (["none.csv"], "does not exist"),
         (["bad.csv"], "row 3 of column 'x'"),
-        (["flock.csv", "--window", "100000"], "length must be at most"),
+        (["flock.csv", "--window", "100000"], "usnet: --window must be at most"),
         (["flock.csv", "--detector", "unknown"], "detector must be one of"),
         (["flock.csv", "--column", "id"], "--column must be written role=name"),
-        (["flock.csv", "--column", "id=who"], "columns must name a column"),
-        (["flock.csv", "--column", "animal=id"], "columns must be one of"),
+        (["flock.csv", "--column", "id=who"], "usnet: --column must name a column"),
+        (["flock.csv", "--column", "animal=id"], "usnet: --column must be one of"),
         (["flock.csv", "--step", "0"], "--step must be a positive number"),
         (["flock.csv", "--record"], "--record must be given together with --out"),
         (["flock.csv", "--detector", "lagged-regression(clusters=500)"], "clusters must be at most"),

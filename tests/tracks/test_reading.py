@@ -249,7 +249,7 @@ def test_repeated_rows_are_reported_and_left_out(tmp_path):
     path.write_text("id,t,x,y\na,0,1,2\nb,0,1,2\na,0,1,2\na,1,1,2\n")
     read = read_tracks(path)
     assert read.samples == 3
-    assert "1 samples were repetitions" in str(read.report())
+    assert "Left out as repetitions (same id, time and place): 1 sample." in str(read.report())
 
 
 def test_empty_missing_and_foreign_files(tmp_path):

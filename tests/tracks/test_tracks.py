@@ -213,7 +213,7 @@ def test_clocks_that_disagree_are_reported():
     shifted = np.where(ids == "uav-2", times + 0.2, times)
     assert "sampled between" in str(Tracks.from_samples(ids.tolist(), shifted, flat).report())
     apart = np.where(ids == "uav-2", times + 1000, times)
-    assert "share no time" in str(Tracks.from_samples(ids.tolist(), apart, flat).report())
+    assert "at times that no other id shares" in str(Tracks.from_samples(ids.tolist(), apart, flat).report())
     slower = np.where(ids == "uav-2", times * 1.5, times)
     assert "another rate" in str(Tracks.from_samples(ids.tolist(), slower, flat).report())
 

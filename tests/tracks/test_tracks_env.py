@@ -65,6 +65,17 @@ def test_a_seed_draws_a_window(path):
     assert len(set(starts)) > 4
 
 
+def test_tracks_without_leaders_can_be_played_but_not_scored(tmp_path):
+    lines = [[*row[:4]] for row in example().merging()]
+    with open(tmp_path / "plain.csv", "w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([["id", "t", "x", "y"], *lines])
+    env = make(str(tmp_path / "plain.csv"))
+    env.reset()
+    assert env.step(np.zeros(14, np.int8))[2]
+    with pytest.raises(ArgumentError, match=r"^env must know the leaders .* without a column 'leader'\.$"):
+        evaluate("USNET/Tracks-v0", "none", episodes=1, env_kwargs={"path": str(tmp_path / "plain.csv")})
+
+
 def test_evaluate_scores_detectors_with_the_same_metrics_and_known_groups(path, tmp_path):
     arguments = {"path": path, "step": 0.5}
     result = evaluate(
@@ -80,8 +91,8 @@ def test_evaluate_scores_detectors_with_the_same_metrics_and_known_groups(path, 
 
 
 def test_without_leaders_groups_are_not_scored(path, tmp_path):
-    rows = [line.rpartition(",")[0] for line in Path(path).read_text(encoding="utf-8").splitlines()]
-    (tmp_path / "bare.csv").write_text("\n".join(rows))
+    head, *rows = Path(path).read_text(encoding="utf-8").splitlines()
+    (tmp_path / "bare.csv").write_text("\n".join([head, *(row.rpartition(",")[0] + "," for row in rows)]))
     bare = {"path": str(tmp_path / "bare.csv"), "step": 0.5}
     result = evaluate("USNET/Tracks-v0", "none", episodes=2, env_kwargs=bare)["none"]
     assert "group_leader_first" not in result

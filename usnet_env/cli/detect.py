@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,12 +25,26 @@ if TYPE_CHECKING:
     from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, Tracks, TrackWindow
 
     Kept = tuple[TrackWindow, Detection, DetectedWindow]
+    Map = tuple[TrackWindow, DetectedWindow]
 
 __all__ = ["detect"]
 
 _DETECTOR = "follow-mixture(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
 _LARGEST_RECORD = 2**30  # bytes of an episode file before compression
+
+_OPTIONS = {  # patterns of arguments in errors, and the options that set them
+    r"^length must": "--window must",
+    r"^stride must": "--stride must",
+    r"^step must": "--step must",
+    r"^columns must name the column (\w+)": r"--column \1=NAME must name the column \1",
+    r"^columns must": "--column must",
+    r"^time_unit must": "--time-unit must",
+    r"^max_bytes must": "--max-bytes must",
+    r"missing='skip'": "--skip-missing is given",
+    r"encoding= ": "--encoding ",
+    r"time_unit= ": "--time-unit ",
+}
 
 _EXAMPLES = """
 \b
@@ -41,6 +57,26 @@ Examples:
 Roles for --column:
   id  t  frame  x  y  z  lon  lat  vx  vy  vz  leader
 """  # click reads the control characters: they keep the lines
+
+
+def _name_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Write the names of the command's options in errors, in place of those of the functions' arguments."""
+
+    @wraps(command)
+    def called(**values: Any) -> None:
+        try:
+            command(**values)
+        except ArgumentError as error:
+            raise ArgumentError(_rename_arguments(str(error))) from None
+
+    return called
+
+
+def _rename_arguments(sentence: str) -> str:
+    """Replace the names of the functions' arguments by those of the options."""
+    for argument, option in _OPTIONS.items():
+        sentence = re.sub(argument, option, sentence)
+    return sentence
 
 
 @click.command(short_help="Find the leaders in recorded tracks.", epilog=_EXAMPLES)
@@ -62,6 +98,7 @@ Roles for --column:
 @click.option("--out", metavar="DIR", help="Folder for tables, JSON and a picture.")
 @click.option("--record", is_flag=True, help="Also write an episode file and a replay; needs --out.")
 @click.option("--json", "as_json", is_flag=True, help="Print only the leaders, as JSON.")
+@_name_options
 def detect(
     tracks: tuple[str, ...],
     detector: str,
@@ -91,7 +128,6 @@ def detect(
     from usnet_env.files import as_path
     from usnet_env.plugins import make_detector
     from usnet_env.tracks import find_leaders, read_tracks
-    from usnet_env.tracks.picture import MOST_MAPS
     from usnet_env.tracks.windows import count_windows
 
     folder = None if out is None else as_path("out", out)
@@ -110,20 +146,25 @@ def detect(
     for finding in report.warnings:
         print_message(f"warning: {finding.sentence}")
     even = read.resample(step, max_gap=max_gap)
-    chosen = even.notes[len(read.notes) :]
+    chosen = list(even.notes[len(read.notes) :])
     del read
-    count = count_windows(even, window, window if stride is None else stride)
+    stride = window if stride is None else stride
+    count = count_windows(even, window, stride)
+    rest = even.duration - even.step * ((count - 1) * stride + window) if count and even.step else 0.0
+    if even.step and rest >= even.step / 2:
+        chosen.append(f"The last {rest:.6g} s are in no window.")
     if record:
         _check_record_size(even, count, window)
-    shown = set(np.linspace(0, count - 1, min(count, MOST_MAPS)).astype(int).tolist()) if folder else set()
     kept: list[Kept] = []
-    done = 0
+    maps, done = _Maps(), 0
     with progress_bar("windows") as progress:
 
         def keep(cut: TrackWindow, detection: Detection, found: DetectedWindow) -> None:
             nonlocal done
-            if record or done in shown:
+            if record:
                 kept.append((cut, _without_attention(detection), found))
+            if folder:
+                maps.add(cut, found)
             done += 1
             progress(done, count)
 
@@ -134,11 +175,10 @@ def detect(
         click.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
     else:
         for sentence in (*report.facts, *chosen):
-            click.echo(sentence)
+            click.echo(_rename_arguments(sentence))
         show(*_tables(found))
     if folder is not None:
-        maps = [each for k, each in enumerate(kept) if k in shown] if record else kept
-        _write_all(folder, found, maps, f"{', '.join(Path(each).name for each in tracks)}")
+        _write_all(folder, found, maps.choose(), f"{', '.join(Path(each).name for each in tracks)}")
         if record:
             _write_record(folder, even, kept, found, [Path(each).name for each in tracks], window, seed)
 
@@ -152,6 +192,39 @@ def _parse_columns(words: Sequence[str]) -> dict[str, str]:
             raise ArgumentError(f"--column must be written role=name, with each role once, got {quote(word)}.")
         mapping[role.strip()] = name
     return mapping
+
+
+class _Maps:
+    """Chooses the windows of the picture while they come: up to six, evenly spread, those with leaders first."""
+
+    def __init__(self) -> None:
+        from usnet_env.tracks.picture import MOST_MAPS
+
+        self._most = MOST_MAPS
+        self._kept: tuple[list[Map], list[Map]] = ([], [])  # without leaders, and with
+        self._every, self._count = [1, 1], [0, 0]
+
+    def add(self, cut: TrackWindow, found: DetectedWindow) -> None:
+        """Keep every k-th window; k doubles where twice as many are kept as are shown."""
+        kind = int(bool(found.leaders))
+        if self._count[kind] % self._every[kind] == 0:
+            self._kept[kind].append((cut, found))
+            if len(self._kept[kind]) > 2 * self._most:
+                del self._kept[kind][1::2]
+                self._every[kind] *= 2
+        self._count[kind] += 1
+
+    def choose(self) -> list[Map]:
+        """The windows to show, in the order of time."""
+        none, led = self._kept
+        chosen = _spread(led, self._most)
+        chosen += _spread(none, self._most - len(chosen))
+        return sorted(chosen, key=lambda each: each[0].start)
+
+
+def _spread(maps: Sequence[Map], most: int) -> list[Map]:
+    """Up to ``most`` entries, evenly spread."""
+    return [maps[k] for k in np.unique(np.linspace(0, len(maps) - 1, min(len(maps), most)).astype(int))] if maps else []
 
 
 def _without_attention(detection: Detection) -> Detection:
@@ -171,8 +244,8 @@ def _tables(found: FoundLeaders) -> list[Table]:
             when = ["", ""]
         if not window.leaders:
             named = f"Not confirmed: {', '.join(map(str, window.rejected[:_MOST_NAMES]))}." if window.rejected else ""
-            rows.append([*when, "no id leads", "", "", named])
-    over_file = [_cells(leader) for leader in found.leaders] or [["no id leads", "", "", ""]]
+            rows.append([*when, "none found", "", "", named])
+    over_file = [_cells(leader) for leader in found.leaders] or [["none found", "", "", ""]]
     headings = ["leader", "p", "followers", "why"]
     return [
         _make_table(f"Windows, by {found.detector}", ["from", "to", *headings], rows),
@@ -203,7 +276,7 @@ def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[Any
     return table
 
 
-def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Kept], title: str) -> None:
+def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Map], title: str) -> None:
     """Write the tables, the JSON and the picture; a file whose extra is not installed is left out with a message."""
     from usnet_env.drawing import MissingExtraError, write_figure
     from usnet_env.files import atomic_write
@@ -211,12 +284,16 @@ def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Kept], title: s
 
     rows = found.rows()
     over_file = [{**each.as_dict(), "group": each.group, "score": each.score} for each in found.leaders]
-    for name, table in (("windows", rows), ("leaders", over_file)):
-        _write_table(folder / name, table)
+    for name, table, columns in (
+        ("windows", rows, ()),
+        ("leaders", over_file, ("id", "probability", "followers", "reason", "group", "score")),
+        ("links", found.link_rows(), ("start", "end", "follower", "leader", "head", "delay")),
+    ):
+        _write_table(folder / name, table, columns)
     with atomic_write(folder / "leaders.json") as aside:
         aside.write_text(json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     try:
-        figure = draw_leaders(found, [(cut, _leaders_of(cut, window), window) for cut, _, window in maps], title)
+        figure = draw_leaders(found, [(cut, _leaders_of(cut, window), window) for cut, window in maps], title)
     except MissingExtraError as missing:
         print_message(f"the picture is left out. {missing}")
     else:
@@ -235,16 +312,16 @@ def _leaders_of(cut: TrackWindow, window: DetectedWindow) -> Any:
     return leader
 
 
-def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Write rows as CSV, and as Parquet if pyarrow is installed; in CSV, followers are joined by semicolons."""
+def _write_table(path: Path, rows: Sequence[dict[str, Any]], columns_of_none: Sequence[str]) -> None:
+    """Write rows as CSV, and as Parquet if pyarrow is installed; in CSV, lists are joined by semicolons."""
     from usnet_env.files import atomic_write
 
-    names = list(rows[0]) if rows else ["id", "probability", "followers", "reason", "group", "score"]
+    names = list(rows[0]) if rows else list(columns_of_none)
     with atomic_write(path.with_suffix(".csv")) as aside, aside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, names)
         writer.writeheader()
         for row in rows:
-            writer.writerow({**row, "followers": ";".join(map(str, row["followers"]))})
+            writer.writerow({k: ";".join(map(str, v)) if isinstance(v, list) else v for k, v in row.items()})
     try:
         import pyarrow
         import pyarrow.parquet
@@ -301,9 +378,10 @@ def _make_record(
         rows = cut.rows
         position[r][:, rows] = np.where(cut.window.seen[..., None], cut.window.position + cut.origin, 0.0)
         velocity[r][:, rows], seen[r][:, rows] = cut.window.velocity, cut.window.seen
-        candidates[r, rows], scores[r, rows] = detection.candidates, detection.scores
         behind = _leaders_of(cut, detected)
         leader[r, rows] = np.where(behind >= 0, rows[behind], -1)
+        candidates[r, rows] = behind == np.arange(len(rows))  # confirmed ones only
+        scores[r, rows] = detection.scores
     return EpisodeRecord(
         position=position,
         velocity=velocity,

@@ -111,7 +111,7 @@ def replay(
     if screenshot is None and (number, step) != (None, None):
         raise ArgumentError("--round and --step must be given together with --screenshot, got no --screenshot.")
     from usnet_env.replay import EpisodeRecord, animate, write_recording
-    from usnet_env.replay.story import describe_outcome, describe_round
+    from usnet_env.replay.story import describe_outcome, describe_round, name_game
     from usnet_env.replay.viewer import find_time, find_viewer, open_replay, take_screenshot
 
     file = _choose_episode(path, episode)
@@ -119,7 +119,7 @@ def replay(
         _list_episodes(_find_episodes(path))
         return
     record = EpisodeRecord.load(file)
-    click.echo(f"{record.detector or 'A detector'} on {record.env_id or 'an episode'}, seed {record.seed}")
+    click.echo(name_game(record))
     for each in range(1, record.rounds + 1):
         click.echo(f"  {each}: {describe_round(record, each)}")
     click.echo(describe_outcome(record))
@@ -146,7 +146,8 @@ def _list_episodes(files: Sequence[Path]) -> None:
         table.add_column(name, overflow="fold")
     for file in files:
         record = EpisodeRecord.load(file)
-        numbers = (record.seed, record.rounds, f"{record.objective[-1]:.3f}", record.heads_left[-1])
+        score = [f"{record.objective[-1]:.3f}", record.heads_left[-1]] if record.labelled else ["–", "–"]
+        numbers = ("–" if record.seed is None else record.seed, record.rounds, *score)
         table.add_row(str(file), record.detector, *map(str, numbers))
     show(table)
 

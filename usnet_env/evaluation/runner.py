@@ -115,6 +115,8 @@ def evaluate(
             stack.callback(environment.close)
         else:
             environment = _check_environment(env, arguments, run, limits, backend)
+        if not getattr(environment.unwrapped, "labelled", True):
+            raise ArgumentError("env must know the leaders to score detectors, got tracks without a column 'leader'.")
         config = _make_config(environment, arguments, contestants, run)
         isolation = limits if run.isolate else None
         plan = EpisodePlan(str(env), arguments, contestants, isolation)

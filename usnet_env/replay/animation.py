@@ -22,7 +22,7 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, new_figure
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.story import describe_ending, describe_remerge, describe_verdict, format_count
+from usnet_env.replay.story import describe_ending, describe_remerge, describe_verdict, format_count, name_round
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,6 +35,7 @@ _WIDTH, _HEIGHT, _DPI = 9.6, 6.0, 100  # inches, pixels per inch
 _PANEL, _LEFT, _BOTTOM = 4.55, 0.2, 0.52  # inches: side of a map, margins
 _WATCH, _NAME, _DESTROY, _REMERGE, _END = range(5)
 _PHASES = ("Watch", "Name", "Destroy", "Re-merge", "End")
+_TRACK_PHASES = ("Watch", "Find")
 _PHASE_PLACES = (1.4, 2.25, 3.05, 4.0, 5.1)  # inches
 _STEP_SECONDS, _READ_SECONDS, _END_SECONDS = 0.09, 1.7, 3.5
 _LINK_FRAMES = 5  # frames in which orphans turn to their new heads
@@ -69,10 +70,17 @@ class Scene:
 
 
 def _score(record: EpisodeRecord, played: int) -> str:
-    """Hits, redundant candidates and J after ``played`` rounds."""
+    """Hits, redundant candidates and J after ``played`` rounds; nothing where the truth is unknown."""
+    if not record.labelled:
+        return ""
     hits, redundant = int(record.hits[:played].sum()), int(record.redundant[:played].sum())
     objective = f"{record.objective[played - 1]:.2f}" if played else "–"
     return f"hits {hits} of {int(record.head.sum())}     redundant {redundant}     J {objective}"
+
+
+def name_answer(record: EpisodeRecord) -> str:
+    """Title of the right map: the truth, or what was found where the truth is unknown."""
+    return "The truth" if record.labelled else "What it found"
 
 
 def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
@@ -89,9 +97,15 @@ def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
     for r in range(record.rounds):
         number, before, after = r + 1, _score(record, r), _score(record, r + 1)
         watch = f"The detector watches {samples - 1} steps. To it, all UAVs look alike."
+        if not record.labelled:
+            watch = f"The detector watches {samples - 1} steps of recorded tracks."
         for grown in np.unique(np.linspace(1, samples, frames).round().astype(int)):
             yield Scene(number, _WATCH, _STEP_SECONDS, watch, before, int(grown))
         named = int(record.candidates[r].sum())
+        if not record.labelled:
+            seconds = _END_SECONDS if number == record.rounds else _READ_SECONDS
+            yield Scene(number, _NAME, seconds, f"It finds {format_count(named, 'leader')}.", before, samples)
+            continue
         name = f"It names {format_count(named, 'UAV')} as {'a head' if named == 1 else 'heads'}."
         yield Scene(number, _NAME, _READ_SECONDS, name, before, samples)
         yield Scene(number, _DESTROY, _READ_SECONDS, describe_verdict(record, number), after, samples)
@@ -126,7 +140,7 @@ class Painter:
         gap = _WIDTH - 2 * (_PANEL + _LEFT)
         self.observed, self.truth = (
             self._panel(_LEFT + place * (_PANEL + gap), title)
-            for place, title in enumerate(("What the detector sees", "The truth"))
+            for place, title in enumerate(("What the detector sees", name_answer(record)))
         )
         self._draw_legend()
 
@@ -134,7 +148,8 @@ class Painter:
         axes = self.figure.add_axes((left / _WIDTH, _BOTTOM / _HEIGHT, _PANEL / _WIDTH, _PANEL / _HEIGHT))
         known = self.record.position[self.record.seen & self.record.alive[:, None]][:, :2]
         low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.ones(2))
-        middle, half = (low + high) / 2, 0.54 * max(float((high - low).max()), 1.0)
+        least = 1.0 if self.record.labelled else 1e-6  # tracks may be smaller than a metre
+        middle, half = (low + high) / 2, 0.54 * max(float((high - low).max()), least)
         axes.set_xlim(middle[0] - half, middle[0] + half)
         axes.set_ylim(middle[1] - half, middle[1] + half)
         axes.set_xticks([])
@@ -166,6 +181,8 @@ class Painter:
             "head not named": Line2D([], [], color=MISSED, linestyle=_DASHES, linewidth=1.3),
             "destroyed": mark(marker="x", color="black", markersize=7, markeredgewidth=1.8),
         }
+        if not self.record.labelled:
+            keys = {"leader": keys["head"], "follower, colour of its leader": keys["follower, colour of its head"]}
         if self.record.decoy.any():
             keys["decoy"] = mark(marker="D", color="white", markeredgecolor="black", markersize=6)
         self.figure.legend(
@@ -177,11 +194,12 @@ class Painter:
         def write(x: float, y: float, text: str, **style: Any) -> None:
             self.header.append(self.figure.text(x / _WIDTH, 1 - y / _HEIGHT, text, va="baseline", **style))
 
-        write(_LEFT, 0.33, f"Round {scene.round}", fontsize=15, weight="bold")
-        for phase, word in enumerate(_PHASES):
+        write(_LEFT, 0.33, f"{name_round(self.record)} {scene.round}", fontsize=15, weight="bold")
+        right = 0.0 if self.record.labelled else 0.35  # the word "Window" is longer than "Round"
+        for phase, word in enumerate(_PHASES if self.record.labelled else _TRACK_PHASES):
             now = phase == scene.phase
             style: dict[str, Any] = {"weight": "bold", "color": _NAMED} if now else {"color": "#A0A0A0"}
-            write(_PHASE_PLACES[phase], 0.33, word, fontsize=11.5, **style)
+            write(_PHASE_PLACES[phase] + right, 0.33, word, fontsize=11.5, **style)
         write(_WIDTH - _LEFT, 0.33, scene.score, fontsize=11.5, ha="right")
         write(_LEFT, 0.63, scene.text, fontsize=11.5)
 
@@ -224,11 +242,18 @@ class Painter:
             self._scatter(axes, place, record.fired[r], c="black", **style)
 
     def _draw_truth(self, scene: Scene, place: NDArray[np.float32], path: NDArray[np.float32]) -> None:
-        """The right map: clusters in colour, links to the heads, the verdict, and the orphans' new heads."""
+        """The right map: clusters in colour, links to the heads, the verdict, and the orphans' new heads.
+
+        Where the truth is unknown it shows what the detector found.
+        """
         record, r = self.record, scene.round - 1
         head, candidates = record.head, record.candidates[r]
+        leader = record.leader[r]
+        if not record.labelled:  # the answer, once it is given
+            head = candidates & (scene.phase >= _NAME)
+            leader = leader if scene.phase >= _NAME else np.full_like(leader, -1)
         gone = ~record.alive[r] | (record.fired[r] & (scene.phase >= _DESTROY))
-        leader, orphan = record.leader[r].copy(), record.orphans[r] & (scene.phase >= _DESTROY)
+        orphan = record.orphans[r] & (scene.phase >= _DESTROY)
         colors, _ = cluster_colors(head, leader)
         end = place[np.maximum(leader, 0), :2].copy()
         if scene.phase == _REMERGE:

@@ -25,7 +25,15 @@ from usnet_env.drawing import (
 )
 from usnet_env.files import as_path
 from usnet_env.replay.episode import EpisodeRecord, check_record
-from usnet_env.replay.story import describe_outcome, describe_round, format_count, rank_scores
+from usnet_env.replay.story import (
+    describe_outcome,
+    describe_round,
+    format_count,
+    name_game,
+    name_round,
+    name_uav,
+    rank_scores,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,7 +61,8 @@ def _draw_scores(axes: Axes, record: EpisodeRecord, number: int) -> None:
     r = number - 1
     bars = rank_scores(record, number)
     rank, height = np.arange(len(bars)), record.scores[r][bars]
-    named, head = record.candidates[r][bars], record.head[bars]
+    named = record.candidates[r][bars]
+    head = record.head[bars] if record.labelled else named
     lift = 0.12 * max(float(np.ptp(np.append(height, 0))), 1e-12)
     ring: dict[str, Any] = {"facecolors": "none", "linewidths": 1.6, "s": 42}
     for who, color, label, shape in (
@@ -72,7 +81,7 @@ def _draw_scores(axes: Axes, record: EpisodeRecord, number: int) -> None:
         axes.set_ylim(0, 1)
         axes.text(0.5, 0.6, "All scores are 0.", transform=axes.transAxes, ha="center", color="#555555")
     rotation = 0 if len(bars) <= _BARS_WITH_LEVEL_NUMBERS else 90
-    axes.set_xticks(rank, [str(i) for i in bars], fontsize=7.5, rotation=rotation)
+    axes.set_xticks(rank, [name_uav(record, i).removeprefix("UAV ") for i in bars], fontsize=7.5, rotation=rotation)
     axes.tick_params(axis="y", labelsize=8, colors="#555555")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
@@ -106,8 +115,15 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         "receives the flight paths of all UAVs, but not the stars, colours and links. In each round it names "
         "candidates. The candidates are destroyed, and followers without a head join the nearest head that is left."
     )
-    played = f"{record.detector or 'a detector'} on {record.env_id or 'an episode'}, seed {record.seed}: "
-    left_out = f" The picture shows {len(panels)} of {record.rounds} rounds." if len(panels) < record.rounds else ""
+    if not record.labelled:
+        about = (
+            f"{record.uavs} recorded tracks, seen from above. Stars are the leaders that were found in the window, and "
+            "dots are the others, in the colour of the leader that they follow. The truth is unknown."
+        )
+    played, part = f"{name_game(record)}: ", name_round(record)
+    left_out = (
+        f" The picture shows {len(panels)} of {record.rounds} {part.lower()}s." if len(panels) < record.rounds else ""
+    )
     about = fill(about, int(width * 12))
     ending = fill(played + describe_outcome(record) + left_out, int(width * 10))
     header = 1.3 + _LINE * (about.count("\n") + ending.count("\n"))
@@ -127,18 +143,20 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         left = 0.75 + place % columns * (_MAP + _GAP)
         top = header + place // columns * _CELL + 0.35
         axes = figure.add_axes((left / width, 1 - (top + _MAP) / total, _MAP / width, _MAP / total))
-        truth = (record.alive[r], record.head, record.leader[r], record.decoy)
+        head = record.head if record.labelled else record.candidates[r]
+        candidates = record.candidates[r] & record.labelled
+        truth = (record.alive[r], head, record.leader[r], record.decoy)
         gone = record.last_position(number)
         draw_round(
-            record.position[r], record.seen[r], *truth, record.candidates[r],
-            destroyed_at=gone, axes=axes, title=f"Round {number}: {describe_round(record, number)}", legend=False,
+            record.position[r], record.seen[r], *truth, candidates,
+            destroyed_at=gone, axes=axes, title=f"{part} {number}: {describe_round(record, number)}", legend=False,
             limits=(*limits[place][:2], half),
         )  # fmt: skip
         if place % columns:
             axes.set_ylabel("")
         if place == columns - 1:
             beside = axes
-        present = round_marks(places[place], *truth, record.candidates[r], gone)
+        present = round_marks(places[place], *truth, candidates, gone)
         marks |= {mark for mark, who in present.items() if who.any()}
         bottom = top + _MAP + 0.7 + _SCORES
         scores = figure.add_axes((left / width, 1 - bottom / total, _MAP / width, _SCORES / total))

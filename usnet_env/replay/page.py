@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usnet_env.files import as_path, atomic_write
-from usnet_env.replay.animation import Painter, reduce_colors, scenes
+from usnet_env.replay.animation import Painter, name_answer, reduce_colors, scenes
 from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.story import (
     OTHER,
@@ -24,6 +24,9 @@ from usnet_env.replay.story import (
     explain_uav,
     format_count,
     mark_words,
+    name_game,
+    name_round,
+    name_uav,
     rank_scores,
 )
 
@@ -93,10 +96,19 @@ for (const box of document.querySelectorAll("[data-frames]")) {
 }
 """
 
+_ABOUT = (
+    "A swarm of UAVs flies in clusters, in which followers follow a head. A detector watches equal dots, and names the "
+    "heads. The UAVs that it names are destroyed, and followers without a head join another one."
+)
+_ABOUT_TRACKS = "A detector looks for leaders and their followers in windows of recorded tracks. The truth is unknown."
 _KEY = (
     "<p class='soft key'><span>blue ring: candidate</span><span>star: head</span><span>dot: follower, in the colour of "
     "its head</span><span>green ring: hit</span><span>orange square: redundant</span><span>dashed ring: head that was "
     "not named</span><span>cross: destroyed</span></p>"
+)
+_FOUND_KEY = (
+    "<p class='soft key'><span>star: leader that was found</span><span>dot: follower, in the colour of its leader"
+    "</span><span>grey dot: no leader was found</span></p>"
 )
 
 
@@ -118,13 +130,15 @@ def _list_frames(record: EpisodeRecord, most: int) -> list[dict[str, object]]:
     pictures = iter(reduce_colors([each for pair in maps for each in pair], samples, _COLORS))
     for scene in shown:
         seen, truth = _encode(next(pictures)), _encode(next(pictures))
-        title = f"Round {scene.round} of {record.rounds}"
+        title = f"{name_round(record)} {scene.round} of {record.rounds}"
         words = {"title": title, "text": scene.text, "score": re.sub(" {2,}", " · ", scene.score)}
         frames.append({"seen": seen, "truth": truth, "seconds": max(scene.seconds, 0.35), **words})
     return frames
 
 
 def _write_rounds(record: EpisodeRecord) -> str:
+    if not record.labelled:
+        return ""
     rows = "".join(
         f"<tr><td>{r + 1}</td><td>{record.candidates[r].sum()}</td><td>{record.hits[r]}</td>"
         f"<td>{record.redundant[r]}</td><td>{record.heads_left[r]}</td><td>{record.objective[r]:.3f}</td>"
@@ -133,7 +147,8 @@ def _write_rounds(record: EpisodeRecord) -> str:
     )
     names = ("round", "candidates", "heads hit", "redundant", "heads left", "J so far", "seconds")
     heading = "".join(f"<th>{name}</th>" for name in names)
-    return f"<div class='scroll'><table><thead><tr>{heading}</tr></thead><tbody>{rows}</tbody></table></div>"
+    made = f"<table><thead><tr>{heading}</tr></thead><tbody>{rows}</tbody></table>"
+    return f"<h3>Rounds</h3><div class='scroll'>{made}</div>"
 
 
 def _write_scores(record: EpisodeRecord, number: int) -> str:
@@ -145,9 +160,10 @@ def _write_scores(record: EpisodeRecord, number: int) -> str:
     for i in order.tolist():
         width = 60 * max(float(record.scores[r, i]), 0) / top
         why = "" if words[i] == OTHER else f" – {html.escape(words[i])}. {html.escape(explain_uav(record, number, i))}"
-        bars.append(f"<div class='bar {words[i]}'><span>UAV {i}</span><i style='width:{width:.1f}%'></i>"
+        name = html.escape(name_uav(record, i))
+        bars.append(f"<div class='bar {words[i]}'><span>{name}</span><i style='width:{width:.1f}%'></i>"
                     f"<span>{record.scores[r, i]:.3g}{why}</span></div>")  # fmt: skip
-    title = html.escape(f"Round {number}: {describe_round(record, number)}")
+    title = html.escape(f"{name_round(record)} {number}: {describe_round(record, number)}")
     return f"<details{' open' if number == 1 else ''}><summary>{title}</summary>{''.join(bars)}</details>"
 
 
@@ -155,12 +171,12 @@ def _write_episode(name: str, link: str | None, record: EpisodeRecord, most: int
     frames = _list_frames(record, most)
     last = frames[-1]
     data = json.dumps(frames).replace("<", "\\u003c")
-    by = html.escape(f"{record.detector or 'a detector'} on {record.env_id or 'an episode'}, seed {record.seed}")
-    more = f" The pictures show the first {format_count(most, 'round')}." if record.rounds > most else ""
+    by, part = html.escape(name_game(record)), name_round(record).lower()
+    more = f" The pictures show the first {format_count(most, part)}." if record.rounds > most else ""
     file = "" if link is None else f" Episode file: <a href='{html.escape(link, quote=True)}'>{html.escape(link)}</a>."
     maps = "".join(
         f"<figure><img alt='{alt}' src='{last[side]}'><figcaption>{alt}</figcaption></figure>"
-        for side, alt in (("seen", "What the detector sees"), ("truth", "The truth"))
+        for side, alt in (("seen", "What the detector sees"), ("truth", name_answer(record)))
     )
     scores = "".join(_write_scores(record, number) for number in range(1, min(record.rounds, most) + 1))
     return f"""<section><h2>{html.escape(name)}</h2>
@@ -169,8 +185,8 @@ def _write_episode(name: str, link: str | None, record: EpisodeRecord, most: int
 <div class="now"><b>{last["title"]}</b> <span class="soft">{last["score"]}</span><p>{last["text"]}</p>
 <div><button>Play</button><input type="range" min="0" max="{len(frames) - 1}" value="{len(frames) - 1}"
 aria-label="frame"></div></div>
-<div class="maps">{maps}</div></div>{_KEY}
-<h3>Rounds</h3>{_write_rounds(record)}
+<div class="maps">{maps}</div></div>{_KEY if record.labelled else _FOUND_KEY}
+{_write_rounds(record)}
 <h3>Scores</h3><p class="soft">Highest first; each with the mark of the UAV and the reason of the detector.</p>{scores}
 </section>"""
 
@@ -208,8 +224,7 @@ def write_page(
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>
 <h1>{html.escape(title)}</h1>
-<p>A swarm of UAVs flies in clusters, in which followers follow a head. A detector watches equal dots, and names the
-heads. The UAVs that it names are destroyed, and followers without a head join another one. This page has {shown}.</p>
+<p>{_ABOUT if all(each.labelled for each in records.values()) else _ABOUT_TRACKS} This page has {shown}.</p>
 {"".join(f'<div class="scroll">{table}</div>' for table in tables)}{"".join(sections)}
 <script>{_SCRIPT}</script></body></html>
 """

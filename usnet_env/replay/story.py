@@ -26,6 +26,9 @@ __all__ = [
     "explain_uav",
     "format_count",
     "mark_words",
+    "name_game",
+    "name_round",
+    "name_uav",
     "rank_scores",
     "tell_round",
 ]
@@ -43,12 +46,31 @@ def format_count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def name_uav(record: EpisodeRecord, uav: int) -> str:
+    """Name a UAV: its id in the file of recorded tracks, or its number."""
+    ids = record.config.get("ids")
+    return f"UAV {uav}" if ids is None else str(ids[uav])
+
+
+def name_round(record: EpisodeRecord) -> str:
+    """The word for a part of an episode: a round of a game, or a window of recorded tracks."""
+    return "Round" if record.labelled else "Window"
+
+
+def name_game(record: EpisodeRecord) -> str:
+    """Say which detector played which episode, and the seed if there is one."""
+    seed = "" if record.seed is None else f", seed {record.seed}"
+    return f"{record.detector or 'A detector'} on {record.env_id or 'an episode'}{seed}"
+
+
 def describe_round(record: EpisodeRecord, number: int) -> str:
     """Describe a round (from 1) in a few words."""
     r = number - 1
     candidates = format_count(int(record.candidates[r].sum()), "candidate")
     if not record.labelled:
-        return f"{format_count(int(record.candidates[r].sum()), 'leader')} named"
+        start, end = (record.config.get(name, [None] * record.rounds)[r] for name in ("start", "end"))
+        when = "" if start is None else f"{start} to {end}: "
+        return f"{when}{format_count(int(record.candidates[r].sum()), 'leader')} found"
     left = f"{format_count(int(record.heads_left[r]), 'head')} left"
     if record.over_budget[r]:
         return f"{candidates}, over the shot budget: no UAV destroyed, {left}"
@@ -61,7 +83,7 @@ def describe_outcome(record: EpisodeRecord) -> str:
     heads, left = int(record.head.sum()), int(record.heads_left[-1])
     if not record.labelled:
         windows = format_count(record.rounds, "window")
-        return f"{heads} of {record.uavs} named as leaders in {windows}; the truth is unknown."
+        return f"{heads} of {record.uavs} ids lead in one of {windows}; the truth is unknown."
     all_found = heads > 1 and not left
     found = f"All {heads} heads found" if all_found else f"{heads - left} of {format_count(heads, 'head')} found"
     redundant = format_count(int(record.redundant.sum()), "redundant candidate")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from usnet_env.tracks.findings import Finding, TrackReport
 from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders, Leader, find_leaders
+from usnet_env.tracks.links import Link
 from usnet_env.tracks.reading import read_tracks
 from usnet_env.tracks.tracks import Clock, Tracks
 from usnet_env.tracks.windows import TrackWindow
@@ -14,6 +15,7 @@ __all__ = [
     "Finding",
     "FoundLeaders",
     "Leader",
+    "Link",
     "TrackReport",
     "TrackWindow",
     "Tracks",

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Mask
 from usnet_env.window import Window
 
-__all__ = ["confirm_lead", "confirm_leaders", "find_followers"]
+__all__ = ["LEVEL", "confirm_lead", "confirm_leaders", "find_followers"]
 
 _LAGS = 4  # steps; the step of resampled tracks puts delays at 1 to 4 of them
 _BLOCKS = 8
 _LEAST_STEPS = 2 * _BLOCKS
-_LEVEL, _LEVEL_OUTSIDE = 0.05, 0.5
+LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leader
+_LEVEL_OUTSIDE = 0.5
 _NEAREST, _SHIFTS = 5, 6
 
 
@@ -58,7 +59,7 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     mean = (window.velocity[:, followers] * seen[..., None]).sum(axis=1, dtype=np.float64)
     mean /= np.maximum(count, 1)[:, None]
     both = (count > 0) & window.velocity_seen[:, leader]
-    return _is_ahead(mean, window.velocity[:, leader].astype(np.float64), both, _LEVEL / (1 + len(followers)))
+    return _is_ahead(mean, window.velocity[:, leader].astype(np.float64), both, LEVEL / (1 + len(followers)))
 
 
 def find_followers(
@@ -95,7 +96,7 @@ def find_followers(
                 if best[c, other] <= chance[c]:
                     break
                 own, ahead = velocity[:, uavs[c]].astype(np.float64), velocity[:, other].astype(np.float64)
-                level = _LEVEL / _NEAREST if other in followers[c] else _LEVEL_OUTSIDE
+                level = LEVEL / _NEAREST if other in followers[c] else _LEVEL_OUTSIDE
                 follows[c] |= _is_ahead(own, ahead, seen[:, uavs[c]] & seen[:, other], level)
     return follows
 

@@ -108,6 +108,11 @@ def _speeds(tracks: Tracks, interval: Floats, inner: Mask) -> Floats:
     return np.sqrt(squares) / np.where(inner, interval, np.inf)
 
 
+def _count(ids: NDArray[np.intp]) -> str:
+    """The number of ids with its verb."""
+    return "1 id is" if len(ids) == 1 else f"{len(ids)} ids are"
+
+
 def _name(tracks: Tracks, who: NDArray[np.integer]) -> str:
     """Name some ids, at most three."""
     names = ", ".join(str(tracks.ids[i]) for i in who[:_MOST_NAMED])
@@ -127,7 +132,7 @@ def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> list[Finding]
         found.append(
             Finding(
                 "clocks",
-                f"{len(rate)} ids are sampled at another rate than every {usual:g} s: {_name(tracks, rate)}.",
+                f"{_count(rate)} sampled at another rate than every {usual:g} s: {_name(tracks, rate)}.",
                 len(rate),
             )
         )
@@ -141,7 +146,7 @@ def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> list[Finding]
             found.append(
                 Finding(
                     "clocks",
-                    f"{len(apart)} ids share no time with any other id: {_name(tracks, apart)}; their clocks may "
+                    f"{_count(apart)} sampled at times that no other id shares: {_name(tracks, apart)}; the clocks may "
                     "disagree with the others'.",
                     len(apart),
                 )
@@ -155,7 +160,7 @@ def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> list[Finding]
             found.append(
                 Finding(
                     "clocks",
-                    f"{len(shifted)} ids are sampled between the times of the others: {_name(tracks, shifted)}; "
+                    f"{_count(shifted)} sampled between the times of the others: {_name(tracks, shifted)}; "
                     "their clocks may disagree.",
                     len(shifted),
                 )

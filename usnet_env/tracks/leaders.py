@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.special import bdtrc
 
 from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.detection import Detection, read_tags
 from usnet_env.objectives import find_roots
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
-from usnet_env.tracks.confirming import confirm_leaders
+from usnet_env.tracks.confirming import LEVEL, confirm_leaders
+from usnet_env.tracks.links import Link, find_links
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.windows import TrackWindow, scale_to_unit_speed
 
@@ -23,6 +25,7 @@ __all__ = ["DetectedWindow", "FoundLeaders", "Leader", "find_leaders"]
 DEFAULT_DETECTOR = "follow-mixture(policy='map')"
 _SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
 _SAME_LEADER = 0.25
+_UNLIKELY = 0.01  # a leader in as many windows is called chance if that is more probable than this
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Leader:
     Args:
         id: as in the file.
         probability: the detector's probability that the id leads; over the file, the mean over the windows in which it
-            is seen. ``None``: the detector gives no probabilities.
+            leads. ``None``: the detector gives no probabilities.
         followers: the ids that follow it, directly or through others; over the file, those that follow it in at least
             half of its windows.
         reason: why, a sentence.
@@ -66,12 +69,27 @@ class DetectedWindow:
         end: time of the last instant as in the file.
         leaders: the detector's candidates that are confirmed, the highest score first.
         rejected: ids of the candidates that are not confirmed.
+        links: the followers of the leaders, each with the id that it follows directly and its delay.
+        left_out: ids that are seen in too few steps, so that the detector did not get them.
     """
 
     start: float | int | str
     end: float | int | str
     leaders: tuple[Leader, ...]
     rejected: tuple[str | int, ...] = ()
+    links: tuple[Link, ...] = ()
+    left_out: tuple[str | int, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "start": self.start,
+            "end": self.end,
+            "leaders": [leader.as_dict() for leader in self.leaders],
+            "not_confirmed": list(self.rejected),
+            "links": [link.as_dict() for link in self.links],
+            "left_out": list(self.left_out),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,10 +109,7 @@ class FoundLeaders:
     def as_dict(self) -> dict[str, Any]:
         """The windows and the leaders over the file as plain values for JSON."""
         return {
-            "windows": [
-                {"start": each.start, "end": each.end, "leaders": [leader.as_dict() for leader in each.leaders]}
-                for each in self.windows
-            ],
+            "windows": [each.as_dict() for each in self.windows],
             "leaders": [leader.as_dict() for leader in self.leaders],
         }
 
@@ -113,9 +128,17 @@ class FoundLeaders:
                         "score": leader and leader.score,
                         "followers": [] if leader is None else list(leader.followers),
                         "reason": leader and leader.reason,
+                        "not_confirmed": list(each.rejected),
+                        "left_out": list(each.left_out),
                     }
                 )
         return rows
+
+    def link_rows(self) -> list[dict[str, Any]]:
+        """A row for each follower of each window: whom it follows directly, the head, and the delay in seconds."""
+        return [
+            {"start": each.start, "end": each.end, **link.as_dict()} for each in self.windows for link in each.links
+        ]
 
 
 def find_leaders(
@@ -160,7 +183,7 @@ def find_leaders(
         raise ArgumentError(f"confirm must be True or False, got {quote(confirm)}.")
     if on_window is not None and not callable(on_window):
         raise ArgumentError(f"on_window must be a function or None, got {quote(on_window)}.")
-    summary, groups, windows = _Summary(len(tracks.ids)), _Groups(), []
+    summary, groups, windows = _Summary(len(tracks.ids), confirm), _Groups(), []
     for number, cut in enumerate(tracks.windows(length, stride)):
         start, end = tracks.file_time(cut.start), tracks.file_time(cut.end)
         detection = _answer(player, cut, seed, number, f"from {start} to {end}")
@@ -196,6 +219,8 @@ def find_leaders(
                 for head, led, reason, label in zip(heads, followers, reasons, labels, strict=True)
             ),
             tuple(cut.ids[head] for head in rejected),
+            find_links(cut, detection, heads.tolist(), followers),
+            cut.left_out,
         )
         windows.append(found)
         summary.add(cut, heads, followers, labels, probability, detection.scores)
@@ -294,14 +319,20 @@ class _Groups:
         return labels
 
 
+def _chance_of_windows(led: int, windows: int) -> float:
+    """The probability that a group without a leader has a confirmed one in ``led`` or more of its windows."""
+    return float(bdtrc(led - 1, windows, LEVEL))
+
+
 class _Summary:
     """Counts over the windows of a file, for each leader of each group."""
 
-    def __init__(self, ids: int) -> None:
-        self._seen, self._probability = np.zeros(ids), np.zeros(ids)
+    def __init__(self, ids: int, confirm: bool) -> None:
+        self._confirm = confirm
+        self._probability: dict[tuple[int, int], float] = {}
+        self._seen = np.zeros(ids, np.int64)
         self._sure = True
         self._windows: dict[tuple[int, int], list[int]] = {}  # (group, leader): numbers of its windows
-        self._group_windows: dict[int, int] = {}
         self._followers: dict[tuple[int, int], dict[int, int]] = {}
         self._scores: dict[tuple[int, int], float] = {}
         self._count = 0
@@ -316,14 +347,12 @@ class _Summary:
         scores: NDArray[np.float64],
     ) -> None:
         self._seen[cut.rows] += 1
-        if probability is None:
-            self._sure = False
-        else:
-            self._probability[cut.rows] += probability
+        self._sure &= probability is not None
         for head, led, label in zip(heads, followers, labels, strict=True):
             key = (label, int(cut.rows[head]))
             self._windows.setdefault(key, []).append(self._count)
-            self._group_windows[label] = self._group_windows.get(label, 0) + 1
+            if probability is not None:
+                self._probability[key] = self._probability.get(key, 0.0) + float(probability[head])
             self._scores[key] = self._scores.get(key, 0.0) + float(scores[head])
             counts = self._followers.setdefault(key, {})
             for i in led:
@@ -337,11 +366,11 @@ class _Summary:
         for (group, head), windows in sorted(self._windows.items(), key=lambda item: (-len(item[1]), item[0])):
             counts = self._followers[group, head]
             behind = sorted(row for row, count in counts.items() if count >= len(windows) / 2)
-            reason = (
-                f"Leads group {group} in {len(windows)} of the {self._group_windows[group]} windows in which the "
-                f"group is found; the file has {self._count} windows."
-            )
-            probability = float(self._probability[head] / self._seen[head]) if self._sure else None
+            reason = f"Leads group {group} in {len(windows)} of the {self._count} windows."
+            chance = _chance_of_windows(len(windows), int(self._seen[head])) if self._confirm else 0.0
+            if chance > _UNLIKELY:
+                reason += f" By chance, a group without a leader has as many with probability {chance:.2g}."
+            probability = self._probability[group, head] / len(windows) if self._sure else None
             score = self._scores[group, head] / len(windows)
             found.append(Leader(ids[head], probability, tuple(ids[i] for i in behind), reason, group, score))
         return tuple(found)

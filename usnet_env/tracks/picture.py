@@ -30,6 +30,7 @@ MOST_MAPS, _COLUMNS = 6, 3
 _MAP, _GAP, _LEGEND, _HEADER = 4.6, 0.75, 2.7, 1.1  # inches
 _MOST_ROWS, _ROW = 16, 0.27  # of the lower chart; inches
 _MOST_NAMES = 12  # leaders that a map names
+_MOST_REJECTED = 3  # candidates in the title of a map
 #: A window of a map, its leader by index ``(N,)`` (-1: none; a leader has its own index), and the leaders.
 Map = tuple[TrackWindow, NDArray[np.int64], DetectedWindow]
 
@@ -53,7 +54,8 @@ def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str) -> Figure
     height = _HEADER + lines * (_MAP + _GAP + 0.2) + chart
     figure = new_figure(width, height)
     figure.text(0.5 / width, 1 - 0.25 / height, "Leaders and followers", fontsize=17, weight="bold", va="top")
-    about = f"{title}. Stars are the leaders that {found.detector} names, lines connect followers to them."
+    shown = f"{len(maps)} of {len(found.windows)} windows, " if len(maps) < len(found.windows) else ""
+    about = f"{title}: {shown}by {found.detector}. Stars are leaders, lines connect followers to them."
     figure.text(0.5 / width, 1 - 0.65 / height, about, fontsize=10, va="top", color="#333333")
     marks: dict[str, str] = {}
     beside: Axes | None = None
@@ -82,8 +84,7 @@ def _draw_map(axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: D
     position = cut.window.position + np.asarray(cut.origin, np.float32)
     draw_round(
         position, cut.window.seen, cut.window.alive, head, leader, none,
-        axes=axes, title=f"{window.start} to {window.end}", legend=False,
-        limits=_limits(position[cut.window.seen]),
+        axes=axes, title=_title_map(window), legend=False, limits=_limits(position[cut.window.seen]),
     )  # fmt: skip
     place = last_seen_position(position, cut.window.seen)
     names = {each: i for i, each in enumerate(cut.ids)}
@@ -97,6 +98,17 @@ def _draw_map(axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: D
         "link from follower to head": "link from follower to leader",
     }
     return {mark: words.get(mark, mark) for mark, who in present.items() if who.any()}
+
+
+def _format_time(time: float | int | str) -> str:
+    """A time of the file with up to eight digits, so that the ticks of an axis have room."""
+    return f"{time:.8g}" if isinstance(time, float) else str(time)
+
+
+def _title_map(window: DetectedWindow) -> str:
+    """The times of a window, and its candidates that are not confirmed."""
+    named = ", ".join(map(str, window.rejected[:_MOST_REJECTED]))
+    return f"{_format_time(window.start)} to {_format_time(window.end)}{'; not confirmed: ' + named if named else ''}"
 
 
 def _limits(place: NDArray[np.float32]) -> Limits:
@@ -120,13 +132,14 @@ def _draw_times(axes: Axes, found: FoundLeaders) -> None:
     axes.set_yticks(range(len(bars)), [str(each.id) for each in bars], fontsize=8)
     axes.set_ylim(max(len(bars), 1) - 0.5, -0.5)
     count = len(found.windows)
-    ticks = np.unique(np.linspace(0, count - 1, min(count, 8)).astype(int))
+    longest = max(len(_format_time(window.start)) for window in found.windows)
+    ticks = np.unique(np.linspace(0, count - 1, min(count, max(2, min(8, 80 // longest)))).astype(int))
     axes.set_xlim(0, count)
-    axes.set_xticks(ticks, [str(found.windows[k].start) for k in ticks], fontsize=8)
+    axes.set_xticks(ticks, [_format_time(found.windows[k].start) for k in ticks], fontsize=8)
     more = f", {len(bars)} of {len(found.leaders)} leaders" if len(bars) < len(found.leaders) else ""
     words = f"Windows in which each id leads (colour = group){more}; time of their start below"
     axes.set_title(words, fontsize=10, loc="left")
     if not bars:
-        axes.text(0.5, 0.5, "No id leads.", transform=axes.transAxes, ha="center", va="center", color="#555555")
+        axes.text(0.5, 0.5, "No leader was found.", transform=axes.transAxes, ha="center", va="center", color="#555555")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)

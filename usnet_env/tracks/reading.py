@@ -166,12 +166,17 @@ class _Table:
             bad = ~np.isfinite(values)
             if bad.any() and not skip:
                 k = int(bad.argmax())
-                raise ArgumentError(f"{role} must be a number in every row, got none in {about(role, k)}.")
+                raise ArgumentError(
+                    f"{role} must be a number in every row unless missing='skip', got none in {about(role, k)}."
+                )
             good &= ~bad
         nameless = np.array([each == "" for each in names]) if "" in names else None
         if nameless is not None:
             if not skip:
-                raise ArgumentError(f"id must stand in every row, got none in {about('id', int(nameless.argmax()))}.")
+                raise ArgumentError(
+                    "id must stand in every row unless missing='skip', got none in "
+                    f"{about('id', int(nameless.argmax()))}."
+                )
             good &= ~nameless
         if "leader" in block.values:
             led = self._leader_code
@@ -265,7 +270,7 @@ class _Table:
             return None
         unknown = [each for each in self._leader_code if each not in self._code and str(each).lower() not in _NO_VALUE]
         if unknown:
-            notes.append(f"{len(unknown)} leaders have no track: {', '.join(map(str, unknown[:3]))}.")
+            notes.append(f"Leaders without a track: {len(unknown)} ({', '.join(map(str, unknown[:3]))}).")
         known = np.array([self._code.get(each, -1) for each in self._leader_code], np.int64)[named]
         return np.where(known == codes, -1, known)
 

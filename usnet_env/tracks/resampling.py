@@ -186,7 +186,7 @@ def choose_step(tracks: Tracks) -> StepChoice:
     typical = typical_intervals(tracks)
     if not np.isfinite(typical).any():
         raise ArgumentError("tracks must hold an id with at least 2 samples; each id has only one.")
-    interval = float(np.nanmedian(typical))
+    interval = float(f"{np.nanmedian(typical):.9g}")  # differences of times have rounding errors
     noise, needed = _noise(_sample_velocities(tracks, interval))
     factors = _step_factors(needed, tracks.duration / interval)
     leads = [_measure_leads(_sample_velocities(tracks, factor * interval)) for factor in factors]

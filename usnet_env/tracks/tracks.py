@@ -297,7 +297,10 @@ def assemble(
                 f"time must differ between the samples of an id, got {quote(moment)} with two places for id "
                 f"{quote(ids[int(codes[k])])} in rows {one} and {other}."
             )
-        notes = (*notes, f"{len(doubled)} samples were repetitions (same id, time and place) and are left out.")
+        notes = (
+            *notes,
+            f"Left out as repetitions (same id, time and place): {len(doubled)} sample{'s' * (len(doubled) > 1)}.",
+        )
     keep = np.flatnonzero(np.append(True, ~same)) if same.any() else slice(None)
     pick = rows[keep] if order is not None or same.any() else slice(None)
     if same.any():

@@ -33,6 +33,7 @@ class TrackWindow:
         origin: ``(3,)`` metres; add it to the window's positions to get those of the tracks.
         leader: ``(N,)`` int64, index in the window of the id that each follows through most of the window (-1: none or
             one that is not in the window), or ``None`` if the file has no leaders.
+        left_out: the ids that are seen in the window, but in too few of its steps.
     """
 
     window: Window
@@ -43,6 +44,7 @@ class TrackWindow:
     step: float
     origin: NDArray[np.float64]
     leader: NDArray[np.int64] | None = None
+    left_out: tuple[str | int, ...] = ()
 
 
 def count_windows(tracks: Tracks, length: int, stride: int) -> int:
@@ -85,6 +87,7 @@ def _cut(tracks: Tracks, number: NDArray[np.int64], first: int, length: int, lea
     if enough.sum() < 2:
         return None
     kept = enough[column]
+    left_out = tuple(tracks.ids[i] for i in rows[~enough])
     inside, column = inside[kept], (np.cumsum(enough) - 1)[column[kept]]
     rows, seen = rows[enough], seen[:, enough]
     at = number[inside] - first
@@ -104,6 +107,7 @@ def _cut(tracks: Tracks, number: NDArray[np.int64], first: int, length: int, lea
         step=step,
         origin=origin,
         leader=None if tracks.leader is None else _usual_leaders(tracks.leader[inside], column, rows),
+        left_out=left_out,
     )
 
 

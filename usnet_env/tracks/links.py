@@ -1,0 +1,80 @@
+"""Who follows whom directly in a window of recorded tracks, and after how many seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from usnet_env.arrays import Floats
+from usnet_env.detection import Detection
+from usnet_env.objectives import find_roots
+from usnet_env.tracks.windows import TrackWindow
+
+__all__ = ["Link", "find_links"]
+
+_MOST_LAG = 12  # steps
+_LEAST_STEPS = 4  # of the window for each step of the longest lag
+
+
+@dataclass(frozen=True)
+class Link:
+    """A follower and the id that it follows directly.
+
+    Args:
+        follower: as in the file.
+        leader: the id that it follows directly: a head, or a relay that follows the head itself.
+        head: the leader of the whole group.
+        delay: seconds after which the velocity of the follower agrees best with that of the leader, from 0; ``None``:
+            one of the two does not change its velocity while both are seen.
+    """
+
+    follower: str | int
+    leader: str | int
+    head: str | int
+    delay: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {"follower": self.follower, "leader": self.leader, "head": self.head, "delay": self.delay}
+
+
+def find_links(
+    cut: TrackWindow, detection: Detection, heads: Sequence[int], followers: Sequence[Sequence[int]]
+) -> tuple[Link, ...]:
+    """Find the direct leader of each follower of some heads, and the delay.
+
+    Args:
+        cut: the window.
+        detection: the detector's answer; where it has no leaders, all followers of a head follow it directly.
+        heads: indices of the heads.
+        followers: for each head the indices of the UAVs that follow it, directly or through others.
+    """
+    links = []
+    direct = detection.leader
+    roots = None if direct is None else find_roots(direct)
+    for head, led in zip(heads, followers, strict=True):
+        for i in led:
+            ahead = int(direct[i]) if direct is not None and roots is not None and roots[i] == head else int(head)
+            delay = _measure_delay(cut, int(i), ahead)
+            links.append(Link(cut.ids[i], cut.ids[ahead], cut.ids[head], delay))
+    return tuple(links)
+
+
+def _measure_delay(cut: TrackWindow, follower: int, leader: int) -> float | None:
+    """The lag, in seconds, at which the follower's velocity is most correlated with the leader's earlier velocity."""
+    window = cut.window
+    seen = window.velocity_seen[:, [leader, follower]]
+    both = seen.all(axis=1)
+    if not both.any():
+        return None
+    velocity = window.velocity[:, [leader, follower]].astype(np.float64)  # (T, 2, 3)
+    centred: Floats = np.where(seen[..., None], velocity - velocity[both].mean(axis=0), 0.0)
+    ahead, behind = centred[:, 0], centred[:, 1]
+    most = min(_MOST_LAG, len(centred) // _LEAST_STEPS)
+    curve = np.array([(ahead[: len(ahead) - lag] * behind[lag:]).sum() for lag in range(most + 1)])
+    if not curve.any():
+        return None
+    return float(curve.argmax()) * cut.step
