@@ -123,7 +123,7 @@ class FollowMixture(Detector):
 
 
 def _give_reasons(found: Fit) -> list[str]:
-    """One sentence per head: how many UAVs follow it, in how many groups, at which lag, and what they gain."""
+    """One sentence per head: how many UAVs its past predicts, in how many groups, at which lag, and the evidence."""
     reasons = []
     for head, lag in zip(found.heads, found.lag, strict=True):
         behind = found.leader == head
@@ -132,5 +132,6 @@ def _give_reasons(found: Fit) -> list[str]:
         where = f" in {len(groups)} groups" if len(groups) > 1 else ""
         when = f" at lag {lag}" if lag else ""
         more = f"; {through - count} follow through others" if through > count else ""
-        reasons.append(f"Adds {nats:.0f} nats to {count} follower{'s' if count > 1 else ''}{where}{when}{more}.")
+        who = f"{count} follower{'s' if count > 1 else ''}{where}"
+        reasons.append(f"Its past predicts {who}{when} (evidence {nats:.0f} nats){more}.")
     return reasons

@@ -265,7 +265,9 @@ def test_the_extras_describe_the_answer():
     assert len(extras["reasons"]) == 3
     counts = [int((truth.leader[followers] == head).sum()) for head in extras["heads"]]
     for count, reason in zip(counts, extras["reasons"], strict=True):
-        assert re.fullmatch(rf"Adds \d+ nats to {count} followers at lag [12]\.", reason)  # f2 adds both
+        assert re.fullmatch(
+            rf"Its past predicts {count} followers at lag [12] \(evidence \d+ nats\)\.", reason
+        )  # f2 adds both
     assert extras["nats"] > 0
 
 
@@ -278,13 +280,14 @@ def test_the_reasons_name_the_lag(lag, mobility):
     assert np.array_equal(extras["heads"], heads)
     for head, reason in zip(heads, extras["reasons"], strict=True):
         count = int((truth.leader == head).sum()) - 1
-        assert re.fullmatch(rf"Adds \d+ nats to {count} followers at lag {lag}\.", reason)
+        assert re.fullmatch(rf"Its past predicts {count} followers at lag {lag} \(evidence \d+ nats\)\.", reason)
 
 
 def test_the_reasons_count_the_groups_of_followers_with_delays_of_their_own():
     reasons = answer(swarm_window(790, follow=OWN_DELAYS, uavs=60, observation_steps=120)[0]).extras["reasons"]
     assert len(reasons) == 3
-    assert all(re.fullmatch(r"Adds \d+ nats to \d+ followers in [23] groups at lag [123]\.", each) for each in reasons)
+    expected = r"Its past predicts \d+ followers in [23] groups at lag [123] \(evidence \d+ nats\)\."
+    assert all(re.fullmatch(expected, each) for each in reasons)
 
 
 def test_the_same_seed_gives_the_same_answer():
