@@ -70,8 +70,8 @@ def text() -> str:
         "answer allows; in swarms in which no UAV follows another it is the share of UAVs named with `policy='map'`. "
         "A threshold *earns* its place if the change is worse in all windows or in one tier, and the interval shows "
         f"it: 95 % over all windows, and {100 * (1 - 0.05 / len(tiers)):.1f} % in each of the {len(tiers)} tiers "
-        "(corrected for their number). *Not shown*: worse by more than half a point, or by more than 0.005 of J, in all "
-        "windows or in one tier, but the interval holds 0.",
+        "(corrected for their number). *Not shown*: worse by more than half a point, or by more than 0.005 of J, in "
+        "all windows or in one tier, but the interval holds 0.",
         f"Windows by tier: {counts}.",
         compare(windows, tiers),
         "## Raw rows and commands",
