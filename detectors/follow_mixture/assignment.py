@@ -8,7 +8,6 @@ import numpy as np
 
 from usnet_env.arrays import Floats, Indices, Mask
 
-LEAST_FOLLOWERS = 2  # m_j >= 2; one in a window of two UAVs
 _ROUNDS = 50
 _LITTLE = 1e-9
 
@@ -46,7 +45,7 @@ def assign_groups(gain: Floats, candidates: Indices, itself: Indices, sizes: Ind
         most: the largest number of heads, or ``None``.
 
     Returns:
-        The best set found, in which each head has at least two followers.
+        The best set found.
     """
     if not len(candidates):
         return Assignment(np.full(len(gain), -1), 0.0)
@@ -61,7 +60,6 @@ def assign_groups(gain: Floats, candidates: Indices, itself: Indices, sizes: Ind
                 break
         if search.value(some) > best + _LITTLE:
             best, chosen = search.value(some), some
-    chosen = search.drop_small(chosen, sizes)
     place = search.follow(chosen)
     return Assignment(np.where(place >= 0, candidates[place], -1), search.value(chosen))
 
@@ -152,15 +150,3 @@ class _Search:
     def _sum_rises(self, groups: Indices, gained: Floats) -> Floats:
         """``(c,)``: what some groups gain by each candidate beyond ``gained`` ``(C,)``, summed over them."""
         return np.asarray(np.maximum(self.gain[groups] - gained[groups, None], 0.0).sum(axis=0))
-
-    def drop_small(self, chosen: Mask, sizes: Indices) -> Mask:
-        """Remove heads with too few followers, the smallest first; their groups move to other heads."""
-        chosen = chosen.copy()
-        while chosen.any():
-            place = self.follow(chosen)
-            count = np.bincount(place[place >= 0], weights=sizes[place >= 0], minlength=len(chosen))
-            count[~chosen] = np.inf
-            if count.min() >= min(LEAST_FOLLOWERS, sizes.sum() - 1):
-                break
-            chosen[count.argmin()] = False
-        return chosen

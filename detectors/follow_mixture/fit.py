@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from detectors.follow_mixture.assignment import LEAST_FOLLOWERS, Assignment, assign_groups
+from detectors.follow_mixture.assignment import Assignment, assign_groups
 from detectors.follow_mixture.delays import ask_delays, find_hierarchy, sample_single_uavs
 from detectors.follow_mixture.evidence import (
     RARE,
@@ -169,7 +169,7 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
     single = np.flatnonzero(np.isin(label, sample_single_uavs(targets)))
     order = find_hierarchy(velocity, past, leads, single, found.assignment.head[label], gain[label], longest)
     heads, count = np.unique(order.root, return_counts=True)
-    heads = heads[(count > min(LEAST_FOLLOWERS, len(label) - 1)) & np.isin(heads, order.root[found.assignment.heads])]
+    heads = heads[(count > 1) & np.isin(heads, order.root[found.assignment.heads])]
     follows = np.isin(order.root, heads) & (order.leader >= 0)
     return Fit(
         group=label,
@@ -297,7 +297,7 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
 
 
 def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats]:
-    """``(n,)``: log-odds that a UAV leads two or more single UAVs; and ``(n,)``: log-odds of following a head itself.
+    """``(n,)``: log-odds that a UAV leads single UAVs; and ``(n,)``: log-odds of following a head itself.
 
     Each single UAV follows one of the heads found, or none, with equal prior probabilities. A further head is rare, and
     one of n UAVs.
@@ -316,11 +316,10 @@ def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats]
     odds[np.isin(single, targets.label[heads])] = -np.inf
     count = np.isfinite(odds).sum(axis=0)
     every = np.logaddexp(odds, 0.0).sum(axis=0)
-    fewer = np.logaddexp(np.logaddexp.reduce(odds, axis=0, initial=-np.inf), 0.0) if uavs > 2 else 0.0  # is no head
-    led = every + np.log(np.maximum(-np.expm1(np.minimum(fewer - every, 0.0)), _NOTHING))
+    led = every + np.log(np.maximum(-np.expm1(-every), _NOTHING))  # without that no UAV follows
     led += np.log(RARE / uavs) - count * np.log1p(1.0 / np.maximum(known + ~head, 1))
     pool = np.where(targets.sizes[targets.label] == 1, np.log(RARE / uavs), -np.inf)  # without any evidence
-    pool[candidates] = np.where(count >= min(LEAST_FOLLOWERS, uavs - 1), led, -np.inf)
+    pool[candidates] = led
     itself = np.full(len(targets.sizes), 0.0)
     itself[single] = together - np.log1p(known)
     return pool, itself[targets.label]

@@ -59,10 +59,10 @@ def test_no_head_is_named_if_no_uav_follows(mobility):
 
 
 def test_no_head_is_named_if_every_track_is_shifted_in_time():
-    window, _ = swarm_window(760, observation_steps=168, clusters=2, uavs=14)
+    window, _ = swarm_window(760, observation_steps=224, clusters=2, uavs=14)
     velocity = window.velocity.copy()
     for uav, place in enumerate(np.random.default_rng(0).permutation(window.uavs)):
-        velocity[:, uav] = np.roll(velocity[:, uav], 12 * place, axis=0)  # by more than any memory
+        velocity[:, uav] = np.roll(velocity[:, uav], 16 * place, axis=0)  # by more than `max_lag`, the longest delay
     position = np.concatenate([window.position[:1], window.position[:1] + np.cumsum(velocity, axis=0)])
     moved = Window(position, velocity, window.seen, window.alive)
     assert not answer(moved, policy="map").candidates.any()

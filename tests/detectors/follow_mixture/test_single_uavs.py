@@ -94,11 +94,16 @@ def test_a_follower_with_a_law_of_its_own_is_found():
     assert found.log_odds[0] > 5.0 > 0.0 > found.log_odds[1:].max()
 
 
-def test_one_follower_makes_no_head():
+@pytest.mark.parametrize("pairs", [1, 3])
+def test_one_follower_makes_a_head(pairs):
     velocity = np.random.default_rng(4).normal(size=(12, 100, 3))
-    velocity[1, 1:] = velocity[0, :-1] + 0.1 * velocity[1, 1:]
+    for head in range(pairs):
+        follower = pairs + head
+        velocity[follower, 1:] = velocity[head, :-1] + 0.1 * velocity[follower, 1:]
     found = fit(velocity)
-    assert found is None or (len(found.heads) == 0 and found.log_odds.max() < 0.0)
+    assert found.heads.tolist() == list(range(pairs))
+    assert found.leader.tolist() == [*[-1] * pairs, *range(pairs), *[-1] * (12 - 2 * pairs)]
+    assert found.log_odds[:pairs].min() > 5.0 > 0.0 > found.log_odds[pairs:].max()
 
 
 @pytest.mark.parametrize("slow", [0.0, 0.9])
