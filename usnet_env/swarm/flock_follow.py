@@ -129,7 +129,7 @@ class Predator(Couzin):
 
     equation = "prey: couzin + w_f (p_i − p_q) / ‖·‖ within r_f; predator q: v_{q,t+1} = norm(p_nearest − p_q + κ_n n)"
     citation = "Couzin et al. 2002; Lee et al. 2006 (predator and prey flocks)"
-    breaks = "who causes turns leads, and who copies motion follows"
+    breaks = "the UAV that causes a turn leads, and a UAV that copies motion follows"
     parameters = ("flight", "flee", "noise")
     flight: float = 60.0
     flee: float = 1.0
@@ -150,7 +150,7 @@ class Shepherd(Couzin):
 
     equation = "flock: couzin + w_f (p_i − p_s) / ‖·‖ within r_f; driver s: v_{s,t+1} = norm(p̄ − b u − p_s + κ_n n)"
     citation = "Strömbom et al. 2014, J. R. Soc. Interface 11:20140719"
-    breaks = "who causes turns leads"
+    breaks = "the UAV that causes a turn leads"
     parameters = ("flight", "flee", "standoff", "noise")
     flight: float = 80.0
     flee: float = 1.5
