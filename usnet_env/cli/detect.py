@@ -373,7 +373,7 @@ def _make_record(
     velocity = np.zeros((rounds, window, ids, 3), np.float32)
     seen = np.zeros((rounds, window + 1, ids), bool)
     leader, scores = np.full((rounds, ids), -1, np.int64), np.zeros((rounds, ids))
-    candidates = np.zeros((rounds, ids), bool)
+    candidates, reasons = np.zeros((rounds, ids), bool), []
     for r, (cut, detection, detected) in enumerate(kept):
         rows = cut.rows
         position[r][:, rows] = np.where(cut.window.seen[..., None], cut.window.position + cut.origin, 0.0)
@@ -382,6 +382,8 @@ def _make_record(
         leader[r, rows] = np.where(behind >= 0, rows[behind], -1)
         candidates[r, rows] = behind == np.arange(len(rows))  # confirmed ones only
         scores[r, rows] = detection.scores
+        place = {each: int(row) for each, row in zip(cut.ids, rows, strict=True)}
+        reasons.append({str(place[each.id]): each.reason for each in detected.leaders})
     return EpisodeRecord(
         position=position,
         velocity=velocity,
@@ -396,6 +398,7 @@ def _make_record(
         over_budget=np.ones(rounds, bool),
         seconds=np.zeros(rounds),
         leader_estimate=leader,
+        reasons=reasons,
         env_id=", ".join(files),
         detector=found.detector,
         detector_seed=seed,

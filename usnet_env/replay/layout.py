@@ -19,6 +19,7 @@ from usnet_env.replay.mind import (
     place_maps,
 )
 from usnet_env.replay.scribe import Scribe, parse_color
+from usnet_env.replay.story import name_round
 from usnet_env.replay.world import OBSERVERS, SMALL, SWARM, VERDICT, WORLD
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ def arrange_views(scribe: Scribe) -> rrb.Blueprint:
 
     record, root = scribe.record, f"/{scribe.root}"
     about = rrb.TextDocumentView(origin=f"{root}{ABOUT}", name="What you see")
-    told = rrb.TextDocumentView(origin=f"{root}{ROUND}", name="This round")
+    told = rrb.TextDocumentView(origin=f"{root}{ROUND}", name=f"This {name_round(record).lower()}")
     texts = rrb.Vertical(about, told, row_shares=[3, 2])
     if not record.labelled:
         leaders = _curve(scribe, [f"{root}{GAME}/leaders"], "Leaders named")

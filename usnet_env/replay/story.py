@@ -83,7 +83,7 @@ def describe_outcome(record: EpisodeRecord) -> str:
     heads, left = int(record.head.sum()), int(record.heads_left[-1])
     if not record.labelled:
         windows = format_count(record.rounds, "window")
-        return f"{heads} of {record.uavs} ids lead in one of {windows}; the truth is unknown."
+        return f"In {windows}, {heads} of {record.uavs} ids lead at least once; the truth is unknown."
     all_found = heads > 1 and not left
     found = f"All {heads} heads found" if all_found else f"{heads - left} of {format_count(heads, 'head')} found"
     redundant = format_count(int(record.redundant.sum()), "redundant candidate")
@@ -193,8 +193,9 @@ def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tupl
     lines += [f"- … and {len(order) - _MOST_LISTED} more"] * (len(order) > _MOST_LISTED)
     marked = "\n".join(lines)
     named = int(record.candidates[r].sum())
-    kind = ("leader" if named == 1 else "leaders") if not record.labelled else "a head" if named == 1 else "heads"
-    story = [start, f"It names {format_count(named, 'UAV')} as {kind}."]
+    kind = "a head" if named == 1 else "heads"
+    found = f"It names {format_count(named, 'UAV')} as {kind}."
+    story = [start, found if record.labelled else f"It finds {format_count(named, 'leader')}."]
     if record.labelled:
         end = describe_ending(record) if number == record.rounds else _tell_remerge(record, number, names)
         story += [describe_verdict(record, number), end]
