@@ -81,7 +81,7 @@ def find_definition(module: str, path: str, steps: int = _STEPS) -> Definition |
     return Definition(module, found) if found is not None else None
 
 
-def _find_module(module: str) -> ModuleSpec | None:
+def find_module(module: str) -> ModuleSpec | None:
     """Find a module without importing it or the packages that contain it."""
     first, *rest = module.split(".")
     try:
@@ -97,7 +97,7 @@ def _find_module(module: str) -> ModuleSpec | None:
 
 def _parse_module(module: str) -> tuple[ast.Module | None, bool]:
     """Parse the source file of a module; also return whether the module is a package."""
-    spec = _find_module(module)
+    spec = find_module(module)
     if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
         return None, False
     try:

@@ -59,7 +59,9 @@ def test_games_resume_join_and_play_in_other_processes(tmp_path):
         evaluate_games("usnet_evasion_v0", {**first, **PLAYERS}, episodes=3, **asked).rows
     )
     assert json.loads((tmp_path / "run.json").read_text())["config"]["episodes"] == 3
-    with pytest.raises(ArgumentError, match="different values of identities"):
+    with pytest.raises(
+        ArgumentError, match="in which detector 'random' has a policy for observer that has count = 1 instead of 2"
+    ):
         evaluate_games(
             "usnet_evasion_v0",
             {"random": {"observer": RandomObserver(2), "head": RandomHead()}},

@@ -165,20 +165,24 @@ def test_a_failing_detector_loses_no_finished_episode(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "name"),
+    ("changes", "message"),
     [
-        ({"seed": 1}, "seed"),
-        ({"episodes": 1}, "episodes"),
-        ({"detector": {"RandomThird": Followed(2)}}, "identities"),
-        ({"env_kwargs": SMALL | {"follow": "f2"}}, "env_kwargs"),
-        ({"env": "USNET/MultiCluster-Smooth-v0"}, "env"),
+        ({"seed": 1}, r"out must be .* with a run that has different values of seed\."),
+        ({"episodes": 1}, r"episodes must be at least 2, those of the run in '.*', got 1\."),
+        (
+            {"detector": {"RandomThird": Followed(2)}},
+            r"out must be .* with a run in which detector 'RandomThird' is 'sample_detectors:RandomThird' instead of "
+            r"'sample_detectors:Followed'\.",
+        ),
+        ({"env_kwargs": SMALL | {"follow": "f2"}}, r"out must be .* different values of env_kwargs, environment\."),
+        ({"env": "USNET/MultiCluster-Smooth-v0"}, r"out must be .* different values of env, environment\."),
     ],
 )
-def test_another_run_s_folder_is_refused(tmp_path, changes, name):
+def test_another_run_s_folder_is_refused(tmp_path, changes, message):
     asked = {"env": MULTI, "detector": RandomThird(), "episodes": 2, "env_kwargs": SMALL, "out": tmp_path}
     evaluate(**asked)
     before = (tmp_path / "episodes.csv").read_bytes()
-    with pytest.raises(ArgumentError, match=rf"^out must be .*different values of .*{name}"):
+    with pytest.raises(ArgumentError, match=f"^{message}$"):
         evaluate(**(asked | changes))
     assert (tmp_path / "episodes.csv").read_bytes() == before
 
@@ -214,7 +218,7 @@ def test_detectors_whose_arguments_differ_anywhere_do_not_share_rows(tmp_path, f
     asked = {"episodes": 1, "env_kwargs": SMALL, "out": tmp_path}
     evaluate(MULTI, {"mine": Described(first)}, **asked)
     evaluate(MULTI, {"mine": Described(first)}, **asked)
-    with pytest.raises(ArgumentError, match=r"different values of .*identities"):
+    with pytest.raises(ArgumentError, match=r"in which detector 'mine' has what = .* instead of "):
         evaluate(MULTI, {"mine": Described(second)}, **asked)
 
 
@@ -230,8 +234,32 @@ def test_policies_with_other_weights_do_not_share_rows(tmp_path):
     asked = {"episodes": 1, "env_kwargs": SMALL, "out": tmp_path}
     evaluate(MULTI, Network(1.0), **asked)
     evaluate(MULTI, Network(1.0), **asked)
-    with pytest.raises(ArgumentError, match="different values of identities"):
+    with pytest.raises(ArgumentError, match="in which detector 'Network' has other weights"):
         evaluate(MULTI, Network(1.5), **asked)
+
+
+class Trained:
+    """A policy without ``state_dict``, which gets its numbers after its constructor."""
+
+    def __init__(self):
+        self.calls = 0
+        self.layers = {"first": [np.zeros(20)], "bias": 0.0}
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.calls += 1
+        return (self.layers["first"][0] > 0).astype(np.int8), state
+
+
+def test_policies_that_were_trained_otherwise_do_not_share_rows(tmp_path):
+    asked = {"episodes": 2, "env_kwargs": SMALL, "out": tmp_path}
+    policy, other, third = Trained(), Trained(), Trained()
+    evaluate(MULTI, policy, **asked)
+    evaluate(MULTI, policy, **asked)  # what it has counted since does not matter
+    other.layers["first"][0] = np.ones(20)
+    third.layers["bias"] = 0.5
+    for each in (other, third):
+        with pytest.raises(ArgumentError, match="in which detector 'Trained' has other weights"):
+            evaluate(MULTI, each, **asked)
 
 
 def test_follow_strategies_given_as_objects_do_not_share_rows(tmp_path):

@@ -16,7 +16,7 @@ from usnet_env.envs.play import PlayedRound
 from usnet_env.evaluation.agents import Answer
 from usnet_env.evaluation.engine import RunNumbers, choose_place, play_run
 from usnet_env.evaluation.episode import Row, detector_step
-from usnet_env.evaluation.identity import describe, describe_detector
+from usnet_env.evaluation.identity import describe, describe_code, describe_detector
 from usnet_env.evaluation.metrics import episode_metrics
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.schedule import Seeds
@@ -101,8 +101,6 @@ def _as_policy(policy: Any) -> Any:
 
 def _identify(policy: Any) -> Any:
     """What distinguishes a policy from others: its class and arguments, not what it has counted since."""
-    if isinstance(policy, str):
-        return policy
     detector = getattr(policy, "detector", None)
     return describe_detector(policy) if detector is None else [describe(type(policy)), describe_detector(detector)]
 
@@ -183,10 +181,12 @@ def evaluate_games(
 
     for policies in here.players.values():
         choose_policies(here.env, policies)  # refuses a missing one before anything is played
+    settings = {"config": describe(here.env.config), "rules": describe(here.env.rules)}
     config = {
         "env": str(here.env.metadata["name"]),
         "game_kwargs": describe(kwargs),
-        "environment": {"config": describe(here.env.config), "rules": describe(here.env.rules)},
+        "environment": settings,
+        **describe_code(type(here.env), [settings, describe(kwargs)]),
         "detectors": plan.labels,
         "identities": [{role: _identify(own[role]) for role in own} for own in plan.players.values()],
         "episodes": run.episodes,

@@ -14,7 +14,7 @@ from usnet_env.config import ArgumentError, plain_text, quote
 from usnet_env.evaluation.agents import PolicyAgent, as_agent
 from usnet_env.evaluation.engine import RunNumbers, choose_place, play_run
 from usnet_env.evaluation.environments import find_environment, is_usnet, make_environment
-from usnet_env.evaluation.identity import describe, describe_detector
+from usnet_env.evaluation.identity import describe, describe_code, describe_detector
 from usnet_env.evaluation.isolation import make_secret
 from usnet_env.evaluation.metrics import TRACK_METRICS
 from usnet_env.evaluation.result import EvaluationResult
@@ -169,7 +169,8 @@ def _make_contestants(detector: Any, run: _Run) -> list[Contestant]:
         for label, each in detector.items():
             if not (name := plain_text("label", label)) or not name.isprintable():
                 raise ArgumentError(f"label must be a text of printable characters, got {quote(label)}.")
-            contestants[name] = Contestant(name, each, _identify(each, _make_label(each, run.isolate)))
+            _make_label(each, run.isolate)  # refuses what is no detector
+            contestants[name] = Contestant(name, each, describe_detector(each))
     else:
         for each in list(detector) if isinstance(detector, list | tuple) else [detector]:
             label = first = _make_label(each, run.isolate)
@@ -179,17 +180,12 @@ def _make_contestants(detector: Any, run: _Run) -> list[Contestant]:
             while label in contestants:
                 label = f"{first} #{number}"
                 number += 1
-            contestants[label] = Contestant(label, each, _identify(each, label))
+            contestants[label] = Contestant(label, each, describe_detector(each))
     if not contestants:
         raise ArgumentError(f"detector must name at least one detector, got an empty {type(detector).__name__}.")
     for name in TRIVIAL if run.trivial else ():
         contestants.setdefault(name, Contestant(name, name, name))
     return list(contestants.values())
-
-
-def _identify(detector: Any, label: str) -> Any:
-    """What distinguishes a detector from others: the label of one that is given by name, else all its arguments."""
-    return label if isinstance(detector, str) else describe_detector(detector)
 
 
 def _make_label(detector: Any, isolate: bool) -> str:
@@ -208,10 +204,12 @@ def _make_config(
 ) -> dict[str, Any]:
     """Return the arguments of the run as plain values: runs with the same config have the same rows."""
     inner: Any = environment.unwrapped
+    settings = {name: describe(getattr(inner, name)) for name in ("config", "rules") if hasattr(inner, name)}
     return {
         "env": type(inner).__name__ if environment.spec is None else environment.spec.id,
         "env_kwargs": describe(arguments),
-        "environment": {name: describe(getattr(inner, name)) for name in ("config", "rules") if hasattr(inner, name)},
+        "environment": settings,
+        **describe_code(type(inner), settings),
         "detectors": [contestant.label for contestant in contestants],
         "identities": [contestant.identity for contestant in contestants],
         "episodes": run.episodes,

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote
+from usnet_env.evaluation.identity import describe_difference, differing_keys
 from usnet_env.evaluation.metrics import CLUSTER_METRICS, METRICS
 from usnet_env.evaluation.table import Columns, RowTable, read_table
 from usnet_env.files import FileLock, atomic_write
@@ -341,19 +342,29 @@ def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -
     """
     there: dict[str, Any] = description["config"]
     identities, joining = (dict(zip(each["detectors"], each["identities"], strict=True)) for each in (there, asked))
-    different = [
+    different = sorted(
         name
         for name in there.keys() | asked.keys()
         if name not in ("detectors", "identities", "episodes") and there.get(name) != asked.get(name)
+    )
+    others = [
+        f"in which detector {label!r} {describe_difference(identities[label], identity)}"
+        for label, identity in joining.items()
+        if identities.get(label, identity) != identity
     ]
-    if any(identities.get(label, identity) != identity for label, identity in joining.items()):
-        different.append("identities")
-    if asked["episodes"] < there["episodes"]:
-        different.append("episodes")
-    if different:
+    if different == ["code"]:
+        others.insert(0, f"with other code of {' and '.join(differing_keys(there.get('code'), asked.get('code')))}")
+    elif different:
+        others.insert(0, f"that has different values of {', '.join(different)}")
+    if others:
         raise ArgumentError(
-            f"out must be a new folder or the folder of the same run, got {str(folder)!r} with a run that has "
-            f"different values of {', '.join(sorted(different))}."
+            f"out must be a new folder or the folder of the same run, got {str(folder)!r} with a run "
+            f"{' and '.join(others)}."
+        )
+    if asked["episodes"] < there["episodes"]:
+        raise ArgumentError(
+            f"episodes must be at least {there['episodes']}, those of the run in {str(folder)!r}, "
+            f"got {asked['episodes']}."
         )
     if (made_by := description["versions"]["usnet"]) != version("usnet"):
         raise ArgumentError(f"out must be a new folder, got {str(folder)!r} with a run of usnet {made_by}.")
