@@ -24,6 +24,7 @@ from usnet_env.envs import (
     register_environments,
 )
 from usnet_env.envs.registration import TRACKS
+from usnet_env.envs.wrappers import BoxMasks
 
 IDS = sorted(ENVIRONMENTS)
 MULTI = "USNET/MultiCluster-v0"
@@ -473,6 +474,15 @@ def test_multi_discrete_wrapper_plays_the_same_game():
     np.testing.assert_array_equal(wrapped.action_masks(), plain.unwrapped.action_masks())
     with pytest.raises(ArgumentError, match="env must have a MultiBinary action space"):
         MultiDiscreteCandidates(wrapped)
+
+
+@pytest.mark.parametrize("wrapper", [BoxMasks, MultiDiscreteCandidates])
+def test_a_wrapped_environment_can_be_made_again_from_its_spec(wrapper):
+    wrapped = wrapper(gym.make(MULTI, **SMALL))
+    again = gym.make(wrapped.spec)
+    assert (again.action_space, again.observation_space) == (wrapped.action_space, wrapped.observation_space)
+    with pytest.warns(UserWarning, match="is different from the unwrapped version"):
+        check_env(wrapped)
 
 
 def test_usual_wrappers_work():

@@ -46,6 +46,15 @@ def test_one_observer_that_sees_all_plays_the_single_agent_game(seed, more):
         over = terminated or truncated
 
 
+def test_a_refused_action_names_its_agent():
+    env = usnet_observers_v0.parallel_env(**SMALL, observers=2)
+    env.reset(seed=0)
+    actions = votes(env, [(), ()])
+    for wrong, message in ((np.zeros(3), "have shape"), (np.full(20, 2), "hold only 0 and 1")):
+        with pytest.raises(ArgumentError, match=f"^action of observer_1 must {message}"):
+            env.step(actions | {"observer_1": wrong})
+
+
 def test_an_observer_sees_only_the_uavs_in_range():
     env = usnet_observers_v0.parallel_env(**SMALL, observers=2, sensing_range=(300.0, 500.0), mobility="straight")
     everything = usnet_observers_v0.parallel_env(**SMALL, observers=1, sensing_range=1e5, mobility="straight")

@@ -123,9 +123,12 @@ def test_agents_in_turn_play_the_parallel_game(game, seed):
     assert step == len(parallel) - 1
 
 
-@both_games
-def test_observations_and_states_stay_in_their_spaces(game):
-    env = small(game, decoys=1)
+@pytest.mark.parametrize(
+    ("game", "more"),
+    [("observers", {"decoys": 1}), ("observers", {"kinematics": "varied_speed"}), ("evasion", {"decoys": 1})],
+)
+def test_observations_and_states_stay_in_their_spaces(game, more):
+    env = small(game, **more)
     for seed in range(3):
         for observations, *_, state, _ in episode(env, seed):
             assert all(env.observation_space(agent).contains(seen) for agent, seen in observations.items())

@@ -38,6 +38,13 @@ def test_the_episodes_of_the_trigger_are_written(tmp_path):
     np.testing.assert_array_equal(found.scores, found.candidates)
 
 
+def test_files_of_an_earlier_run_are_not_replaced_without_a_word(tmp_path):
+    env = RecordReplay(make(), tmp_path)
+    play(env, make_detector("one-per-round"), 0)
+    with pytest.warns(UserWarning, match=r"^folder '.*' holds episode files, and those of the same number will be "):
+        RecordReplay(make(), tmp_path)
+
+
 def test_a_noted_detection_is_kept_whole(tmp_path):
     env = RecordReplay(make(), tmp_path)
     play(env, make_detector("lagged-correlation"), 5, note=True)

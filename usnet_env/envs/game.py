@@ -127,17 +127,17 @@ def to_array(action: Any) -> NDArray[Any]:
         return np.empty(0, object)
 
 
-def parse_candidates(action: Any, shape: tuple[int, ...]) -> Mask:
-    """Convert an action (integers, booleans or floats) to booleans of the given shape.
+def parse_candidates(action: Any, shape: tuple[int, ...], name: str = "action") -> Mask:
+    """Convert an action (integers, booleans or floats) to booleans of the given shape; errors call it ``name``.
 
     Raises:
         ArgumentError: the action has another shape or a value other than 0 and 1.
     """
     values = to_array(action)
     if values.shape != shape:
-        raise ArgumentError(f"action must have shape {shape} (0 or 1 for each UAV), got {quote(action)}.")
+        raise ArgumentError(f"{name} must have shape {shape} (0 or 1 for each UAV), got {quote(action)}.")
     if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
-        raise ArgumentError(f"action must hold only 0 and 1, got {quote(action)}.")
+        raise ArgumentError(f"{name} must hold only 0 and 1, got {quote(action)}.")
     return values.astype(bool)
 
 

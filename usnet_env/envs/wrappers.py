@@ -37,7 +37,7 @@ def _check_environment(env: Any) -> gym.Env[Any, Any]:
     return env
 
 
-class BoxMasks(gym.ObservationWrapper[Any, Any, Any]):
+class BoxMasks(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Declare the masks in the observation as ``Box``: TorchRL doesn't support a two-dimensional ``MultiBinary``.
 
     The observation itself is unchanged. :class:`usnet_env.multiagent.wrappers.ParallelBoxMasks` does the same for the
@@ -48,6 +48,7 @@ class BoxMasks(gym.ObservationWrapper[Any, Any, Any]):
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(_check_environment(env))
         self.observation_space = box_masks(env.observation_space)
 
@@ -56,7 +57,7 @@ class BoxMasks(gym.ObservationWrapper[Any, Any, Any]):
         return observation
 
 
-class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any]):
+class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Declare the action as ``MultiDiscrete([2] * N)`` for agents without ``MultiBinary(N)``, such as RLlib's.
 
     Raises:
@@ -67,6 +68,7 @@ class MultiDiscreteCandidates(gym.ActionWrapper[Any, Any, Any]):
         _check_environment(env)
         if not isinstance(env.action_space, spaces.MultiBinary):
             raise ArgumentError(f"env must have a MultiBinary action space, got {quote(env.action_space)}.")
+        gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
         self.action_space = spaces.MultiDiscrete(np.full(env.action_space.shape, 2))
 

@@ -126,9 +126,9 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         self.agents: list[str] = []
         self._observation_spaces = observation_spaces
         self._action_spaces = action_spaces
-        far, uavs = config.position_bound(rules.max_rounds + 1), config.uavs
-        high = np.tile(np.array([far] * 3 + [1.001] * 3 + [1, 1, 1, uavs - 1], np.float32), uavs)
-        low = np.tile(np.array([-far] * 3 + [-1.001] * 3 + [0, 0, 0, -1], np.float32), uavs)
+        far, fast, uavs = config.position_bound(rules.max_rounds + 1), config.speed_bound, config.uavs
+        high = np.tile(np.array([far] * 3 + [fast] * 3 + [1, 1, 1, uavs - 1], np.float32), uavs)
+        low = np.tile(np.array([-far] * 3 + [-fast] * 3 + [0, 0, 0, -1], np.float32), uavs)
         first, last = np.zeros(1, np.float32), np.full(1, rules.max_rounds, np.float32)
         self.state_space = spaces.Box(np.append(low, first), np.append(high, last), dtype=np.float32)
         self._rng: np.random.Generator | None = None

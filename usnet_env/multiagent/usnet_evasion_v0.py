@@ -135,7 +135,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         choices = self.manoeuvres.choices
         head_spaces = {
             "position": spaces.Box(-far, far, (uavs, 3), np.float32),
-            "velocity": spaces.Box(-1.001, 1.001, (uavs, 3), np.float32),
+            "velocity": spaces.Box(-config.speed_bound, config.speed_bound, (uavs, 3), np.float32),
             **dict.fromkeys(("alive", "self", "heads", "followers", "named"), mask),
             "round": spaces.Box(0, rules.max_rounds, (1,), np.float32),
             "legal": spaces.MultiBinary(int(choices.sum())),
@@ -171,7 +171,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
             ArgumentError: an action is missing, or has a wrong shape or wrong values, or the game has ended.
         """
         checked = self._check_actions(actions)
-        named = game.parse_candidates(checked[OBSERVER], (self.config.uavs,))
+        named = game.parse_candidates(checked[OBSERVER], (self.config.uavs,), f"action of {OBSERVER}")
         plan = Plan.from_choices(np.stack([self._check_choice(name, checked.get(name)) for name in self.heads]))
         before = self._current_game()
         opening = self._sighting is None

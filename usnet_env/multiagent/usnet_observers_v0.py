@@ -197,7 +197,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         """Check an action and convert it to numbers from 0 to 1: one for each UAV, then the message."""
         length = self.config.uavs + self.sensor_config.message_size
         if self.fusion.vote == "candidates":
-            return game.parse_candidates(action, (length,)).astype(np.float64)
+            return game.parse_candidates(action, (length,), f"action of {agent}").astype(np.float64)
         values = game.to_array(action)
         if values.shape != (length,) or values.dtype.kind not in "biuf" or not ((values >= 0) & (values <= 1)).all():
             raise ArgumentError(f"action of {agent} must hold {length} numbers from 0 to 1, got {quote(action)}.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -29,7 +30,8 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
 
     Args:
         env: an environment of this project; wrappers below must keep the form of observations and actions.
-        folder: where to; the files are ``episode-0.npz``, ``episode-1.npz``, …
+        folder: where to; the files are ``episode-0.npz``, ``episode-1.npz``, … Files of these names are replaced, and a
+            warning says so.
         trigger: whether to write an episode, given its number from 0; ``None``: every episode.
         label: name of the agent in the files.
 
@@ -51,6 +53,11 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
             raise ArgumentError(f"trigger must be a function or None, got {quote(trigger)}.")
         super().__init__(env)
         self.folder = as_path("folder", folder)
+        if any(self.folder.glob("episode-*.npz")):
+            warnings.warn(
+                f"folder {str(self.folder)!r} holds episode files, and those of the same number will be replaced.",
+                stacklevel=2,
+            )
         self._trigger = trigger
         self._label = plain_text("label", label)
         self._episode = -1

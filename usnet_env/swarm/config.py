@@ -203,11 +203,15 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
         travelled = self.memory + rounds * self.steps
         return FARTHEST + max(1.0, self.kinematics_model.top_speed) * travelled + self.noise_bound
 
+    @property
+    def speed_bound(self) -> float:
+        """An upper bound in metres per step of all true velocity coordinates."""
+        return 1.001 * max(1.0, self.kinematics_model.top_speed)  # before the first window all UAVs fly 1 m per step
+
     def velocity_bound(self) -> float:
         """An upper bound in metres per step of all observed velocity coordinates."""
-        fastest = max(1.0, self.kinematics_model.top_speed)  # before the first window all UAVs fly 1 m per step
         jump = (2.0 * self.noise_bound + SWAP_RANGE * (self.swap_rate > 0)) / self.sample_every
-        return 1.001 * fastest + jump
+        return self.speed_bound + jump
 
 
 SWAP_RANGE = 20.0  # metres, the largest distance of two UAVs that exchange their identities
