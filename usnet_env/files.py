@@ -34,7 +34,7 @@ def as_path(name: str, value: Any) -> Path:
     try:
         path = os.fspath(value)
         name_sizes = [len(os.fsencode(part)) for part in Path(path).parts]
-        if "\0" in path or max(name_sizes, default=0) > _LONGEST_NAME:
+        if not path or "\0" in path or max(name_sizes, default=0) > _LONGEST_NAME:
             raise ValueError
     except Exception:  # the __fspath__ of a foreign class may raise anything
         raise ArgumentError(f"{name} must be a path, got {quote(value)}.") from None

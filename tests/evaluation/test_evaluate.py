@@ -216,6 +216,14 @@ def test_a_mapping_names_the_detectors():
         evaluate(MULTI, {"a\nb": AllAlive()}, episodes=1)
 
 
+def test_a_label_of_a_trivial_policy_is_refused_for_another_detector():
+    with pytest.raises(
+        ArgumentError, match=r"^label must be another one than 'random', .* got it for 'destroy-all'\.$"
+    ):
+        evaluate(MULTI, {"random": "destroy-all"}, episodes=1, env_kwargs=SMALL, trivial=True)
+    assert len(evaluate(MULTI, {"random": "random"}, episodes=1, env_kwargs=SMALL, trivial=True).summary) == 4
+
+
 def test_names_are_labels_and_the_trivial_policies_join():
     result = evaluate(MULTI, ["random", NoUav()], episodes=2, env_kwargs=SMALL, trivial=True)
     labels = [entry["detector"] for entry in result.summary]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
-from usnet_env import ArgumentError
+from usnet_env import ArgumentError, Detection
 from usnet_env.evaluation import SuiteResult, evaluate_suite, list_suites, load_suite
 from usnet_env.evaluation.environments import find_environment, make_environment
 
@@ -66,7 +67,7 @@ def test_a_suite_of_ones_own_is_played_kept_and_read(path, tmp_path):
     assert {entry["episodes"] for entry in played.summary} == {4}
     assert played.results["other"].config["seed"] == 4711
     lines = played.to_markdown().splitlines()
-    assert lines[0] == "| own | lagged-regression | none |"
+    assert lines[0] == "| own, exact, n = 2 a cell | lagged-regression | none |"
     assert len(lines) == 5
     assert played.cell("plain", "none", "J").mean == 3.0
     read = SuiteResult.load(tmp_path / "run", path)
@@ -80,6 +81,87 @@ def test_a_detector_that_fails_in_a_cell_does_not_stop_the_others(path):
     assert set(played.failures) == {"plain", "other"}
     assert "no answer today" in played.failures["plain"]
     assert [entry["detector"] for entry in played.summary] == ["none"]
+
+
+class Sometimes(Raising):
+    def __init__(self, fails=True):
+        self.fails = fails
+
+    def detect(self, window):
+        return super().detect(window) if self.fails else Detection(window.alive, window.alive)
+
+
+def test_failures_stay_until_the_detector_has_played(path, tmp_path):
+    out = tmp_path / "run"
+    how = {"isolate": False, "out": out}
+    evaluate_suite(path, {"x": Sometimes(), "y": Raising()}, **how)
+    assert evaluate_suite(path, "none", cells=["plain"], **how).failures.keys() == {
+        "plain"
+    }  # of the cells of this call
+    read = SuiteResult.load(out, path).failures
+    assert read.keys() == {"plain", "other"}
+    assert "'x' failed" in read["plain"]
+    assert "'y' failed" in read["plain"]
+    shutil.rmtree(out / "other", ignore_errors=True)
+    evaluate_suite(path, {"x": Sometimes(fails=False)}, cells=["other"], **how)
+    left = SuiteResult.load(out, path).failures
+    assert left["plain"] == read["plain"]
+    assert "'x'" not in left["other"]
+    assert "'y' failed" in left["other"]
+
+
+def test_detectors_are_compared_over_cells_by_groups_of_a_swarm(path):
+    played = evaluate_suite(path, ["destroy-all", "none", "one-per-round"], isolate=False, episodes=3)
+    found = played.compare("destroy-all", "one-per-round")
+    frame = played.to_frame()
+    assert list(frame["cell"].unique()) == ["plain", "other"]
+    wide = frame.pivot(index=["cell", "episode"], columns="detector", values="J")
+    assert found.episodes == 6
+    assert found.difference == pytest.approx((wide["destroy-all"] - wide["one-per-round"]).mean())
+    assert found.p * 2**3 == round(found.p * 2**3)  # three groups, not six episodes
+    assert [each.b for each in played.compare("none")] == ["destroy-all", "one-per-round"]
+    assert played.to_latex("J").splitlines()[2].startswith("own, J, n = 3 a cell & destroy-all & none")
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda result: result.cell("f3", "none"), r"name must be one of other, plain, got 'f3'"),
+        (lambda result: result.cell("plain", "none", "zz"), r"metric must be one of .*got 'zz'"),
+        (lambda result: result.to_markdown("zz"), r"metric must be one of .*got 'zz'"),
+        (lambda result: result.compare("none", 3), r"b must be a label, a list of labels or None, got 3\."),
+        (lambda result: result.compare("none", "zz"), r"detector must be one of none, got 'zz'"),
+    ],
+)
+def test_what_a_result_does_not_have_is_refused(path, call, message):
+    result = evaluate_suite(path, "none", isolate=False, episodes=1)
+    with pytest.raises(ArgumentError, match=f"^{message}"):
+        call(result)
+    assert "| – |" in result.to_markdown("purity_first")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cells": "plain"}, r"cells must be a list of at least one name, or None for all, got 'plain'\."),
+        ({"cells": []}, r"cells must be a list of at least one name, or None for all, got \[\]\."),
+        ({"env_kwargs": {}}, r"env_kwargs must not be given, because the suite gives it, got \{\}\."),
+        ({"out": ""}, r"out must be a path, got ''\."),
+    ],
+)
+def test_arguments_that_a_suite_does_not_take_are_refused(path, changes, message):
+    with pytest.raises(ArgumentError, match=f"^{message}$"):
+        evaluate_suite(path, "none", **changes)
+
+
+@pytest.mark.parametrize("name", ["../../esc", "a/b", "..", ".hidden", "failures.yaml", "'1'", "3"])
+def test_a_cell_cannot_be_a_path(path, tmp_path, name):
+    path.write_text(SUITE.replace("plain:", f"{name}:"))
+    if name == "'1'":
+        assert "1" in load_suite(path).cells
+        return
+    with pytest.raises(ArgumentError, match=r"^cells must have names of letters, "):
+        evaluate_suite(path, "none", out=tmp_path / "run")
 
 
 @pytest.mark.parametrize(

@@ -98,11 +98,17 @@ def test_markdown_and_latex_hold_the_means_and_intervals():
         r"\toprule",
         r"detector & episodes & J \\",
         r"\midrule",
-        r"a|b & 2 & $2.000$ ($2.000$ to $2.000$) \\",
+        r"a\textbar{}b & 2 & $2.000$ ($2.000$ to $2.000$) \\",
         r"c\_d(x=1) & 2 & $3.000$ ($3.000$ to $3.000$) \\",
         r"\bottomrule",
         r"\end{tabular}",
     ]
+    assert (
+        from_values(a=[4.5e-5, 4.5e-5])
+        .to_latex(["J"])
+        .splitlines()[4]
+        .endswith(r"$4.5 \cdot 10^{-5}$ ($4.5 \cdot 10^{-5}$ to $4.5 \cdot 10^{-5}$) \\")
+    )
     assert len(result.to_markdown().splitlines()[0].split("|")) == 2 + 2 + len(METRICS)
     with pytest.raises(ArgumentError, match=r"^metrics must be one of .*'j'"):
         result.to_markdown(["j"])
@@ -139,6 +145,14 @@ def test_a_comparison_pairs_the_episodes_that_both_have_played():
     assert result.compare("a", []) == []
 
 
+def test_one_value_has_no_interval():
+    result = from_values(a=[2.0], b=[3.0])
+    assert result.to_markdown(["J", "success"]).splitlines()[2] == "| a | 1 | 2.000 | 0.000 (0.000 to 0.793) |"
+    assert "$2.000$ \\\\" in result.to_latex(["J"])
+    assert [str(cell) for cell in result.ranking().columns[1].cells] == ["2.000", "3.000"]
+    assert str(result.compare("a", "b")) == "J of a minus b: -1 (p = 1) over 1 episode"
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -154,6 +168,41 @@ def test_what_cannot_be_compared_is_one_sentence(arguments, words):
     with pytest.raises(ArgumentError) as refused:
         EvaluationResult(rows, summarise(rows), result.config).compare(*arguments)
     assert all(word in str(refused.value) for word in words), refused.value
+
+
+def test_results_of_two_folders_are_merged_and_compared():
+    first, second = from_values(a=[1.0, 2.0, 3.0]), from_values(b=[2.0, 2.0])
+    both = first.merge(second)
+    assert [(entry["detector"], entry["episodes"]) for entry in both.summary] == [("a", 3), ("b", 2)]
+    assert both.compare("a", "b").difference == -0.5
+    assert both.to_markdown(["J"]).splitlines()[2:] == [
+        *first.to_markdown(["J"]).splitlines()[2:],
+        *second.to_markdown(["J"]).splitlines()[2:],
+    ]
+    moved = RowTable(COLUMNS, ({**row, "swarm_seed": 7} for row in second.rows))
+    for other, message in (
+        (3, "other must be an EvaluationResult, got 3"),
+        (from_values(a=[1.0]), "other must have other labels than this result, got 'a' in both"),
+        (from_values(env="E", b=[1.0]), "other must have the arguments of this result, got different values of env"),
+        (EvaluationResult(moved, summarise(moved), second.config), "other must have met the same swarms, got another"),
+    ):
+        with pytest.raises(ArgumentError, match=f"^{message}"):
+            first.merge(other)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda result: result.compare("a", 3), "b must be a label, a list of labels or None, got 3"),
+        (lambda result: interquartile_means(result), "results must be a list of results, got <EvaluationResult"),
+        (lambda result: result.performance_profiles(thresholds=["a"]), r"thresholds must be .* got \['a'\]"),
+        (lambda result: result.performance_profiles(thresholds=[]), r"thresholds must be .* got \[\]"),
+        (lambda result: result.performance_profiles(thresholds="12"), "thresholds must be .* got '12'"),
+    ],
+)
+def test_a_wrong_argument_is_one_sentence(call, message):
+    with pytest.raises(ArgumentError, match=f"^{message}"):
+        call(from_values(a=[1.0, 2.0], b=[2.0, 1.0]))
 
 
 def test_aggregates_cover_several_environments():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binomtest, bootstrap, norm, permutation_test, trim_mean
+from scipy.stats import binomtest, bootstrap, norm, permutation_test, t, trim_mean
 
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation import statistics
@@ -38,15 +38,18 @@ def test_a_rate_s_interval_holds_it_and_stays_within_0_and_1(values):
     assert interval.low < interval.high  # even where all are equal, n says how sure that is
 
 
-@given(NUMBERS, st.integers(1, 20))
+@given(NUMBERS, st.integers(1, 20))  # one value has no interval: [mean, mean] stands for it
 def test_equal_values_have_no_width(value, n):
     assert mean_interval([value] * n) == (value, value, value)
 
 
-def test_the_bootstrap_agrees_with_scipy_s_percentile_one():
+def test_the_bootstrap_agrees_with_scipy_s_percentile_one_at_the_wider_level():
     sample = np.random.default_rng(3).exponential(size=60)
     ours = mean_interval(sample)
-    theirs = bootstrap((sample,), np.mean, method="percentile", rng=np.random.default_rng(1)).confidence_interval
+    level = 2 * norm.cdf(np.sqrt(60 / 59) * t.ppf(0.975, 59)) - 1
+    theirs = bootstrap(
+        (sample,), np.mean, method="percentile", confidence_level=level, rng=np.random.default_rng(1)
+    ).confidence_interval
     assert ours.mean == sample.mean()
     width = theirs.high - theirs.low
     assert abs(ours.low - theirs.low) < 0.05 * width
@@ -65,11 +68,21 @@ def test_the_interval_of_a_large_sample_is_the_limit_of_the_bootstrap(monkeypatc
     assert drawn.high - drawn.mean > 1.03 * (drawn.mean - drawn.low)
 
 
-def test_the_interval_covers_the_mean_about_as_often_as_it_says():
-    rng = np.random.default_rng(0)
-    intervals = [mean_interval(rng.normal(size=40), seed=trial) for trial in range(200)]
+@pytest.mark.parametrize(("n", "share"), [(3, 0.75), (4, 0.88), (5, 0.92), (7, 0.945), (10, 0.945), (40, 0.95)])
+def test_the_interval_covers_the_mean_about_as_often_as_it_says(n, share):
+    """Of few values too; below 7, no interval between the least and the largest value can."""
+    rng = np.random.default_rng(n)
+    intervals = [mean_interval(rng.normal(size=n), seed=trial) for trial in range(400)]
     covered = sum(interval.low <= 0 <= interval.high for interval in intervals)
-    assert 180 <= covered <= 198
+    assert abs(covered / 400 - share) < 3 * np.sqrt(share * (1 - share) / 400)
+
+
+@pytest.mark.parametrize(("tasks", "n"), [(1, 5), (3, 3), (3, 5), (10, 3)])
+def test_the_interval_of_the_interquartile_mean_covers_that_of_all_values(tasks, n):
+    rng = np.random.default_rng(n)
+    intervals = [interquartile_mean(rng.normal(size=(tasks, n)), seed=trial) for trial in range(300)]
+    covered = sum(interval.low <= 0 <= interval.high for interval in intervals)
+    assert 0.9 <= covered / 300 <= 0.99
 
 
 def test_large_samples_are_resampled_in_parts(monkeypatch):
@@ -166,11 +179,11 @@ def slow_profile(tasks, thresholds):
     ]
 
 
-def slow_bootstrap(tasks, statistic, resamples):
+def slow_bootstrap(tasks, statistic, resamples, tail=0.025):
     """Draws each task's values on their own, as rliable's StratifiedBootstrap does."""
     rng = np.random.default_rng(11)
     found = [statistic([rng.choice(task, len(task)) for task in tasks]) for _ in range(resamples)]
-    return np.quantile(found, [0.025, 0.975], axis=0)
+    return np.quantile(found, [tail, 1 - tail], axis=0)
 
 
 @given(st.lists(NUMBERS, min_size=1, max_size=40))
@@ -182,7 +195,8 @@ def test_the_interquartile_mean_is_scipy_s_and_the_slow_one(values):
 
 def test_the_interval_of_the_interquartile_mean_is_that_of_the_slow_stratified_bootstrap(monkeypatch):
     ours = interquartile_mean(TASKS)
-    low, high = slow_bootstrap(TASKS, lambda tasks: slow_middle_mean(np.concatenate(tasks)), 2_000)
+    level = norm.cdf(-np.sqrt(135 / 132) * t.ppf(0.975, 132))
+    low, high = slow_bootstrap(TASKS, lambda tasks: slow_middle_mean(np.concatenate(tasks)), 2_000, level)
     assert ours.low == pytest.approx(low, abs=0.06 * (high - low))
     assert ours.high == pytest.approx(high, abs=0.06 * (high - low))
     large = [np.random.default_rng(task).gamma(2, size=3_000) for task in range(2)]
@@ -223,8 +237,16 @@ def test_the_paired_test_is_scipy_s(shift, monkeypatch):
 
 def test_the_paired_test_of_no_difference_and_of_one():
     assert paired_test([0.0, 0.0]) == 1.0
-    assert paired_test([2.0]) == pytest.approx(1.0)
-    assert paired_test([1.0, 1.0]) == pytest.approx(0.5, abs=0.02)  # two of four sign changes are as large
+    assert paired_test([2.0]) == 1.0
+    assert paired_test([1.0, 1.0]) == 0.5  # two of four sign changes are as large
+
+
+@given(st.lists(st.integers(-3, 3), min_size=1, max_size=13))
+def test_the_p_value_of_few_differences_is_exact(differences):
+    sums = np.array([0])
+    for each in differences:
+        sums = np.concatenate([sums + each, sums - each])
+    assert paired_test(differences) == np.mean(np.abs(sums) >= abs(sum(differences)))
 
 
 def test_holm_is_its_definition():

@@ -370,6 +370,16 @@ def test_an_edited_folder_is_refused(tmp_path, name, text):
     assert (tmp_path / name).read_text() == text
 
 
+def test_a_row_that_is_there_twice_is_refused(tmp_path):
+    asked = {"env": MULTI, "detector": RandomThird(), "episodes": 2, "env_kwargs": SMALL, "out": tmp_path}
+    evaluate(**asked)
+    lines = (tmp_path / "episodes.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "episodes.csv").write_text("".join([*lines, lines[2]]))
+    for read in (lambda: EvaluationResult.load(tmp_path), lambda: evaluate(**asked)):
+        with pytest.raises(ArgumentError, match=r"each episode of a detector once, got episode 1 of 'RandomThird' tw"):
+            read()
+
+
 def test_a_file_and_rows_without_a_run_are_refused(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(ArgumentError, match=r"^out must be a folder"):

@@ -132,6 +132,7 @@ def play_run(
         if tasks.failures:
             failure = EvaluationError(" ".join(map(str, tasks.failures.values())))
             failure.result = result if table else None
+            failure.failures = {plan.labels[number]: str(error) for number, error in tasks.failures.items()}
             raise failure
         if store is not None:
             store.finish(rows.order, result.summary)

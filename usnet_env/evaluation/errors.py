@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -13,6 +15,8 @@ class EvaluationError(RuntimeError):
 
     Attributes:
         result: the result of the detectors that did not fail; ``None`` if there is none.
+        failures: the message of each detector that failed, by its label.
     """
 
     result: EvaluationResult | None = None
+    failures: Mapping[str, str] = MappingProxyType({})

@@ -6,25 +6,26 @@ means the same wherever it was measured. A file of your own works the same way.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, overload
 
 import yaml
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.evaluation import tables
 from usnet_env.evaluation.environments import find_environment, make_environment
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.metrics import RATES
-from usnet_env.evaluation.report import format_interval, format_markdown
-from usnet_env.evaluation.result import EvaluationResult, Summary, summarise
+from usnet_env.evaluation.report import format_interval, format_latex, format_markdown
+from usnet_env.evaluation.result import Comparison, EvaluationResult, Summary, compare_detectors, summarise
 from usnet_env.evaluation.runner import evaluate
 from usnet_env.evaluation.statistics import Interval
 from usnet_env.evaluation.store import COLUMNS
@@ -32,10 +33,14 @@ from usnet_env.evaluation.table import RowTable
 from usnet_env.files import as_path, atomic_write
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
     from rich.table import Table
 
 _FOLDER = files("usnet_env.evaluation") / "suites"
 _FAILURES = "failures.yaml"  # in the folder of a run: which detector failed in which cell
+_CELL = re.compile(r"\w[\w .,=+-]*")  # a folder of a run has the name of its cell
+
+Failures = dict[str, dict[str, str]]  # by cell and by detector
 
 
 class Cell(Config):
@@ -58,6 +63,17 @@ class FrozenSuite(Config):
         description="seed for tuning a detector; the swarms of the two seeds have nothing in common"
     )
     cells: Annotated[dict[str, Cell], Field(min_length=1)] = Field(description="the settings by name")
+
+    @field_validator("cells", mode="before")
+    @classmethod
+    def _check_names(cls, cells: Any) -> Any:
+        for name in cells if isinstance(cells, Mapping) else ():
+            if not isinstance(name, str) or not _CELL.fullmatch(name) or name == _FAILURES:
+                raise ArgumentError(
+                    "cells must have names of letters, digits, spaces and '_.,=+-' that begin with a letter or a "
+                    f"digit, got {quote(name)}."
+                )
+        return cells
 
     @property
     def label(self) -> str:
@@ -142,20 +158,27 @@ def evaluate_suite(
         ArgumentError: an argument was refused, by the suite or by :func:`usnet_env.evaluate`.
     """
     chosen = suite if isinstance(suite, FrozenSuite) else load_suite(suite)
+    if cells is not None and (isinstance(cells, str) or not isinstance(cells, Sequence) or not cells):
+        raise ArgumentError(f"cells must be a list of at least one name, or None for all, got {quote(cells)}.")
     for name in cells or ():
         if name not in chosen.cells:
             raise unknown_name("cells", name, chosen.cells)
+    for name in ("env", "env_kwargs"):
+        if name in how:
+            raise ArgumentError(f"{name} must not be given, because the suite gives it, got {quote(how[name])}.")
     for cell in chosen.cells.values():  # a fault in the last cell should not end a run of hours
         make_environment(find_environment(cell.env), cell.arguments).close()
     folder = None if out is None else as_path("out", out)
-    results, failures = {}, {}
-    for name in cells or chosen.cells:
-        cell = chosen.cells[name]
+    results: dict[str, EvaluationResult] = {}
+    failures = _read_failures(folder)
+    played = list(dict.fromkeys(cells or chosen.cells))
+    for name in played:
+        cell, failed, asked = chosen.cells[name], {}, chosen.episodes if episodes is None else episodes
         try:
             results[name] = evaluate(
                 cell.env,
                 detector,
-                episodes=chosen.episodes if episodes is None else episodes,
+                episodes=asked,
                 seed=chosen.seed if seed is None else seed,
                 env_kwargs=cell.arguments,
                 isolate=isolate,
@@ -163,17 +186,44 @@ def evaluate_suite(
                 **how,
             )
         except EvaluationError as error:
-            failures[name] = str(error)
+            failed = dict(error.failures)
             if error.result is not None:
                 results[name] = error.result
+        # Failures of an earlier call stay until the detector has played all episodes.
+        summary = results[name].summary if name in results else []
+        complete = {entry["detector"] for entry in summary if entry["episodes"] >= asked}
+        kept = {label: text for label, text in failures.pop(name, {}).items() if label not in complete}
+        if kept | failed:
+            failures[name] = kept | failed
         if folder is not None:
             _write_failures(folder, failures)
-    return SuiteResult(chosen, results, failures)
+    return SuiteResult(chosen, results, _join_failures(failures, played))
 
 
-def _write_failures(folder: Path, failures: Mapping[str, str]) -> None:
+def _write_failures(folder: Path, failures: Failures) -> None:
     with atomic_write(folder / _FAILURES) as aside:
-        aside.write_text(yaml.safe_dump(dict(failures), allow_unicode=True), encoding="utf-8")
+        aside.write_text(yaml.safe_dump(failures, allow_unicode=True), encoding="utf-8")
+
+
+def _read_failures(folder: Path | None) -> Failures:
+    """The failures of earlier calls with the same folder.
+
+    Raises:
+        ArgumentError: the file holds something else.
+    """
+    path = None if folder is None else folder / _FAILURES
+    if path is None or not path.exists():
+        return {}
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+        # An earlier version wrote one text for each cell.
+        return {cell: dict(own) if isinstance(own, dict) else {"": str(own)} for cell, own in content.items()}
+    except (yaml.YAMLError, UnicodeDecodeError, AttributeError):
+        raise ArgumentError(f"out must hold a {_FAILURES} of a suite, got a broken one in {str(folder)!r}.") from None
+
+
+def _join_failures(failures: Failures, cells: Iterable[str]) -> dict[str, str]:
+    return {cell: " ".join(failures[cell].values()) for cell in cells if cell in failures}
 
 
 @dataclass(frozen=True, repr=False)
@@ -202,8 +252,7 @@ class SuiteResult:
         results = {name: EvaluationResult.load(root / name) for name in chosen.cells if (root / name).is_dir()}
         if not results:
             raise ArgumentError(f"folder must hold runs of the suite {chosen.name}, got {quote(str(root))}.")
-        failures = root / _FAILURES
-        return cls(chosen, results, yaml.safe_load(failures.read_text(encoding="utf-8")) if failures.exists() else {})
+        return cls(chosen, results, _join_failures(_read_failures(root), chosen.cells))
 
     def __repr__(self) -> str:
         return f"<SuiteResult of {self.suite.label}: {len(self.results)} cells, {len(self.detectors)} detectors>"
@@ -214,7 +263,14 @@ class SuiteResult:
         return list(dict.fromkeys(entry["detector"] for each in self.results.values() for entry in each.summary))
 
     def cell(self, name: str, detector: str, metric: str = "exact") -> Interval | None:
-        """The mean of a metric in a cell, with its interval; ``None`` where the detector has no result."""
+        """The mean of a metric in a cell, with its interval; ``None`` where the detector has no result.
+
+        Raises:
+            ArgumentError: there is no such metric, or no result of such a cell.
+        """
+        if name not in self.results:
+            raise unknown_name("name", name, self.results)
+        self.results[name].check_metric(metric)
         for entry in self.results[name].summary:
             if entry["detector"] == detector and metric in entry["metrics"]:
                 return Interval(**entry["metrics"][metric])
@@ -235,13 +291,73 @@ class SuiteResult:
         return tables.ranking_table(self.summary, f"{self.suite.label}, {len(self.results)} cells")
 
     def to_markdown(self, metric: str = "exact") -> str:
-        """A table with a line for each cell and a column for each detector: the mean of a metric and its interval."""
+        """A table with a line for each cell and a column for each detector: the mean of a metric and its interval.
+
+        Where all values are equal, or there is one, the mean has no interval.
+
+        Raises:
+            ArgumentError: there is no such metric.
+        """
+        header, lines = self._table(metric)
+        return "\n".join([*format_markdown(header, lines), ""])
+
+    def to_latex(self, metric: str = "exact") -> str:
+        """The table of :meth:`to_markdown` as a ``tabular`` for LaTeX's booktabs."""
+        header, lines = self._table(metric)
+        return "\n".join([*format_latex(header, lines), ""])
+
+    def _table(self, metric: str) -> tuple[list[str], list[list[str]]]:
+        """The heading and the lines of a table of a metric."""
         scale, form, unit = (100.0, ".0f", " %") if metric in RATES else (1.0, ".2f", "")
 
         def show(value: Interval | None) -> str:
-            return "–" if value is None else format_interval(value, form, scale) + unit
+            return "–" if value is None else format_interval(value, form, scale, short=True) + unit
 
         lines = [[name, *(show(self.cell(name, each, metric)) for each in self.detectors)] for name in self.results]
-        means = {entry["detector"]: Interval(**entry["metrics"][metric]) for entry in self.summary}
+        means = {
+            entry["detector"]: Interval(**entry["metrics"][metric])
+            for entry in self.summary
+            if metric in entry["metrics"]
+        }
         lines.append(["all cells", *(show(means.get(each)) for each in self.detectors)])
-        return "\n".join([*format_markdown([self.suite.name, *self.detectors], lines), ""])
+        counts = sorted({entry["episodes"] for each in self.results.values() for entry in each.summary}) or [0]
+        n = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+        return [f"{self.suite.name}, {metric}, n = {n} a cell", *self.detectors], lines
+
+    def to_frame(self) -> DataFrame:
+        """The rows of all cells as a data frame of pandas, with a column ``cell``.
+
+        Raises:
+            ArgumentError: pandas is not installed, or there is no result.
+        """
+        frames = [result.to_frame().assign(cell=name) for name, result in self.results.items()]
+        if not frames:
+            raise ArgumentError("to_frame must have the result of a cell, got none.")
+        from pandas import concat  # after to_frame, which refuses without it
+
+        return concat(frames, ignore_index=True)
+
+    @overload
+    def compare(self, a: str, b: str, metric: str = "J") -> Comparison: ...
+    @overload
+    def compare(self, a: str, b: list[str] | tuple[str, ...] | None = None, metric: str = "J") -> list[Comparison]: ...
+    def compare(
+        self, a: str, b: str | list[str] | tuple[str, ...] | None = None, metric: str = "J"
+    ) -> Comparison | list[Comparison]:
+        """Compare a detector with another one, or with several, over all cells.
+
+        Episodes are paired cell by cell. Cells whose swarms have the same seed depend on each other: their differences
+        are one group, which is resampled, and changes its sign, as a whole.
+
+        Args:
+            a: label of a detector.
+            b: label of another one, a list of labels, or ``None`` for all others.
+            metric: what is compared.
+
+        Returns:
+            As :meth:`usnet_env.evaluation.EvaluationResult.compare`.
+
+        Raises:
+            ArgumentError: there is no such detector or metric, or two detectors share no episode.
+        """
+        return compare_detectors(list(self.results.values()), a, b, metric)

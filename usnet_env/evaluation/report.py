@@ -101,9 +101,15 @@ def format_markdown(
     return [join(header), "|" + f"{rule}|" * len(header), *map(join, lines)]
 
 
-_LATEX = {"\\": r"\textbackslash{}", "–": "--", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"} | {
-    sign: f"\\{sign}" for sign in "&%$#_{}"
-}
+_LATEX = (
+    {"\\": r"\textbackslash{}", "–": "--", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    | {
+        "|": r"\textbar{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+    }
+    | {sign: f"\\{sign}" for sign in "&%$#_{}"}
+)
 
 
 def format_latex(header: Sequence[str], lines: Iterable[Sequence[str]], text_columns: int | None = None) -> list[str]:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.evaluation import statistics, tables
+from usnet_env.evaluation.identity import differing_keys
 from usnet_env.evaluation.metrics import LOWER_IS_BETTER, OPTIONAL_METRICS, RATES
 from usnet_env.evaluation.statistics import CONFIDENCE, Interval, Profile, mean_interval
-from usnet_env.evaluation.store import KEYS, last_secret, load_run
+from usnet_env.evaluation.store import JOINING, KEYS, last_secret, load_run
 from usnet_env.evaluation.table import RowTable
 from usnet_env.files import as_path
 
@@ -63,8 +64,8 @@ class Comparison:
         metric: what is compared.
         episodes: number of episodes that both have played, n.
         difference: the mean over them of a's value minus b's value.
-        low, high: its simultaneous 95 % interval: a percentile bootstrap interval of the level 1 - 0.05 / k
-            (Bonferroni).
+        low, high: its simultaneous 95 % interval: a bootstrap interval of the level 1 - 0.05 / k (Bonferroni); of one
+            episode, which has no interval, both are the difference.
         p: the p-value of the paired randomisation test, adjusted for k comparisons (Holm, 1979).
         comparisons: number of pairs that were asked for together, k.
     """
@@ -84,8 +85,9 @@ class Comparison:
         value, low, high = (f"{number:+.4g}" for number in (self.difference, self.low, self.high))
         p = "p < 0.001" if self.p < 0.001 else f"p = {self.p:.2g}"
         plural = "" if self.episodes == 1 else "s"
+        interval = "" if self.low == self.high else f"95 % interval {low} to {high}, "
         return (
-            f"{self.metric} of {self.a} minus {self.b}: {value} (95 % interval {low} to {high}, {p}{among}) "
+            f"{self.metric} of {self.a} minus {self.b}: {value} ({interval}{p}{among}) "
             f"over {self.episodes} episode{plural}"
         )
 
@@ -212,27 +214,44 @@ class EvaluationResult:
         Raises:
             ArgumentError: there is no such detector or metric, or two detectors share no episode.
         """
-        self._check_metric(metric)
-        labels = [entry["detector"] for entry in self.summary]
-        others = [b] if isinstance(b, str) else [label for label in labels if label != a] if b is None else list(b)
-        for label in (a, *others):
-            self[label]  # refuses an unknown one
-        pairs = [self._pair(a, other, metric) for other in others]
-        adjusted = statistics.holm([statistics.paired_test(differences) for differences in pairs])
-        level = 1 - (1 - CONFIDENCE) / max(1, len(others))
-        found = [
-            Comparison(
-                a,
-                other,
-                metric,
-                len(differences),
-                *mean_interval(differences, confidence=level),
-                p,
-                len(others),
+        return compare_detectors([self], a, b, metric)
+
+    def merge(self, other: EvaluationResult) -> EvaluationResult:
+        """Join the result of other detectors that have met the same swarms, such as one of another folder.
+
+        Args:
+            other: a result with the same environment, arguments and seed; its labels must differ from those of this
+                one.
+
+        Returns:
+            A result with all rows, whose tables and comparisons hold the detectors of both.
+
+        Raises:
+            ArgumentError: the two have other arguments, other swarms or a label in common.
+        """
+        if not isinstance(other, EvaluationResult):
+            raise ArgumentError(f"other must be an EvaluationResult, got {quote(other)}.")
+        own, theirs = ({entry["detector"] for entry in each.summary} for each in (self, other))
+        if shared := sorted(own & theirs):
+            raise ArgumentError(f"other must have other labels than this result, got {quote(shared[0])} in both.")
+        ours, added = (
+            {key: value for key, value in each.config.items() if key not in (*JOINING, "isolate", "secret")}
+            for each in (self, other)
+        )
+        if different := differing_keys(ours, added):
+            raise ArgumentError(
+                f"other must have the arguments of this result, got different values of {', '.join(different)}."
             )
-            for other, differences, p in zip(others, pairs, adjusted, strict=True)
-        ]
-        return found[0] if isinstance(b, str) else found
+        swarms = dict(zip(*(self.rows.column(name).tolist() for name in ("episode", "swarm_seed")), strict=True))
+        for row in other.rows:
+            if swarms.get(row["episode"], row["swarm_seed"]) != row["swarm_seed"]:
+                raise ArgumentError(
+                    f"other must have met the same swarms, got another one in episode {row['episode']}."
+                )
+        rows = RowTable(self.rows.columns, [*self.rows, *other.rows])
+        joined = {key: [*self.config.get(key, []), *other.config.get(key, [])] for key in ("detectors", "identities")}
+        episodes = max(each.config.get("episodes", 0) for each in (self, other))
+        return EvaluationResult(rows, summarise(rows), {**self.config, **joined, "episodes": episodes})
 
     def interquartile_means(self, metric: str = "J") -> dict[str, Interval]:
         """:func:`interquartile_means` of this result alone."""
@@ -242,7 +261,12 @@ class EvaluationResult:
         """:func:`performance_profiles` of this result alone."""
         return performance_profiles([self], metric, thresholds)
 
-    def _check_metric(self, metric: str) -> None:
+    def check_metric(self, metric: str) -> None:
+        """Refuse a metric that the rows do not have.
+
+        Raises:
+            ArgumentError: there is no such metric.
+        """
         names = [name for name in self.rows.columns if name not in KEYS]
         if metric not in names:
             raise unknown_name("metric", metric, names)
@@ -253,26 +277,76 @@ class EvaluationResult:
         own = (self.rows.column("detector") == label) & ~np.isnan(values)
         return self.rows.column("swarm_seed")[own], values[own]
 
-    def _pair(self, a: str, b: str, metric: str) -> NDArray[np.float64]:
-        """The differences of two detectors in the episodes that both have played."""
-        (ours, first), (theirs, second) = self._values(a, metric), self._values(b, metric)
-        _, here, there = np.intersect1d(ours, theirs, return_indices=True)
-        if not len(here):
-            raise ArgumentError(f"b must have episodes with {metric} in common with {quote(a)}, got {quote(b)}.")
-        return first[here] - second[there]
-
     def _lower_is_better(self, metric: str) -> bool:
         if metric == "J":
             return tables.objective_name(self.summary) == "J_m"
         return metric in LOWER_IS_BETTER or metric.startswith("price")
 
 
+def compare_detectors(
+    results: Sequence[EvaluationResult], a: str, b: str | list[str] | tuple[str, ...] | None, metric: str
+) -> Comparison | list[Comparison]:
+    """Compare a detector with others in the episodes of several results, see :meth:`EvaluationResult.compare`.
+
+    Differences in swarms of the same seed are one group.
+    """
+    for result in results:
+        result.check_metric(metric)
+    labels = list(dict.fromkeys(entry["detector"] for result in results for entry in result.summary))
+    if not isinstance(b, str | list | tuple | None):
+        raise ArgumentError(f"b must be a label, a list of labels or None, got {quote(b)}.")
+    others = [b] if isinstance(b, str) else [label for label in labels if label != a] if b is None else list(b)
+    for label in (a, *others):
+        if label not in labels:
+            raise unknown_name("detector", label, labels)
+    pairs = [_pair(results, a, other, metric) for other in others]
+    adjusted = statistics.holm([statistics.paired_test(_sum_groups(*pair)) for pair in pairs])
+    level = 1 - (1 - CONFIDENCE) / max(1, len(others))
+    found = [
+        Comparison(
+            a,
+            other,
+            metric,
+            len(differences),
+            *mean_interval(differences, confidence=level, groups=swarms),
+            p,
+            len(others),
+        )
+        for other, (differences, swarms), p in zip(others, pairs, adjusted, strict=True)
+    ]
+    return found[0] if isinstance(b, str) else found
+
+
+def _pair(
+    results: Sequence[EvaluationResult], a: str, b: str, metric: str
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The differences of two detectors in the episodes that both have played, and the seeds of their swarms."""
+    differences, swarms = [np.empty(0)], [np.empty(0, np.int64)]
+    for result in results:
+        (ours, first), (theirs, second) = result._values(a, metric), result._values(b, metric)
+        seeds, here, there = np.intersect1d(ours, theirs, return_indices=True)
+        differences.append(first[here] - second[there])
+        swarms.append(seeds)
+    found = np.concatenate(differences)
+    if not len(found):
+        raise ArgumentError(f"b must have episodes with {metric} in common with {quote(a)}, got {quote(b)}.")
+    return found, np.concatenate(swarms)
+
+
+def _sum_groups(values: NDArray[np.float64], groups: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The sum of each group's values: what changes its sign as a whole."""
+    sums: NDArray[np.float64] = np.bincount(np.unique(groups, return_inverse=True)[1], values)  # type: ignore[assignment]
+    return sums
+
+
 def _strata(results: Sequence[EvaluationResult], metric: str) -> dict[str, list[NDArray[np.float64]]]:
     """The values of each detector of the first result in each result."""
+    if not isinstance(results, Sequence) or not all(isinstance(each, EvaluationResult) for each in results):
+        raise ArgumentError(f"results must be a list of results, got {quote(results)}.")
     if not results:
         raise ArgumentError("results must hold at least one result, got none.")
     for result in results:
-        result._check_metric(metric)
+        result.check_metric(metric)
     found = {}
     for entry in results[0].summary:
         label = entry["detector"]
@@ -283,6 +357,15 @@ def _strata(results: Sequence[EvaluationResult], metric: str) -> dict[str, list[
                 continue
             raise ArgumentError(f"results must hold {metric} of the same detectors, got one without {quote(label)}.")
     return found
+
+
+def _numbers(values: Any) -> NDArray[np.float64]:
+    """The values as an array ``(t,)``; an empty one if they are none."""
+    try:
+        found = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        return np.empty(0)
+    return found if found.ndim == 1 else np.empty(0)
 
 
 def interquartile_means(results: Sequence[EvaluationResult], metric: str = "J") -> dict[str, Interval]:
@@ -323,11 +406,14 @@ def performance_profiles(
         A profile for each label.
 
     Raises:
-        ArgumentError: there is no such metric, or a result lacks a detector of the first one.
+        ArgumentError: there is no such metric, a result lacks a detector of the first one, or the thresholds are no
+            numbers.
     """
     strata = _strata(results, metric)
     if thresholds is None:
         pooled = np.concatenate([values for own in strata.values() for values in own])
         thresholds = np.linspace(pooled.min(), pooled.max(), _THRESHOLDS).tolist()
+    elif isinstance(thresholds, str) or not len(at := _numbers(thresholds)) or not np.isfinite(at).all():
+        raise ArgumentError(f"thresholds must be a list of at least one finite number, got {quote(thresholds)}.")
     lower = results[0]._lower_is_better(metric)
     return {label: statistics.performance_profile(own, thresholds, lower) for label, own in strata.items()}

@@ -184,7 +184,12 @@ def _make_contestants(detector: Any, run: _Run) -> list[Contestant]:
     if not contestants:
         raise ArgumentError(f"detector must name at least one detector, got an empty {type(detector).__name__}.")
     for name in TRIVIAL if run.trivial else ():
-        contestants.setdefault(name, Contestant(name, name, name))
+        given = contestants.setdefault(name, Contestant(name, name, name))
+        if detector_label(given.detector) != name:
+            raise ArgumentError(
+                f"label must be another one than {name!r}, the trivial policy, if trivial is true, got it for "
+                f"{quote(given.detector)}."
+            )
     return list(contestants.values())
 
 

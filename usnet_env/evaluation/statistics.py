@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from statistics import NormalDist
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, stdtrit
 
 from usnet_env.config import ArgumentError
 
@@ -17,6 +17,7 @@ _QUANTILE = 1.959963984540054  # of the normal distribution, at (1 + CONFIDENCE)
 
 _RESAMPLES = 9_999
 _PROFILE_RESAMPLES = 2_000
+_MOST_ENUMERATED = 13  # differences, whose 2^13 changes of sign are fewer than the random ones
 _DRAWS_AT_ONCE = 2_000_000  # limits the indices in memory to 16 MB for any number of episodes
 _MOST_RESAMPLED = 5_000  # values; of more, the quantiles of the resampled mean are computed, not drawn
 
@@ -102,19 +103,45 @@ def rate_interval(values: Sequence[float] | NDArray[np.float64], groups: Groups 
     return Interval(mean, min(max(middle - half, 0.0), mean), max(min(middle + half, 1.0), mean))
 
 
+def _wide_quantile(n: int, strata: int = 1, confidence: float = CONFIDENCE) -> float:
+    """The quantile of the normal distribution to which the bootstrap's interval of n values extends.
+
+    Resamples spread less than samples do, by sqrt((n - 1) / n), and the spread of few values is not well known, which
+    Student's distribution tells: the expanded percentile interval (Hesterberg, What Teachers Should Know About the
+    Bootstrap, The American Statistician 69, 2015).
+
+    Args:
+        n: number of independent values.
+        strata: in how many parts, of which each has a mean of its own.
+        confidence: of the interval.
+    """
+    free = max(1, n - strata)
+    return math.sqrt(n / free) * -float(stdtrit(free, (1 - confidence) / 2))
+
+
+def _ends(resampled: NDArray[np.float64], quantile: float) -> tuple[float, float]:
+    """The ends of the percentile interval at a quantile of the normal distribution."""
+    tail = float(ndtr(-quantile))
+    low, high = np.quantile(resampled, [tail, 1 - tail])
+    return float(low), float(high)
+
+
 def mean_interval(
     values: Sequence[float] | NDArray[np.float64],
     seed: int = 0,
     confidence: float = CONFIDENCE,
     groups: Groups | None = None,
 ) -> Interval:
-    """Compute the mean of a sample, with the percentile bootstrap interval of 9,999 resamples.
+    """Compute the mean of a sample, with the expanded percentile bootstrap interval of 9,999 resamples.
+
+    Its levels are those that a sample of n values needs, see :func:`_wide_quantile`. It does not reach beyond the
+    values: of normal values, intervals of 2, 3, 4 and 5 hold the mean in 50, 75, 88 and 92 % of all samples.
 
     Of more than 5,000 values, the quantiles of the resampled means are computed to the order 1/n by the expansion of
     Cornish and Fisher with the sample's skewness (Hall, The Bootstrap and Edgeworth Expansion, 1992, section 2.5).
 
-    If all values are equal, or there is only one, the interval is [mean, mean]: resampling cannot show more spread than
-    the sample has.
+    If all values are equal, the interval is [mean, mean]: resampling cannot show more spread than the sample has. One
+    value has no interval; [mean, mean] stands for it.
 
     Args:
         values: ``(n,)``.
@@ -133,9 +160,8 @@ def mean_interval(
         constant = float(sample[0])
         return Interval(constant, constant, constant)
     rng, n = np.random.default_rng(seed), len(sample)
-    tail = (1 - confidence) / 2
+    quantile = _wide_quantile(n, confidence=confidence)
     if n > _MOST_RESAMPLED:
-        quantile = _QUANTILE if confidence == CONFIDENCE else NormalDist().inv_cdf(1 - tail)
         centred = sample - sample.mean()
         spread = float(np.sqrt((centred**2).mean()))
         shift = float((centred**3).mean()) / spread**3 * (quantile**2 - 1) / (6 * math.sqrt(n))
@@ -147,15 +173,15 @@ def mean_interval(
     for first in range(0, _RESAMPLES, step):
         part = means[first : first + step]
         part[:] = sample[rng.integers(n, size=(len(part), n))].mean(axis=1)
-    low, high = np.quantile(means, [tail, 1 - tail])
-    return Interval(float(sample.mean()), float(low), float(high))
+    return Interval(float(sample.mean()), *_ends(means, quantile))
 
 
 def paired_test(differences: Sequence[float] | NDArray[np.float64], seed: int = 0) -> float:
     """The two-sided p-value of paired differences under the hypothesis that each is as likely with the other sign.
 
-    The randomisation test of Fisher (The Design of Experiments, 1935, section 21) with 9,999 random sign changes and
-    the mean as its statistic. Of more than 5,000 differences, the p-value of the mean's normal limit.
+    The randomisation test of Fisher (The Design of Experiments, 1935, section 21) with the mean as its statistic. Up to
+    13 differences, all changes of their signs are tried, and p is exact; of more, 9,999 random ones. Of more than 5,000
+    differences, the p-value of the mean's normal limit.
 
     Args:
         differences: ``(n,)``.
@@ -170,6 +196,9 @@ def paired_test(differences: Sequence[float] | NDArray[np.float64], seed: int = 
         return 1.0
     if n > _MOST_RESAMPLED:
         return math.erfc(found / math.sqrt(2 * float((sample**2).sum())))
+    if n <= _MOST_ENUMERATED:
+        every = 1.0 - 2 * (np.arange(2**n)[:, None] >> np.arange(n) & 1)
+        return float((np.abs(every @ sample) >= found * (1 - 1e-12)).mean())
     rng, as_large = np.random.default_rng(seed), 0
     step = max(1, _DRAWS_AT_ONCE // n)
     for first in range(0, _RESAMPLES, step):
@@ -199,12 +228,13 @@ def _middle_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def interquartile_mean(strata: Sequence[Sequence[float] | NDArray[np.float64]], seed: int = 0) -> Interval:
-    """The mean of the middle half of all values, with its percentile interval from the stratified bootstrap.
+    """The mean of the middle half of all values, with its expanded percentile interval from the stratified bootstrap.
 
     Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021, section 4.3: all
     values are pooled, and the lowest and the highest quarter are left out (each rounded down to whole values). 9,999
-    resamples are drawn from each task on its own. Of more than 5,000 values, the interval is that of the normal limit
-    (Tukey and McLaughlin, Sankhya A 25, 1963: the variance of a trimmed mean from the winsorised values).
+    resamples are drawn from each task on its own; the levels are those of :func:`mean_interval`. Of more than 5,000
+    values, the interval is that of the normal limit (Tukey and McLaughlin, Sankhya A 25, 1963: the variance of a
+    trimmed mean from the winsorised values).
 
     Args:
         strata: the values of each task, ``(n_s,)`` for task s.
@@ -217,20 +247,19 @@ def interquartile_mean(strata: Sequence[Sequence[float] | NDArray[np.float64]], 
     pooled = np.sort(np.concatenate(samples))
     n = len(pooled)
     mean = float(_middle_mean(pooled))
-    tail = (1 - CONFIDENCE) / 2
+    quantile = _wide_quantile(n, len(samples))
     if n > _MOST_RESAMPLED:
         cut = n // 4
         clipped = [np.clip(each, pooled[cut], pooled[n - cut - 1]) for each in samples]
         spread = math.sqrt(sum(len(each) * float(each.var()) for each in clipped)) / (n - 2 * cut)
-        return Interval(mean, mean - _QUANTILE * spread, mean + _QUANTILE * spread)
+        return Interval(mean, mean - quantile * spread, mean + quantile * spread)
     rng, found = np.random.default_rng(seed), np.empty(_RESAMPLES)
     step = max(1, _DRAWS_AT_ONCE // n)
     for first in range(0, _RESAMPLES, step):
         part = found[first : first + step]
         drawn = [each[rng.integers(len(each), size=(len(part), len(each)))] for each in samples]
         part[:] = _middle_mean(np.concatenate(drawn, axis=1))
-    low, high = np.quantile(found, [tail, 1 - tail])
-    return Interval(mean, float(low), float(high))
+    return Interval(mean, *_ends(found, quantile))
 
 
 def performance_profile(

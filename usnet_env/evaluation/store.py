@@ -34,6 +34,9 @@ COLUMNS: Columns = {
     for name in (*KEYS, *METRICS)
 } | {"detector": "str"}
 
+#: The arguments of a run that others may add to.
+JOINING = ("detectors", "identities", "episodes")
+
 #: Returns the places of the rows of a table in their new order.
 Order = Callable[[RowTable], Sequence[int] | NDArray[np.int64]]
 
@@ -241,6 +244,7 @@ class RunStore:
                     f"out must be a new folder or the folder of a run, got {str(folder)!r} with rows but no {RUN}."
                 )
             self._rows = _open_rows(folder, columns, self._lock)
+            _check_once(self._rows.table, folder)
         except BaseException:
             self._lock.release()
             raise
@@ -311,9 +315,11 @@ def load_run(folder: Path) -> tuple[dict[str, Any], RowTable]:
         names = []
     columns = {**COLUMNS, **dict.fromkeys([name for name in names if name not in COLUMNS], "float")}
     try:
-        return description, read_table(folder / EPISODES, columns)
+        table = read_table(folder / EPISODES, columns)
     except ValueError:
         raise _broken_rows(folder) from None
+    _check_once(table, folder)
+    return description, table
 
 
 def last_secret(description: Mapping[str, Any]) -> dict[str, Any]:
@@ -327,7 +333,7 @@ def _read_description(folder: Path) -> dict[str, Any]:
     try:
         description = dict(json.loads((folder / RUN).read_text(encoding="utf-8")))
         config, made_by = description["config"], description["versions"]["usnet"]
-        if not {"detectors", "identities", "episodes"} <= config.keys() or not isinstance(made_by, str):
+        if not config.keys() >= set(JOINING) or not isinstance(made_by, str):
             raise ValueError
     except (ValueError, KeyError, TypeError, AttributeError):
         raise ArgumentError(f"out must be the folder of a run, got {str(folder)!r} with a broken {RUN}.") from None
@@ -343,9 +349,7 @@ def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -
     there: dict[str, Any] = description["config"]
     identities, joining = (dict(zip(each["detectors"], each["identities"], strict=True)) for each in (there, asked))
     different = sorted(
-        name
-        for name in there.keys() | asked.keys()
-        if name not in ("detectors", "identities", "episodes") and there.get(name) != asked.get(name)
+        name for name in there.keys() | asked.keys() if name not in JOINING and there.get(name) != asked.get(name)
     )
     others = [
         f"in which detector {label!r} {describe_difference(identities[label], identity)}"
@@ -371,6 +375,18 @@ def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -
     together = identities | joining
     joined = {"detectors": list(together), "identities": list(together.values()), "episodes": asked["episodes"]}
     return there | joined
+
+
+def _check_once(table: RowTable, folder: Path) -> None:
+    """Refuse rows that are there twice, which a summary would count twice."""
+    seen = set()
+    for place in zip(table.column("detector"), table.column("episode").tolist(), strict=True):
+        if place in seen:
+            raise ArgumentError(
+                f"{EPISODES} must hold each episode of a detector once, got episode {place[1]} of {place[0]!r} twice "
+                f"in {str(folder)!r}."
+            )
+        seen.add(place)
 
 
 def _open_rows(folder: Path, columns: Columns, lock: FileLock) -> RowFile:

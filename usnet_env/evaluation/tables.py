@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +45,11 @@ RANKING = {
 def _format_number(value: float) -> str:
     """Format with three decimals, or with two significant digits below 0.001."""
     return f"{value:.3f}" if value == 0 or abs(value) >= 0.001 else f"{value:.2g}"
+
+
+def _format_latex_number(value: float) -> str:
+    r"""Format as :func:`_format_number` does, with ``\cdot 10^{-5}`` for ``e-05``."""
+    return re.sub(r"e([+-]\d+)$", lambda power: rf" \cdot 10^{{{int(power[1])}}}", _format_number(value))
 
 
 def _format_objective(value: float) -> str:
@@ -95,13 +101,28 @@ def _choose_metrics(summary: Summary, metrics: Sequence[str] | None) -> list[str
     return known if metrics is None else [name for name in metrics if name in known]
 
 
-def _cells(entry: Mapping[str, Any], metrics: Sequence[str], pattern: str) -> list[str]:
-    """A detector's mean and interval of each metric; ``–`` where it has none."""
-    found = [entry["metrics"].get(name) for name in metrics]
-    return [
-        pattern.format(*(_format_number(cell[part]) for part in ("mean", "low", "high"))) if cell else "–"
-        for cell in found
-    ]
+def _cells(
+    entry: Mapping[str, Any],
+    metrics: Sequence[str],
+    pattern: str,
+    alone: str = "{}",
+    form: Callable[[float], str] = _format_number,
+) -> list[str]:
+    """A detector's mean and interval of each metric; ``–`` where it has none, and one value has no interval.
+
+    Args:
+        entry: the detector's entry of the summary.
+        metrics: names of the metrics.
+        pattern: of a mean with its interval.
+        alone: of a mean without one.
+        form: formats a number.
+    """
+
+    def show(cell: Mapping[str, float]) -> str:
+        single = entry["episodes"] == 1 and cell["low"] == cell["high"]
+        return (alone if single else pattern).format(*(form(cell[part]) for part in ("mean", "low", "high")))
+
+    return [show(cell) if (cell := entry["metrics"].get(name)) else "–" for name in metrics]
 
 
 def _headings(metrics: Sequence[str]) -> list[str]:
@@ -122,7 +143,12 @@ def latex_table(summary: Summary, metrics: Sequence[str] | None) -> str:
     """The means and intervals of all detectors as a ``tabular`` of LaTeX with the rules of the package booktabs."""
     chosen = _choose_metrics(summary, metrics)
     body = [
-        [entry["detector"], str(entry["episodes"]), *_cells(entry, chosen, "${}$ (${}$ to ${}$)")] for entry in summary
+        [
+            entry["detector"],
+            str(entry["episodes"]),
+            *_cells(entry, chosen, "${}$ (${}$ to ${}$)", "${}$", _format_latex_number),
+        ]
+        for entry in summary
     ]
     return "\n".join([*format_latex(_headings(chosen), body, text_columns=1), ""])
 
@@ -179,8 +205,8 @@ def ranking_table(summary: Summary, env: str) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     for entry in rank(summary):
         metrics = entry["metrics"]
-        mean, low, high = (_format_objective(metrics["J"][name]) for name in ("mean", "low", "high"))
-        cells = [f"{mean} (all equal)" if metrics["J"]["low"] == metrics["J"]["high"] else f"{mean} ({low}–{high})"]
+        equal = metrics["J"]["low"] == metrics["J"]["high"]
+        cells = _cells(entry, ["J"], "{} (all equal)" if equal else "{} ({}–{})", form=_format_objective)
         cells += [_format_short(name, metrics[name]["mean"]) for name in RANKING]
         table.add_row(Text(entry["detector"]), *cells)  # Text is not parsed as Rich markup
     return table
