@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, wraps
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,9 +11,21 @@ from numpy.typing import NDArray
 
 from detectors.parameters import Parameters
 from usnet_env.arrays import Mask
-from usnet_env.config import optional_seed
+from usnet_env.config import ArgumentError, optional_seed
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
+
+
+def _refuse_observations(detect: Callable[..., Detection]) -> Callable[..., Detection]:
+    @wraps(detect)
+    def checked(self: Any, window: Any, *more: Any, **named: Any) -> Detection:
+        if isinstance(window, Mapping):
+            raise ArgumentError(
+                "window must be a usnet_env.Window, got a mapping; Window.from_observation(observation) makes one."
+            )
+        return detect(self, window, *more, **named)
+
+    return checked
 
 
 class Detector(Parameters):
@@ -34,6 +46,12 @@ class Detector(Parameters):
 
     tags: ClassVar[Tags] = Tags()
     side_by_side: ClassVar[bool] = False
+
+    def __init_subclass__(cls, **values: Any) -> None:
+        """Let ``detect`` of each subclass refuse an observation, which is a common slip, in one sentence."""
+        super().__init_subclass__(**values)
+        if "detect" in vars(cls):
+            cls.detect = _refuse_observations(cls.detect)  # type: ignore[method-assign]
 
     @cached_property
     def rng(self) -> np.random.Generator:

@@ -1,5 +1,6 @@
 """The base of all configurations; named apart from tests/swarm/test_config.py, as module names must differ."""
 
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -42,6 +43,7 @@ class Sample(Config):
         ({"name": 7}, "name must be a name, got 7."),
         ({"name": "long one"}, "name must be short, got 'long one'."),
         ({"sizes": 3}, "sizes must be a list, got 3."),
+        ({"sizes": "7,5"}, "sizes must be a list such as [7,5], got '7,5'."),
         ({"other": 3}, "other is not an argument of Sample; it takes count, rate, flag, name, sizes."),
     ],
 )
@@ -50,6 +52,15 @@ def test_each_refusal_is_one_sentence(values, sentence):
         Sample(**values)
     assert str(caught.value) == sentence
     assert caught.value.__cause__ is None
+
+
+def test_an_argument_without_a_default_must_be_given():
+    class Needed(Config):
+        path: str
+
+    with pytest.raises(ArgumentError, match=r"^path must be given\.$"):
+        Needed()
+    assert Needed(path=Path("a") / "b").path == str(Path("a") / "b")
 
 
 def test_numpy_values_and_lists_are_taken_as_plain_python():

@@ -22,6 +22,7 @@ from usnet_env.multiagent import GAMES
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+MARK = "--- end of a block ---"
 FENCE = re.compile(r"^```(?P<kind>[^`\n]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 LEFT_ALONE = {"cd", "git", "make", "pip", "python", "rerun", "source"}  # also shown: tested elsewhere, or a viewer
 
@@ -36,7 +37,7 @@ def prepare(page: Path, folder: Path) -> None:
 
 
 def python_of(page: Path) -> str:
-    """The page's Python blocks as one program, each line where it stands in the page."""
+    """The page's Python blocks as one program, each line where it stands in the page; a mark is printed after each."""
     text = page.read_text(encoding="utf-8")
     program = ["\n"] * text.count("\n")
     for block in FENCE.finditer(text):
@@ -44,6 +45,7 @@ def python_of(page: Path) -> str:
             first = text.count("\n", 0, block.start("text"))
             lines = block["text"].splitlines(keepends=True)
             program[first : first + len(lines)] = lines
+            program[first + len(lines)] = f"print({MARK!r})\n"
     return "".join(program)
 
 
@@ -68,9 +70,13 @@ def usnet_commands_of(page: Path) -> list[list[str]]:
     ]
 
 
-def outputs_of(page: Path) -> list[str]:
-    """What the page says that its Python blocks print: the text of its output blocks."""
-    return [block["text"] for block in FENCE.finditer(page.read_text(encoding="utf-8")) if block["kind"] == "output"]
+def outputs_of(page: Path) -> list[tuple[int, str]]:
+    """What the page says that its Python blocks print: the number of a block from 0, and the text of its output."""
+    blocks = [each for each in FENCE.finditer(page.read_text(encoding="utf-8")) if each["kind"] in ("python", "output")]
+    programs = [block["kind"] == "python" for block in blocks]
+    return [
+        (sum(programs[:number]) - 1, block["text"]) for number, block in enumerate(blocks) if block["kind"] == "output"
+    ]
 
 
 def play(program: Path | list[list[str]], folder: Path) -> None:
@@ -118,8 +124,12 @@ def test_the_python_of_a_page_runs(page, tmp_path):
     prepare(page, tmp_path)
     script = tmp_path / f"page_{page.stem}.py"
     script.write_text(python_of(page), encoding="utf-8")
-    printed = run(script, tmp_path)
-    assert [shown for shown in outputs_of(page) if shown not in printed] == [], printed
+    printed = run(script, tmp_path).split(f"{MARK}\n")
+    for number, shown in outputs_of(page):
+        if shown.endswith("\n…\n"):  # the page shows the first lines
+            assert printed[number].startswith(shown.removesuffix("…\n"))
+        else:
+            assert printed[number].rstrip() == shown.rstrip()
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if usnet_commands_of(page)], ids=named)

@@ -12,10 +12,12 @@ from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from functools import update_wrapper
 from inspect import Parameter, Signature
+from pathlib import PurePath
 from typing import Any, Concatenate, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
 _LONGEST_VALUE = 80
 
@@ -124,13 +126,15 @@ def unknown_name(argument: str, got: object, known: Iterable[str]) -> ArgumentEr
 
 
 def _to_python(value: Any) -> Any:
-    """Convert NumPy scalars and arrays, and lists, to the plain Python values that strict types accept."""
+    """Convert NumPy scalars and arrays, lists and paths to the plain Python values that strict types accept."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
         if value.ndim:
             return tuple(value.tolist())
         return value if value.dtype == object else value.item()  # an array of an object stays what it is
+    if isinstance(value, PurePath):
+        return str(value)
     if isinstance(value, list):
         return tuple(item.item() if isinstance(item, np.generic) else item for item in value)
     return value
@@ -152,9 +156,13 @@ def _to_sentence(error: ValidationError) -> str:
         return str(first["ctx"]["error"])
     if first["type"] == "literal_error":
         return str(unknown_name(name, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"])))
+    if first["type"] == "missing" and len(first["loc"]) == 1:
+        return f"{name} must be given."
     takes = _EXPECTED.get(first["type"], first["msg"].removeprefix("Input should be ").rstrip("."))
     if "Sequence" in takes:
         takes = _EXPECTED["tuple_type"]
+    if takes == _EXPECTED["tuple_type"] and isinstance(first["input"], str) and "," in first["input"]:
+        takes += f" such as [{first['input'][:_LONGEST_VALUE]}]"
     return f"{name} must be {takes}, got {quote(first['input'])}."
 
 
@@ -221,7 +229,12 @@ def takes_arguments(
 
         types = get_type_hints(config)
         keywords = [
-            Parameter(name, Parameter.KEYWORD_ONLY, default=field.default, annotation=types[name])
+            Parameter(
+                name,
+                Parameter.KEYWORD_ONLY,
+                default=Parameter.empty if field.is_required() else field.default,
+                annotation=types[name],
+            )
             for name, field in fields.items()
         ]
         update_wrapper(checked, init)
@@ -243,7 +256,7 @@ def list_arguments(**parts: str) -> Callable[[ClassT], ClassT]:
 
     def complete(described: ClassT) -> ClassT:
         rows = [
-            f"    | `{name}` | {_format_default(field.default)} | {field.description.replace('``', '`')} |"
+            f"    | `{name}` | {_format_default(field)} | {field.description.replace('``', '`')} |"
             for name, field in vars(described)["__init__"].config.model_fields.items()
         ]
         table = "\n".join(["| name | default | meaning |", "    | --- | --- | --- |", *rows])
@@ -256,7 +269,10 @@ def list_arguments(**parts: str) -> Callable[[ClassT], ClassT]:
     return complete
 
 
-def _format_default(value: Any) -> str:
+def _format_default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = field.default
     if isinstance(value, int | float) and not isinstance(value, bool):
         return f"{value:g}"
     return f"`{value!r}`".replace("'", '"')

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import time
 import traceback
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from unittest import SkipTest
 
 from detectors.checks.harness import CheckError, CheckWarning
-from usnet_env.processes import limits
+from usnet_env.processes import find_frame, limits
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -24,8 +23,7 @@ if TYPE_CHECKING:
 Check = Callable[[Any], None]
 Status = Literal["passed", "warning", "failed", "expected failure", "skipped"]
 
-_HERE = Path(__file__).parent
-_NOT_SHOWN = (contextlib.__file__, limits.__file__)  # the checks call detectors through these
+_NOT_SHOWN = (Path(__file__).parent, Path(limits.__file__))  # the checks call detectors through these
 _COLOURS: dict[Status, str] = {
     "passed": "green",
     "warning": "yellow",
@@ -132,17 +130,12 @@ def _find_location(failure: BaseException | None) -> str:
     """Find the last line of the traceback that is not in an installed library; empty if the checks raised it."""
     if failure is None or isinstance(failure, CheckError):
         return ""
-    outside = [
-        frame
-        for frame in traceback.extract_tb(failure.__traceback__)
-        if _HERE not in Path(frame.filename).parents and frame.filename not in _NOT_SHOWN
-    ]
-    own = [frame for frame in outside if "site-packages" not in Path(frame.filename).parts] or outside
-    if not own:
+    frame = find_frame(failure, _NOT_SHOWN)
+    if frame is None:
         return ""
-    path = os.path.relpath(own[-1].filename)
-    shown = own[-1].filename if path.startswith(os.pardir) else path
-    return f"{shown}, line {own[-1].lineno}, in {own[-1].name}"
+    path = os.path.relpath(frame.filename)
+    shown = frame.filename if path.startswith(os.pardir) else path
+    return f"{shown}, line {frame.lineno}, in {frame.name}"
 
 
 def _group_reasons(results: Sequence[CheckResult]) -> list[tuple[CheckResult, list[str]]]:

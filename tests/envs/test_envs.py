@@ -397,7 +397,8 @@ def test_a_state_of_another_env_is_refused():
     env, other = gym.make(MULTI, **SMALL).unwrapped, gym.make(MULTI).unwrapped
     env.reset(seed=0)
     other.reset(seed=0)
-    for wrong in (env.get_state(), {}, None, 3):
+    partial = [{name: part for name, part in other.get_state().items() if name != each} for each in other.get_state()]
+    for wrong in (env.get_state(), {}, None, 3, *partial, other.get_state() | {"swarm": {}}):
         with pytest.raises(ArgumentError, match="state must come from get_state"):
             other.set_state(wrong)
 

@@ -79,7 +79,8 @@ class Broken(RandomObserver):
 def test_a_policy_that_fails_ends_no_other_team():
     players = {"broken": {"observer": Broken()}, "random": {"observer": RandomObserver()}}
     with pytest.raises(
-        EvaluationError, match=r"^detector 'broken' failed in game 0: ZeroDivisionError: no act\.$"
+        EvaluationError,
+        match=r"^detector 'broken' failed in game 0: ZeroDivisionError: no act \(test_games\.py, line \d+, in act\)\.$",
     ) as e:
         evaluate_games("usnet_observers_v0", players, episodes=2, game_kwargs=SMALL)
     assert [entry["episodes"] for entry in e.value.result.summary] == [2]

@@ -36,6 +36,9 @@ def test_the_episodes_of_the_trigger_are_written(tmp_path):
     found = EpisodeRecord.load(tmp_path / "new" / "episode-3.npz")
     assert (found.seed, found.detector, found.env_id) == (3, "mine", "USNET/MultiCluster-v0")
     np.testing.assert_array_equal(found.scores, found.candidates)
+    assert repr(found) == (
+        f"<EpisodeRecord of USNET/MultiCluster-v0: {found.rounds} rounds, 12 UAVs, detector 'mine', seed 3>"
+    )
 
 
 def test_files_of_an_earlier_run_are_not_replaced_without_a_word(tmp_path):

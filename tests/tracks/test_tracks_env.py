@@ -30,6 +30,12 @@ def test_gymnasiums_checker_has_nothing_to_say(path):
     check_env(make(path).unwrapped, skip_render_check=True)
 
 
+def test_a_path_object_is_taken_and_no_path_is_refused(path):
+    assert make(Path(path)).unwrapped.config.path == path
+    with pytest.raises(ArgumentError, match=r"^path must be given\.$"):
+        gym.make("USNET/Tracks-v0")
+
+
 def test_windows_follow_in_the_order_of_time_and_nothing_is_destroyed(path):
     env, cuts = make(path), list(read_tracks(path).resample(0.5).windows(100))
     for cut in [*cuts, cuts[0]]:

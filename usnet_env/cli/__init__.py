@@ -70,17 +70,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     except click.ClickException as error:
         print_message(" ".join(error.format_message().split()).rstrip(".") + ".")
         return _REFUSED
-    except BrokenPipeError:  # the program that reads our output has ended, for example `head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return _FAILED
+    except BrokenPipeError:
+        return _end_without_reader()
     except ArgumentError as error:
         print_message(str(error))
         return _REFUSED
-    except SystemExit as end:  # of a detector: a program that was ended by it has not succeeded
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # raised by Rich in place of it
+            return _end_without_reader()
+        # of a detector: a program that was ended by it has not succeeded
         print_message(f"ended by sys.exit({end.code!r}) in a detector or another plug-in.")
         return _FAILED
     except Exception as error:
         return _report_failure(error)
+
+
+def _end_without_reader() -> int:
+    """End silently: the program that reads our output has ended, for example ``head``."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return _FAILED
 
 
 def _open_streams() -> None:

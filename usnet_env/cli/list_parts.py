@@ -33,14 +33,17 @@ _PARTS = (
 
 
 @click.command(name="list", short_help="List envs, detectors, follow strategies and other parts.")
-@click.argument("part", type=click.Choice(_PARTS))
-def list_(part: str) -> None:
+@click.argument("part", type=click.Choice(_PARTS), required=False)
+def list_(part: str | None) -> None:
     """List the available environments, detectors or other parts, with one line about each.
 
     The list of detectors also shows what a detector needs and uses: packages beyond those that USNET always installs,
     the most UAVs and the least steps of a window, whether it uses positions, and whether it takes the number of
-    clusters M.
+    clusters M. Without a word, it lists what can be listed.
     """
+    if part is None:
+        click.echo("".join(f"usnet list {name}\n" for name in _PARTS), nl=False)
+        return
     rows = _describe_parts(part)
     width = max(len(name) for name, _ in rows) + 2
     for name, description in rows:

@@ -16,10 +16,15 @@ def show(*renderables: Any) -> None:
     from rich.console import Console
 
     console = Console()
-    if not console.is_terminal:
-        console = Console(width=PIPE_WIDTH)
-    for renderable in renderables:
-        console.print(renderable)
+    if console.is_terminal:
+        for renderable in renderables:
+            console.print(renderable)
+        return
+    wide = Console(width=PIPE_WIDTH)
+    with wide.capture() as captured:
+        for renderable in renderables:
+            wide.print(renderable)
+    click.echo("".join(f"{line.rstrip()}\n" for line in captured.get().splitlines()), nl=False)
 
 
 def show_markdown(text: str) -> None:
@@ -27,7 +32,10 @@ def show_markdown(text: str) -> None:
     from rich.console import Console
     from rich.markdown import Markdown
 
-    Console(width=PIPE_WIDTH).print(Markdown(text))
+    if Console().is_terminal:
+        Console(width=PIPE_WIDTH).print(Markdown(text))
+    else:
+        show(Markdown(text))
 
 
 def print_message(sentence: str) -> None:

@@ -196,21 +196,24 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             ArgumentError: the state is of an environment with other arguments, or is not a state.
         """
         here = self._settings()
+        refused = f"state must come from get_state of an environment with the same arguments, got {quote(state)}."
         if not isinstance(state, dict) or {name: state.get(name) for name in here} != here:
-            raise ArgumentError(
-                f"state must come from get_state of an environment with the same arguments, got {quote(state)}."
-            )
+            raise ArgumentError(refused)
         saved = copy.deepcopy(state)
-        if saved["config"] != self.config.model_dump():  # drawn for each episode
-            self.config = SwarmConfig(**saved["config"])
-        self._game = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
-        self._window = saved["observation"]
+        try:
+            config, window, generator = SwarmConfig(**saved["config"]), saved["observation"], saved["generator"]
+            restored = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
+        except (KeyError, TypeError):  # a part is missing
+            raise ArgumentError(refused) from None
+        if config != self.config:  # drawn for each episode
+            self.config = config
+        self._game, self._window = restored, window
         self._last_round, self._frames = None, EpisodeFrames()
         if self.render_mode is not None:
             self._frames.watch(self._window["position"], self._window["seen"].astype(bool))
         if self._np_random is None:
             super().reset(seed=0)
-        self.np_random.bit_generator.state = saved["generator"]
+        self.np_random.bit_generator.state = generator
         return copy.deepcopy(self._window)
 
     def render(self) -> NDArray[np.uint8] | None:

@@ -114,10 +114,13 @@ class PolicyAgent:
         seen = observation if self._normaliser is None else self._normaliser.normalize_obs(observation)
         more = {"action_masks": _action_masks(observation)} if self._masked else {}
         begin = time.perf_counter()
-        action, state = self.policy.predict(
+        answer = self.policy.predict(
             seen, state=self._state, episode_start=np.array([self._start]), deterministic=True, **more
         )
         seconds = time.perf_counter() - begin
+        if not isinstance(answer, tuple | list) or len(answer) != 2:
+            raise ArgumentError(f"predict must return an action and a state, got {quote(answer)}.")
+        action, state = answer
         self._state, self._start = state, False
         values = np.asarray(action)
         if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
@@ -158,11 +161,18 @@ def as_agent(detector: Any) -> Agent:
     Raises:
         ArgumentError: the object is neither of the two, or it is a class instead of an object.
     """
-    if not isinstance(detector, type):
-        if callable(getattr(detector, "detect", None)) and callable(getattr(detector, "reset", None)):
+    detects, predicts = (callable(getattr(detector, name, None)) for name in ("detect", "predict"))
+    if isinstance(detector, type):
+        if detects or predicts:
+            name = detector.__name__
+            raise ArgumentError(f"detector must be an object, got the class {name}; {name}() makes an object of it.")
+    else:
+        if detects and callable(getattr(detector, "reset", None)):
             return DetectorAgent(detector)
-        if callable(getattr(detector, "predict", None)):
+        if predicts:
             return PolicyAgent(detector)
+        if detects:
+            raise ArgumentError(f"detector must have the method reset(seed) beside detect, got {quote(detector)}.")
     raise ArgumentError(
         f"detector must be a name, an object with detect and reset, or an object with predict, got {quote(detector)}."
     )

@@ -133,7 +133,7 @@ def play_run(
             failure = EvaluationError(" ".join(map(str, tasks.failures.values())))
             failure.result = result if table else None
             failure.failures = {plan.labels[number]: str(error) for number, error in tasks.failures.items()}
-            raise failure
+            raise failure from next(iter(tasks.failures.values())).__cause__
         if store is not None:
             store.finish(rows.order, result.summary)
     return result

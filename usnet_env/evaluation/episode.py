@@ -15,7 +15,7 @@ from usnet_env.envs.play import PlayedRound, play_rounds
 from usnet_env.evaluation.agents import Agent, Answer, RefusedArgumentError
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.metrics import episode_metrics
-from usnet_env.processes import PlainError, ProcessDied, limited
+from usnet_env.processes import PlainError, ProcessDied, describe_place, limited
 from usnet_env.swarm import SwarmState
 
 Row = dict[str, Any]
@@ -44,14 +44,15 @@ def episode_seeds(seed: int, episode: int, secret: str | None = None) -> tuple[i
 
 
 def detector_error(label: str, where: str, error: BaseException) -> EvaluationError:
-    """The error for a detector that failed; one sentence."""
+    """The error for a detector that failed; one sentence, with the line of the detector's code that failed."""
     if isinstance(error, ProcessDied):
         return EvaluationError(f"detector {label!r} failed in {error.during or where}: {error.reason}.")
-    if isinstance(error, PlainError):
-        return EvaluationError(f"detector {label!r} failed in {where}: {' '.join(str(error).split()).rstrip('.')}.")
+    plain = isinstance(error, PlainError)
     text = " ".join(str(error).split())
-    cause = text if isinstance(error, ArgumentError) else f"{type(error).__name__}: {text}".rstrip(": ")
-    return EvaluationError(f"detector {label!r} failed in {where}: {cause.rstrip('.')}.")
+    cause = text if plain or isinstance(error, ArgumentError) else f"{type(error).__name__}: {text}".rstrip(": ")
+    place = error.place if isinstance(error, PlainError) else describe_place(error)
+    shown = f" ({place})" if place else ""
+    return EvaluationError(f"detector {label!r} failed in {where}: {cause.rstrip('.')}{shown}.")
 
 
 @contextmanager

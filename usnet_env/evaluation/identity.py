@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import partial
+from pathlib import PurePath
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
 
@@ -210,6 +211,8 @@ def _describe(value: Any, above: tuple[int, ...]) -> Any:
         return [_describe(item, inner) for item in value]
     if isinstance(value, set | frozenset):
         return sorted((_describe(item, inner) for item in value), key=repr)
+    if isinstance(value, PurePath):
+        return str(value)
     if isinstance(value, BaseModel):
         return {name: _describe(getattr(value, name), inner) for name in type(value).model_fields}
     return _describe_object(value, inner)

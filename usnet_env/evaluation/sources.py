@@ -13,7 +13,6 @@ import dis
 import functools
 import os
 import sys
-import sysconfig
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
@@ -24,6 +23,7 @@ from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 from usnet_env.definitions import find_module
+from usnet_env.processes import is_installed
 
 __all__ = ["VERSIONED", "code_text", "hash_code", "hash_named_code"]
 
@@ -31,8 +31,6 @@ _ALL = "*"  # every name of a module
 #: The packages of this distribution, whose version run.json holds.
 VERSIONED = ("usnet_env", "detectors")
 
-_INSTALLED = {"site-packages", "dist-packages"}
-_PYTHON = tuple(sysconfig.get_paths()[name] for name in ("stdlib", "platstdlib"))
 _LOADS = {"LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"}
 _STORES = {"STORE_NAME", "STORE_GLOBAL"}
 _PLAIN = (type(None), bool, int, float, complex, str, bytes, tuple, list, dict, set, frozenset)
@@ -151,12 +149,7 @@ def _find_file(module: str) -> str | None:
         path = spec.origin if spec is not None and spec.has_location else None
     if not isinstance(path, str) or not Path(path).is_file():
         return None
-    return None if module == "__main__" and _is_installed(path) else path  # a notebook is run by an installed script
-
-
-@functools.lru_cache(maxsize=4096)
-def _is_installed(path: str) -> bool:
-    return not _INSTALLED.isdisjoint(Path(path).parts) or path.startswith(_PYTHON)
+    return None if module == "__main__" and is_installed(path) else path  # a notebook is run by an installed script
 
 
 def _is_own(module: str) -> bool:
@@ -165,7 +158,7 @@ def _is_own(module: str) -> bool:
     if first in VERSIONED or first in sys.stdlib_module_names:
         return False
     path = _find_file(module)
-    return path is None or not _is_installed(path)
+    return path is None or not is_installed(path)
 
 
 @functools.lru_cache(maxsize=256)

@@ -23,6 +23,7 @@ Inside a task, :func:`limited` marks the part to which the limits apply, such as
 """
 
 from usnet_env.processes.backends import BACKENDS, InProcess, check_backend, make_backend
+from usnet_env.processes.frames import describe_place, find_frame, is_installed
 from usnet_env.processes.limits import Limits, ProcessDied, limited
 from usnet_env.processes.outcome import Backend, Outcome
 from usnet_env.processes.parent import SendError
@@ -45,6 +46,9 @@ __all__ = [
     "RayPool",
     "SendError",
     "check_backend",
+    "describe_place",
+    "find_frame",
+    "is_installed",
     "limited",
     "make_backend",
 ]

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.processes.child import prepare_child
+from usnet_env.processes.frames import describe_place
 from usnet_env.processes.limits import Limits, ProcessDied, limit_memory
 from usnet_env.processes.parent import RemoteTraceback, SendError, describe_end, end_process, start_process
 
@@ -35,6 +36,7 @@ _ALIGNED = 16  # bytes
 _KINDS = "biuf"  # of arrays: booleans and numbers
 _LARGEST_ANSWER = 2**26  # bytes
 _LONGEST_TEXT = 10_000  # characters of an error
+_LONGEST_PLACE = 200  # characters
 _SMALL = 2**15  # bytes; a longer message waits until the process reads it
 _AT_ONCE = 2**20  # bytes
 _LENGTH = struct.Struct("!i")  # of a message, as multiprocessing's connections send it
@@ -48,12 +50,14 @@ class PlainError(RuntimeError):
     Args:
         kind: the name of the exception's class.
         text: the exception as text.
+        place: the line of foreign code that raised it, as :func:`describe_place` returns it.
     """
 
-    def __init__(self, kind: str, text: str) -> None:
-        super().__init__(kind, text)
+    def __init__(self, kind: str, text: str, place: str = "") -> None:
+        super().__init__(kind, text, place)
         self.kind = kind
         self.text = text
+        self.place = place
 
     def __str__(self) -> str:
         return f"{self.kind}: {self.text}".rstrip(": ")
@@ -130,7 +134,8 @@ def _serve(connection: Connection, megabytes: float | None) -> None:
 
 def _describe(error: BaseException, kind: str, text: str) -> bytes:
     trace = "".join(traceback.format_exception(error))
-    return _pack({"error": kind, "text": text[:_LONGEST_TEXT], "trace": trace[-_LONGEST_TEXT:]}, {})
+    parts = {"text": text[:_LONGEST_TEXT], "trace": trace[-_LONGEST_TEXT:], "place": describe_place(error)}
+    return _pack({"error": kind, **parts}, {})
 
 
 def _text(error: BaseException) -> str:
@@ -229,12 +234,12 @@ class PlainProcess:
             raise
         if "error" not in values:
             return values, arrays
-        kind, text, trace = (str(values.get(name)) for name in ("error", "text", "trace"))
+        kind, text, trace, place = (str(values.get(name, "")) for name in ("error", "text", "trace", "place"))
         if not self._started:
             self.close()
             if kind == "SendError":
                 raise SendError(text)
-        raise PlainError(kind, text) from RemoteTraceback(trace)
+        raise PlainError(kind, text, " ".join(place.split())[:_LONGEST_PLACE]) from RemoteTraceback(trace)
 
     def _send(self, message: bytes | memoryview, deadline: float) -> None:
         """Send a message as the connection of the child process reads it, its length first."""

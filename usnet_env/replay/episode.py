@@ -59,7 +59,7 @@ def _convert_to_texts(name: str, value: Any, rounds: int) -> tuple[dict[str, str
     return tuple(dict(each) for each in value)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class EpisodeRecord:
     """One episode of R rounds with N UAVs: the observer's windows, the truth, and the detector's answers.
 
@@ -139,6 +139,13 @@ class EpisodeRecord:
     config: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, Any] = field(default_factory=dict)
     labelled: bool = True
+
+    def __repr__(self) -> str:
+        plural = "" if self.rounds == 1 else "s"
+        return (
+            f"<EpisodeRecord of {self.env_id or 'a game'}: {self.rounds} round{plural}, {len(self.head)} UAVs, "
+            f"detector {self.detector!r}, seed {self.seed}>"
+        )
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:

@@ -1,0 +1,85 @@
+"""What a user reads when a detector fails or is none: one sentence, with the line of the detector's code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sample_detectors import AllAlive, FailingWithOne
+
+from usnet_env import ArgumentError, Window, evaluate, make_detector
+from usnet_env.evaluation import EvaluationError
+
+MULTI = "USNET/MultiCluster-v0"
+SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
+
+
+@pytest.mark.parametrize("how", [{}, {"workers": 2}, {"time_limit": 60}, {"isolate": True}])
+@pytest.mark.parametrize("detector", [FailingWithOne(), "sample_detectors:FailingWithOne"])
+def test_a_failure_names_the_line_of_the_detector_and_no_folder(detector, how):
+    with pytest.raises(EvaluationError) as failed:
+        evaluate(MULTI, detector, episodes=2, env_kwargs=SMALL, **how)
+    source = Path(__file__).with_name("sample_detectors.py").read_text().splitlines()
+    (line,) = (number for number, text in enumerate(source, 1) if "no luck" in text)
+    assert str(failed.value).endswith(
+        f"failed in its warm-up: ZeroDivisionError: no luck (sample_detectors.py, line {line}, in detect)."
+    )
+    assert failed.value.__cause__ is not None
+    assert list(failed.value.failures) == [str(failed.value).split("'")[1]]
+
+
+class OutOfRange(AllAlive):
+    def detect(self, window):
+        return make_detector("random").detect(window).candidates.reshape(3, -1)[:, [99]]
+
+
+def test_an_error_in_a_library_is_found_at_the_line_that_calls_it():
+    with pytest.raises(EvaluationError, match=r"IndexError: .* \(test_failures\.py, line \d+, in detect\)\.$"):
+        evaluate(MULTI, OutOfRange(), episodes=1, env_kwargs=SMALL | {"uavs": 21})
+
+
+class WithoutReset:
+    def detect(self, window):
+        raise NotImplementedError
+
+
+class Answering:
+    """A policy without a state."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return self.answer
+
+
+@pytest.mark.parametrize(
+    ("detector", "message"),
+    [
+        (AllAlive, r"^detector must be an object, got the class AllAlive; AllAlive\(\) makes an object of it\.$"),
+        (Answering, r"^detector must be an object, got the class Answering; Answering\(\) makes an object of it\.$"),
+        (WithoutReset(), r"^detector must have the method reset\(seed\) beside detect, got <"),
+        (
+            int,
+            r"^detector must be a name, an object with detect and reset, or an object with predict, got <class 'int'",
+        ),
+        (Answering(np.zeros(20)), r"failed in its warm-up: predict must return an action and a state, got array"),
+        (Answering(None), r"failed in its warm-up: predict must return an action and a state, got None\.$"),
+    ],
+)
+def test_what_is_no_detector_is_refused_in_one_sentence(detector, message):
+    with pytest.raises((ArgumentError, EvaluationError), match=message):
+        evaluate(MULTI, {"mine": detector}, episodes=1, env_kwargs=SMALL)
+
+
+@pytest.mark.parametrize("name", ["random", "lagged-regression", "follow-mixture"])
+def test_a_detector_that_gets_an_observation_says_how_to_make_a_window_of_it(name):
+    import gymnasium as gym
+
+    observation, _ = gym.make(MULTI, **SMALL).reset(seed=0)
+    detector = make_detector(name)
+    detector.reset(0)
+    with pytest.raises(ArgumentError, match=r"^window must be a usnet_env\.Window, .* Window\.from_observation\("):
+        detector.detect(observation)
+    assert len(detector.detect(Window.from_observation(observation)).candidates) == 20
