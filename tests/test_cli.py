@@ -312,7 +312,7 @@ def test_bad_input_is_one_sentence_with_the_name(run, words, expected):
 
 
 @pytest.mark.parametrize(
-    "words", [["demo", "--seed", "x"], ["demo", "--detector", "x"], ["list", "nothing"], ["list"], ["play"], ["--x"]]
+    "words", [["demo", "--seed", "x"], ["demo", "--detector", "x"], ["list", "nothing"], ["play"], ["--x"]]
 )
 def test_the_other_commands_refuse_in_one_sentence_too(run, words):
     refused(run, words)

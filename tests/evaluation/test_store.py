@@ -294,7 +294,7 @@ class Nested(RandomThird):
 
 def test_two_runs_at_once_do_not_share_a_folder(tmp_path):
     with pytest.raises(
-        EvaluationError, match=rf"out must be a folder that no other run uses, .* which process {os.getpid()} uses\."
+        EvaluationError, match=rf"out must be a folder that no other run uses, .* which process {os.getpid()} uses \("
     ):
         evaluate(MULTI, Nested(tmp_path / "run"), episodes=1, env_kwargs=SMALL, out=tmp_path / "run")
     assert files(tmp_path) == set()
