@@ -24,7 +24,8 @@ def show(*renderables: Any) -> None:
     with wide.capture() as captured:
         for renderable in renderables:
             wide.print(renderable)
-    click.echo("".join(f"{line.rstrip()}\n" for line in captured.get().splitlines()), nl=False)
+    # Not click.echo, which writes UTF-8 where the stream is ASCII.
+    print("".join(f"{line.rstrip()}\n" for line in captured.get().splitlines()), end="")
 
 
 def show_markdown(text: str) -> None:
