@@ -17,6 +17,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
@@ -156,7 +157,10 @@ def train_heads(
     losses = _read_checkpoint(checkpoint, network, optimiser) if resume else []
     steps = range(len(losses), training.steps)
     with closing(run_in_order(partial(_draw_step, training), steps, workers, "Step")) as drawn:
-        for step, examples in zip(steps, drawn, strict=True):
+        for step, arrays in zip(steps, drawn, strict=True):
+            # Sums depend on the order and alignment of numbers in memory, which other processes do not keep.
+            tensors = (tuple(torch.tensor(np.ascontiguousarray(array)) for array in each) for each in arrays)
+            examples = [Example(Inputs(*each[:2]), *each[2:]) for each in tensors]
             losses.append(_run_step(training, step, examples, network, optimiser))
             progress(len(losses), training.steps)
             if len(losses) % checkpoint_every == 0 or len(losses) == training.steps:
@@ -167,9 +171,10 @@ def train_heads(
     return write_weights(path, network.state_dict(), record_training(training), metrics)
 
 
-def _draw_step(training: HeadTraining, step: int) -> list[Example]:
-    """Draw the examples of one step."""
-    return [draw_example(training, _make_rng(training, _STEP, step, number)) for number in range(training.swarms)]
+def _draw_step(training: HeadTraining, step: int) -> list[tuple[NDArray[Any], ...]]:
+    """Draw the examples of one step, as arrays: features, context, head and leader of each."""
+    drawn = [draw_example(training, _make_rng(training, _STEP, step, number)) for number in range(training.swarms)]
+    return [tuple(each.numpy() for each in (*one.inputs, one.head, one.leader)) for one in drawn]
 
 
 def _run_step(

@@ -94,6 +94,16 @@ def _generator(training: MetaTraining, purpose: int, number: int = 0) -> torch.G
 
 def draw_task(training: MetaTraining, rng: np.random.Generator) -> Task:
     """A random follow strategy, and a support and a query swarm that obey it, in their first round."""
+    return _make_task(training, _draw_windows(training, rng))
+
+
+def _make_task(training: MetaTraining, drawn: list[tuple[Window, Indices]]) -> Task:
+    """Turn the windows of two swarms, with the cluster of each UAV, into tensors."""
+    return Task(*(Clustered(inputs_of(window, training.memory), torch.from_numpy(labels)) for window, labels in drawn))
+
+
+def _draw_windows(training: MetaTraining, rng: np.random.Generator) -> list[tuple[Window, Indices]]:
+    """The windows of the support and the query swarm, each with the cluster of each UAV, ``(n,)``."""
     swarm = SwarmConfig(
         follow=random_follow_strategy(rng),
         clusters=training.clusters,
@@ -108,14 +118,13 @@ def draw_task(training: MetaTraining, rng: np.random.Generator) -> Task:
     drawn = []
     for b in range(2):
         window = Window(sighting.position[b], sighting.velocity[b], sighting.seen[b], sighting.alive[b])
-        labels = torch.from_numpy(np.unique(state.leader[b], return_inverse=True)[1].astype(np.int64))
-        drawn.append(Clustered(inputs_of(window, training.memory), labels))
-    return Task(*drawn)
+        drawn.append((window, np.unique(state.leader[b], return_inverse=True)[1].astype(np.int64)))
+    return drawn
 
 
-def _draw_task(training: MetaTraining, number: int) -> Task:
-    """Draw the task of this number."""
-    return draw_task(training, _rng(training, _TASK, number))
+def _draw_strategy(training: MetaTraining, number: int) -> list[tuple[Window, Indices]]:
+    """Draw the windows of the strategy of this number."""
+    return _draw_windows(training, _rng(training, _TASK, number))
 
 
 def start_of(training: MetaTraining) -> GruParameters:
@@ -125,7 +134,7 @@ def start_of(training: MetaTraining) -> GruParameters:
 
 def trained(training: MetaTraining) -> tuple[GruParameters, list[float]]:
     """The parameters, and the query loss of every episode; nothing is written."""
-    tasks = [_draw_task(training, number) for number in range(training.strategies)]
+    tasks = [_make_task(training, _draw_strategy(training, number)) for number in range(training.strategies)]
     return train_offline(
         start_of(training),
         tasks,
@@ -196,9 +205,10 @@ def train_meta(
         )
     parameters = parameters_of(str(checkpoint.path), arrays) if arrays else start_of(training)
     tasks = []
-    with closing(run_in_order(partial(_draw_task, training), range(training.strategies), workers, "Strategy")) as drawn:
-        for task in drawn:
-            tasks.append(task)
+    strategies, draw = range(training.strategies), partial(_draw_strategy, training)
+    with closing(run_in_order(draw, strategies, workers, "Strategy")) as drawn:
+        for windows in drawn:
+            tasks.append(_make_task(training, windows))
             progress(len(tasks), total)
     while len(losses) < training.episodes:
         episodes = range(len(losses), min(len(losses) + checkpoint_every, training.episodes))

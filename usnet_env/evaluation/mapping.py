@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 from usnet_env.evaluation.engine import Place
 from usnet_env.evaluation.errors import EvaluationError
@@ -74,7 +72,8 @@ def run_in_order(
     At most a few results for each worker wait for the caller.
 
     Args:
-        function: what to call with each number. Other processes must be able to import it, and its results are pickled.
+        function: what to call with each number. Other processes must be able to import it. Its results should hold
+            arrays, not tensors: PyTorch sends tensors in shared memory, which ends with the process that made them.
         numbers: the numbers.
         workers: number of processes, or a place.
         name: names a number in errors, ``"Step"`` for example.
@@ -82,23 +81,13 @@ def run_in_order(
     Raises:
         EvaluationError, Exception: as :func:`run_tasks`.
     """
-    waiting: dict[int, bytes] = {}
-    with closing(run_tasks(_Packed(function), numbers, workers, lambda number: f"{name} {number}")) as packed:
+    waiting: dict[int, ResultT] = {}
+    with closing(run_tasks(function, numbers, workers, lambda number: f"{name} {number}")) as outcomes:
         for number in numbers:
             while number not in waiting:
-                done, result = next(packed)
+                done, result = next(outcomes)
                 waiting[done] = result
-            yield pickle.loads(waiting.pop(number))
-
-
-@dataclass(frozen=True)
-class _Packed(Generic[TaskT]):
-    """Pickles results by value: PyTorch sends tensors to other processes in shared memory, which ends with a worker."""
-
-    function: Callable[[TaskT], object]
-
-    def __call__(self, task: TaskT) -> bytes:
-        return pickle.dumps(self.function(task), pickle.HIGHEST_PROTOCOL)
+            yield waiting.pop(number)
 
 
 def _choose_backend(place: Place, tasks: int) -> str:
