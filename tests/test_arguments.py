@@ -88,7 +88,7 @@ def test_a_sample_of_values_is_accepted_or_refused_in_one_sentence(doors):
 def test_10_000_values_are_accepted_or_refused_in_one_sentence(doors):
     counts, faults = try_values(doors, 10_000)
     print(dict(counts))
-    assert not faults
+    assert not faults, "\n".join(faults)
     assert counts["refused"] > counts["accepted"] > 0
 
 

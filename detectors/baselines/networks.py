@@ -93,7 +93,7 @@ class NetworkDetector(Detector):
 
     max_lag: Lags = 4
     max_delay: Seconds | None = None
-    level: Annotated[float, Field(gt=0, lt=1)] = 0.01
+    level: Annotated[float, Field(ge=1e-9, lt=1)] = 0.01
 
     @abstractmethod
     def pairs(self, flight: Flight, lags: int) -> Pairs:

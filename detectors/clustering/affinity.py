@@ -135,7 +135,14 @@ def compute_affinity(affinity: str | Affinity | None, features: Floats, max_lag:
         affinity = "lag" if features.ndim == 3 else "rbf"
     if isinstance(affinity, str):
         return AFFINITIES[affinity](features, max_lag)
-    values = frozen_array("affinity", affinity(features), np.float64, (len(features), len(features))).copy()
+    try:
+        computed = affinity(features)
+    except Exception as error:  # a function of another package may raise anything
+        text = " ".join(str(error).split()).rstrip(".")
+        raise ArgumentError(
+            f"affinity must be a function of features {features.shape}, got {type(error).__name__}: {text}."
+        ) from error
+    values = frozen_array("affinity", computed, np.float64, (len(features), len(features))).copy()
     if values.min() < 0.0 or values.max() > 1.0 or not np.allclose(values, values.T):
         raise ArgumentError(
             "affinity must return a symmetric array with values from 0 to 1, "

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Mask, Observation
-from usnet_env.config import ArgumentError, optional_seed, whole_number
+from usnet_env.config import ArgumentError, optional_seed, quote, whole_number
 from usnet_env.envs import game
 from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
 from usnet_env.swarm import SwarmState
@@ -95,9 +95,13 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         if not array and (isinstance(seed, str | bytes) or not isinstance(seed, Sequence)):
             first = optional_seed("seed", seed)
             return [None if first is None else first + b for b in range(self.num_envs)]
-        if len(seed) != self.num_envs:
-            raise ArgumentError(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seed)}.")
-        return [optional_seed("seed", one) for one in seed]
+        try:
+            seeds = list(seed)
+        except Exception:  # a sequence of another package may raise anything
+            raise ArgumentError(f"seed must be a number or a sequence of seeds, got {quote(seed)}.") from None
+        if len(seeds) != self.num_envs:
+            raise ArgumentError(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seeds)}.")
+        return [optional_seed("seed", one) for one in seeds]
 
     def step(self, actions: Any) -> tuple[Observation, Floats, Mask, Mask, dict[str, Any]]:
         """Play one round of every running game; a game that had ended is reset instead.

@@ -28,7 +28,7 @@ class Limits(Config):
         ArgumentError: a limit is not a positive number up to 1e9, or this system cannot limit memory.
     """
 
-    seconds: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    seconds: Annotated[float, Field(ge=1e-3, le=1e9)] | None = None
     megabytes: Annotated[float, Field(gt=0, le=1e9)] | None = None
 
     def __init__(self, **values: Any) -> None:

@@ -77,6 +77,8 @@ def run_demo(
     """
     if not isinstance(console, Console | None):
         raise ArgumentError(f"console must be a Console of rich or None, got {quote(console)}.")
+    if not isinstance(paper_example, bool):
+        raise ArgumentError(f"paper_example must be True or False, got {quote(paper_example)}.")
     console = console or Console()
     folder = as_path("out", out)
 
@@ -84,7 +86,8 @@ def run_demo(
         console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
     seed = whole_number("seed", (PAPER_SEED if paper_example else SEED) if seed is None else seed, 0)
-    player = make_detector(detector or ("mc-gassl" if paper_example else "lagged-correlation"))
+    usual = "mc-gassl" if paper_example else "lagged-correlation"
+    player = make_detector(usual if detector is None else detector)
     game = (PAPER_EXAMPLE if paper_example else DEMO) | arguments
     env = gym.make("USNET/MultiCluster-v0", **game)
     detector_seed = int(np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(1)[0])
