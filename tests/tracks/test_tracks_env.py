@@ -88,6 +88,9 @@ def test_evaluate_scores_detectors_with_the_same_metrics_and_known_groups(path, 
         "USNET/Tracks-v0", ["directional-delays", "none"], episodes=6, env_kwargs=arguments, out=tmp_path / "run"
     )
     good, none = result["directional-delays"], result["none"]
+    assert none["J"]["mean"] <= good["J"]["mean"]  # one round: J does not count missed heads
+    assert result.conclusion().startswith("directional-delays has the highest F1: ")
+    assert result.to_markdown(["f1_first"]).index("directional-delays") > 0
     assert good["recall_first"]["mean"] >= 0.9
     assert good["group_leader_first"]["mean"] >= 0.9
     assert none["group_leader_first"]["mean"] < 0.2

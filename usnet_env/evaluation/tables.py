@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from usnet_env.config import unknown_name
-from usnet_env.evaluation.metrics import METRICS
+from usnet_env.evaluation.metrics import METRICS, TRACK_METRICS
 from usnet_env.evaluation.report import format_latex
 
 if TYPE_CHECKING:
@@ -78,12 +78,32 @@ def objective_name(summary: Summary) -> str:
     return "J_m" if _sign(summary) == 1 else "J_s"
 
 
+class _First(NamedTuple):
+    """The metric by which detectors are ranked: its column, its name, and 1 if low values are good, otherwise -1."""
+
+    column: str
+    name: str
+    sign: int
+
+    @property
+    def heading(self) -> str:
+        return f"{self.name}{'↓' if self.sign == 1 else '↑'}"
+
+
+def _first_metric(summary: Summary) -> _First:
+    """J; in recorded tracks F1, since J of their one round does not count the heads that are missed."""
+    if any(name in entry["metrics"] for entry in summary for name in TRACK_METRICS):
+        return _First("f1_first", "F1", -1)
+    return _First("J", objective_name(summary), _sign(summary))
+
+
 def rank(summary: Summary) -> list[Mapping[str, Any]]:
-    """The entries of the summary, best mean of J first, then the highest F1; equal ones in the order given."""
+    """The entries of the summary, best mean of the first metric first, then the highest F1, then in the order given."""
+    best = _first_metric(summary)
 
     def place(entry: Mapping[str, Any]) -> tuple[float, float]:
         metrics = entry["metrics"]
-        return _sign(summary) * metrics["J"]["mean"], -metrics["f1_first"]["mean"]
+        return best.sign * metrics[best.column]["mean"], -metrics["f1_first"]["mean"]
 
     return sorted(summary, key=place)
 
@@ -157,12 +177,11 @@ def html_table(summary: Summary, title: str) -> str:
     """The ranking as a table in HTML, with the sentence about the best detector."""
     if not summary:
         return f"<p>{escape(title)}</p>"
-    chosen = ["J", *RANKING]
-    arrow = "↓" if _sign(summary) == 1 else "↑"
-    headings = ["detector", "episodes", f"{objective_name(summary)}{arrow} (95 % interval)", *RANKING.values()]
+    best = _first_metric(summary)
+    headings = ["detector", "episodes", f"{best.heading} (95 % interval)", *RANKING.values()]
     lines = ["".join(f"<th>{escape(heading)}</th>" for heading in headings)]
     for entry in rank(summary):
-        cells = _cells(entry, chosen[:1], "{} ({} to {})")
+        cells = _cells(entry, [best.column], "{} ({} to {})")
         cells += [_format_short(name, entry["metrics"][name]["mean"]) for name in RANKING]
         texts = [entry["detector"], str(entry["episodes"]), *cells]
         lines.append("".join(f"<td>{escape(text)}</td>" for text in texts))
@@ -200,13 +219,13 @@ def ranking_table(summary: Summary, env: str) -> Table:
     title = f"{env}, {played} episode{plural} of each detector: means, best first"
     table = Table(title=title, box=SIMPLE_HEAD, title_justify="left", show_edge=False, padding=(0, 1, 0, 0))
     table.add_column("detector", overflow="fold")
-    arrow = "↓" if _sign(summary) == 1 else "↑"
-    for heading in (f"{objective_name(summary)}{arrow} (95 % int.)", *RANKING.values()):
+    best = _first_metric(summary)
+    for heading in (f"{best.heading} (95 % int.)", *RANKING.values()):
         table.add_column(heading, justify="right", no_wrap=True)
     for entry in rank(summary):
         metrics = entry["metrics"]
-        equal = metrics["J"]["low"] == metrics["J"]["high"]
-        cells = _cells(entry, ["J"], "{} (all equal)" if equal else "{} ({}–{})", form=_format_objective)
+        equal = metrics[best.column]["low"] == metrics[best.column]["high"]
+        cells = _cells(entry, [best.column], "{} (all equal)" if equal else "{} ({}–{})", form=_format_objective)
         cells += [_format_short(name, metrics[name]["mean"]) for name in RANKING]
         table.add_row(Text(entry["detector"]), *cells)  # Text is not parsed as Rich markup
     return table
@@ -215,10 +234,11 @@ def ranking_table(summary: Summary, env: str) -> Table:
 def conclude(summary: Summary) -> str:
     """State in one sentence which detector has the best J, and which others these episodes do not separate from it.
 
-    Others are not separated from it if their 95 % interval of J overlaps its interval.
+    Others are not separated from it if their 95 % interval of J overlaps its interval. In recorded tracks it is F1.
     """
     first, *others = rank(summary)
-    objective, best = objective_name(summary), first["metrics"]["J"]
+    column, objective, sign = _first_metric(summary)
+    best = first["metrics"][column]
     mean, low, high = (_format_objective(best[name]) for name in ("mean", "low", "high"))
     if best["low"] == best["high"]:
         value = f"{mean} in {'every' if first['episodes'] > 1 else 'its only'} episode"
@@ -226,16 +246,16 @@ def conclude(summary: Summary) -> str:
         value = f"{mean} (95 % interval {low}–{high})"
     if not others:
         return f"{first['detector']} has a {objective} of {value}."
-    equal = [e["detector"] for e in others if e["metrics"]["J"] == best]
+    equal = [e["detector"] for e in others if e["metrics"][column] == best]
     near = [
         e["detector"]
         for e in others
-        if e["metrics"]["J"] != best
-        and e["metrics"]["J"]["low"] <= best["high"]
-        and best["low"] <= e["metrics"]["J"]["high"]
+        if e["metrics"][column] != best
+        and e["metrics"][column]["low"] <= best["high"]
+        and best["low"] <= e["metrics"][column]["high"]
     ]
     names = _join([first["detector"], *equal])
-    extreme = "lowest" if _sign(summary) == 1 else "highest"
+    extreme = "lowest" if sign == 1 else "highest"
     sentence = f"{names} {'have' if equal else 'has'} the {extreme} {objective}: {value}"
     if near:
         intervals = "interval of" if len(near) == 1 else "intervals of"
