@@ -216,9 +216,8 @@ def _read_failures(folder: Path | None) -> Failures:
         return {}
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-        # An earlier version wrote one text for each cell.
-        return {cell: dict(own) if isinstance(own, dict) else {"": str(own)} for cell, own in content.items()}
-    except (yaml.YAMLError, UnicodeDecodeError, AttributeError):
+        return {cell: dict(own) for cell, own in content.items()}
+    except (yaml.YAMLError, UnicodeDecodeError, AttributeError, TypeError, ValueError):
         raise ArgumentError(f"out must hold a {_FAILURES} of a suite, got a broken one in {str(folder)!r}.") from None
 
 

@@ -113,8 +113,6 @@ def describe_difference(there: Any, asked: Any) -> str:
     Returns:
         The end of a sentence, such as ``has other code``.
     """
-    if isinstance(there, str) and isinstance(asked, dict) and asked.get("name") == there:
-        there = {"name": there}  # of a version that did not describe code
     if isinstance(there, list) and isinstance(asked, list) and len(there) == len(asked):
         return next(describe_difference(*pair) for pair in zip(there, asked, strict=True) if pair[0] != pair[1])
     if not isinstance(there, dict) or not isinstance(asked, dict):

@@ -95,7 +95,10 @@ def rate_interval(values: Sequence[float] | NDArray[np.float64], groups: Groups 
     if groups is not None and len(grouped := _mean_by_group(sample, groups)) < n:
         count = len(grouped)
         variance = float(grouped.var()) / count
-        n = min(n, mean * (1 - mean) / variance) if variance > 0 else count if mean in (0.0, 1.0) or count == 1 else n
+        if variance > 0:
+            n = min(n, mean * (1 - mean) / variance)
+        elif mean in (0.0, 1.0) or count == 1:  # nothing shows how alike the values of a group are
+            n = count
     width = 2 * (n + _QUANTILE**2)
     middle = (2 * n * mean + _QUANTILE**2) / width
     half = _QUANTILE / width * math.sqrt(4 * n * mean * (1 - mean) + _QUANTILE**2)

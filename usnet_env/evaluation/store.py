@@ -379,14 +379,15 @@ def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -
 
 def _check_once(table: RowTable, folder: Path) -> None:
     """Refuse rows that are there twice, which a summary would count twice."""
-    seen = set()
-    for place in zip(table.column("detector"), table.column("episode").tolist(), strict=True):
-        if place in seen:
-            raise ArgumentError(
-                f"{EPISODES} must hold each episode of a detector once, got episode {place[1]} of {place[0]!r} twice "
-                f"in {str(folder)!r}."
-            )
-        seen.add(place)
+    label, episode = table.text_numbers("detector"), table.column("episode")
+    order = np.lexsort((episode, label))
+    twice = np.flatnonzero((np.diff(label[order]) == 0) & (np.diff(episode[order]) == 0))
+    if len(twice):
+        row = table[int(order[twice[0]])]
+        raise ArgumentError(
+            f"{EPISODES} must hold each episode of a detector once, got episode {row['episode']} of "
+            f"{row['detector']!r} twice in {str(folder)!r}."
+        )
 
 
 def _open_rows(folder: Path, columns: Columns, lock: FileLock) -> RowFile:

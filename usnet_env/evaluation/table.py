@@ -96,6 +96,10 @@ class RowTable(Sequence[dict[str, Any]]):
             return np.array(self._texts[name], object)[values] if len(values) else values.astype(object)
         return values.astype(bool) if self.columns[name] == "bool" else values
 
+    def text_numbers(self, name: str) -> NDArray[np.int64]:
+        """A column of texts as numbers ``(n,)``: equal texts have the same number."""
+        return np.array(self._values[name], np.int64)
+
     def take(self, places: Sequence[int] | NDArray[np.int64]) -> RowTable:
         """The rows at these places, in their order."""
         chosen = RowTable(self.columns)

@@ -135,7 +135,7 @@ class FoundLeaders:
         return rows
 
     def link_rows(self) -> list[dict[str, Any]]:
-        """A row for each follower of each window: whom it follows directly, the head, and the delay in seconds."""
+        """A row for each follower of each window: its direct leader, its head, and the delay in seconds."""
         return [
             {"start": each.start, "end": each.end, **link.as_dict()} for each in self.windows for link in each.links
         ]

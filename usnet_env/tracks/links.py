@@ -1,4 +1,4 @@
-"""Who follows whom directly in a window of recorded tracks, and after how many seconds."""
+"""Direct leaders of followers in a window of recorded tracks, and the delays in seconds."""
 
 from __future__ import annotations
 
