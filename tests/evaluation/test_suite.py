@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from usnet_env import ArgumentError, evaluate
+from usnet_env import ArgumentError, evaluate, register_follow_strategy
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import EvaluationError
 from usnet_env.evaluation.report import episode_means, format_interval, format_latex, format_markdown, group_rows
@@ -124,6 +124,23 @@ def test_every_backend_plays_the_same_rows(tmp_path, backend, monkeypatch):
     there = make_suite().run(TASKS, tmp_path / "there.csv", workers=Place(backend, 2))
     assert there == make_suite().run(TASKS, tmp_path / "here.csv")
     assert set(read_rows(tmp_path / "there.csv", Square)) == set(there)
+
+
+def test_what_a_program_has_registered_and_a_local_function_reach_other_processes(tmp_path):
+    register_follow_strategy("suite-turn", lambda inputs: -inputs.head_velocity[:, 0], lags=1, replace=True)
+
+    def fly(games):
+        env = MultiClusterEnv(clusters=2, uavs=8, observation_steps=20, follow="suite-turn")
+        env.reset(seed=0)
+        return [Square(cell.name, episode=n, square=float(env.swarm.head.sum()), even=True) for cell, n in games]
+
+    rows = Suite(Cell, Square, fly).run(TASKS, tmp_path / "rows.csv", workers=Place("processes", 2))
+    assert [row.square for row in rows] == [2.0] * 6
+
+
+def test_a_function_that_cannot_be_sent_is_refused(tmp_path):
+    with pytest.raises(ArgumentError, match=r"^workers must be 1 for a detector or argument that cannot be sent"):
+        make_suite(partial(play, tool=(n for n in range(3)))).run(TASKS, tmp_path / "rows.csv", workers=2)
 
 
 def test_rows_of_finished_tasks_survive_a_failure(tmp_path):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import click
+
+from usnet_env.progress import progress_bar
+
+__all__ = ["PIPE_WIDTH", "print_message", "progress_bar", "show", "show_markdown"]
 
 PIPE_WIDTH = 400  # columns if standard output is not a terminal: wide enough that nothing is cut or wrapped
 
@@ -42,20 +44,3 @@ def show_markdown(text: str) -> None:
 def print_message(sentence: str) -> None:
     """Print a message of the program to standard error."""
     click.echo(f"usnet: {sentence}", err=True)
-
-
-@contextmanager
-def progress_bar(unit: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar on standard error; yields the function to call with the numbers done and in total.
-
-    Args:
-        unit: what is counted, such as ``"episodes"``.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    columns = (TextColumn(unit), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(unit, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)

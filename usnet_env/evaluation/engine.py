@@ -1,32 +1,38 @@
-"""Play the missing episodes of a run on a backend, keep their rows, and summarise them: the one loop of all runs."""
+"""Run tasks where it is asked for, and play the missing episodes of a run: the one loop of all runs."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Generator, Iterable, Mapping
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import Field
 
 from usnet_env.config import ArgumentError, Config
 from usnet_env.evaluation.errors import EvaluationError
+from usnet_env.evaluation.parts import send
 from usnet_env.evaluation.result import EvaluationResult, summarise
-from usnet_env.evaluation.schedule import Rows, Seeds, Tasks
+from usnet_env.evaluation.schedule import Schedule, Seeds
 from usnet_env.evaluation.store import COLUMNS, RunStore
 from usnet_env.evaluation.table import Columns
-from usnet_env.evaluation.workers import Plan, Player, Task, as_failure, send_plan
-from usnet_env.processes import Backend, InProcess, Limits, SendError, check_backend, make_backend
+from usnet_env.evaluation.workers import Player, as_failure
+from usnet_env.processes import Backend, Limits, Outcome, SendError, check_backend, make_backend
+from usnet_env.processes.outcome import every_task
+from usnet_env.progress import progress_bar
+
+TaskT = TypeVar("TaskT")
+ResultT = TypeVar("ResultT")
 
 MOST_EPISODES = 1_000_000
 MOST_WORKERS = 4_096
 
 _GUARD = (
-    "A worker process imports the script that started it, so a script must call evaluate in a block that begins with "
-    '`if __name__ == "__main__":`.'
+    "A worker process imports the script that started it, so a script must start a run, a suite or a training in a "
+    'block that begins with `if __name__ == "__main__":`.'
 )
 
 
@@ -71,9 +77,70 @@ def choose_place(backend: Any, workers: int, limits: Limits, address: Any, isola
     return Place(backend, workers, limits if apart else Limits(), address)
 
 
+def run_tasks(
+    function: Callable[[TaskT], ResultT],
+    tasks: Iterable[TaskT],
+    count: int,
+    place: Place,
+    name: Callable[[TaskT], str],
+    is_wanted: Callable[[TaskT], bool] = every_task,
+) -> Generator[Outcome[TaskT, ResultT], None, None]:
+    """Run a function on tasks: the one runner of evaluations, games, suites and trainings.
+
+    Args:
+        function: what to call with each task. Other processes get it by value, with the parts that this program has
+            registered. Its results should hold arrays, not tensors: PyTorch sends tensors in shared memory, which ends
+            with the process that made them.
+        tasks: read one after the other, a few ahead of the outcomes.
+        count: how many there are at most; of 0 and 1, no other process is started unless the place asks for it.
+        place: where they run.
+        name: names who runs a task, in a warning of threads that stay after the last one.
+        is_wanted: whether a task should still be run whose process has ended before it was begun.
+
+    Yields:
+        What came of each task, in the order in which they are finished.
+
+    Raises:
+        ArgumentError: the function cannot be sent to another process.
+        EvaluationError: no process could start.
+    """
+    workers = min(place.workers, count)
+    backend = place.backend or ("processes" if place.limits.any or workers > 1 else "serial")
+    pool: Backend[TaskT, ResultT]
+    try:
+        if not count or backend == "serial":
+            pool = make_backend("serial", function)
+        else:
+            pool = make_backend(backend, send(function), workers, place.limits, place.address)
+        with closing(pool):
+            yield from pool.run(tasks, is_wanted)
+    except SendError as error:
+        raise _refuse(place, error) from None
+    names: dict[str, list[str]] = {}
+    for thread, task in pool.left_threads:
+        names.setdefault(name(task), []).append(thread)
+    for who, own in names.items():  # they keep a program from ending
+        threads = "1 thread running that is no daemon" if len(own) == 1 else f"{len(own)} threads running, no daemons"
+        text = f"{who} left {threads}: {', '.join(dict.fromkeys(own))}."
+        warnings.warn(text, RuntimeWarning, stacklevel=4)  # of evaluate's caller
+
+
+def _refuse(place: Place, error: SendError) -> Exception:
+    """The error of a function that cannot be sent, or of a process that did not start, in one sentence or two."""
+    if not error.started:
+        return EvaluationError(f"{error}." if place.backend == "ray" else f"{error}. {_GUARD}")
+    if place.backend == "ray":
+        text = "backend must be 'serial' for a detector or argument that cannot be sent to another process, got 'ray'"
+    else:
+        what = (
+            f"got {place.workers}" if place.workers > 1 else "and time_limit and memory_limit must be None, got a limit"
+        )
+        text = f"workers must be 1 for a detector or argument that cannot be sent to another process, {what}"
+    return ArgumentError(f"{text}: {error}.")
+
+
 def play_run(
-    plan: Plan,
-    here: Callable[[], Player],
+    player: Player,
     config: Mapping[str, Any],
     seeds: Seeds,
     place: Place,
@@ -81,11 +148,10 @@ def play_run(
     progress: bool,
     columns: Columns = COLUMNS,
 ) -> EvaluationResult:
-    """Play the episodes of a run that its folder does not hold yet.
+    """Play the episodes of a run that its folder does not hold yet, keep their rows, and summarise them.
 
     Args:
-        plan: what other processes need to play them.
-        here: makes the player of this process, for the backend ``serial``.
+        player: plays them, here and in other processes.
         config: the arguments of the run as plain values, with ``detectors``, ``identities`` and ``episodes``.
         seeds: of the episodes.
         place: where they are played.
@@ -97,100 +163,41 @@ def play_run(
         ArgumentError: the folder is that of another run, or an argument cannot be sent to another process.
         EvaluationError: a contestant failed; the others have played to the end.
     """
+    labels = player.labels
     with ExitStack() as stack:
         store = None if folder is None else stack.enter_context(RunStore(folder, config, columns))
         config = config if store is None else store.config
-        rows = Rows(store, seeds, plan.labels, config["detectors"], config["episodes"], columns)
-        tasks = Tasks(rows, seeds)
-        pool = _make_pool(plan, here, place, tasks.count, stack)
+        schedule = Schedule(store, seeds, labels, config["detectors"], config["episodes"], columns)
+        played = run_tasks(
+            player.run_task,
+            schedule,
+            schedule.count,
+            place,
+            lambda task: f"detector {labels[task.contestant]!r}",
+            schedule.is_wanted,
+        )
+        show = stack.enter_context(progress_bar("episodes", progress))
+        show(schedule.finished, schedule.done.size)
         try:
-            bar = _progress_bar(progress, rows.done.size, int(rows.done.sum()))
             # Closed before the last rows and the secret are written: no detector runs any more.
-            with closing(pool.run(tasks, tasks.is_wanted)) as outcomes, bar as advance:
-                for outcome in outcomes:
-                    tasks.note(as_failure(outcome, plan.labels[outcome.task.contestant]))
-                    if outcome.result is not None:
-                        rows.add(outcome.task, outcome.result)
-                        advance()
-                    if tasks.prepared:
-                        rows.save(tasks.failures)
-        except SendError as error:
-            raise (
-                _cannot_be_sent(place, error) if error.started else EvaluationError(_add_guard(place, error))
-            ) from None
+            with closing(player), closing(played):
+                for outcome in played:
+                    schedule.note(as_failure(outcome, labels[outcome.task.contestant]))
+                    show(schedule.finished, schedule.done.size)
         finally:
-            if tasks.prepared:
-                rows.save()
-            if store is not None and seeds.secret is not None and (tasks.count or seeds.given):
+            schedule.save_rest()
+            if store is not None and seeds.secret is not None and schedule.uses_secret:
                 store.add_secret(seeds.secret)
-        _warn_of_threads(pool.left_threads, plan.labels)
-        failed = {plan.labels[number] for number in tasks.failures}
-        table = rows.table.take(rows.order(rows.table))
-        table = table.take(np.flatnonzero([label not in failed for label in table.column("detector")]))
-        secret = seeds.describe() if store is None or tasks.count or seeds.given else store.describe_secret()
+        failures = {labels[number]: error for number, error in schedule.failures.items()}
+        table = schedule.table.take(schedule.order(schedule.table))
+        table = table.take(np.flatnonzero([label not in failures for label in table.column("detector")]))
+        secret = seeds.describe() if store is None or schedule.uses_secret else store.describe_secret()
         result = EvaluationResult(table, summarise(table), dict(config) | secret)
-        if tasks.failures:
-            failure = EvaluationError(" ".join(map(str, tasks.failures.values())))
+        if failures:
+            failure = EvaluationError(" ".join(map(str, failures.values())))
             failure.result = result if table else None
-            failure.failures = {plan.labels[number]: str(error) for number, error in tasks.failures.items()}
-            raise failure from next(iter(tasks.failures.values())).__cause__
+            failure.failures = {label: str(error) for label, error in failures.items()}
+            raise failure from next(iter(failures.values())).__cause__
         if store is not None:
-            store.finish(rows.order, result.summary)
+            store.finish(schedule.order, result.summary)
     return result
-
-
-def _make_pool(
-    plan: Plan, here: Callable[[], Player], place: Place, count: int, stack: ExitStack
-) -> Backend[Task, Any]:
-    """Make the backend for this number of episodes; the stack closes it."""
-    workers = min(place.workers, count)
-    backend = place.backend or ("processes" if place.limits.any or workers > 1 else "serial")
-    if not count or backend == "serial":
-        player = here()
-        return InProcess(player.run_task, player.close)
-    try:
-        pool = make_backend(backend, send_plan(plan), workers, place.limits, place.address)
-    except SendError as error:
-        raise _cannot_be_sent(place, error) from None
-    stack.callback(pool.close)
-    return pool
-
-
-def _add_guard(place: Place, error: SendError) -> str:
-    return f"{error}." if place.backend == "ray" else f"{error}. {_GUARD}"
-
-
-def _cannot_be_sent(place: Place, error: SendError) -> ArgumentError:
-    if place.backend == "ray":
-        text = "backend must be 'serial' for a detector or argument that cannot be sent to another process, got 'ray'"
-    else:
-        what = (
-            f"got {place.workers}" if place.workers > 1 else "and time_limit and memory_limit must be None, got a limit"
-        )
-        text = f"workers must be 1 for a detector or argument that cannot be sent to another process, {what}"
-    return ArgumentError(f"{text}: {error}.")
-
-
-def _warn_of_threads(threads: Sequence[tuple[str, Task]], labels: Sequence[str]) -> None:
-    """Warn of threads that detectors have started and that keep a program from ending."""
-    for label in dict.fromkeys(labels[task.contestant] for _, task in threads):
-        names = [name for name, task in threads if labels[task.contestant] == label]
-        count = "1 thread running that is no daemon" if len(names) == 1 else f"{len(names)} threads running, no daemons"
-        warnings.warn(
-            f"detector {label!r} left {count}: {', '.join(dict.fromkeys(names))}.", RuntimeWarning, stacklevel=4
-        )
-
-
-@contextmanager
-def _progress_bar(visible: bool, total: int, done: int) -> Iterator[Callable[[], None]]:
-    """Show a progress bar on standard error if ``visible``; yields the function that advances it by one episode."""
-    if not visible:
-        yield lambda: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("episodes"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("episodes", total=total, completed=done)
-        yield lambda: bar.advance(task)

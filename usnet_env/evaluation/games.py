@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module
 from os import PathLike
 from types import SimpleNamespace
@@ -35,15 +36,35 @@ Players = Mapping[str, Any]
 
 @dataclass
 class _GamePlayer:
-    """Plays games in one process.
+    """Plays games in one process; sent to another one, it makes the game and its policies there.
 
     Args:
-        env: the game.
+        make_env: makes the game.
+        game_kwargs: its arguments.
         players: labels, and the policies of each.
     """
 
-    env: UsnetParallelEnv
-    players: Mapping[str, Players]
+    make_env: Callable[..., UsnetParallelEnv]
+    game_kwargs: dict[str, Any]
+    players: dict[str, dict[str, Any]]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in ("env", "teams")}
+
+    @cached_property
+    def env(self) -> UsnetParallelEnv:
+        """The game of this process."""
+        return self.make_env(**self.game_kwargs)
+
+    @cached_property
+    def teams(self) -> list[dict[str, Any]]:
+        """The policies of each label, with those of detectors that are given by name."""
+        return [{role: _as_policy(policy) for role, policy in own.items()} for own in self.players.values()]
+
+    @property
+    def labels(self) -> list[str]:
+        """The names of the players in rows and tables."""
+        return list(self.players)
 
     def run_task(self, task: Task) -> Row | None:
         """Play one game."""
@@ -52,9 +73,9 @@ class _GamePlayer:
         episode, number, (swarm_seed, policy_seed) = task
         if episode == PREPARE:
             return None
-        label, policies = list(self.players.items())[number]
+        label = self.labels[number]
         with detector_step(label, f"game {episode}"):
-            game = play_game(self.env, policies, swarm_seed, label, policy_seed)
+            game = play_game(self.env, self.teams[number], swarm_seed, label, policy_seed)
         return {
             "detector": label,
             "episode": episode,
@@ -69,27 +90,6 @@ class _GamePlayer:
 
     def close(self) -> None:
         """Do nothing: the game holds no resources."""
-
-
-@dataclass(frozen=True)
-class _GamePlan:
-    """All that another process needs to know of a run of games."""
-
-    make_env: Callable[..., UsnetParallelEnv]
-    game_kwargs: dict[str, Any]
-    players: dict[str, dict[str, Any]]
-
-    @property
-    def labels(self) -> list[str]:
-        """The names of the players in rows and tables."""
-        return list(self.players)
-
-    def make_player(self) -> _GamePlayer:
-        """Create the game, and the policies of detectors that are given by name."""
-        return _GamePlayer(
-            self.make_env(**self.game_kwargs),
-            {label: dict(zip(own, map(_as_policy, own.values()), strict=True)) for label, own in self.players.items()},
-        )
 
 
 def _as_policy(policy: Any) -> Any:
@@ -175,26 +175,25 @@ def evaluate_games(
     if not all(isinstance(own, Mapping) for own in players.values()):
         raise ArgumentError(f"players must map each label to a mapping of roles to policies, got {quote(players)}.")
     kwargs = dict(game_kwargs or {})
-    plan = _GamePlan(_find_game(game), kwargs, {label: dict(own) for label, own in players.items()})
-    here = plan.make_player()
+    player = _GamePlayer(_find_game(game), kwargs, {label: dict(own) for label, own in players.items()})
     from usnet_env.multiagent.play import choose_policies
 
-    for policies in here.players.values():
-        choose_policies(here.env, policies)  # refuses a missing one before anything is played
-    settings = {"config": describe(here.env.config), "rules": describe(here.env.rules)}
+    for policies in player.teams:
+        choose_policies(player.env, policies)  # refuses a missing one before anything is played
+    settings = {"config": describe(player.env.config), "rules": describe(player.env.rules)}
     config = {
-        "env": str(here.env.metadata["name"]),
+        "env": str(player.env.metadata["name"]),
         "game_kwargs": describe(kwargs),
         "environment": settings,
-        **describe_code(type(here.env), [settings, describe(kwargs)]),
-        "detectors": plan.labels,
-        "identities": [{role: _identify(own[role]) for role in own} for own in plan.players.values()],
+        **describe_code(type(player.env), [settings, describe(kwargs)]),
+        "detectors": player.labels,
+        "identities": [{role: _identify(own[role]) for role in own} for own in player.players.values()],
         "episodes": run.episodes,
         "seed": run.seed,
     }
-    roles = dict.fromkeys(agent.rpartition("_")[0] for agent in here.env.possible_agents)
+    roles = dict.fromkeys(agent.rpartition("_")[0] for agent in player.env.possible_agents)
     columns = {**COLUMNS, **{f"{what}_{role}": "float" for what in ("return", "price") for role in roles}}
-    return play_run(plan, lambda: here, config, Seeds(run.seed), place, folder, run.progress, columns)
+    return play_run(player, config, Seeds(run.seed), place, folder, run.progress, columns)
 
 
 def _find_game(game: Any) -> Callable[..., UsnetParallelEnv]:

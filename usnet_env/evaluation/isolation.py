@@ -6,19 +6,17 @@ import re
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from secrets import token_hex
 from typing import Any
 
 import numpy as np
-from gymnasium.vector.utils import CloudpickleWrapper
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.evaluation.agents import Agent, Answer, RefusedArgumentError, as_agent
-from usnet_env.evaluation.parts import Part, register_parts, registered_parts
+from usnet_env.evaluation.parts import send
 from usnet_env.plugins import make_detector
 from usnet_env.processes import Arrays, Limits, PlainError, PlainFunction, PlainProcess, SendError
 
@@ -39,33 +37,9 @@ def make_secret(secret: Any) -> str:
     return secret
 
 
-@dataclass(frozen=True)
-class _Seat:
-    """Makes an agent in the detector's process.
-
-    Args:
-        detector: its name, or the object.
-        registered: detectors that the program has registered.
-    """
-
-    detector: Any
-    registered: list[Part]
-
-    def make(self) -> PlainFunction:
-        """Return the function that answers calls."""
-        register_parts(self.registered)
-        agent = as_agent(make_detector(self.detector) if isinstance(self.detector, str) else self.detector)
-        return partial(_answer, agent)
-
-
-@dataclass(frozen=True)
-class _Sent:
-    """Carries a :class:`_Seat` to its process by value: classes of a notebook cannot be imported there."""
-
-    wrapper: Any
-
-    def __call__(self) -> PlainFunction:
-        return self.wrapper.fn.make()
+def _make_answering(detector: Any) -> PlainFunction:
+    """Make an agent, in the detector's process, and return the function that answers calls."""
+    return partial(_answer, as_agent(make_detector(detector) if isinstance(detector, str) else detector))
 
 
 def _answer(agent: Agent, values: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> tuple[dict[str, Any], Arrays]:
@@ -98,9 +72,8 @@ class IsolatedAgent:
     """
 
     def __init__(self, detector: Any, limits: Limits) -> None:
-        seat: Any = _Seat(detector, registered_parts(("detector",)))
         with _own_errors():
-            self._process = PlainProcess(_Sent(CloudpickleWrapper(seat)), limits)
+            self._process = PlainProcess(send(partial(_make_answering, detector), kinds=("detector",)), limits)
 
     def start(self) -> None:
         """Wait until the detector is made.

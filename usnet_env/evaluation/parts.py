@@ -1,9 +1,9 @@
-"""What a program has registered itself, sent to other processes, in which it is registered again."""
+"""Send a function to another process, with what the program has registered, which is registered there again."""
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
@@ -15,7 +15,7 @@ from usnet_env.registry import REGISTRIES
 
 
 @dataclass(frozen=True)
-class Part:
+class _Part:
     """A part that the program has registered itself, such as a follow strategy or a detector.
 
     Args:
@@ -32,25 +32,48 @@ class Part:
     part: CloudpickleWrapper[Any]
 
 
-def registered_parts(kinds: Collection[str] | None = None) -> list[Part]:
-    """What this program has registered itself.
-
-    What cannot be pickled is left out; a worker process that needs it then refuses its name.
+def send(function: Callable[..., Any], kinds: Collection[str] | None = None) -> Any:
+    """Prepare a function for another process, where it arrives by value: that process need not be able to import it.
 
     Args:
-        kinds: which kinds of parts, as in :data:`usnet_env.registry.REGISTRIES`; ``None`` for all.
+        function: what is sent. Classes and functions of a notebook go along with it.
+        kinds: which kinds of registered parts go along, as in :data:`usnet_env.registry.REGISTRIES`; ``None``: all.
+
+    Returns:
+        An object that is the function once it is unpickled.
     """
+    return _Sent(CloudpickleWrapper(function), _registered_parts(kinds))
+
+
+@dataclass(frozen=True)
+class _Sent:
+    """A function on its way to another process."""
+
+    function: CloudpickleWrapper[Any]
+    registered: list[_Part]
+
+    def __reduce__(self) -> Any:
+        return _receive, (self.function, self.registered)
+
+
+def _receive(function: CloudpickleWrapper[Any], registered: list[_Part]) -> Any:
+    _register_parts(registered)
+    return function.fn
+
+
+def _registered_parts(kinds: Collection[str] | None) -> list[_Part]:
+    """What this program has registered; what cannot be pickled is left out, and a process that needs it refuses it."""
     parts = []
     for kind, registry in REGISTRIES.items():
         for name, part in registry.registered.items() if kinds is None or kind in kinds else ():
             origin = getattr(part, "function", None) or getattr(part, "rule", None) or part
             with suppress(Exception):
                 pickle.dumps(wrapper := CloudpickleWrapper(part))
-                parts.append(Part(kind, name, registry.home, str(getattr(origin, "__module__", "")), wrapper))
+                parts.append(_Part(kind, name, registry.home, str(getattr(origin, "__module__", "")), wrapper))
     return parts
 
 
-def register_parts(parts: Iterable[Part]) -> None:
+def _register_parts(parts: Iterable[_Part]) -> None:
     """Register parts in this process, unless the main script or their module has registered them here too."""
     for part in parts:
         with suppress(Exception):  # its module cannot be imported here: its name is refused if it is used

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from functools import partial
 from os import PathLike
 from typing import Any
 
@@ -20,7 +19,7 @@ from usnet_env.evaluation.metrics import TRACK_METRICS
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.schedule import Seeds
 from usnet_env.evaluation.store import COLUMNS
-from usnet_env.evaluation.workers import Contestant, EpisodePlan, Worker
+from usnet_env.evaluation.workers import Contestant, Worker
 from usnet_env.files import as_path
 from usnet_env.plugins import detector_label, make_detector
 from usnet_env.processes import Limits
@@ -118,11 +117,9 @@ def evaluate(
         if not getattr(environment.unwrapped, "labelled", True):
             raise ArgumentError("env must know the leaders to score detectors, got tracks without a column 'leader'.")
         config = _make_config(environment, arguments, contestants, run)
-        isolation = limits if run.isolate else None
-        plan = EpisodePlan(str(env), arguments, contestants, isolation)
-        here = partial(Worker, environment, contestants, isolation)
+        worker = Worker(str(env), arguments, contestants, limits if run.isolate else None, environment)
         more = dict.fromkeys(TRACK_METRICS if hasattr(environment.unwrapped, "score_answer") else (), "float | None")
-        return play_run(plan, here, config, seeds, place, folder, run.progress, {**COLUMNS, **more})
+        return play_run(worker, config, seeds, place, folder, run.progress, {**COLUMNS, **more})
 
 
 def _make_limits(time_limit: float | None, memory_limit: float | None) -> Limits:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -60,16 +60,26 @@ class Seeds:
         return {} if self.secret is None else {"secret": self.secret}
 
 
-class Rows:
-    """The rows of a run, which are kept in a folder if there is one.
+class Schedule:
+    """What of a run has been played, and what is left: iterates over the tasks that are to be played.
+
+    At first every contestant is prepared, so that one that refuses its arguments is found before anything is written.
+    One that has failed plays no more.
 
     Args:
-        store: the folder.
+        store: the folder of the run; without one, the rows are kept in memory.
         seeds: take over the swarms of the rows in the folder.
         labels: of the contestants, in their order.
         detectors: labels of all detectors of the run: of the contestants, and of others that have played.
         episodes: number of episodes.
         columns: of the rows.
+
+    Attributes:
+        done: ``(contestants, episodes)`` bool, which episodes have been played.
+        count: number of episodes that were missing at first.
+        finished: number of episodes that are done.
+        uses_secret: whether the seeds' secret is that of some rows.
+        failures: the errors of contestants that have failed, by their numbers.
 
     Raises:
         ArgumentError: the folder holds rows of another run.
@@ -89,59 +99,18 @@ class Rows:
         self._unsaved: list[Row] = []
         self._withhold = seeds.secret is not None
         self._places = {label: place for place, label in enumerate(detectors)}
-        #: ``(contestants, episodes)`` bool: which episodes have been played.
         self.done = np.zeros((len(labels), episodes), bool)
+        self.failures: dict[int, BaseException] = {}
         there, numbers = self.table.column("detector"), self.table.column("episode")
         if not set(there) <= self._places.keys() or ((numbers < 0) | (numbers >= episodes)).any():
             raise ArgumentError("out must hold only rows of this run, got rows of other detectors or episodes.")
         for contestant, label in enumerate(labels):
             self.done[contestant, numbers[there == label]] = True
         seeds.take_over(self.table)
-
-    @property
-    def table(self) -> RowTable:
-        """All rows that are saved, in the order in which they were played."""
-        return self._played if self._store is None else self._store.table
-
-    def add(self, task: Task, row: Row) -> None:
-        """Add the row of a finished task; :meth:`save` keeps it."""
-        self.done[task.contestant, task.episode] = True
-        self._unsaved.append(row)
-
-    def save(self, failed: Collection[int] | None = None) -> None:
-        """Append the new rows to the table and the file.
-
-        Args:
-            failed: contestants that play no more. In an isolated run, rows of an episode that others have still to play
-                are then withheld, as they hold the seed of its swarm. ``None``: all rows are saved.
-        """
-        rows, self._unsaved = self._unsaved, []
-        if failed is not None and self._withhold:
-            playing = [number for number in range(len(self.done)) if number not in failed]
-            self._unsaved = [row for row in rows if not self.done[playing, row["episode"]].all()]
-            rows = [row for row in rows if self.done[playing, row["episode"]].all()]
-        if self._store is not None and rows:
-            self._store.append(rows)
-        elif self._store is None:
-            for row in rows:
-                self._played.append(row)
-
-    def order(self, table: RowTable) -> NDArray[np.int64]:
-        """The places of the rows by detector, in the order of the run, then by episode."""
-        numbers = np.array([self._places[label] for label in table.column("detector")], np.int64)
-        return np.lexsort((table.column("episode"), numbers))
-
-
-class Tasks:
-    """Iterates over the tasks that are to be played; a detector that has failed gets no more of them.
-
-    At first every detector is prepared, so that one that refuses its arguments is found before anything is written.
-    """
-
-    def __init__(self, rows: Rows, seeds: Seeds) -> None:
-        self.failures: dict[int, BaseException] = {}
-        missing = ~rows.done
-        self.count = int(missing.sum())  # episodes to play
+        missing = ~self.done
+        self.count = int(missing.sum())
+        self.finished = self.done.size - self.count
+        self.uses_secret = bool(self.count or seeds.given)
         self._unprepared = set(np.flatnonzero(missing.any(axis=1)).tolist())
         self._left = self._list(sorted(self._unprepared), missing, seeds)
 
@@ -155,22 +124,48 @@ class Tasks:
                 yield Task(episode, number, pair)
 
     @property
-    def prepared(self) -> bool:
-        """Whether every detector has been prepared, or has failed."""
-        return not self._unprepared
+    def table(self) -> RowTable:
+        """All rows that are saved, in the order in which they were played."""
+        return self._played if self._store is None else self._store.table
 
     def __iter__(self) -> Iterator[Task]:
-        return self
-
-    def __next__(self) -> Task:
-        return next(filter(self.is_wanted, self._left))
+        return filter(self.is_wanted, self._left)
 
     def is_wanted(self, task: Task) -> bool:
-        """Whether the detector of the task has not failed."""
+        """Whether the contestant of the task has not failed."""
         return task.contestant not in self.failures
 
     def note(self, outcome: Outcome[Task, Row | None]) -> None:
-        """Take notice of an outcome."""
-        self._unprepared.discard(outcome.task.contestant)
+        """Take notice of an outcome, and save the rows that may be saved."""
+        task, row = outcome.task, outcome.result
+        self._unprepared.discard(task.contestant)
         if outcome.error is not None:
-            self.failures.setdefault(outcome.task.contestant, outcome.error)
+            self.failures.setdefault(task.contestant, outcome.error)
+        if row is not None:
+            self.done[task.contestant, task.episode] = True
+            self.finished += 1
+            self._unsaved.append(row)
+        if not self._unprepared:
+            self._save(secret=self._withhold)
+
+    def save_rest(self) -> None:
+        """Save also the rows of episodes that not all have played: no contestant runs any more."""
+        if not self._unprepared:
+            self._save(secret=False)
+
+    def _save(self, secret: bool) -> None:
+        """Save rows; if their seeds are secret, not those of an episode that others have still to play."""
+        rows, self._unsaved = self._unsaved, []
+        if secret:
+            playing = [number for number in range(len(self.done)) if number not in self.failures]
+            self._unsaved = [row for row in rows if not self.done[playing, row["episode"]].all()]
+            rows = [row for row in rows if self.done[playing, row["episode"]].all()]
+        if self._store is None:
+            self._played.extend(rows)
+        elif rows:
+            self._store.append(rows)
+
+    def order(self, table: RowTable) -> NDArray[np.int64]:
+        """The places of the rows by detector, in the order of the run, then by episode."""
+        numbers = np.array([self._places[label] for label in table.column("detector")], np.int64)
+        return np.lexsort((table.column("episode"), numbers))

@@ -105,8 +105,7 @@ class RowFile:
         self._file = self._file or self._open()
         first = len(self.table)
         try:
-            for row in rows:
-                self.table.append(row)
+            self.table.extend(rows)
             self._write(self._file, self.table.format_csv(first, digits=self._digits).encode())
         except BaseException:
             self.table = self.table[:first]

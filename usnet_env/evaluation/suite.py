@@ -16,7 +16,7 @@ from usnet_env.evaluation.agents import Agent, Answer, as_agent
 from usnet_env.evaluation.engine import Place
 from usnet_env.evaluation.episode import episode_seeds, play_agent, warm_up
 from usnet_env.evaluation.isolation import IsolatedAgent
-from usnet_env.evaluation.mapping import run_tasks
+from usnet_env.evaluation.mapping import run_or_raise
 from usnet_env.evaluation.store import RowFile
 from usnet_env.evaluation.table import RowTable, columns_of, read_table
 from usnet_env.plugins import make_detector
@@ -39,8 +39,7 @@ class Suite(Generic[CellT, RowT]):
         cell: the class of the cells, a frozen dataclass: a detector and the arguments of an environment, for example.
         row: the class of the rows, a frozen dataclass of ``int``, ``float``, ``str`` and ``bool``: the fields of the
             cell, the number of the game, and what was measured. It may derive from the class of the cells.
-        play: plays games, and returns the row of each. Other processes must be able to import it: a function of a
-            module, or a ``partial`` of one.
+        play: plays games, and returns the row of each. Other processes get it by value.
         number: the field of a row that has the number of its game.
         order: fields by which the rows of a complete file are sorted; none: they stay as they were played.
         digits: decimals of ``float``; ``None``: as many as are needed to read the same value again.
@@ -83,7 +82,7 @@ class Suite(Generic[CellT, RowT]):
             todo = [task for task in tasks if any(self._key_of_game(game) not in rows for game in task)]
             done = len(set(wanted) & rows.keys())
             progress(done, len(wanted))
-            with closing(run_tasks(self.play, todo, workers, _name_task)) as played:
+            with closing(run_or_raise(self.play, todo, workers, _name_task)) as played:
                 for _, made in played:
                     fresh = {self._key(row): row for row in made if self._key(row) not in rows}
                     rows.update(fresh)

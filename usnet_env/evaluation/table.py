@@ -42,6 +42,10 @@ class RowTable(Sequence[dict[str, Any]]):
         self._values: dict[str, array[Any]] = {name: array(_CODES[kind]) for name, kind in self.columns.items()}
         self._texts: dict[str, list[str]] = {name: [] for name, kind in self.columns.items() if kind == "str"}
         self._numbers: dict[str, dict[str, int]] = {name: {} for name in self._texts}
+        self.extend(rows)
+
+    def extend(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Append several rows, see :meth:`append`."""
         for row in rows:
             self.append(row)
 

@@ -1,20 +1,17 @@
-"""Play the episodes of a run in one process: this one, or another one that gets a plan of the run."""
+"""Play the episodes of a run in one process: this one, or another one to which the player is sent."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
-from gymnasium.vector.utils import CloudpickleWrapper
 
 from usnet_env.evaluation.agents import Agent, as_agent
 from usnet_env.evaluation.environments import find_environment, make_environment
 from usnet_env.evaluation.episode import Row, detector_error, play_episode, warm_up
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.isolation import IsolatedAgent
-from usnet_env.evaluation.parts import Part, register_parts, registered_parts
 from usnet_env.plugins import make_detector
 from usnet_env.processes import Limits, Outcome, PlainError, ProcessDied
 
@@ -55,21 +52,51 @@ class Contestant:
         return as_agent(make_detector(self.detector) if isinstance(self.detector, str) else self.detector)
 
 
-@dataclass
-class Worker:
-    """Runs episodes in one process. Each agent is created and warmed up before its first episode.
+class Player(Protocol):
+    """Plays the episodes of a run; sent to another process, it creates there what it needs, at its first task.
 
-    Args:
-        env: the environment of this process.
-        contestants: all contestants of the evaluation.
-        isolation: limits of each answer of a detector in a process of its own; ``None``: it runs in this process.
+    Attributes:
+        labels: the contestants' names in rows and tables.
     """
 
-    env: gym.Env[Any, Any]
+    @property
+    def labels(self) -> list[str]:
+        """The contestants' names in rows and tables."""
+
+    def run_task(self, task: Task) -> Row | None:
+        """Play one episode with one contestant; ``None`` if the contestant was only prepared."""
+
+    def close(self) -> None:
+        """End the processes of the contestants."""
+
+
+@dataclass
+class Worker:
+    """Plays episodes with detectors. Each agent is created and warmed up before its first episode.
+
+    Args:
+        env_id: id of the environment; a module before the id is imported in each process.
+        env_kwargs: arguments of the environment.
+        contestants: all contestants of the evaluation.
+        isolation: limits of each answer of a detector in a process of its own; ``None``: it runs in this process.
+        env: the environment of this process; other processes create their own.
+    """
+
+    env_id: str
+    env_kwargs: dict[str, Any]
     contestants: list[Contestant]
     isolation: Limits | None = None
+    env: gym.Env[Any, Any] | None = None
     _agents: dict[int, Agent] = field(default_factory=dict)
     _starting: dict[int, IsolatedAgent] = field(default_factory=dict)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"env": None, "_agents": {}, "_starting": {}}
+
+    @property
+    def labels(self) -> list[str]:
+        """The contestants' names in rows and tables."""
+        return [contestant.label for contestant in self.contestants]
 
     def run_task(self, task: Task) -> Row | None:
         """Play one episode with one contestant; ``None`` if the contestant was only prepared.
@@ -80,6 +107,8 @@ class Worker:
         """
         episode, number, seeds = task
         contestant = self.contestants[number]
+        if self.env is None:
+            self.env = make_environment(find_environment(self.env_id), self.env_kwargs)
         if number not in self._agents:
             agent = contestant.make_agent() if self.isolation is None else self._isolate(number)
             warm_up(self.env, agent, contestant.label, seeds[0])
@@ -104,90 +133,6 @@ class Worker:
         """End the processes of the agents."""
         for agent in self._starting.values():
             agent.close()
-
-
-class Player(Protocol):
-    """Plays the episodes of a run in one process."""
-
-    def run_task(self, task: Task) -> Row | None:
-        """Play one episode with one contestant; ``None`` if the contestant was only prepared."""
-
-    def close(self) -> None:
-        """End the processes of the contestants."""
-
-
-class Plan(Protocol):
-    """All that another process needs to know of a run."""
-
-    @property
-    def labels(self) -> list[str]:
-        """The contestants' names in rows and tables."""
-
-    def make_player(self) -> Player:
-        """Create the player of this process."""
-
-
-@dataclass(frozen=True)
-class EpisodePlan:
-    """All that another process needs to know of an evaluation.
-
-    Args:
-        env_id: id of the environment, created once in each process; a module before the id is imported there.
-        env_kwargs: arguments of the environment.
-        contestants: all contestants of the evaluation.
-        isolation: limits of each answer of a detector in a process of its own; ``None``: it runs in a worker process.
-    """
-
-    env_id: str
-    env_kwargs: dict[str, Any]
-    contestants: list[Contestant]
-    isolation: Limits | None = None
-
-    @property
-    def labels(self) -> list[str]:
-        """The contestants' names in rows and tables."""
-        return [contestant.label for contestant in self.contestants]
-
-    def make_player(self) -> Worker:
-        """Create the environment and the worker of this process."""
-        environment = make_environment(find_environment(self.env_id), self.env_kwargs)
-        return Worker(environment, self.contestants, self.isolation)
-
-
-@dataclass
-class _RemotePlayer:
-    """A :class:`Player` that is created in another process, by its first task.
-
-    Args:
-        plan: the run.
-        registered: what the program has registered itself.
-    """
-
-    plan: Plan
-    registered: list[Part]
-    _player: Player | None = None
-
-    def run_task(self, task: Task) -> Row | None:
-        if self._player is None:
-            register_parts(self.registered)
-            self._player = self.plan.make_player()
-        return self._player.run_task(task)
-
-
-@dataclass(frozen=True)
-class _Sent:
-    """Carries a :class:`_RemotePlayer` to another process by value: classes of a notebook cannot be imported there."""
-
-    wrapper: Any
-
-    def __call__(self, task: Task) -> Row | None:
-        return self.wrapper.fn.run_task(task)
-
-
-def send_plan(plan: Plan) -> Callable[[Task], Row | None]:
-    """The function that plays the tasks of a run in another process; it is pickled."""
-    remote: Any = _RemotePlayer(plan, registered_parts())
-    return _Sent(CloudpickleWrapper(remote))
 
 
 def as_failure(outcome: Outcome[Task, Row | None], label: str) -> Outcome[Task, Row | None]:

@@ -21,12 +21,10 @@ class InProcess(Generic[TaskT, ResultT]):
 
     Args:
         function: what to call with each task.
-        close: called after the last task.
     """
 
-    def __init__(self, function: Callable[[TaskT], ResultT], close: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, function: Callable[[TaskT], ResultT]) -> None:
         self.left_threads: list[tuple[str, TaskT]] = []
-        self.close = close
         self._function = function
 
     def run(
@@ -34,18 +32,18 @@ class InProcess(Generic[TaskT, ResultT]):
     ) -> Generator[Outcome[TaskT, ResultT], None, None]:
         """Run all tasks."""
         known = set(threading.enumerate())
-        try:
-            for task in tasks:
-                try:
-                    outcome = Outcome(task, self._function(task))
-                except Exception as error:
-                    outcome = Outcome(task, error=error)
-                yield outcome
-                fresh = [each for each in threading.enumerate() if each not in known]
-                self.left_threads += [(each.name, task) for each in fresh if not each.daemon]
-                known.update(fresh)
-        finally:
-            self.close()
+        for task in tasks:
+            try:
+                outcome = Outcome(task, self._function(task))
+            except (Exception, SystemExit) as error:  # a task must not end the program, least of all with status 0
+                outcome = Outcome(task, error=error)
+            yield outcome
+            fresh = [each for each in threading.enumerate() if each not in known]
+            self.left_threads += [(each.name, task) for each in fresh if not each.daemon]
+            known.update(fresh)
+
+    def close(self) -> None:
+        """Do nothing: this process goes on."""
 
 
 def check_backend(backend: Any, address: Any) -> None:
