@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -68,8 +67,7 @@ class RowFile:
         table: all rows of the file.
 
     Raises:
-        ArgumentError: another process has the lock.
-        ValueError: the file holds something else.
+        ArgumentError: another process has the lock, or the file holds something else.
     """
 
     def __init__(self, path: Path, columns: Columns, lock: FileLock | None = None, digits: int | None = None) -> None:
@@ -137,9 +135,6 @@ class RowFile:
 
     def _open(self) -> io.FileIO:
         """Open the file at the end of its last complete line; a new file appears with its header."""
-        for left in self.path.parent.glob(f".{self.path.name}.*"):  # of a program that was killed while it wrote
-            if re.fullmatch(r"[0-9a-f]{32}", left.name.rpartition(".")[2]):
-                left.unlink()
         try:
             with self.path.open(encoding="utf-8", newline="") as lines:
                 known = lines.readline() == ",".join(self.table.columns) + "\n"
@@ -242,7 +237,7 @@ class RunStore:
                 raise ArgumentError(
                     f"out must be a new folder or the folder of a run, got {str(folder)!r} with rows but no {RUN}."
                 )
-            self._rows = _open_rows(folder, columns, self._lock)
+            self._rows = RowFile(folder / EPISODES, columns, self._lock)
             _check_once(self._rows.table, folder)
         except BaseException:
             self._lock.release()
@@ -313,10 +308,7 @@ def load_run(folder: Path) -> tuple[dict[str, Any], RowTable]:
     except FileNotFoundError:
         names = []
     columns = {**COLUMNS, **dict.fromkeys([name for name in names if name not in COLUMNS], "float")}
-    try:
-        table = read_table(folder / EPISODES, columns)
-    except ValueError:
-        raise _broken_rows(folder) from None
+    table = read_table(folder / EPISODES, columns)
     _check_once(table, folder)
     return description, table
 
@@ -387,16 +379,3 @@ def _check_once(table: RowTable, folder: Path) -> None:
             f"{EPISODES} must hold each episode of a detector once, got episode {row['episode']} of "
             f"{row['detector']!r} twice in {str(folder)!r}."
         )
-
-
-def _open_rows(folder: Path, columns: Columns, lock: FileLock) -> RowFile:
-    try:
-        return RowFile(folder / EPISODES, columns, lock)
-    except ArgumentError:
-        raise
-    except ValueError:
-        raise _broken_rows(folder) from None
-
-
-def _broken_rows(folder: Path) -> ArgumentError:
-    return ArgumentError(f"out must hold complete rows, got a broken {EPISODES} in {str(folder)!r}.")

@@ -10,7 +10,6 @@ from typing import Any, Generic, TypeVar, cast
 
 import gymnasium as gym
 
-from usnet_env.config import ArgumentError
 from usnet_env.envs.play import PlayedRound
 from usnet_env.evaluation.agents import Agent, Answer, as_agent
 from usnet_env.evaluation.engine import Place
@@ -77,8 +76,8 @@ class Suite(Generic[CellT, RowT]):
             EvaluationError: a task ended its process; the message names it. Rows that were finished are kept.
         """
         wanted = [self._key_of_game(game) for task in tasks for game in task]
-        with self._open(path) as file:
-            rows = {self._key(row): row for row in _records(file.table, self.row)}
+        with RowFile(path, columns_of(self.row), digits=self.digits) as file:
+            rows = {self._key(row): row for row in (self.row(**each) for each in file.table)}
             todo = [task for task in tasks if any(self._key_of_game(game) not in rows for game in task)]
             done = len(set(wanted) & rows.keys())
             progress(done, len(wanted))
@@ -104,14 +103,6 @@ class Suite(Generic[CellT, RowT]):
     def _sorted(self, table: RowTable) -> list[int]:
         keys = list(zip(*(table.column(name).tolist() for name in self.order), strict=True))
         return sorted(range(len(keys)), key=keys.__getitem__)
-
-    def _open(self, path: Path) -> RowFile:
-        try:
-            return RowFile(path, columns_of(self.row), digits=self.digits)
-        except ArgumentError:
-            raise
-        except ValueError:
-            raise _other_rows(path) from None
 
 
 def list_games(cells: Sequence[CellT], games: int | Callable[[CellT], int], first: int = 0) -> list[list[Game[CellT]]]:
@@ -152,18 +143,7 @@ def read_rows(path: Path, kind: type[RowT]) -> list[RowT]:
     Raises:
         ArgumentError: the file holds something else.
     """
-    try:
-        return _records(read_table(path, columns_of(kind)), kind)
-    except ValueError:
-        raise _other_rows(path) from None
-
-
-def _records(table: RowTable, kind: type[RowT]) -> list[RowT]:
-    return [kind(**row) for row in table]
-
-
-def _other_rows(path: Path) -> ArgumentError:
-    return ArgumentError(f"out must hold rows of this measurement, got something else in {path.name!r}.")
+    return [kind(**row) for row in read_table(path, columns_of(kind))]
 
 
 def _name_task(task: Sequence[Game[Any]]) -> str:

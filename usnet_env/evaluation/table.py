@@ -15,6 +15,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.config import ArgumentError
+
 #: Names of columns with their types: ``str``, ``int``, ``float``, ``bool`` or ``float | None``, in their order.
 Columns = Mapping[str, str]
 
@@ -179,7 +181,7 @@ def read_table(path: Path, columns: Columns) -> RowTable:
         columns: names and types of the columns; the file may have others as well.
 
     Raises:
-        ValueError: the file holds something else.
+        ArgumentError: the file holds something else.
     """
     table = RowTable(columns)
     if not path.exists():
@@ -196,7 +198,9 @@ def read_table(path: Path, columns: Columns) -> RowTable:
                     raise ValueError("a line has too few or too many values")
                 table.append_texts([every[place] for place in places])
     except (KeyError, ValueError, OverflowError, csv.Error) as error:
-        raise ValueError(f"{path.name} holds other rows: {error}") from None
+        raise ArgumentError(
+            f"out must hold rows of this measurement, got something else in {path.name!r}: {error}."
+        ) from None
     return table
 
 
