@@ -32,7 +32,6 @@ from usnet_env.evaluation.isolation import IsolatedAgent
 from usnet_env.evaluation.metrics import METRICS
 from usnet_env.evaluation.result import summarise
 from usnet_env.evaluation.store import COLUMNS, RowFile, RunStore
-from usnet_env.plugins import make_detector
 from usnet_env.processes import Limits
 from usnet_env.provenance import machine, versions
 
@@ -123,7 +122,7 @@ def isolation(turns: int) -> dict[str, object]:
     """Wall milliseconds of an answer at N = 82, isolated (with and without limits) and in this process, in turns."""
     observation, _ = gym.make("USNET/MultiCluster-v0").reset(seed=0)
     agents = {
-        "in process": as_agent(make_detector("none")),
+        "in process": as_agent("none"),
         "isolated": IsolatedAgent("none", Limits()),
         "isolated, with limits": IsolatedAgent("none", Limits(seconds=60, megabytes=1000)),
     }

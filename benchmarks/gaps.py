@@ -24,7 +24,6 @@ from usnet_env.evaluation.agents import as_agent
 from usnet_env.evaluation.episode import episode_seeds, play_episode
 from usnet_env.evaluation.report import group_rows, mean_over_episodes
 from usnet_env.objectives import purity
-from usnet_env.plugins import make_detector
 
 SEED = 100
 RATES = (0.1, 0.3)
@@ -99,7 +98,7 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
             value = purity(env.swarm.leader, labels)
         else:
             env = SingleClusterEnv(**P1[name], **swarm) if name in P1 else MultiClusterEnv(**P2, **swarm)
-            row = play_episode(env, as_agent(make_detector(name)), name, game, episode_seeds(SEED, game))
+            row = play_episode(env, as_agent(name), name, game, episode_seeds(SEED, game))
             value = float(row["exact"] if name in P1 else row["J"])
     return {"follow": follow, "mobility": swarm.get("mobility", "iid"), "value": round(value, 5)}
 

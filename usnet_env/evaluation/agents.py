@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
+from usnet_env.plugins import make_detector
 from usnet_env.window import Window
 
 
@@ -158,9 +159,14 @@ def _find_normaliser(policy: Any) -> Any:
 def as_agent(detector: Any) -> Agent:
     """Wrap a detector, or an object with ``predict``, as an agent.
 
+    Args:
+        detector: the object, or the name of a detector, which is made, as :func:`usnet_env.make_detector` takes it.
+
     Raises:
         ArgumentError: the object is neither of the two, or it is a class instead of an object.
     """
+    if isinstance(detector, str):
+        detector = make_detector(detector)
     detects, predicts = (callable(getattr(detector, name, None)) for name in ("detect", "predict"))
     if isinstance(detector, type):
         if detects or predicts:

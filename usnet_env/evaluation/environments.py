@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, quote, unknown_argument
 
 _HINTS = 3
 
@@ -82,9 +82,7 @@ def make_environment(spec: EnvSpec, env_kwargs: Mapping[str, Any]) -> gym.Env[An
     known = list_arguments(spec)
     for name in env_kwargs:
         if known is not None and name not in known:
-            near = get_close_matches(str(name), known, n=1)
-            hint = f" (did you mean {near[0]!r}?)" if near else ""
-            raise ArgumentError(f"{name} is not an argument of {spec.id}{hint}; it takes {', '.join(known)}.")
+            raise unknown_argument(str(name), spec.id, known)
     env: gym.Env[Any, Any] = gym.make(spec, disable_env_checker=True, **env_kwargs)
     if not is_usnet(env):
         env.close()

@@ -14,7 +14,7 @@ from hashlib import sha256
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, overload
+from typing import TYPE_CHECKING, Annotated, Any
 
 import yaml
 from pydantic import Field, field_validator
@@ -25,7 +25,7 @@ from usnet_env.evaluation.environments import find_environment, make_environment
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.metrics import RATES
 from usnet_env.evaluation.report import format_interval, format_latex, format_markdown
-from usnet_env.evaluation.result import Comparison, EvaluationResult, Summary, compare_detectors, summarise
+from usnet_env.evaluation.result import EvaluationResult, Results, Summary, summarise
 from usnet_env.evaluation.runner import evaluate
 from usnet_env.evaluation.statistics import Interval
 from usnet_env.evaluation.store import COLUMNS
@@ -226,7 +226,7 @@ def _join_failures(failures: Failures, cells: Iterable[str]) -> dict[str, str]:
 
 
 @dataclass(frozen=True, repr=False)
-class SuiteResult:
+class SuiteResult(Results):
     """The results of a suite.
 
     Args:
@@ -255,6 +255,10 @@ class SuiteResult:
 
     def __repr__(self) -> str:
         return f"<SuiteResult of {self.suite.label}: {len(self.results)} cells, {len(self.detectors)} detectors>"
+
+    def list_results(self) -> list[EvaluationResult]:
+        """The result of each cell."""
+        return list(self.results.values())
 
     @cached_property
     def detectors(self) -> list[str]:
@@ -335,28 +339,3 @@ class SuiteResult:
         from pandas import concat  # after to_frame, which refuses without it
 
         return concat(frames, ignore_index=True)
-
-    @overload
-    def compare(self, a: str, b: str, metric: str = "J") -> Comparison: ...
-    @overload
-    def compare(self, a: str, b: list[str] | tuple[str, ...] | None = None, metric: str = "J") -> list[Comparison]: ...
-    def compare(
-        self, a: str, b: str | list[str] | tuple[str, ...] | None = None, metric: str = "J"
-    ) -> Comparison | list[Comparison]:
-        """Compare a detector with another one, or with several, over all cells.
-
-        Episodes are paired cell by cell. Cells whose swarms have the same seed depend on each other: their differences
-        are one group, which is resampled, and changes its sign, as a whole.
-
-        Args:
-            a: label of a detector.
-            b: label of another one, a list of labels, or ``None`` for all others.
-            metric: what is compared.
-
-        Returns:
-            As :meth:`usnet_env.evaluation.EvaluationResult.compare`.
-
-        Raises:
-            ArgumentError: there is no such detector or metric, or two detectors share no episode.
-        """
-        return compare_detectors(list(self.results.values()), a, b, metric)

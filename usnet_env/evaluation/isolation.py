@@ -17,7 +17,6 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.evaluation.agents import Agent, Answer, RefusedArgumentError, as_agent
 from usnet_env.evaluation.parts import send
-from usnet_env.plugins import make_detector
 from usnet_env.processes import Arrays, Limits, PlainError, PlainFunction, PlainProcess, SendError
 
 _ALONE = ""  # the name of an observation that is no mapping
@@ -39,7 +38,7 @@ def make_secret(secret: Any) -> str:
 
 def _make_answering(detector: Any) -> PlainFunction:
     """Make an agent, in the detector's process, and return the function that answers calls."""
-    return partial(_answer, as_agent(make_detector(detector) if isinstance(detector, str) else detector))
+    return partial(_answer, as_agent(detector))
 
 
 def _answer(agent: Agent, values: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> tuple[dict[str, Any], Arrays]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -92,8 +93,69 @@ class Comparison:
         )
 
 
+class Results(ABC):
+    """What one result, or the results of several cells, tell of their detectors."""
+
+    @abstractmethod
+    def list_results(self) -> list[EvaluationResult]:
+        """The result of each cell."""
+
+    @overload
+    def compare(self, a: str, b: str, metric: str = "J") -> Comparison: ...
+    @overload
+    def compare(self, a: str, b: list[str] | tuple[str, ...] | None = None, metric: str = "J") -> list[Comparison]: ...
+    def compare(
+        self, a: str, b: str | list[str] | tuple[str, ...] | None = None, metric: str = "J"
+    ) -> Comparison | list[Comparison]:
+        """Compare a detector with another one, or with several, episode by episode: all played against the same swarms.
+
+        Of several cells, episodes are paired cell by cell. Cells whose swarms have the same seed depend on each other:
+        their differences are one group, which is resampled, and changes its sign, as a whole.
+
+        With k others, the intervals have the level 1 - 0.05 / k and the p-values are adjusted by Holm's method, so that
+        the chance of any false difference among them is at most 5 %.
+
+        Args:
+            a: label of a detector.
+            b: label of another one, a list of labels, or ``None`` for all others.
+            metric: what is compared; an episode in which one of the two has no value is left out.
+
+        Returns:
+            One comparison, or a list of them.
+
+        Raises:
+            ArgumentError: there is no such detector or metric, or two detectors share no episode.
+        """
+        results = self.list_results()
+        for result in results:
+            result.check_metric(metric)
+        labels = list(dict.fromkeys(entry["detector"] for result in results for entry in result.summary))
+        if not isinstance(b, str | list | tuple | None):
+            raise ArgumentError(f"b must be a label, a list of labels or None, got {quote(b)}.")
+        others = [b] if isinstance(b, str) else [label for label in labels if label != a] if b is None else list(b)
+        for label in (a, *others):
+            if label not in labels:
+                raise unknown_name("detector", label, labels)
+        pairs = [_pair(results, a, other, metric) for other in others]
+        adjusted = statistics.holm([statistics.paired_test(_sum_groups(*pair)) for pair in pairs])
+        level, k = 1 - (1 - CONFIDENCE) / max(1, len(others)), len(others)
+        found = []
+        for other, (differences, swarms), p in zip(others, pairs, adjusted, strict=True):
+            interval = mean_interval(differences, confidence=level, groups=swarms)
+            found.append(Comparison(a, other, metric, len(differences), *interval, p, k))
+        return found[0] if isinstance(b, str) else found
+
+    def interquartile_means(self, metric: str = "J") -> dict[str, Interval]:
+        """:func:`interquartile_means` of these results."""
+        return interquartile_means(self.list_results(), metric)
+
+    def performance_profiles(self, metric: str = "J", thresholds: Sequence[float] | None = None) -> dict[str, Profile]:
+        """:func:`performance_profiles` of these results."""
+        return performance_profiles(self.list_results(), metric, thresholds)
+
+
 @dataclass(frozen=True, repr=False)
-class EvaluationResult:
+class EvaluationResult(Results):
     """The result of :func:`usnet_env.evaluate`.
 
     Args:
@@ -127,6 +189,10 @@ class EvaluationResult:
     def _repr_html_(self) -> str:
         """The ranking, for a notebook."""
         return tables.html_table(self.summary, self._title())
+
+    def list_results(self) -> list[EvaluationResult]:
+        """This result alone."""
+        return [self]
 
     def _title(self) -> str:
         episodes = sorted({entry["episodes"] for entry in self.summary}) or [0]
@@ -191,31 +257,6 @@ class EvaluationResult:
             ) from None
         return DataFrame({name: self.rows.column(name) for name in self.rows.columns})
 
-    @overload
-    def compare(self, a: str, b: str, metric: str = "J") -> Comparison: ...
-    @overload
-    def compare(self, a: str, b: list[str] | tuple[str, ...] | None = None, metric: str = "J") -> list[Comparison]: ...
-    def compare(
-        self, a: str, b: str | list[str] | tuple[str, ...] | None = None, metric: str = "J"
-    ) -> Comparison | list[Comparison]:
-        """Compare a detector with another one, or with several, episode by episode: all played against the same swarms.
-
-        With k others, the intervals have the level 1 - 0.05 / k and the p-values are adjusted by Holm's method, so that
-        the chance of any false difference among them is at most 5 %.
-
-        Args:
-            a: label of a detector.
-            b: label of another one, a list of labels, or ``None`` for all others.
-            metric: what is compared; an episode in which one of the two has no value is left out.
-
-        Returns:
-            One comparison, or a list of them.
-
-        Raises:
-            ArgumentError: there is no such detector or metric, or two detectors share no episode.
-        """
-        return compare_detectors([self], a, b, metric)
-
     def merge(self, other: EvaluationResult) -> EvaluationResult:
         """Join the result of other detectors that have met the same swarms, such as one of another folder.
 
@@ -253,14 +294,6 @@ class EvaluationResult:
         episodes = max(each.config.get("episodes", 0) for each in (self, other))
         return EvaluationResult(rows, summarise(rows), {**self.config, **joined, "episodes": episodes})
 
-    def interquartile_means(self, metric: str = "J") -> dict[str, Interval]:
-        """:func:`interquartile_means` of this result alone."""
-        return interquartile_means([self], metric)
-
-    def performance_profiles(self, metric: str = "J", thresholds: Sequence[float] | None = None) -> dict[str, Profile]:
-        """:func:`performance_profiles` of this result alone."""
-        return performance_profiles([self], metric, thresholds)
-
     def check_metric(self, metric: str) -> None:
         """Refuse a metric that the rows do not have.
 
@@ -281,40 +314,6 @@ class EvaluationResult:
         if metric == "J":
             return tables.objective_name(self.summary) == "J_m"
         return metric in LOWER_IS_BETTER or metric.startswith("price")
-
-
-def compare_detectors(
-    results: Sequence[EvaluationResult], a: str, b: str | list[str] | tuple[str, ...] | None, metric: str
-) -> Comparison | list[Comparison]:
-    """Compare a detector with others in the episodes of several results, see :meth:`EvaluationResult.compare`.
-
-    Differences in swarms of the same seed are one group.
-    """
-    for result in results:
-        result.check_metric(metric)
-    labels = list(dict.fromkeys(entry["detector"] for result in results for entry in result.summary))
-    if not isinstance(b, str | list | tuple | None):
-        raise ArgumentError(f"b must be a label, a list of labels or None, got {quote(b)}.")
-    others = [b] if isinstance(b, str) else [label for label in labels if label != a] if b is None else list(b)
-    for label in (a, *others):
-        if label not in labels:
-            raise unknown_name("detector", label, labels)
-    pairs = [_pair(results, a, other, metric) for other in others]
-    adjusted = statistics.holm([statistics.paired_test(_sum_groups(*pair)) for pair in pairs])
-    level = 1 - (1 - CONFIDENCE) / max(1, len(others))
-    found = [
-        Comparison(
-            a,
-            other,
-            metric,
-            len(differences),
-            *mean_interval(differences, confidence=level, groups=swarms),
-            p,
-            len(others),
-        )
-        for other, (differences, swarms), p in zip(others, pairs, adjusted, strict=True)
-    ]
-    return found[0] if isinstance(b, str) else found
 
 
 def _pair(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import ExitStack
 from os import PathLike
 from typing import Any
@@ -19,9 +19,9 @@ from usnet_env.evaluation.metrics import TRACK_METRICS
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.schedule import Seeds
 from usnet_env.evaluation.store import COLUMNS
-from usnet_env.evaluation.workers import Contestant, Worker
+from usnet_env.evaluation.workers import Worker
 from usnet_env.files import as_path
-from usnet_env.plugins import detector_label, make_detector
+from usnet_env.plugins import detector_label
 from usnet_env.processes import Limits
 
 #: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
@@ -107,7 +107,7 @@ def evaluate(
     limits = _make_limits(time_limit, memory_limit)
     place = choose_place(backend, run.workers, limits, address, run.isolate)
     arguments = _check_env_kwargs(env_kwargs)
-    contestants = _make_contestants(detector, run)
+    detectors = _label_detectors(detector, run)
     with ExitStack() as stack:
         if isinstance(env, str):
             environment = make_environment(find_environment(env), arguments)
@@ -116,8 +116,8 @@ def evaluate(
             environment = _check_environment(env, arguments, run, limits, backend)
         if not getattr(environment.unwrapped, "labelled", True):
             raise ArgumentError("env must know the leaders to score detectors, got tracks without a column 'leader'.")
-        config = _make_config(environment, arguments, contestants, run)
-        worker = Worker(str(env), arguments, contestants, limits if run.isolate else None, environment)
+        config = _make_config(environment, arguments, detectors, run)
+        worker = Worker(str(env), arguments, detectors, limits if run.isolate else None, environment)
         more = dict.fromkeys(TRACK_METRICS if hasattr(environment.unwrapped, "score_answer") else (), "float | None")
         return play_run(worker, config, seeds, place, folder, run.progress, {**COLUMNS, **more})
 
@@ -126,12 +126,8 @@ def _make_limits(time_limit: float | None, memory_limit: float | None) -> Limits
     try:
         return Limits(seconds=time_limit, megabytes=memory_limit)
     except ArgumentError as error:
-        text = str(error)
-        raise ArgumentError(
-            text.replace("seconds", "time_limit", 1)
-            if text.startswith("seconds")
-            else text.replace("megabytes", "memory_limit", 1)
-        ) from None
+        field, words = str(error).split(" ", 1)
+        raise ArgumentError(f"{'time_limit' if field == 'seconds' else 'memory_limit'} {words}") from None
 
 
 def _check_env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -159,35 +155,35 @@ def _check_environment(
     return env
 
 
-def _make_contestants(detector: Any, run: _Run) -> list[Contestant]:
+def _label_detectors(detector: Any, run: _Run) -> dict[str, Any]:
     """Give each detector its own label."""
-    contestants: dict[str, Contestant] = {}
+    found: dict[str, Any] = {}
     if isinstance(detector, Mapping):
         for label, each in detector.items():
             if not (name := plain_text("label", label)) or not name.isprintable():
                 raise ArgumentError(f"label must be a text of printable characters, got {quote(label)}.")
             _make_label(each, run.isolate)  # refuses what is no detector
-            contestants[name] = Contestant(name, each, describe_detector(each))
+            found[name] = each
     else:
         for each in list(detector) if isinstance(detector, list | tuple) else [detector]:
             label = first = _make_label(each, run.isolate)
-            if label in contestants and isinstance(each, str):
+            if label in found and isinstance(each, str):
                 raise ArgumentError(f"detector must name each detector once, got {label!r} twice.")
             number = 2
-            while label in contestants:
+            while label in found:
                 label = f"{first} #{number}"
                 number += 1
-            contestants[label] = Contestant(label, each, describe_detector(each))
-    if not contestants:
+            found[label] = each
+    if not found:
         raise ArgumentError(f"detector must name at least one detector, got an empty {type(detector).__name__}.")
     for name in TRIVIAL if run.trivial else ():
-        given = contestants.setdefault(name, Contestant(name, name, name))
-        if detector_label(given.detector) != name:
+        given = found.setdefault(name, name)
+        if detector_label(given) != name:
             raise ArgumentError(
                 f"label must be another one than {name!r}, the trivial policy, if trivial is true, got it for "
-                f"{quote(given.detector)}."
+                f"{quote(given)}."
             )
-    return list(contestants.values())
+    return found
 
 
 def _make_label(detector: Any, isolate: bool) -> str:
@@ -197,12 +193,12 @@ def _make_label(detector: Any, isolate: bool) -> str:
     """
     if isolate and isinstance(detector, str):
         return detector_label(detector)
-    agent = as_agent(make_detector(detector) if isinstance(detector, str) else detector)
+    agent = as_agent(detector)
     return type(detector).__name__ if isinstance(agent, PolicyAgent) else detector_label(detector)
 
 
 def _make_config(
-    environment: gym.Env[Any, Any], arguments: Mapping[str, Any], contestants: Sequence[Contestant], run: _Run
+    environment: gym.Env[Any, Any], arguments: Mapping[str, Any], detectors: Mapping[str, Any], run: _Run
 ) -> dict[str, Any]:
     """Return the arguments of the run as plain values: runs with the same config have the same rows."""
     inner: Any = environment.unwrapped
@@ -212,8 +208,8 @@ def _make_config(
         "env_kwargs": describe(arguments),
         "environment": settings,
         **describe_code(type(inner), settings),
-        "detectors": [contestant.label for contestant in contestants],
-        "identities": [contestant.identity for contestant in contestants],
+        "detectors": list(detectors),
+        "identities": [describe_detector(each) for each in detectors.values()],
         "episodes": run.episodes,
         "seed": run.seed,
         **({"isolate": True} if run.isolate else {}),

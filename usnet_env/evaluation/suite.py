@@ -18,7 +18,6 @@ from usnet_env.evaluation.isolation import IsolatedAgent
 from usnet_env.evaluation.mapping import run_or_raise
 from usnet_env.evaluation.store import RowFile
 from usnet_env.evaluation.table import RowTable, columns_of, read_table
-from usnet_env.plugins import make_detector
 from usnet_env.processes import Limits
 
 __all__ = ["Game", "Place", "Suite", "list_games", "play_detector", "read_rows", "split_games"]
@@ -172,7 +171,7 @@ def play_detector(
         EvaluationError: the detector failed.
     """
     if (detector, isolate) not in _agents:
-        agent = IsolatedAgent(detector, Limits()) if isolate else as_agent(make_detector(detector))
+        agent = IsolatedAgent(detector, Limits()) if isolate else as_agent(detector)
         warm_up(env, agent, detector, episode_seeds(seed, 0)[0])
         _agents[detector, isolate] = agent
     return play_agent(env, _agents[detector, isolate], detector, episode, episode_seeds(seed, episode))

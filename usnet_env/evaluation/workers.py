@@ -12,7 +12,6 @@ from usnet_env.evaluation.environments import find_environment, make_environment
 from usnet_env.evaluation.episode import Row, detector_error, play_episode, warm_up
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.isolation import IsolatedAgent
-from usnet_env.plugins import make_detector
 from usnet_env.processes import Limits, Outcome, PlainError, ProcessDied
 
 #: In place of an episode: only create the agent and warm it up.
@@ -31,25 +30,6 @@ class Task(NamedTuple):
     episode: int
     contestant: int
     seeds: tuple[int, int]
-
-
-@dataclass(frozen=True)
-class Contestant:
-    """A detector or policy that takes part in an evaluation.
-
-    Args:
-        label: its name in rows and tables.
-        detector: a name as :func:`usnet_env.make_detector` takes it, or the object itself.
-        identity: what distinguishes it from others, as plain values.
-    """
-
-    label: str
-    detector: Any
-    identity: Any = None
-
-    def make_agent(self) -> Agent:
-        """Create the agent in this process: a new detector if a name is given, else the given object."""
-        return as_agent(make_detector(self.detector) if isinstance(self.detector, str) else self.detector)
 
 
 class Player(Protocol):
@@ -77,18 +57,18 @@ class Worker:
     Args:
         env_id: id of the environment; a module before the id is imported in each process.
         env_kwargs: arguments of the environment.
-        contestants: all contestants of the evaluation.
+        detectors: names of detectors as :func:`usnet_env.make_detector` takes them, or objects, by their labels.
         isolation: limits of each answer of a detector in a process of its own; ``None``: it runs in this process.
         env: the environment of this process; other processes create their own.
     """
 
     env_id: str
     env_kwargs: dict[str, Any]
-    contestants: list[Contestant]
+    detectors: dict[str, Any]
     isolation: Limits | None = None
     env: gym.Env[Any, Any] | None = None
     _agents: dict[int, Agent] = field(default_factory=dict)
-    _starting: dict[int, IsolatedAgent] = field(default_factory=dict)
+    _starting: dict[str, IsolatedAgent] = field(default_factory=dict)
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"env": None, "_agents": {}, "_starting": {}}
@@ -96,7 +76,7 @@ class Worker:
     @property
     def labels(self) -> list[str]:
         """The contestants' names in rows and tables."""
-        return [contestant.label for contestant in self.contestants]
+        return list(self.detectors)
 
     def run_task(self, task: Task) -> Row | None:
         """Play one episode with one contestant; ``None`` if the contestant was only prepared.
@@ -106,28 +86,27 @@ class Worker:
             ArgumentError: the contestant refused one of its arguments.
         """
         episode, number, seeds = task
-        contestant = self.contestants[number]
+        label = self.labels[number]
         if self.env is None:
             self.env = make_environment(find_environment(self.env_id), self.env_kwargs)
         if number not in self._agents:
-            agent = contestant.make_agent() if self.isolation is None else self._isolate(number)
-            warm_up(self.env, agent, contestant.label, seeds[0])
+            agent = as_agent(self.detectors[label]) if self.isolation is None else self._isolate(label, self.isolation)
+            warm_up(self.env, agent, label, seeds[0])
             self._agents[number] = agent
         if episode == PREPARE:
             return None
-        return play_episode(self.env, self._agents[number], contestant.label, episode, seeds)
+        return play_episode(self.env, self._agents[number], label, episode, seeds)
 
-    def _isolate(self, number: int) -> Agent:
+    def _isolate(self, label: str, limits: Limits) -> Agent:
         """Create an agent in its own process; at first all those processes are started, so that they load together."""
-        assert self.isolation is not None
         if not self._starting:
-            for each, contestant in enumerate(self.contestants):
-                self._starting[each] = IsolatedAgent(contestant.detector, self.isolation)
+            for each, detector in self.detectors.items():
+                self._starting[each] = IsolatedAgent(detector, limits)
         try:
-            self._starting[number].start()
+            self._starting[label].start()
         except (PlainError, ProcessDied) as error:
-            raise detector_error(self.contestants[number].label, "its constructor", error) from error
-        return self._starting[number]
+            raise detector_error(label, "its constructor", error) from error
+        return self._starting[label]
 
     def close(self) -> None:
         """End the processes of the agents."""
