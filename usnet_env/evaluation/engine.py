@@ -19,7 +19,7 @@ from usnet_env.evaluation.result import EvaluationResult, summarise
 from usnet_env.evaluation.schedule import Schedule, Seeds
 from usnet_env.evaluation.store import COLUMNS, RunStore
 from usnet_env.evaluation.table import Columns
-from usnet_env.evaluation.workers import Player, as_failure
+from usnet_env.evaluation.workers import Player
 from usnet_env.processes import Backend, Limits, Outcome, SendError, check_backend, make_backend
 from usnet_env.processes.outcome import every_task
 from usnet_env.progress import progress_bar
@@ -36,13 +36,15 @@ _GUARD = (
 )
 
 
-class RunNumbers(Config):
+class RunArguments(Config):
     """The plain arguments of a run."""
 
     episodes: Annotated[int, Field(ge=1, le=MOST_EPISODES)]
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)]
     progress: bool
+    trivial: bool = False
+    isolate: bool = False
 
 
 @dataclass(frozen=True)
@@ -182,7 +184,7 @@ def play_run(
             # Closed before the last rows and the secret are written: no detector runs any more.
             with closing(player), closing(played):
                 for outcome in played:
-                    schedule.note(as_failure(outcome, labels[outcome.task.contestant]))
+                    schedule.note(outcome)
                     show(schedule.finished, schedule.done.size)
         finally:
             schedule.save_rest()
@@ -191,7 +193,10 @@ def play_run(
         failures = {labels[number]: error for number, error in schedule.failures.items()}
         table = schedule.table.take(schedule.order(schedule.table))
         table = table.take(np.flatnonzero([label not in failures for label in table.column("detector")]))
-        secret = seeds.describe() if store is None or schedule.uses_secret else store.describe_secret()
+        if store is None or schedule.uses_secret:
+            secret = {} if seeds.secret is None else {"secret": seeds.secret}
+        else:
+            secret = store.describe_secret()
         result = EvaluationResult(table, summarise(table), dict(config) | secret)
         if failures:
             failure = EvaluationError(" ".join(map(str, failures.values())))

@@ -15,7 +15,7 @@ import numpy as np
 from usnet_env.config import ArgumentError, quote
 from usnet_env.envs.play import PlayedRound
 from usnet_env.evaluation.agents import Answer
-from usnet_env.evaluation.engine import RunNumbers, choose_place, play_run
+from usnet_env.evaluation.engine import RunArguments, choose_place, play_run
 from usnet_env.evaluation.episode import Row, detector_step
 from usnet_env.evaluation.identity import describe, describe_code, describe_detector
 from usnet_env.evaluation.metrics import episode_metrics
@@ -166,7 +166,7 @@ def evaluate_games(
         EvaluationError: a policy raised an exception; the other teams have played to the end.
     """
     folder = None if out is None else as_path("out", out)
-    run = RunNumbers(episodes=episodes, seed=seed, workers=workers, progress=progress)
+    run = RunArguments(episodes=episodes, seed=seed, workers=workers, progress=progress)
     place = choose_place(backend, run.workers, Limits(), address)
     if not isinstance(players, Mapping) or not players:
         raise ArgumentError(f"players must be a mapping of labels to policies, got {quote(players)}.")

@@ -101,13 +101,9 @@ def format_markdown(
     return [join(header), "|" + f"{rule}|" * len(header), *map(join, lines)]
 
 
-_LATEX = (
-    {"\\": r"\textbackslash{}", "–": "--", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-    | {
-        "|": r"\textbar{}",
-        "<": r"\textless{}",
-        ">": r"\textgreater{}",
-    }
+_LATEX = str.maketrans(
+    {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "|": r"\textbar{}"}
+    | {"<": r"\textless{}", ">": r"\textgreater{}", "–": "--"}
     | {sign: f"\\{sign}" for sign in "&%$#_{}"}
 )
 
@@ -121,19 +117,15 @@ def format_latex(header: Sequence[str], lines: Iterable[Sequence[str]], text_col
         text_columns: how many columns hold plain text, whose special signs are escaped; the other ones hold LaTeX.
             ``None``: all.
     """
-    escaped = [[_escape_latex(text) for text in header]]
+    escaped = [[text.translate(_LATEX) for text in header]]
     for line in lines:
         latex = [] if text_columns is None else [text.replace("–", "--") for text in line[text_columns:]]
-        escaped.append([*(_escape_latex(text) for text in line[:text_columns]), *latex])
+        escaped.append([*(text.translate(_LATEX) for text in line[:text_columns]), *latex])
     first, *others = (" & ".join(line) + r" \\" for line in escaped)
     return [
         rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", r"\toprule", first, r"\midrule", *others, r"\bottomrule",
         r"\end{tabular}",
     ]  # fmt: skip
-
-
-def _escape_latex(text: str) -> str:
-    return "".join(_LATEX.get(sign, sign) for sign in text)
 
 
 def keep_report(path: Path, markdown: str, picture: Figure, formats: Sequence[str] = ("png",)) -> None:

@@ -11,7 +11,7 @@ import gymnasium as gym
 
 from usnet_env.config import ArgumentError, plain_text, quote
 from usnet_env.evaluation.agents import PolicyAgent, as_agent
-from usnet_env.evaluation.engine import RunNumbers, choose_place, play_run
+from usnet_env.evaluation.engine import RunArguments, choose_place, play_run
 from usnet_env.evaluation.environments import find_environment, is_usnet, make_environment
 from usnet_env.evaluation.identity import describe, describe_code, describe_detector
 from usnet_env.evaluation.isolation import make_secret
@@ -26,13 +26,6 @@ from usnet_env.processes import Limits
 
 #: The trivial policies that every published table also shows: decision (l) of ``docs/game.md``.
 TRIVIAL = ("destroy-all", "none", "random", "one-per-round")
-
-
-class _Run(RunNumbers):
-    """The plain arguments of :func:`evaluate`."""
-
-    trivial: bool
-    isolate: bool
 
 
 def evaluate(
@@ -100,7 +93,9 @@ def evaluate(
             end: the error's ``result`` holds theirs. Finished rows are kept in ``out``.
     """
     folder = None if out is None else as_path("out", out)
-    run = _Run(episodes=episodes, seed=seed, workers=workers, trivial=trivial, progress=progress, isolate=isolate)
+    run = RunArguments(
+        episodes=episodes, seed=seed, workers=workers, trivial=trivial, progress=progress, isolate=isolate
+    )
     seeds = Seeds(run.seed, make_secret(secret), secret is not None) if run.isolate else Seeds(run.seed)
     if secret is not None and not run.isolate:
         raise ArgumentError("secret must be None unless isolate is true, got a secret.")
@@ -139,7 +134,7 @@ def _check_env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
 
 
 def _check_environment(
-    env: Any, arguments: Mapping[str, Any], run: _Run, limits: Limits, backend: str | None
+    env: Any, arguments: Mapping[str, Any], run: RunArguments, limits: Limits, backend: str | None
 ) -> gym.Env[Any, Any]:
     """Check an environment object given by the caller, and return it."""
     if not isinstance(env, gym.Env) or not is_usnet(env):
@@ -155,7 +150,7 @@ def _check_environment(
     return env
 
 
-def _label_detectors(detector: Any, run: _Run) -> dict[str, Any]:
+def _label_detectors(detector: Any, run: RunArguments) -> dict[str, Any]:
     """Give each detector its own label."""
     found: dict[str, Any] = {}
     if isinstance(detector, Mapping):
@@ -198,7 +193,7 @@ def _make_label(detector: Any, isolate: bool) -> str:
 
 
 def _make_config(
-    environment: gym.Env[Any, Any], arguments: Mapping[str, Any], detectors: Mapping[str, Any], run: _Run
+    environment: gym.Env[Any, Any], arguments: Mapping[str, Any], detectors: Mapping[str, Any], run: RunArguments
 ) -> dict[str, Any]:
     """Return the arguments of the run as plain values: runs with the same config have the same rows."""
     inner: Any = environment.unwrapped

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from usnet_env.config import ArgumentError
 from usnet_env.evaluation.episode import Row, episode_seeds
 from usnet_env.evaluation.store import COLUMNS, RunStore
 from usnet_env.evaluation.table import Columns, RowTable
-from usnet_env.evaluation.workers import PREPARE, Task
+from usnet_env.evaluation.workers import PREPARE, Task, as_failure
 from usnet_env.processes import Outcome
 
 
@@ -55,10 +54,6 @@ class Seeds:
             if not same:
                 raise ArgumentError("out must hold only rows of this run, got rows of another seed.")
 
-    def describe(self) -> dict[str, Any]:
-        """The secret, for the description of a run that has ended."""
-        return {} if self.secret is None else {"secret": self.secret}
-
 
 class Schedule:
     """What of a run has been played, and what is left: iterates over the tasks that are to be played.
@@ -94,7 +89,7 @@ class Schedule:
         episodes: int,
         columns: Columns = COLUMNS,
     ) -> None:
-        self._store = store
+        self._store, self._labels = store, labels
         self._played = RowTable(columns)
         self._unsaved: list[Row] = []
         self._withhold = seeds.secret is not None
@@ -136,11 +131,12 @@ class Schedule:
         return task.contestant not in self.failures
 
     def note(self, outcome: Outcome[Task, Row | None]) -> None:
-        """Take notice of an outcome, and save the rows that may be saved."""
+        """Take notice of an outcome, and save the rows that may be saved; errors of arguments are raised."""
         task, row = outcome.task, outcome.result
         self._unprepared.discard(task.contestant)
         if outcome.error is not None:
-            self.failures.setdefault(task.contestant, outcome.error)
+            failure = as_failure(self._labels[task.contestant], task.episode, outcome.error)
+            self.failures.setdefault(task.contestant, failure)
         if row is not None:
             self.done[task.contestant, task.episode] = True
             self.finished += 1

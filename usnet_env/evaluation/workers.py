@@ -12,7 +12,7 @@ from usnet_env.evaluation.environments import find_environment, make_environment
 from usnet_env.evaluation.episode import Row, detector_error, play_episode, warm_up
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.isolation import IsolatedAgent
-from usnet_env.processes import Limits, Outcome, PlainError, ProcessDied
+from usnet_env.processes import Limits, PlainError, ProcessDied
 
 #: In place of an episode: only create the agent and warm it up.
 PREPARE = -1
@@ -114,17 +114,15 @@ class Worker:
             agent.close()
 
 
-def as_failure(outcome: Outcome[Task, Row | None], label: str) -> Outcome[Task, Row | None]:
-    """Turn what ended a task into the failure of its contestant; errors of arguments are raised.
+def as_failure(label: str, episode: int, error: BaseException) -> BaseException:
+    """The failure of a contestant by what ended its task; errors of arguments are raised.
 
     Args:
-        outcome: what came of the task.
         label: of the contestant.
+        episode: number of the episode, or :data:`PREPARE`.
+        error: what ended the task.
     """
-    error, episode = outcome.error, outcome.task.episode
-    if error is None or isinstance(error, EvaluationError):
-        return outcome
-    if isinstance(error, ProcessDied) or not isinstance(error, Exception):
-        where = "its warm-up" if episode == PREPARE else f"episode {episode}"
-        return Outcome(outcome.task, error=detector_error(label, where, error))
-    raise error
+    if isinstance(error, Exception) and not isinstance(error, EvaluationError | ProcessDied):
+        raise error
+    where = "its warm-up" if episode == PREPARE else f"episode {episode}"
+    return error if isinstance(error, EvaluationError) else detector_error(label, where, error)
