@@ -16,7 +16,7 @@ from usnet_env.cli.replay import check_record_option, record_episodes
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from usnet_env.evaluation import EvaluationResult
+    from usnet_env.evaluation import EvaluationResult, SuiteResult
 
 _TIME_LIMIT = 3600.0  # seconds
 
@@ -98,32 +98,25 @@ Arguments for --set:
 @click.pass_context
 def evaluate(
     ctx: click.Context,
+    /,
+    *,
     env_id: str | None,
     suite: str | None,
     cells: tuple[str, ...],
     detectors: tuple[str, ...],
     settings: tuple[str, ...],
-    episodes: int | None,
-    seed: int | None,
-    workers: int,
-    backend: str | None,
-    address: str | None,
-    time_limit: float | None,
-    memory_limit: float | None,
     isolate: bool,
-    secret: str | None,
-    out: str | None,
     record: str | None,
-    trivial: bool,
     show_all: bool,
     as_json: bool,
+    **how: Any,
 ) -> None:
     """Play every detector against the same swarms, and print a table of them, best first.
 
     Episodes are played in worker processes; with --isolate, each detector has its own process. A detector that hangs or
     ends its process has failed; the other detectors play to the end.
     """
-    env_kwargs = parse_pairs(settings)
+    env_kwargs, out = parse_pairs(settings), how["out"]
     if suite is not None and (env_id is not None or env_kwargs):
         raise click.UsageError("--suite gives the environments: it goes without --env and --set.")
     if cells and suite is None:
@@ -132,67 +125,50 @@ def evaluate(
         if suite is not None:
             raise click.UsageError("--record keeps episodes of one environment: it goes without --suite.")
         check_record_option(record, out)
-    if time_limit is None and (backend != "serial" or isolate or suite is not None):
-        time_limit = _TIME_LIMIT
+    if how["time_limit"] is None and (how["backend"] != "serial" or isolate or suite is not None):
+        how["time_limit"] = _TIME_LIMIT
     if out is not None:
         ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes from there."
     from usnet_env import evaluation
 
-    how: dict[str, Any] = {
-        "workers": workers,
-        "backend": backend,
-        "address": address,
-        "trivial": trivial,
-        "out": out,
-        "progress": sys.stderr is not None and sys.stderr.isatty(),
-        "time_limit": time_limit,
-        "memory_limit": memory_limit,
-        "secret": secret,
-    }
+    how["progress"] = sys.stderr is not None and sys.stderr.isatty()
     failure: Exception | None = None
-    result: evaluation.EvaluationResult | evaluation.SuiteResult
+    result: EvaluationResult | SuiteResult
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RuntimeWarning)
         try:
             if suite is not None:
-                result = evaluation.evaluate_suite(
-                    suite, list(detectors), cells=cells or None, episodes=episodes, seed=seed, **how
-                )
+                result = evaluation.evaluate_suite(suite, list(detectors), cells=cells or None, **how)
             else:
-                result = evaluation.evaluate(
-                    "USNET/MultiCluster-v0" if env_id is None else env_id,
-                    list(detectors),
-                    episodes=100 if episodes is None else episodes,
-                    seed=seed or 0,
-                    env_kwargs=env_kwargs,
-                    isolate=isolate,
-                    **how,
-                )
+                given = {name: value for name, value in how.items() if value is not None}
+                env = "USNET/MultiCluster-v0" if env_id is None else env_id
+                result = evaluation.evaluate(env, list(detectors), env_kwargs=env_kwargs, isolate=isolate, **given)
         except evaluation.EvaluationError as error:
             if error.result is None:
                 raise
             result, failure = error.result, error  # the other detectors have played to the end
     for warning in caught:
         print_message(str(warning.message))
+    if as_json:
+        click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
     if isinstance(result, evaluation.SuiteResult):
-        if as_json:
-            click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
-        else:
+        if not as_json:
             show(result.ranking())
             click.echo(result.to_markdown() if show_all else "", nl=False)
         for cell, text in result.failures.items():
             print_message(f"{cell}: {text}")
-    elif as_json:
-        click.echo(json.dumps(result.summary, indent=2, allow_nan=False))
     else:
-        _print_result(result, show_all)
-    if isolate and isinstance(result, evaluation.EvaluationResult):
-        secret = result.config.get("secret", "not known: an earlier part of it was killed before its end")
-        print_message(f"The secret of this run is {secret}.")
-    if record is not None and out is not None and isinstance(result, evaluation.EvaluationResult):
-        written = record_episodes(result, record, detectors, env_kwargs, out)
-        where = f"are in {out}/episodes; `usnet replay {out}` lists them" if written else "were written: none failed"
-        click.echo(f"{len(written)} episode files {where}.", err=True)
+        if not as_json:
+            _print_result(result, show_all)
+        if isolate:
+            secret = result.config.get("secret", "not known: an earlier part of it was killed before its end")
+            print_message(f"The secret of this run is {secret}.")
+        if record is not None:
+            written = record_episodes(result, record, detectors, env_kwargs, out)
+            where = (
+                f"are in {out}/episodes; `usnet replay {out}` lists them" if written else "were written: none failed"
+            )
+            click.echo(f"{len(written)} episode files {where}.", err=True)
     if failure is not None:
         raise failure
     if out is not None and not as_json:
