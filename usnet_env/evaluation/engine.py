@@ -64,19 +64,18 @@ class Place:
     address: str | None = None
 
 
-def choose_place(backend: Any, workers: int, limits: Limits, address: Any, isolate: bool = False) -> Place:
+def choose_place(backend: Any, workers: int, limits: Limits, address: Any) -> Place:
     """Check where to play.
 
     Raises:
         ArgumentError: there is no such backend, or it does not go with the other arguments.
     """
     check_backend(backend, address)
-    apart = limits.any and not isolate  # only another process can be stopped
     if backend == "serial" and workers > 1:
         raise ArgumentError(f"workers must be 1 if backend is 'serial', got {workers}.")
-    if backend == "serial" and apart:
+    if backend == "serial" and limits.any:  # only another process can be stopped
         raise ArgumentError("time_limit and memory_limit must be None if backend is 'serial', got a limit.")
-    return Place(backend, workers, limits if apart else Limits(), address)
+    return Place(backend, workers, limits, address)
 
 
 def run_tasks(

@@ -11,7 +11,7 @@ import gymnasium as gym
 
 from usnet_env.config import ArgumentError, plain_text, quote
 from usnet_env.evaluation.agents import PolicyAgent, as_agent
-from usnet_env.evaluation.engine import RunArguments, choose_place, play_run
+from usnet_env.evaluation.engine import Place, RunArguments, choose_place, play_run
 from usnet_env.evaluation.environments import find_environment, is_usnet, make_environment
 from usnet_env.evaluation.identity import describe, describe_code, describe_detector
 from usnet_env.evaluation.isolation import make_secret
@@ -100,7 +100,8 @@ def evaluate(
     if secret is not None and not run.isolate:
         raise ArgumentError("secret must be None unless isolate is true, got a secret.")
     limits = _make_limits(time_limit, memory_limit)
-    place = choose_place(backend, run.workers, limits, address, run.isolate)
+    isolation, limits = (limits, Limits()) if run.isolate else (None, limits)
+    place = choose_place(backend, run.workers, limits, address)
     arguments = _check_env_kwargs(env_kwargs)
     detectors = _label_detectors(detector, run)
     with ExitStack() as stack:
@@ -108,11 +109,11 @@ def evaluate(
             environment = make_environment(find_environment(env), arguments)
             stack.callback(environment.close)
         else:
-            environment = _check_environment(env, arguments, run, limits, backend)
+            environment = _check_environment(env, arguments, place)
         if not getattr(environment.unwrapped, "labelled", True):
             raise ArgumentError("env must know the leaders to score detectors, got tracks without a column 'leader'.")
         config = _make_config(environment, arguments, detectors, run)
-        worker = Worker(str(env), arguments, detectors, limits if run.isolate else None, environment)
+        worker = Worker(str(env), arguments, detectors, isolation, environment)
         more = dict.fromkeys(TRACK_METRICS if hasattr(environment.unwrapped, "score_answer") else (), "float | None")
         return play_run(worker, config, seeds, place, folder, run.progress, {**COLUMNS, **more})
 
@@ -133,19 +134,17 @@ def _check_env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
     return dict(env_kwargs)
 
 
-def _check_environment(
-    env: Any, arguments: Mapping[str, Any], run: RunArguments, limits: Limits, backend: str | None
-) -> gym.Env[Any, Any]:
+def _check_environment(env: Any, arguments: Mapping[str, Any], place: Place) -> gym.Env[Any, Any]:
     """Check an environment object given by the caller, and return it."""
     if not isinstance(env, gym.Env) or not is_usnet(env):
         raise ArgumentError(f"env must be a registered id or a USNET environment, got {quote(env)}.")
     if arguments:
         raise ArgumentError("env_kwargs must be empty if env is an environment object, got arguments for it.")
-    if run.workers != 1:
-        raise ArgumentError(f"workers must be 1 if env is an environment object, got {run.workers}.")
-    if backend not in (None, "serial"):
-        raise ArgumentError(f"backend must be None if env is an environment object, got {backend!r}.")
-    if limits.any and not run.isolate:
+    if place.workers != 1:
+        raise ArgumentError(f"workers must be 1 if env is an environment object, got {place.workers}.")
+    if place.backend not in (None, "serial"):
+        raise ArgumentError(f"backend must be None if env is an environment object, got {place.backend!r}.")
+    if place.limits.any:
         raise ArgumentError("time_limit and memory_limit must be None if env is an environment object, got a limit.")
     return env
 

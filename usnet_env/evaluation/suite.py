@@ -11,13 +11,13 @@ from typing import Any, Generic, TypeVar, cast
 import gymnasium as gym
 
 from usnet_env.envs.play import PlayedRound
-from usnet_env.evaluation.agents import Agent, Answer, as_agent
+from usnet_env.evaluation.agents import Answer
 from usnet_env.evaluation.engine import Place
-from usnet_env.evaluation.episode import episode_seeds, play_agent, warm_up
-from usnet_env.evaluation.isolation import IsolatedAgent
+from usnet_env.evaluation.episode import episode_seeds, play_agent
 from usnet_env.evaluation.mapping import run_or_raise
 from usnet_env.evaluation.store import RowFile
 from usnet_env.evaluation.table import RowTable, columns_of, read_table
+from usnet_env.evaluation.workers import Worker
 from usnet_env.processes import Limits
 
 __all__ = ["Game", "Place", "Suite", "list_games", "play_detector", "read_rows", "split_games"]
@@ -151,7 +151,7 @@ def _name_task(task: Sequence[Game[Any]]) -> str:
     return f"Game {number} of {' '.join(repr(cell).split())}"
 
 
-_agents: dict[tuple[str, bool], Agent] = {}  # of this process
+_workers: dict[tuple[str, bool], Worker] = {}  # of this process
 
 
 def play_detector(
@@ -170,8 +170,7 @@ def play_detector(
     Raises:
         EvaluationError: the detector failed.
     """
-    if (detector, isolate) not in _agents:
-        agent = IsolatedAgent(detector, Limits()) if isolate else as_agent(detector)
-        warm_up(env, agent, detector, episode_seeds(seed, 0)[0])
-        _agents[detector, isolate] = agent
-    return play_agent(env, _agents[detector, isolate], detector, episode, episode_seeds(seed, episode))
+    if (detector, isolate) not in _workers:
+        _workers[detector, isolate] = Worker("", {}, {detector: detector}, Limits() if isolate else None)
+    agent = _workers[detector, isolate].find_agent(env, detector, episode_seeds(seed, 0)[0])
+    return play_agent(env, agent, detector, episode, episode_seeds(seed, episode))

@@ -67,7 +67,7 @@ class Worker:
     detectors: dict[str, Any]
     isolation: Limits | None = None
     env: gym.Env[Any, Any] | None = None
-    _agents: dict[int, Agent] = field(default_factory=dict)
+    _agents: dict[str, Agent] = field(default_factory=dict)
     _starting: dict[str, IsolatedAgent] = field(default_factory=dict)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -89,13 +89,20 @@ class Worker:
         label = self.labels[number]
         if self.env is None:
             self.env = make_environment(find_environment(self.env_id), self.env_kwargs)
-        if number not in self._agents:
+        agent = self.find_agent(self.env, label, seeds[0])
+        return None if episode == PREPARE else play_episode(self.env, agent, label, episode, seeds)
+
+    def find_agent(self, env: gym.Env[Any, Any], label: str, swarm_seed: int) -> Agent:
+        """The agent of a detector; a new one first answers a window of the environment with this seed.
+
+        Raises:
+            EvaluationError, ArgumentError: as :meth:`run_task`.
+        """
+        if label not in self._agents:
             agent = as_agent(self.detectors[label]) if self.isolation is None else self._isolate(label, self.isolation)
-            warm_up(self.env, agent, label, seeds[0])
-            self._agents[number] = agent
-        if episode == PREPARE:
-            return None
-        return play_episode(self.env, self._agents[number], label, episode, seeds)
+            warm_up(env, agent, label, swarm_seed)
+            self._agents[label] = agent
+        return self._agents[label]
 
     def _isolate(self, label: str, limits: Limits) -> Agent:
         """Create an agent in its own process; at first all those processes are started, so that they load together."""
