@@ -10,15 +10,14 @@ which at most 12, evenly spread, are used. The groups are known to the score onl
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from pathlib import Path
 from zlib import crc32
 
 import numpy as np
+from running import write_csv
 
 from usnet_env import make_detector
-from usnet_env.files import atomic_write
 from usnet_env.objectives import find_roots, group_leader_accuracy, leader_accuracy
 from usnet_env.tracks import read_tracks
 from usnet_env.tracks.confirming import confirm_leaders
@@ -96,10 +95,7 @@ def main() -> None:
                 seed = crc32(f"{path.stem} {given} {k}".encode())
                 for name in arguments.detector or DETECTORS:
                     rows.append({**about, "detector": name, **score(cuts[k], name, seed)})
-    with atomic_write(arguments.out) as aside, aside.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(arguments.out, rows)
 
 
 if __name__ == "__main__":
