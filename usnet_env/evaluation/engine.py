@@ -49,7 +49,7 @@ class RunArguments(Config):
 
 @dataclass(frozen=True)
 class Place:
-    """Where episodes are played.
+    """Where tasks run, such as the episodes of a run.
 
     Args:
         backend: a name of :data:`usnet_env.processes.BACKENDS`; ``None``: this process, unless others are needed.
@@ -95,7 +95,7 @@ def run_tasks(
         tasks: read one after the other, a few ahead of the outcomes.
         count: how many there are at most; of 0 and 1, no other process is started unless the place asks for it.
         place: where they run.
-        name: names who runs a task, in a warning of threads that stay after the last one.
+        name: names who runs a task, in a warning of threads that stay after the last one: ``"detector 'random'"``.
         is_wanted: whether a task should still be run whose process has ended before it was begun.
 
     Yields:

@@ -33,11 +33,7 @@ class Task(NamedTuple):
 
 
 class Player(Protocol):
-    """Plays the episodes of a run; sent to another process, it creates there what it needs, at its first task.
-
-    Attributes:
-        labels: the contestants' names in rows and tables.
-    """
+    """Plays the episodes of a run; sent to another process, it creates there what it needs, at its first task."""
 
     @property
     def labels(self) -> list[str]:
