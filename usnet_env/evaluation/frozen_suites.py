@@ -83,8 +83,11 @@ class FrozenSuite(Config):
 
 def list_suites() -> dict[str, FrozenSuite]:
     """The suites of this package, by name."""
-    names = sorted(entry.name.removesuffix(".yaml") for entry in _FOLDER.iterdir() if entry.name.endswith(".yaml"))
-    return {name: load_suite(name) for name in names}
+    return {name: load_suite(name) for name in _list_names()}
+
+
+def _list_names() -> list[str]:
+    return sorted(entry.name.removesuffix(".yaml") for entry in _FOLDER.iterdir() if entry.name.endswith(".yaml"))
 
 
 def load_suite(suite: str | PathLike[str]) -> FrozenSuite:
@@ -102,8 +105,7 @@ def load_suite(suite: str | PathLike[str]) -> FrozenSuite:
     else:
         name, source = str(suite), _FOLDER / f"{suite}.yaml"  # type: ignore[assignment]
         if not source.is_file():
-            known = [entry.name.removesuffix(".yaml") for entry in _FOLDER.iterdir() if entry.name.endswith(".yaml")]
-            raise unknown_name("suite", str(suite), known)
+            raise unknown_name("suite", str(suite), _list_names())
     try:
         data = source.read_bytes()
         content = yaml.safe_load(data)
@@ -196,13 +198,9 @@ def evaluate_suite(
         if kept | failed:
             failures[name] = kept | failed
         if folder is not None:
-            _write_failures(folder, failures)
+            with atomic_write(folder / _FAILURES) as aside:
+                aside.write_text(yaml.safe_dump(failures, allow_unicode=True), encoding="utf-8")
     return SuiteResult(chosen, results, _join_failures(failures, played))
-
-
-def _write_failures(folder: Path, failures: Failures) -> None:
-    with atomic_write(folder / _FAILURES) as aside:
-        aside.write_text(yaml.safe_dump(failures, allow_unicode=True), encoding="utf-8")
 
 
 def _read_failures(folder: Path | None) -> Failures:

@@ -7,7 +7,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -72,19 +72,17 @@ class RowFile:
 
     def __init__(self, path: Path, columns: Columns, lock: FileLock | None = None, digits: int | None = None) -> None:
         self.path = path
-        self._lock = FileLock(path) if lock is None else lock
-        if lock is None:
-            self._lock.remove_unfinished(f"{path.stem}.")
-        self._owns_lock = lock is None
         self._digits = digits
         self._file: io.FileIO | None = None
         self._end = 0
         self._synced = time.monotonic()
-        try:
+        with ExitStack() as stack:
+            if lock is None:
+                lock = stack.enter_context(FileLock(path))
+                lock.remove_unfinished(f"{path.stem}.")
+            self._lock = lock
             self.table = read_table(path, columns)
-        except BaseException:
-            self.close()
-            raise
+            self._owned = stack.pop_all()
 
     def __enter__(self) -> RowFile:
         return self
@@ -129,9 +127,7 @@ class RowFile:
                 os.fsync(self._file.fileno())
             self._file.close()
             self._file = None
-        if self._owns_lock:
-            self._lock.release()
-            self._owns_lock = False
+        self._owned.close()
 
     def _open(self) -> io.FileIO:
         """Open the file at the end of its last complete line; a new file appears with its header."""
@@ -227,9 +223,9 @@ class RunStore:
         self._description: dict[str, Any] = {}  # what run.json holds
         if folder.exists() and not folder.is_dir():
             raise ArgumentError(f"out must be a folder, got the file {str(folder)!r}.")
-        self._lock = FileLock(folder / RUN)
-        self._lock.remove_unfinished("")
-        try:
+        with ExitStack() as stack:
+            self._lock = stack.enter_context(FileLock(folder / RUN))
+            self._lock.remove_unfinished("")
             if (folder / RUN).exists():
                 self._description = _read_description(folder)
                 self.config = _join(folder, self._description, self.config)
@@ -237,18 +233,15 @@ class RunStore:
                 raise ArgumentError(
                     f"out must be a new folder or the folder of a run, got {str(folder)!r} with rows but no {RUN}."
                 )
-            self._rows = RowFile(folder / EPISODES, columns, self._lock)
-            _check_once(self._rows.table, folder)
-        except BaseException:
-            self._lock.release()
-            raise
+            self._rows = stack.enter_context(RowFile(folder / EPISODES, columns, self._lock))
+            _check_once(self.table, folder)
+            self._opened = stack.pop_all()
 
     def __enter__(self) -> RunStore:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._rows.close()
-        self._lock.release()
+        self._opened.close()
 
     @property
     def table(self) -> RowTable:
