@@ -7,13 +7,14 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.sparse.csgraph import dijkstra
 
 from detectors.base import Detector
 from detectors.parameters import Lags
 from detectors.series.designs import centre_columns, check_pairs, scale_to_unit
 from detectors.series.regressions import correlate_over_lags
 from detectors.series.votes import rank_uavs
-from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.arrays import Floats, Mask
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
@@ -55,23 +56,24 @@ class Factions(Detector):
         check_pairs(window.uavs)
         living = np.flatnonzero(window.alive)
         scores = np.zeros(window.uavs)
-        leader = np.full(window.uavs, -1, np.int64)
-        clusters = np.full(window.uavs, -1, np.int64)
+        leader, clusters = np.full((2, window.uavs), -1)
         candidates = np.zeros(window.uavs, bool)
         if len(living):
             network = build_following_network(
                 window.velocity[:, living], window.velocity_seen[:, living], arguments.max_lag, arguments.threshold
             )
-            rank = compute_pagerank(network)
-            scores[living] = rank
-            leads = np.flatnonzero((network > 0).any(axis=0) & ~(network > 0).any(axis=1))
-            reached = _find_reachable_leaders(network > 0, leads)
-            for label, lead in enumerate(leads):
-                mine = (reached.argmax(axis=1) == label) & reached.any(axis=1)
-                leader[living[mine]] = living[lead]
-                clusters[living[mine]] = label
+            scores[living] = compute_pagerank(network)
+            follows = network > 0
+            leads = np.flatnonzero(follows.any(axis=0) & ~follows.any(axis=1))
             candidates[living[leads]] = True
-            if not len(leads):
+            if len(leads):
+                reached = np.isfinite(
+                    dijkstra(network.T, indices=leads, unweighted=True)
+                ).T  # backwards, from the leaders
+                member = reached.any(axis=1)
+                clusters[living[member]] = reached[member].argmax(axis=1)
+                leader[living[member]] = living[leads[clusters[living[member]]]]
+            else:
                 candidates[rank_uavs(scores, window.alive, self.rng)[:1]] = True
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader)
 
@@ -101,14 +103,3 @@ def compute_pagerank(network: Floats) -> Floats:
     for _ in range(_ITERATIONS):
         rank = (1.0 - _DAMPING) / uavs + _DAMPING * (rank @ step)
     return rank
-
-
-def _find_reachable_leaders(follows: Mask, leads: Indices) -> Mask:
-    """``(n, leaders)``: whether the network has a path from a UAV to a leader; a leader reaches itself."""
-    reached = np.zeros((len(follows), len(leads)), bool)
-    reached[leads, np.arange(len(leads))] = True
-    while True:
-        further = reached | (follows.astype(np.float32) @ reached.astype(np.float32) > 0)
-        if np.array_equal(further, reached):
-            return reached
-        reached = further

@@ -11,11 +11,11 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
@@ -141,20 +141,19 @@ class NetworkDetector(Detector):
             for each in reverse_blocks(flight, lags, count)
         ]
         lead = np.where(related, pairs.lead, -np.inf)
-        threshold = _Gumbel.fit(np.concatenate(maxima)).discover(lead[rows].max(axis=1), self.level)
+        threshold = _find_threshold(lead[rows].max(axis=1), maxima, self.level)
         return _describe(window, living, Pairs(pairs.strength, lead, pairs.delay), threshold)
 
     def _relate(self, flight: Flight, pairs: Pairs, lags: int, count: int) -> Mask:
         half = np.arange(len(pairs.strength)) % 2 == 0
         shifted = [self._measure(each, lags).strength for each in shift_half(flight, half, count // 2)]
         by_chance = [np.where(half[:, None] != half, each, -np.inf).max(axis=1) for each in shifted]
-        chance = _Gumbel.fit(np.concatenate(by_chance))
-        return pairs.strength > chance.discover(pairs.strength.max(axis=1), self.level)
+        return pairs.strength > _find_threshold(pairs.strength.max(axis=1), by_chance, self.level)
 
     def _measure(self, flight: Flight, lags: int) -> Pairs:
         pairs = self.pairs(flight, lags)
-        for matrix in (pairs.lead, pairs.strength):
-            np.fill_diagonal(matrix, -np.inf)
+        np.fill_diagonal(pairs.lead, -np.inf)
+        np.fill_diagonal(pairs.strength, -np.inf)
         return pairs
 
 
@@ -194,33 +193,20 @@ def reverse_blocks(flight: Flight, lags: int, count: int) -> Iterator[Flight]:
         yield Flight(flight.velocity[order] * sign[:, None, None], flight.place[order], flight.seen[order])
 
 
-@dataclass(frozen=True)
-class _Gumbel:
-    """The distribution of a maximum by chance: its location and scale."""
+def _find_threshold(values: Floats, maxima: list[Floats], level: float) -> float:
+    """The threshold above which at most the share ``level`` of the values are expected to be by chance.
 
-    location: float
-    scale: float
-
-    @classmethod
-    def fit(cls, maxima: Floats) -> Self:
-        """The distribution with the mean and variance of ``maxima``."""
-        scale = math.sqrt(6) / math.pi * float(maxima.std())
-        return cls(float(maxima.mean()) - scale * float(np.euler_gamma), scale)
-
-    def quantile(self, level: float) -> float:
-        """The value that is exceeded with this probability."""
-        return self.location - self.scale * math.log(-math.log1p(-level))
-
-    def discover(self, values: Floats, level: float) -> float:
-        """The threshold above which at most the share ``level`` of the values are expected to be by chance.
-
-        It is that of Benjamini and Hochberg (Journal of the Royal Statistical Society B 57, 1995); infinite if there is
-        none. If all values are by chance, any of them exceeds it with probability ``level``.
-        """
-        ordered = np.sort(values)[::-1]
-        allowed = np.array([self.quantile(level * k / len(values)) for k in range(1, len(values) + 1)])
-        passed = np.flatnonzero(ordered > allowed)
-        return float(allowed[passed[-1]]) if len(passed) else math.inf
+    It is that of Benjamini and Hochberg (Journal of the Royal Statistical Society B 57, 1995); infinite if there is
+    none. If all values are by chance, any of them exceeds it with probability ``level``. By chance they have the Gumbel
+    distribution with the mean and variance of ``maxima``, those of surrogates.
+    """
+    by_chance = np.concatenate(maxima)
+    scale = math.sqrt(6) / math.pi * float(by_chance.std())
+    location = float(by_chance.mean()) - scale * float(np.euler_gamma)
+    shares = [level * k / len(values) for k in range(1, len(values) + 1)]
+    allowed = np.array([location - scale * math.log(-math.log1p(-share)) for share in shares])
+    passed = np.flatnonzero(np.sort(values)[::-1] > allowed)
+    return float(allowed[passed[-1]]) if len(passed) else math.inf
 
 
 def correlate_flights(series: Floats, seen: Mask, lags: int) -> tuple[Floats, Indices]:
@@ -241,8 +227,7 @@ def correlate_flights(series: Floats, seen: Mask, lags: int) -> tuple[Floats, In
 
 def _describe(window: Window, living: Indices, pairs: Pairs, threshold: float) -> Detection:
     leader, root = find_trees(pairs.lead, pairs.strength, threshold)
-    uavs, n = window.uavs, len(living)
-    follows = leader >= 0
+    n, follows = len(living), leader >= 0
     leads = np.bincount(leader[follows], minlength=n) > 0
     heads = np.flatnonzero(leads & ~follows)
     own = np.where(follows, pairs.lead.max(axis=1, initial=-np.inf), 0.0)
@@ -253,27 +238,17 @@ def _describe(window: Window, living: Indices, pairs: Pairs, threshold: float) -
     delay = np.full(n, -1)
     if pairs.delay is not None:
         delay[follows] = pairs.delay[np.flatnonzero(follows), leader[follows]]
-    direct = np.where(follows, leader, np.where(in_tree, np.arange(n), -1))
-    whole_root = np.where(in_tree, root, -1)
-    candidates = np.zeros(uavs, bool)
-    candidates[living[heads]] = True
-
-    def widen(values: NDArray[Any], fill: float = 0) -> NDArray[Any]:
-        return spread(values, living, uavs, fill)
-
-    def widen_indices(index: Indices) -> NDArray[Any]:
-        return widen(np.where(index >= 0, living[index], -1), -1)
-
+    widen = partial(spread, members=living, uavs=window.uavs)
     return Detection(
-        candidates=candidates,
+        candidates=widen(leads & ~follows),
         scores=widen(scores),
-        clusters=widen(np.where(in_tree, np.searchsorted(heads, whole_root), -1), -1),
-        leader=widen_indices(direct),
-        attention=spread(np.maximum(others, 0.0), living, uavs, pairs=True),
+        clusters=widen(np.where(in_tree, np.searchsorted(heads, root), -1), fill=-1),
+        leader=widen(np.where(follows, living[leader], np.where(in_tree, living, -1)), fill=-1),
+        attention=widen(np.maximum(others, 0.0), pairs=True),
         extras={
-            "root": widen_indices(whole_root),
+            "root": widen(np.where(in_tree, living[root], -1), fill=-1),
             "relay": widen(leads & follows),
-            "delay": widen(delay, -1),
+            "delay": widen(delay, fill=-1),
             "threshold": threshold,
             "heads": living[heads],
             "reasons": [_explain(int(head), leader, root, delay, window.step) for head in heads],
