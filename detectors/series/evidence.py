@@ -45,6 +45,10 @@ class Evidence:
     surrogate: Floats
     spread: float
 
+    def __post_init__(self) -> None:
+        np.fill_diagonal(self.pairs, -np.inf)
+        np.fill_diagonal(self.surrogate, -np.inf)
+
     @property
     def chance(self) -> float:
         """Expected row maximum of a UAV that follows no UAV."""
@@ -117,13 +121,7 @@ def _adjust_shares(shares: Floats, rows: int, freedom: Floats, own: float = 0.0)
     """
     pairs, surrogate = 1.0 - (1.0 - shares) * (rows - 1) / np.maximum(rows - 1 - freedom - own, 1.0)
     # The standard deviation of R² over three axes for independent samples of which nothing is explained.
-    return _without_diagonal(pairs, surrogate, float(np.sqrt(2.0 * max(freedom.mean(), 1.0) / 3.0) / rows))
-
-
-def _without_diagonal(pairs: Floats, surrogate: Floats, spread: float) -> Evidence:
-    np.fill_diagonal(pairs, -np.inf)
-    np.fill_diagonal(surrogate, -np.inf)
-    return Evidence(pairs, surrogate, spread)
+    return Evidence(pairs, surrogate, float(np.sqrt(2.0 * max(freedom.mean(), 1.0) / 3.0) / rows))
 
 
 def correlation_evidence(velocity: NDArray[np.floating], seen: Mask, max_lag: int) -> Evidence | None:
@@ -141,4 +139,4 @@ def correlation_evidence(velocity: NDArray[np.floating], seen: Mask, max_lag: in
         correlate_over_lags(voter, flight, max_lag) - correlate_over_lags(flight, voter, max_lag).T
         for voter in (flight, shift_in_time(flight))
     )
-    return _without_diagonal(pairs, surrogate, 1.0 / float(np.sqrt(3.0 * steps)))
+    return Evidence(pairs, surrogate, 1.0 / float(np.sqrt(3.0 * steps)))

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.series.designs import stack_past
+from detectors.series.designs import RealT, stack_past
 from detectors.series.regressions import RIDGE, subtract_projection, whiten
-
-RealT = TypeVar("RealT", np.float32, np.float64)
 
 
 def compute_innovations(values: NDArray[RealT], lags: int, ridge: float = RIDGE) -> NDArray[RealT]:

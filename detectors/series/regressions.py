@@ -6,15 +6,12 @@ Entry (i, j) of a result relates UAV i's present to UAV j's past.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.series.designs import LEAST_MOTION, scale_to_unit
+from detectors.series.designs import LEAST_MOTION, RealT, scale_to_unit
 from usnet_env.arrays import Floats
-
-RealT = TypeVar("RealT", np.float32, np.float64)
 
 RIDGE = 1e-3  # in units of the mean squared singular value of the features
 _LEAST_RIDGE = 1e-9  # with |v| = 1 the squares and the intercept are linearly dependent

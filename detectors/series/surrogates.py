@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 import numpy as np
 from numpy.typing import NDArray
 
-AnyT = TypeVar("AnyT", bound=np.generic)
+from detectors.series.designs import AnyT
 
 
 def shift_in_time(values: NDArray[AnyT], axis: int = 0) -> NDArray[AnyT]:
@@ -16,11 +14,6 @@ def shift_in_time(values: NDArray[AnyT], axis: int = 0) -> NDArray[AnyT]:
     The shift keeps the statistics of each UAV, such as its autocorrelation, without a model of the motion.
     """
     return np.roll(values, values.shape[axis] // 2, axis=axis)
-
-
-def reverse_in_time(velocity: NDArray[AnyT]) -> NDArray[AnyT]:
-    """Velocities ``(T, ...)`` of the same flight in reversed time, in which followers fly ahead of their heads."""
-    return np.negative(velocity[::-1])
 
 
 def compute_chance(surrogate: NDArray[np.floating]) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 from series_windows import flight
 
 from detectors.series.evidence import regression_evidence
-from detectors.series.surrogates import compute_chance, reverse_in_time, shift_in_time
+from detectors.series.surrogates import compute_chance, shift_in_time
 
 
 def test_a_shift_moves_every_sample_by_half_the_length():
@@ -21,13 +21,9 @@ def test_in_reversed_time_followers_fly_ahead():
     velocity = flight(1, 80, 2)
     seen = np.ones((80, 2), bool)
     forward = regression_evidence(velocity, seen, 3, False, 1e-3)
-    backward = regression_evidence(reverse_in_time(velocity), seen, 3, False, 1e-3)
+    backward = regression_evidence(-velocity[::-1], seen, 3, False, 1e-3)
     assert forward.pairs[1, 0] > 0.5 > forward.pairs[0, 1]
     assert backward.pairs[0, 1] > 0.5 > backward.pairs[1, 0]
-    np.testing.assert_array_equal(reverse_in_time(reverse_in_time(velocity)), velocity)
-    # The same places in the other order.
-    places = np.cumsum(np.concatenate([np.zeros((1, 2, 3)), velocity]), axis=0)
-    np.testing.assert_allclose(np.diff(places[::-1], axis=0), reverse_in_time(velocity))
 
 
 def test_chance_is_the_median_of_the_row_maxima():
