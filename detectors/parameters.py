@@ -117,26 +117,19 @@ class Parameters:
 
     def __repr__(self) -> str:
         """The class with all arguments that differ from their defaults."""
-        given = {name: repr(getattr(self, name)) for name in self._signature()}
         changed = [
-            f"{name}={given[name]}"
+            f"{name}={getattr(self, name)!r}"
             for name, parameter in self._signature().items()
-            if parameter.default is parameter.empty or given[name] != repr(parameter.default)
+            if parameter.default is parameter.empty or repr(getattr(self, name)) != repr(parameter.default)
         ]
         return f"{type(self).__name__}({', '.join(changed)})"
 
 
 def _make_constructor(owner: type, names: tuple[str, ...]) -> Callable[..., None]:
     """Make the constructor of a class with these arguments."""
-    try:
-        types = typing.get_type_hints(owner)
-    except NameError:  # a name that is imported for type checkers only
-        types = {}
-    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    types, kind, empty = _read_types(owner), inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.empty
     parameters = [
-        inspect.Parameter(
-            name, kind, default=getattr(owner, name, inspect.Parameter.empty), annotation=types.get(name, Any)
-        )
+        inspect.Parameter(name, kind, default=getattr(owner, name, empty), annotation=types.get(name, Any))
         for name in names
     ]
     taken = inspect.Signature(parameters)
@@ -157,13 +150,18 @@ def _make_constructor(owner: type, names: tuple[str, ...]) -> Callable[..., None
     return __init__
 
 
+def _read_types(owner: Any, limits: bool = False) -> dict[str, Any]:
+    """The types of the arguments by name, with their limits if asked for."""
+    try:
+        return typing.get_type_hints(owner, include_extras=limits)
+    except NameError:  # a name that is imported for type checkers only
+        return {}
+
+
 @cache
 def _make_config(owner: Any) -> type[Config]:
     """The config that checks the arguments of a class."""
-    try:
-        types = typing.get_type_hints(owner, include_extras=True)
-    except NameError:
-        types = {}
+    types = _read_types(owner, limits=True)
     fields: dict[str, Any] = {
         name: (types.get(name, Any), getattr(owner, name, ...)) for name in getattr(owner.__init__, "arguments", ())
     }

@@ -25,17 +25,6 @@ from torch import Tensor
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.files import atomic_write
 
-__all__ = [
-    "Checkpoint",
-    "arrays_of",
-    "packaged_arrays",
-    "packaged_record",
-    "read_arrays",
-    "record_training",
-    "write_losses",
-    "write_weights",
-]
-
 
 def _write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Tensor]) -> bytes:
     """Write arrays to a safetensors file atomically and return the bytes written."""
