@@ -79,8 +79,9 @@ def draw_calibration_swarm(most_uavs: int, most_clusters: int, rng: np.random.Ge
     )
     if drawn.position_noise > 0 and kind >= 0.1 and rng.random() < 0.5:
         # Strategies that are equal on all axes, with smooth heads, behind noise: rare otherwise.
-        while len((alike := _draw_linear_strategy(rng)).terms) == 1 and alike.terms[0].lag == 0:  # that is f1
-            pass
+        alike = _draw_linear_strategy(rng)
+        while len(alike.terms) == 1 and alike.terms[0].lag == 0:  # that is f1
+            alike = _draw_linear_strategy(rng)
         smooth = {"follow": replace(alike, rotation=np.eye(3, dtype=np.float32)), "mobility": str(rng.choice(_SMOOTH))}
         drawn = drawn.model_copy(update={**smooth, "head_jitter": True})
     return drawn

@@ -16,7 +16,7 @@ from detectors.checks.harness import (
     require,
     validate_detection,
 )
-from detectors.checks.windows import draw_window, make_hovering_window, simulate_missing_samples
+from detectors.checks.windows import draw_two_rounds, draw_window, make_hovering_window, simulate_missing_samples
 from usnet_env.config import quote
 from usnet_env.window import Window
 
@@ -27,7 +27,7 @@ LARGE_STEPS = 20  # T_ob for the large swarm: memory and time that grow with N s
 def check_answers_with_a_detection(detector: Any) -> None:
     """``detect`` returns a ``Detection`` for all N UAVs after ``reset(seed)``, ``reset(None)`` and ``reset()``."""
     own, window = copy_detector(detector), draw_window(detector)
-    play_windows(own, [window, draw_window(detector, seed=1, destroyed=3, round=2)])
+    play_windows(own, draw_two_rounds(detector))
     play_windows(own, [window], seed=None)
     with calling("reset"):
         own.reset()
@@ -41,9 +41,8 @@ def check_smallest_swarm(detector: Any) -> None:
 
 def check_large_swarm(detector: Any) -> None:
     """``detect`` works for N = 237 in 11 clusters of unequal size."""
-    play_windows(
-        copy_detector(detector), [draw_window(detector, clusters=11, uavs=LARGE, observation_steps=LARGE_STEPS)]
-    )
+    window = draw_window(detector, clusters=11, uavs=LARGE, observation_steps=LARGE_STEPS)
+    play_windows(copy_detector(detector), [window])
 
 
 def check_single_cluster(detector: Any) -> None:
@@ -56,19 +55,18 @@ def check_masked_uavs_are_never_candidates(detector: Any) -> None:
     for destroyed in (4, 17):
         window = draw_window(detector, uavs=20, destroyed=destroyed, round=2)
         for seed in (SEED, SEED + 1, SEED + 2):
-            _require_living_candidates(copy_detector(detector), window, seed)
+            _require_living_candidates(detector, window, seed)
 
 
 def _require_living_candidates(detector: Any, window: Window, seed: int) -> None:
-    (answer,) = play_windows(detector, [window], seed)
+    (answer,) = play_windows(copy_detector(detector), [window], seed)
     dead = np.flatnonzero(answer.candidates & ~window.alive)
     require(not len(dead), f"a destroyed UAV must not be a candidate, got UAVs {quote(dead.tolist())}.")
 
 
 def check_missing_samples(detector: Any) -> None:
     """``detect`` works where samples are missing: 30 %, all of one UAV, and all UAVs at some steps."""
-    window = simulate_missing_samples(detector)
-    _require_living_candidates(copy_detector(detector), window, SEED)
+    _require_living_candidates(detector, simulate_missing_samples(detector), SEED)
 
 
 def check_scores_are_finite(detector: Any) -> None:

@@ -12,13 +12,13 @@ from sklearn.base import clone
 
 from detectors.checks.harness import (
     calling,
-    compare_detections,
     copy_detector,
     play_windows,
     request_detection,
     require,
+    require_same,
 )
-from detectors.checks.windows import draw_window
+from detectors.checks.windows import draw_two_rounds, draw_window
 from usnet_env.config import quote
 
 
@@ -34,10 +34,7 @@ def check_constructor_only_stores(detector: Any) -> None:
             stored.pop(name, None) is value,
             f"the constructor must store {name} unchanged as self.{name}; reset is the place to check it.",
         )
-    require(
-        not stored,
-        f"the constructor must store its arguments only, also got {', '.join(sorted(stored))}.",
-    )
+    require(not stored, f"the constructor must store its arguments only, also got {', '.join(sorted(stored))}.")
 
 
 def check_parameters_and_clone(detector: Any) -> None:
@@ -46,21 +43,17 @@ def check_parameters_and_clone(detector: Any) -> None:
     own = copy_detector(detector)
     with calling("get_params"):
         params: Mapping[str, Any] = own.get_params(deep=False)
-    require(
-        sorted(params) == names,
-        f"get_params must return {', '.join(names) or 'no argument'}, got {quote(sorted(params))}.",
-    )
+    wanted = ", ".join(names) or "no argument"
+    require(sorted(params) == names, f"get_params must return {wanted}, got {quote(sorted(params))}.")
     before = {name: (value, repr(value)) for name, value in params.items()}
     with calling("set_params"):
         returned = own.set_params(**params)
     require(returned is own, "set_params must return the detector.")
-    play_windows(own, [draw_window(detector), draw_window(detector, seed=1, destroyed=3, round=2)])
+    play_windows(own, draw_two_rounds(detector))
     for name, (value, text) in before.items():
         now = own.get_params(deep=False)[name]
-        require(
-            now is value and repr(now) == text,
-            f"an episode must leave the argument {name} unchanged, got {quote(now)}.",
-        )
+        same = now is value and repr(now) == text
+        require(same, f"an episode must leave the argument {name} unchanged, got {quote(now)}.")
     with calling("its clone"):
         twin = clone(own)
     require(type(twin) is type(own), f"clone must return a {type(own).__name__}, got a {type(twin).__name__}.")
@@ -73,16 +66,10 @@ def check_pickling(detector: Any) -> None:
     there = _pickle_and_unpickle(own)
     require(type(there) is type(own), f"unpickling must return a {type(own).__name__}, got a {type(there).__name__}.")
     (here,), (same,) = (play_windows(one, [draw_window(detector)]) for one in (own, there))
-    different = compare_detections(here, same)
-    require(
-        not different,
-        f"an unpickled detector must give the same detection, got another {different}.",
-    )
-    both = own, _pickle_and_unpickle(own)
-    different = compare_detections(
-        *(request_detection(one, draw_window(detector, seed=1, destroyed=3, round=2)) for one in both)
-    )
-    require(not different, f"a detector that is pickled within an episode must continue it, got another {different}.")
+    require_same(here, same, "an unpickled detector must give the same detection, got another")
+    there = _pickle_and_unpickle(own)
+    here, same = (request_detection(one, draw_two_rounds(detector)[1]) for one in (own, there))
+    require_same(here, same, "a detector that is pickled within an episode must continue it, got another")
 
 
 def _pickle_and_unpickle(detector: Any) -> Any:

@@ -85,14 +85,9 @@ class _Checker:
         if check is check_process_settings_untouched:
             check = functools.partial(check_process_settings_untouched, functions=functions)
         result = run_check(check, detector, self.excuses)
-        _end_processes()
+        for key in list_processes():  # those that the detector has left behind
+            with suppress(OSError):
+                pid = int(key.rpartition(" ")[2])
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
         return replace(result, error=None)  # an exception may refer to anything, and not everything can be sent
-
-
-def _end_processes() -> None:
-    """End the processes that the detector has left behind."""
-    for key in list_processes():
-        with suppress(OSError):
-            pid = int(key.rpartition(" ")[2])
-            os.kill(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)

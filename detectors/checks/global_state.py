@@ -17,8 +17,7 @@ from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
 from detectors.checks.harness import SEED, calling, copy_detector, play_windows, require, warn
 from detectors.checks.process import Same, list_files, list_functions, list_processes, list_threads
-from detectors.checks.windows import draw_window
-from usnet_env.window import Window
+from detectors.checks.windows import draw_two_rounds, draw_window
 
 _SIGNALS = [number for number in signal.valid_signals() if isinstance(number, signal.Signals)]
 _VARIABLE = "environment variable "
@@ -44,10 +43,7 @@ def check_global_generators_untouched(detector: Any) -> None:
     while not changed and imported != (imported := len(sys.modules)):  # a call may import what the next one uses
         with _reseed_global_generators():
             changed = _find_changes(detector, _read_generator_states)
-    require(
-        not changed,
-        f"a detector must draw from its own generator, got a change of the global one of {changed}.",
-    )
+    require(not changed, f"a detector must draw from its own generator, got a change of the global one of {changed}.")
 
 
 def check_process_settings_untouched(detector: Any, functions: Mapping[str, Same] | None = None) -> None:
@@ -71,11 +67,12 @@ def check_process_settings_untouched(detector: Any, functions: Mapping[str, Same
     changed = changed or _find_changes(detector, _read_process_settings, new=_VARIABLE)
     os.environ.update(added)
     after = list_functions()
-    patched = ", ".join(name for name, value in functions.items() if after.get(name) != value)
+    changed = ", ".join(
+        [*filter(None, [changed]), *(name for name, value in functions.items() if after.get(name) != value)]
+    )
     require(
-        not changed and not patched,
-        "a detector must leave the settings and the libraries of the process unchanged, got a change of "
-        f"{', '.join(filter(None, (changed, patched)))}.",
+        not changed,
+        f"a detector must leave the settings and the libraries of the process unchanged, got a change of {changed}.",
     )
     left = {key: name for key, name in list_processes().items() if key not in processes}
     left |= {key: name for key, name in list_files().items() if key not in files}
@@ -87,10 +84,8 @@ def check_process_settings_untouched(detector: Any, functions: Mapping[str, Same
             daemons.append(f"thread {thread.name!r}")
         elif thread.is_alive():
             left[f"thread {thread.ident}"] = f"thread {thread.name!r}, which is not a daemon"
-    require(
-        not left,
-        f"a detector must leave nothing behind when it has answered, got {', '.join(list(left.values())[:4])}.",
-    )
+    shown = ", ".join(list(left.values())[:4])
+    require(not left, f"a detector must leave nothing behind when it has answered, got {shown}.")
     if daemons:
         warn(f"a detector should leave no thread running when it has answered, got {', '.join(daemons[:4])}.")
 
@@ -114,7 +109,15 @@ def check_time_budget(detector: Any, seconds: float = SECONDS) -> None:
 def _find_changes(detector: Any, state: Callable[[], dict[str, Any]], new: str | None = None) -> str:
     """Names of the entries of ``state()`` that the detector changes, and new ones if their names start with ``new``."""
     before = state()
-    _exercise_detector(detector, [draw_window(detector), draw_window(detector, seed=1, destroyed=3, round=2)])
+    with suppress(Exception), calling("its clone"):  # check_parameters_and_clone reports it
+        clone(detector)
+    own, windows = copy_detector(detector), draw_two_rounds(detector)
+    play_windows(own, windows)
+    if callable(getattr(own, "detect_batch", None)):
+        with calling("reset"):
+            own.reset(SEED)
+        with calling("detect_batch"):
+            own.detect_batch(windows)
     after = state()
     names = [*before, *(name for name in after if new and name not in before and name.startswith(new))]
     return ", ".join(
@@ -122,18 +125,6 @@ def _find_changes(detector: Any, state: Callable[[], dict[str, Any]], new: str |
         for name in names
         if after.get(name, None if name.startswith(_VARIABLE) else before.get(name)) != before.get(name)
     )
-
-
-def _exercise_detector(detector: Any, windows: list[Window]) -> None:
-    with suppress(Exception), calling("its clone"):  # check_parameters_and_clone reports it
-        clone(detector)
-    own = copy_detector(detector)
-    play_windows(own, windows)
-    if callable(getattr(own, "detect_batch", None)):
-        with calling("reset"):
-            own.reset(SEED)
-        with calling("detect_batch"):
-            own.detect_batch(windows)
 
 
 @contextmanager

@@ -80,8 +80,7 @@ def request_detection(detector: Any, window: Window) -> Detection:
 
 def validate_detection(answer: Any, window: Window) -> Detection:
     """Return ``answer`` if it is a detection for all N UAVs of the window; raise :class:`CheckError` otherwise."""
-    if not isinstance(answer, Detection):
-        raise CheckError(f"detect must return a usnet_env.Detection, got {quote(answer)}.")
+    require(isinstance(answer, Detection), f"detect must return a usnet_env.Detection, got {quote(answer)}.")
     named = len(answer.candidates)
     require(named == window.uavs, f"detect must return candidates for all {window.uavs} UAVs, got {named}.")
     return answer
@@ -94,12 +93,10 @@ def play_windows(detector: Any, windows: Sequence[Window], seed: int | None = SE
     return [request_detection(detector, window) for window in windows]
 
 
-def compare_detections(one: Detection, other: Detection) -> str:
-    """Names of the fields that are not bitwise equal in two detections; empty if they are all equal."""
+def require_same(one: Detection, other: Detection, sentence: str) -> None:
+    """Raise :class:`CheckError` unless two detections are bitwise equal; the names of fields end the sentence."""
     fields = ("candidates", "scores", "clusters", "leader", "attention")
-    pairs = [(name, getattr(one, name), getattr(other, name)) for name in fields]
-    return ", ".join(
-        name
-        for name, this, that in pairs
-        if (this is None) != (that is None) or (this is not None and not np.array_equal(this, that))
-    )
+    different = [
+        name for name in fields if not np.array_equal(np.array(getattr(one, name)), np.array(getattr(other, name)))
+    ]
+    require(not different, f"{sentence} {', '.join(different)}.")

@@ -70,15 +70,11 @@ def list_processes() -> dict[str, str]:
         with suppress(OSError):
             for pid in children.read_text().split():
                 if pid != str(tracker):  # multiprocessing starts one process for itself
-                    found[f"process {pid}"] = f"process {pid} ({_read_command(pid)})"
+                    command = "ended"
+                    with suppress(OSError):
+                        command = Path(f"/proc/{pid}/comm").read_text().strip()
+                    found[f"process {pid}"] = f"process {pid} ({command})"
     return found
-
-
-def _read_command(pid: str) -> str:
-    try:
-        return Path(f"/proc/{pid}/comm").read_text().strip()
-    except OSError:
-        return "ended"
 
 
 def list_files() -> dict[str, str]:

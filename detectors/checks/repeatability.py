@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from detectors.checks.harness import SEED, compare_detections, copy_detector, play_windows, require, warn
-from detectors.checks.windows import draw_window, make_hovering_window, permute_uavs
-from usnet_env.arrays import Floats
-from usnet_env.detection import Detection
+from detectors.checks.harness import SEED, copy_detector, play_windows, require, require_same, warn
+from detectors.checks.windows import draw_two_rounds, draw_window, make_hovering_window, permute_uavs
+from usnet_env.arrays import Floats, Mask
 from usnet_env.window import Window
 
 EPISODES = 8  # per order of the UAVs, for detectors that draw random numbers
@@ -23,20 +21,18 @@ LEVEL = 0.002
 
 def check_same_seed_same_answer(detector: Any) -> None:
     """Two copies that are reset with the same seed return bitwise equal detections over an episode."""
-    first, second = (play_windows(copy_detector(detector), _make_windows(detector)) for _ in range(2))
+    first, second = (play_windows(copy_detector(detector), draw_two_rounds(detector)) for _ in range(2))
     for one, other in zip(first, second, strict=True):
-        different = compare_detections(one, other)
-        require(not different, f"the same seed must give the same detection, got different {different}.")
+        require_same(one, other, "the same seed must give the same detection, got different")
 
 
 def check_episodes_start_afresh(detector: Any) -> None:
     """``reset`` removes all state of the previous episode."""
     own = copy_detector(detector)
-    first = play_windows(own, _make_windows(detector))
+    first = play_windows(own, draw_two_rounds(detector))
     play_windows(own, [draw_window(detector, clusters=1, uavs=20, seed=7)], seed=SEED + 1)
-    for one, other in zip(first, play_windows(own, _make_windows(detector)), strict=True):
-        different = compare_detections(one, other)
-        require(not different, f"reset must clear the previous episode, got different {different}.")
+    for one, other in zip(first, play_windows(own, draw_two_rounds(detector)), strict=True):
+        require_same(one, other, "reset must clear the previous episode, got different")
 
 
 def check_permuting_uavs_permutes_the_answer(detector: Any) -> None:
@@ -62,50 +58,33 @@ def check_permuting_uavs_permutes_the_answer(detector: Any) -> None:
 
 def _compare_orders(detector: Any, window: Window) -> float:
     """p-value of equal detections for the UAVs of a window in their order and in reverse; 1 if they are equal."""
-    order = np.arange(window.uavs)[::-1]
-    turned = permute_uavs(window, order)
-    if _are_close(_detect_once(detector, window, SEED), _restore_order(_detect_once(detector, turned, SEED), order)):
+    turned = permute_uavs(window, np.arange(window.uavs)[::-1])
+
+    def detect(seed: int, reverse: bool) -> tuple[Mask, Floats]:
+        """Candidates and scores in the order of the window."""
+        (answer,) = play_windows(copy_detector(detector), [turned if reverse else window], seed)
+        order = -1 if reverse else 1
+        return answer.candidates[::order], answer.scores[::order]
+
+    if _are_close(*detect(SEED, reverse=False), *detect(SEED, reverse=True)):
         return 1.0
-    here = [_summarise_detection(_detect_once(detector, window, seed)) for seed in range(EPISODES)]
-    there = [
-        _summarise_detection(_restore_order(_detect_once(detector, turned, seed), order))
-        for seed in range(EPISODES, 2 * EPISODES)
-    ]
+    here = [_summarise_detection(*detect(seed, reverse=False)) for seed in range(EPISODES)]
+    there = [_summarise_detection(*detect(seed, reverse=True)) for seed in range(EPISODES, 2 * EPISODES)]
     return compute_p_value(np.array(here), np.array(there))
 
 
-def _make_windows(detector: Any) -> list[Window]:
-    """Make the windows of two rounds.
-
-    Each call makes new ones, so that a detector that writes into windows fails :func:`check_input_unchanged` only.
-    """
-    return [draw_window(detector), draw_window(detector, seed=1, destroyed=3, round=2)]
-
-
-def _detect_once(detector: Any, window: Window, seed: int) -> Detection:
-    return play_windows(copy_detector(detector), [window], seed)[0]
-
-
-def _restore_order(answer: Detection, order: NDArray[np.intp]) -> Detection:
-    """Undo the permutation of candidates and scores."""
-    inverse = np.argsort(order)
-    return Detection(answer.candidates[inverse], answer.scores[inverse])
-
-
-def _are_close(one: Detection, other: Detection) -> bool:
+def _are_close(candidates: Mask, scores: Floats, other_candidates: Mask, other_scores: Floats) -> bool:
     """Whether two detections agree up to the rounding errors of another order of summation."""
-    scale = max(float(np.abs(one.scores).max()), 1e-12)
-    return np.array_equal(one.candidates, other.candidates) and np.allclose(
-        one.scores / scale, other.scores / scale, rtol=1e-4, atol=1e-4
-    )
+    scale = max(float(np.abs(scores).max()), 1e-12)
+    near = np.allclose(scores / scale, other_scores / scale, rtol=1e-4, atol=1e-4)
+    return near and np.array_equal(candidates, other_candidates)
 
 
-def _summarise_detection(answer: Detection) -> Floats:
+def _summarise_detection(candidates: Mask, scores: Floats) -> Floats:
     """``(2 N,)``: the candidates, and the ranks of the scores in (0, 1]."""
-    uavs = len(answer.scores)
     # Scores that differ by rounding errors only must share a rank.
-    scale = max(float(np.abs(answer.scores).max()), 1e-12)
-    return np.concatenate([answer.candidates, rankdata(np.round(answer.scores / scale, 4)) / uavs])
+    scale = max(float(np.abs(scores).max()), 1e-12)
+    return np.concatenate([candidates, rankdata(np.round(scores / scale, 4)) / len(scores)])
 
 
 def compute_p_value(here: Floats, there: Floats) -> float:
@@ -116,9 +95,8 @@ def compute_p_value(here: Floats, there: Floats) -> float:
         there: ``(k, d)``, the second sample.
     """
     pooled = np.concatenate([here, there])
-    count = len(here)
     rng = np.random.default_rng(0)
     orders = np.stack([np.arange(len(pooled)), *(rng.permutation(len(pooled)) for _ in range(RELABELLINGS))])
-    sign = np.where(orders < count, 1.0, -1.0)
+    sign = np.where(orders < len(here), 1.0, -1.0)
     distance = ((sign @ pooled) ** 2).sum(axis=1)
     return float((distance >= distance[0] * (1 - 1e-9) - 1e-9).mean())

@@ -8,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Mask, Singles
 from usnet_env.detection import Tags, read_tags
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.window import Window
@@ -63,13 +62,23 @@ def draw_window(detector: Any, uavs: int = 14, *, observation_steps: int = STEPS
     return simulate_window(uavs=most, observation_steps=max(observation_steps, tags.least_steps), **more)
 
 
+def draw_two_rounds(detector: Any) -> list[Window]:
+    """Simulate the windows of two rounds by :func:`draw_window`.
+
+    Each call makes new ones, so that a detector that writes into windows fails ``check_input_unchanged`` only.
+    """
+    return [draw_window(detector), draw_window(detector, seed=1, destroyed=3, round=2)]
+
+
 def simulate_missing_samples(detector: Any = None, seed: int = 0) -> Window:
     """Simulate a noisy window with missing samples: single ones, all of one UAV, and all UAVs at some steps."""
     window = draw_window(detector, seed=seed, miss_rate=0.3, position_noise=0.2, destroyed=2, round=2)
     seen = window.seen.copy()
     seen[:, np.flatnonzero(window.alive)[0]] = False
     seen[[0, 20, 21]] = False
-    return _mask_unseen_samples(window.position, window.velocity, seen, window.alive, window.round)
+    both = seen[1:] & seen[:-1]
+    position, velocity = np.where(seen[..., None], window.position, 0), np.where(both[..., None], window.velocity, 0)
+    return Window(position, velocity, seen, window.alive, window.round)
 
 
 def make_hovering_window(detector: Any = None, uavs: int = 8, *, together: bool = False, seed: int = 0) -> Window:
@@ -126,9 +135,3 @@ def set_heads(env: Any, heads: NDArray[np.intp]) -> None:
 
 def _limit(uavs: int, tags: Tags) -> int:
     return uavs if tags.most_uavs is None else min(uavs, tags.most_uavs)
-
-
-def _mask_unseen_samples(position: Singles, velocity: Singles, seen: Mask, alive: Mask, round: int) -> Window:
-    """Make a window with zeros for unseen samples, as in the environments."""
-    both = seen[1:] & seen[:-1]
-    return Window(np.where(seen[..., None], position, 0), np.where(both[..., None], velocity, 0), seen, alive, round)
