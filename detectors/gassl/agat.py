@@ -60,11 +60,9 @@ class AgatSizes(Config):
         first, second = self.similarity_hidden
         inputs = 3 * self.attn_heads
         shapes: dict[str, tuple[int, ...]] = {
-            "query_in": (inputs, self.query_hidden),
-            "query_in_bias": (self.query_hidden,),
-            "query_out": (self.query_hidden, self.query),
-            "query_out_bias": (self.query,),
-        }
+            "query_in": (inputs, self.query_hidden), "query_in_bias": (self.query_hidden,),
+            "query_out": (self.query_hidden, self.query), "query_out_bias": (self.query,),
+        }  # fmt: skip
         for head in range(self.attn_heads):
             shapes |= {
                 f"key_{head}": (self.key, 3),
@@ -79,14 +77,8 @@ class AgatSizes(Config):
 
     def numbers(self) -> tuple[int, int, int, int, int, int, int]:
         """T_0 + 1 attention heads, inputs, hidden units and outputs of L, K, and both widths of s_l."""
-        return (
-            self.attn_heads,
-            3 * self.attn_heads,
-            self.query_hidden,
-            self.query,
-            self.key,
-            *self.similarity_hidden,
-        )
+        heads = self.attn_heads
+        return heads, 3 * heads, self.query_hidden, self.query, self.key, *self.similarity_hidden
 
 
 def draw_agat(sizes: AgatSizes, uavs: int, rng: np.random.Generator) -> Singles:
@@ -153,17 +145,14 @@ def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):  # t
         _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep)
         for j in range(begin, end):
             row = alpha[j]
-            for t in range(times):
-                row[t] = _ZERO
+            row[:] = _ZERO
             for u in range(narrow):
                 w, columns = last[u], deep[u, (j - begin) * times : (j - begin + 1) * times]
                 for t in range(times):
                     row[t] += w * columns[t]
             for t in range(times):
                 highest[t] = max(highest[t], row[t])
-    for c in range(3):
-        for t in range(times):
-            pooled[c, t] = _ZERO
+    pooled[:] = _ZERO
     for j in range(uavs):
         row = alpha[j]
         for t in range(times):
@@ -175,16 +164,9 @@ def _weigh(from_query, from_key, second, bias, last, value, alpha, pooled):  # t
             sums, of_uav = pooled[c], value[c, j]
             for t in range(times):
                 sums[t] += row[t] * of_uav[t]
-    for t in range(times):
-        total[t] = _ONE / total[t]
-    for j in range(uavs):
-        row = alpha[j]
-        for t in range(times):
-            row[t] *= total[t]
-    for c in range(3):
-        sums = pooled[c]
-        for t in range(times):
-            sums[t] *= total[t]
+    total = _ONE / total
+    alpha *= total
+    pooled *= total
 
 
 @compiled(error_model="numpy")
@@ -205,23 +187,17 @@ def _weigh_backward(  # type: ignore[no-untyped-def]
     mean = np.zeros(times, np.float32)
     of_last, of_bias = np.empty(narrow, np.float32), np.empty(narrow, np.float32)
     of_second, of_key = np.empty((width, narrow), np.float32), np.empty((width, 3), np.float32)
-    for k in range(width):
-        for u in range(narrow):
-            d_second[k, u] = _ZERO
-        for c in range(3):
-            d_key[c, k] = _ZERO
-        for t in range(times):
-            d_query[k, t] = _ZERO
-    for u in range(narrow):
-        d_bias[u] = d_last[u] = _ZERO
+    d_query[:] = _ZERO
+    d_key[:] = _ZERO
+    d_second[:] = _ZERO
+    d_bias[:] = _ZERO
+    d_last[:] = _ZERO
     for c in range(3):
-        for t in range(times):
-            mean[t] += d_pooled[c, t] * pooled[c, t]
+        mean += d_pooled[c] * pooled[c]
     for begin in range(0, uavs, step):
         end = min(begin + step, uavs)
         _layers(from_query, from_key, second, bias, value, begin, end, points, hidden, deep)
-        for p in range((end - begin) * times, step * times):
-            above[p] = _ZERO
+        above[(end - begin) * times :] = _ZERO
         dx, dy, dz = d_pooled[0], d_pooled[1], d_pooled[2]
         for j in range(begin, end):
             x, y, z, weights = value[0, j], value[1, j], value[2, j], alpha[j]
@@ -247,14 +223,10 @@ def _weigh_backward(  # type: ignore[no-untyped-def]
                 for t in range(times):
                     sums[t] += columns[t]
         np.dot(below, points.T, of_key)
-        for u in range(narrow):
-            d_last[u] += of_last[u]
-            d_bias[u] += of_bias[u]
-        for k in range(width):
-            for u in range(narrow):
-                d_second[k, u] += of_second[k, u]
-            for c in range(3):
-                d_key[c, k] += of_key[k, c]
+        d_last += of_last
+        d_bias += of_bias
+        d_second += of_second
+        d_key += of_key.T
 
 
 @compiled()
@@ -263,12 +235,7 @@ def _query_arrays(phi, numbers):  # type: ignore[no-untyped-def]
     _, inputs, width, outputs, _, _, _ = numbers
     a, b = inputs * width, inputs * width + width
     c = b + width * outputs
-    return (
-        phi[:a].reshape((inputs, width)),
-        phi[a:b],
-        phi[b:c].reshape((width, outputs)),
-        phi[c : c + outputs],
-    )
+    return phi[:a].reshape((inputs, width)), phi[a:b], phi[b:c].reshape((width, outputs)), phi[c : c + outputs]
 
 
 @compiled()
@@ -285,17 +252,13 @@ def _attn_head_arrays(phi, numbers, head):  # type: ignore[no-untyped-def]
     f = e + second
     return (
         phi[o:a].reshape((key, 3)),
-        phi[a:b].reshape((outputs, first)),
-        phi[b:c].reshape((key, first)),
-        phi[c:d],
-        phi[d:e].reshape((first, second)),
-        phi[e:f],
-        phi[f : f + second],
-    )
+        phi[a:b].reshape((outputs, first)), phi[b:c].reshape((key, first)), phi[c:d],
+        phi[d:e].reshape((first, second)), phi[e:f], phi[f : f + second],
+    )  # fmt: skip
 
 
 @compiled()
-def attend(phi, numbers, history, value, alpha, pooled):  # type: ignore[no-untyped-def]
+def attend(phi, numbers, history, value):  # type: ignore[no-untyped-def]
     """Forward pass of one UAV's AGAT over all R times.
 
     Args:
@@ -303,13 +266,13 @@ def attend(phi, numbers, history, value, alpha, pooled):  # type: ignore[no-unty
         numbers: :meth:`AgatSizes.numbers`.
         history: ``(R, 3 (T_0 + 1))`` V_{i,t}, newest first, and p_{i,t-T_0+1}.
         value: ``(T_0 + 1, 3, n, R)`` x_{i',l} of all UAVs.
-        alpha: ``(T_0 + 1, n, R)``, written.
-        pooled: ``(T_0 + 1, 3, R)``, written: v̂_{i,t}, ..., v̂_{i,t-T_0+1}, p̂_{i,t-T_0+1}.
 
     Returns:
-        L's hidden layer and the query data, for :func:`attend_backward`.
+        alpha ``(T_0 + 1, n, R)``; the pooled v̂_{i,t}, ..., v̂_{i,t-T_0+1}, p̂_{i,t-T_0+1} ``(T_0 + 1, 3, R)``; L's hidden
+        layer and the query data, for :func:`attend_backward`.
     """
-    times = history.shape[0]
+    heads, _, uavs, times = value.shape
+    alpha, pooled = np.empty((heads, uavs, times), np.float32), np.empty((heads, 3, times), np.float32)
     query_in, query_in_bias, query_out, query_out_bias = _query_arrays(phi, numbers)
     hidden, query = np.empty((times, numbers[2]), np.float32), np.empty((times, numbers[3]), np.float32)
     affine(history, query_in, query_in_bias, hidden)
@@ -321,7 +284,7 @@ def attend(phi, numbers, history, value, alpha, pooled):  # type: ignore[no-unty
         affine(query, first_query, first_bias, from_query)
         np.dot(key.T, first_key, from_key)
         _weigh(from_query.T.copy(), from_key, second, second_bias, last, value[head], alpha[head], pooled[head])
-    return hidden, query
+    return alpha, pooled, hidden, query
 
 
 @compiled()
@@ -347,15 +310,11 @@ def attend_backward(  # type: ignore[no-untyped-def]
             from_query.T.copy(), from_key, second, second_bias, last, value[head], alpha[head], pooled[head],
             d_pooled[head], d_by_unit, d_from_key, d_second, d_second_bias, d_last,
         )  # fmt: skip
-        for t in range(times):
-            for k in range(numbers[5]):
-                d_from_query[t, k] = d_by_unit[k, t]
+        d_from_query[:] = d_by_unit.T
         affine_backward(query, first_query, d_from_query, d_first_query, d_first_bias, of_query)
         np.dot(first_key, d_from_key.T, d_key)
         np.dot(key, d_from_key, d_first_key)
-        for t in range(times):
-            for o in range(query.shape[1]):
-                d_query[t, o] += of_query[t, o]
+        d_query += of_query
     d_query_in, d_query_in_bias, d_query_out, d_query_out_bias = _query_arrays(d_phi, numbers)
     affine_backward(hidden, query_out, d_query, d_query_out, d_query_out_bias, d_hidden)
     tanh_backward(hidden, d_hidden)

@@ -77,9 +77,10 @@ def _arrays(gamma, inputs):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy")
-def standardise(values, scale):  # type: ignore[no-untyped-def]
-    """``values`` ``(R, d)`` become zero-mean with unit variance over the times; ``scale`` ``(d,)`` gets the factors."""
+def standardise(values):  # type: ignore[no-untyped-def]
+    """``values`` ``(R, d)`` become zero-mean with unit variance over the times; returns the factors ``(d,)``."""
     times, entries = values.shape
+    scale = np.empty(entries, np.float32)
     for f in range(entries):
         mean = _ZERO
         for t in range(times):
@@ -92,6 +93,7 @@ def standardise(values, scale):  # type: ignore[no-untyped-def]
         scale[f] = factor
         for t in range(times):
             values[t, f] = (values[t, f] - mean) * factor
+    return scale
 
 
 @compiled()
@@ -167,8 +169,7 @@ def pair_losses(gamma, own, source, target, weight):  # type: ignore[no-untyped-
         gamma, owns + source.shape[2]
     )
     width = first.shape[1]
-    from_own = np.empty((uavs, times, width), np.float32)
-    from_source = np.empty((uavs, times, width), np.float32)
+    from_own, from_source = np.empty((uavs, times, width), np.float32), np.empty((uavs, times, width), np.float32)
     no_bias = np.zeros(width, np.float32)
     for i in range(uavs):
         affine(own[i], first[:owns], first_bias, from_own[i])
@@ -178,9 +179,7 @@ def pair_losses(gamma, own, source, target, weight):  # type: ignore[no-untyped-
     result = np.empty((uavs, uavs), np.float32)
     for i in range(uavs):
         for j in range(uavs):
-            for t in range(times):
-                for k in range(width):
-                    one[t, k] = from_own[i, t, k] + from_source[j, t, k]
+            np.add(from_own[i], from_source[j], one)
             _finish(one, second, second_bias, third, third_bias, output, output_bias, two, three, predicted)
             total = _ZERO
             for t in range(times):

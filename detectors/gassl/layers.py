@@ -63,9 +63,7 @@ def tanh_in_place(x):  # type: ignore[no-untyped-def]
 @compiled()
 def tanh_backward(y, d_y):  # type: ignore[no-untyped-def]
     """The gradient with respect to y = tanh(x), ``(R, d)``, becomes that with respect to x."""
-    for t in range(y.shape[0]):
-        for k in range(y.shape[1]):
-            d_y[t, k] *= _ONE - y[t, k] * y[t, k]
+    d_y *= _ONE - y * y
 
 
 @compiled()
@@ -81,8 +79,7 @@ def affine(x, weight, bias, out):  # type: ignore[no-untyped-def]
 def products(x, d_out, d_weight, d_bias):  # type: ignore[no-untyped-def]
     """Gradients of :func:`affine` with respect to weight and bias, written to ``d_weight`` and ``d_bias``."""
     np.dot(x.T, d_out, d_weight)
-    for k in range(d_out.shape[1]):
-        d_bias[k] = _ZERO
+    d_bias[:] = _ZERO
     for t in range(d_out.shape[0]):
         for k in range(d_out.shape[1]):
             d_bias[k] += d_out[t, k]

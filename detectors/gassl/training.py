@@ -51,6 +51,10 @@ class Inputs:
 
     uavs = AxisLength("history", 0)  #: n
 
+    def of(self, uav: int) -> tuple[Singles, Singles, Singles, Singles, Singles]:
+        """All arrays in this order for one UAV; ``value`` is that of all."""
+        return self.history[uav], self.value, self.own[uav], self.target[uav], self.weight[uav]
+
     @property
     def entries(self) -> int:
         """Entries of the IFSN's input, 6 (T_0 + 1)."""
@@ -100,17 +104,15 @@ class Fit:
 
 
 @compiled()
-def _forward(phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale):  # type: ignore[no-untyped-def]
-    """L_B(Θ_i) of equation (23), and what the gradient needs."""
-    hidden, query = attend(phi, numbers, history, value, alpha, pooled)
-    owns = own.shape[1]
-    for t in range(own.shape[0]):
-        for f in range(owns):
-            inputs[t, f] = own[t, f]
-        for head in range(numbers[0]):
-            for c in range(3):
-                inputs[t, owns + 3 * head + c] = pooled[head, c, t]
-    standardise(inputs, scale)
+def _forward(phi, gamma, numbers, history, value, own, target, weight):  # type: ignore[no-untyped-def]
+    """L_B(Θ_i) of equation (23), alpha_{i,i',l} ``(T_0 + 1, n, R)``, and what else the gradient needs."""
+    alpha, pooled, hidden, query = attend(phi, numbers, history, value)
+    times, owns = own.shape
+    inputs = np.empty((times, owns + 3 * numbers[0]), np.float32)
+    inputs[:, :owns] = own
+    for head in range(numbers[0]):
+        inputs[:, owns + 3 * head : owns + 3 * head + 3] = pooled[head].T
+    scale = standardise(inputs)
     predicted, one, two, three = predict(gamma, inputs)
     loss = _ZERO
     for t in range(predicted.shape[0]):
@@ -118,25 +120,22 @@ def _forward(phi, gamma, numbers, history, value, own, target, weight, alpha, po
             error = predicted[t, c] - target[t, c]
             loss += weight[t] * error * error
             predicted[t, c] = _TWO * weight[t] * error  # from here on the gradient
-    return loss, predicted, hidden, query, one, two, three
+    return loss, alpha, pooled, hidden, query, inputs, scale, one, two, three, predicted
 
 
 @compiled()
-def _gradient(  # type: ignore[no-untyped-def]
-    phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale, d_pooled, d_phi, d_gamma
-):
-    """L_B(Θ_i); its gradients with respect to Φ_i and Γ are written to ``d_phi`` and ``d_gamma``."""
-    loss, d_output, hidden, query, one, two, three = _forward(
-        phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale
+def gradient(phi, gamma, numbers, history, value, own, target, weight):  # type: ignore[no-untyped-def]
+    """L_B(Θ_i) of equation (23) and its gradients with respect to Φ_i and Γ, as flat vectors; see :meth:`Inputs.of`."""
+    loss, alpha, pooled, hidden, query, inputs, scale, one, two, three, d_output = _forward(
+        phi, gamma, numbers, history, value, own, target, weight
     )
+    d_phi, d_gamma, d_pooled = np.empty_like(phi), np.empty_like(gamma), np.empty_like(pooled)
     d_inputs = predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma)
     owns = own.shape[1]
     for head in range(numbers[0]):
-        for t in range(own.shape[0]):
-            for c in range(3):
-                d_pooled[head, c, t] = d_inputs[t, owns + 3 * head + c]
+        d_pooled[head] = d_inputs[:, owns + 3 * head : owns + 3 * head + 3].T
     attend_backward(phi, numbers, history, value, alpha, pooled, hidden, query, d_pooled, d_phi)
-    return loss
+    return loss, d_phi, d_gamma
 
 
 @compiled()
@@ -145,23 +144,11 @@ def _train_uav(  # type: ignore[no-untyped-def]
 ):
     """Lines 3 to 6 of Algorithm 1 for one UAV: Φ_i and Γ move, equations (24), (25); returns the last L_B(Θ_i)."""
     heads, _, uavs, times = value.shape
-    entries = own.shape[1] + 3 * heads
-    alpha = np.empty((heads, uavs, times), np.float32)
-    pooled = np.empty((heads, 3, times), np.float32)
-    d_pooled = np.empty((heads, 3, times), np.float32)
-    inputs = np.empty((times, entries), np.float32)
-    scale = np.empty(entries, np.float32)
-    d_phi, d_gamma = np.empty_like(phi), np.empty_like(gamma)
     for step in range(loss.shape[0]):
-        loss[step] = _gradient(
-            phi, gamma, numbers, history, value, own, target, weight,
-            alpha, pooled, inputs, scale, d_pooled, d_phi, d_gamma,
-        )  # fmt: skip
-        for p in range(phi.shape[0]):
-            phi[p] -= rate * d_phi[p]
-        for p in range(gamma.shape[0]):
-            gamma[p] -= rate * d_gamma[p]
-    last = _forward(phi, gamma, numbers, history, value, own, target, weight, alpha, pooled, inputs, scale)[0]
+        loss[step], d_phi, d_gamma = gradient(phi, gamma, numbers, history, value, own, target, weight)
+        phi -= rate * d_phi
+        gamma -= rate * d_gamma
+    last, alpha = _forward(phi, gamma, numbers, history, value, own, target, weight)[:2]
     for head in range(heads):
         for j in range(uavs):
             total = _ZERO
@@ -169,29 +156,6 @@ def _train_uav(  # type: ignore[no-untyped-def]
                 total += alpha[head, j, t]
             attn_heads[head, j] = total / np.float32(times)
     return last
-
-
-def loss_and_gradient(
-    inputs: Inputs, uav: int, phi: Singles, gamma: Singles, sizes: AgatSizes
-) -> tuple[float, Singles, Singles]:
-    """L_B(Θ_i) of equation (23) and its gradients with respect to Φ_i and Γ, as flat vectors.
-
-    Args:
-        inputs: of n UAVs.
-        uav: i.
-        phi: ``(parameters,)`` Φ_i.
-        gamma: ``(parameters,)`` Γ.
-        sizes: of the AGAT.
-    """
-    heads, _, uavs, times = inputs.value.shape
-    d_phi, d_gamma = np.empty_like(phi), np.empty_like(gamma)
-    loss = _gradient(
-        phi, gamma, sizes.numbers(), inputs.history[uav], inputs.value, inputs.own[uav], inputs.target[uav],
-        inputs.weight[uav], np.empty((heads, uavs, times), np.float32), np.empty((heads, 3, times), np.float32),
-        np.empty((times, inputs.entries), np.float32), np.empty(inputs.entries, np.float32),
-        np.empty((heads, 3, times), np.float32), d_phi, d_gamma,
-    )  # fmt: skip
-    return float(loss), d_phi, d_gamma
 
 
 def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, training: Training) -> Fit:
@@ -210,10 +174,8 @@ def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, traini
     attn_heads = np.zeros((uavs, heads, uavs), np.float32)
     explained = np.zeros(uavs, np.float32)
     for i in range(uavs):
-        last = _train_uav(
-            phi[i], gamma, sizes.numbers(), inputs.history[i], inputs.value, inputs.own[i], inputs.target[i],
-            inputs.weight[i], np.float32(training.learning_rate), loss[i], attn_heads[i],
-        )  # fmt: skip
+        rate = np.float32(training.learning_rate)
+        last = _train_uav(phi[i], gamma, sizes.numbers(), *inputs.of(i), rate, loss[i], attn_heads[i])
         power = float((inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum())
         explained[i] = 1.0 - last / max(power, 1e-12)
     # Where beta is too large, the loss overflows: the fit explains nothing, and the attention is even.

@@ -19,10 +19,9 @@ def best_heads(inputs: Inputs, gamma: Singles) -> Indices:
     """
     own, source = inputs.own.copy(), np.ascontiguousarray(inputs.value.transpose(2, 3, 0, 1))
     source = source.reshape(inputs.uavs, source.shape[1], -1)  # (n, R, 3 (T_0 + 1))
-    scale = np.empty(max(own.shape[2], source.shape[2]), np.float32)
     for i in range(inputs.uavs):
-        standardise(own[i], scale)
-        standardise(source[i], scale)
+        standardise(own[i])
+        standardise(source[i])
     loss = pair_losses(gamma, own, source, inputs.target, inputs.weight)
     np.fill_diagonal(loss, np.inf)
     return np.asarray(np.nan_to_num(loss, nan=np.inf).argmin(axis=1).astype(np.int64))

@@ -11,7 +11,7 @@ from detectors.gassl.agat import AgatSizes, draw_agat
 from detectors.gassl.algorithm_1 import algorithm_1, batch_loss, vote
 from detectors.gassl.ifsn import IfsnSizes, draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
-from detectors.gassl.training import Training, loss_and_gradient, prepare_inputs, train
+from detectors.gassl.training import Training, gradient, prepare_inputs, train
 from detectors.series.votes import choose_heads, count_votes
 
 #: widths that all differ, so that no two axes can be confused
@@ -54,7 +54,7 @@ def test_the_readable_loss_is_that_of_the_equations(case):
 def test_the_compiled_loss_and_gradients_are_those_of_the_readable_loss(case):
     inputs, phi, gamma, agat, ifsn = problem(**case)
     for i in (0, inputs.uavs - 1):
-        found, d_phi, d_gamma = loss_and_gradient(inputs, i, phi[i], gamma, agat)
+        found, d_phi, d_gamma = gradient(phi[i], gamma, agat.numbers(), *inputs.of(i))
         phi_i, of_all = doubles(phi[i], gamma)
         loss, _ = batch_loss(inputs, i, phi_i, of_all, agat, ifsn)
         assert found == pytest.approx(loss.item(), rel=1e-4)
@@ -89,12 +89,13 @@ def test_one_gamma_is_handed_from_uav_to_uav():
     handed_on = gamma.copy()
     phi_0 = phi[0].copy()
     for step in range(3):
-        loss, d_phi, d_gamma = loss_and_gradient(inputs, 0, phi_0, handed_on, agat)
+        loss, d_phi, d_gamma = gradient(phi_0, handed_on, agat.numbers(), *inputs.of(0))
         assert fit.loss[0, step] == pytest.approx(loss, rel=1e-5)
         phi_0 -= np.float32(3e-3) * d_phi
         handed_on -= np.float32(3e-3) * d_gamma
-    assert fit.loss[1, 0] == pytest.approx(loss_and_gradient(inputs, 1, phi[1], handed_on, agat)[0], rel=1e-5)
-    assert fit.loss[1, 0] != pytest.approx(loss_and_gradient(inputs, 1, phi[1], gamma, agat)[0], rel=1e-5)
+    second = agat.numbers(), *inputs.of(1)
+    assert fit.loss[1, 0] == pytest.approx(gradient(phi[1], handed_on, *second)[0], rel=1e-5)
+    assert fit.loss[1, 0] != pytest.approx(gradient(phi[1], gamma, *second)[0], rel=1e-5)
 
 
 def test_initial_values_and_gamma_are_left_as_they_are():
