@@ -64,7 +64,7 @@ def run_round(
         window: the observations of T_ob steps, with at least 3 living UAVs.
         parameters: W_{r-1}; in round 1 the meta parameters.
         cluster: features, M̂ and clusters.
-        gassl: the settings of Algorithm 1.
+        gassl: the settings of Algorithm 1, such as T_0.
         online: the settings of on-line training.
         rng: where all draws come from.
     """
@@ -115,16 +115,7 @@ def update_gru(
     online: OnlineTraining,
     rng: np.random.Generator,
 ) -> tuple[Floats, GruParameters, list[float]]:
-    """Line 5: the swarm is re-clustered by the trained IFSN, and the GRU network learns from the clusters.
-
-    Args:
-        window: the window of this round.
-        parameters: W_{r-1}.
-        count: M̂.
-        gamma: Γ as line 4 left it.
-        gassl: gives T_0.
-        online: the settings of on-line training.
-        rng: where all draws come from.
+    """Line 5: the swarm is re-clustered by the trained IFSN, and the GRU network learns from the ``count`` clusters.
 
     Returns:
         c_{i'} ``(N,)``, W_r and the loss of each step.

@@ -14,7 +14,7 @@ from detectors.clustering import Clustering, check_clusterer, make_clusterer
 from detectors.gassl import Gassl
 from detectors.mc_gassl.algorithm_2 import LEAST_UAVS, run_round
 from detectors.mc_gassl.features import gru_features
-from detectors.mc_gassl.gru import GruParameters, GruSizes, draw_parameters
+from detectors.mc_gassl.gru import GruParameters, draw_parameters
 from detectors.mc_gassl.online_training import OnlineTraining
 from detectors.mc_gassl.triplet import Metric
 from detectors.mc_gassl.weights import load_meta_weights
@@ -85,10 +85,9 @@ class McGassl(Detector):
             online = OnlineTraining(steps=self.online_steps, rate=self.online_rate, metric=metric)
         except ArgumentError as error:
             raise ArgumentError(f"online_{error}") from None
-        known = Gassl().get_params()
         given = plain.gassl or {}
         for name in given:
-            if name not in known or name == "memory":
+            if name not in Gassl().get_params() or name == "memory":
                 raise ArgumentError(f"gassl must hold arguments of Gassl other than memory, got {quote(name)}.")
         gassl = Gassl(memory=plain.memory, **given)
         gassl.check_arguments()
@@ -100,7 +99,7 @@ class McGassl(Detector):
         if self.start == "meta":
             return load_meta_weights()
         generator = torch.Generator().manual_seed(int(self.rng.integers(2**63)))
-        return draw_parameters(GruSizes(), generator)
+        return draw_parameters(generator)
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode: the GRU network is what it was off line.
@@ -123,23 +122,18 @@ class McGassl(Detector):
         """
         gassl, online = self.check_arguments()
         living = np.flatnonzero(window.alive)
-        if len(living) < LEAST_UAVS:
-            return self._name_one(window, living)
-        check_window(window, self.memory)
-        if not window.velocity_seen.any():
-            return self._name_one(window, living)
+        if len(living) >= LEAST_UAVS:
+            check_window(window, self.memory)
+        if len(living) < LEAST_UAVS or not window.velocity_seen.any():  # nothing shows which is a head
+            candidates = name_at_random(living, 1, window.uavs, self.rng)
+            none = {"count": min(1, len(living)), "followed": np.zeros(window.uavs), "online_loss": []}
+            return Detection(candidates, np.zeros(window.uavs), np.where(window.alive, 0, -1), extras=none)
         found = run_round(window, self._parameters, self._cluster, gassl, online, self.rng)
         self._parameters = found.parameters
-        extras = {"count": found.clustering.count, "followed": found.followed, "online_loss": found.loss}
-        heads = found.heads
-        extras |= {"features": found.clustering.features, **heads.extras}
-        return Detection(heads.candidates, heads.scores, found.clustering.labels, heads.leader, heads.attention, extras)
-
-    def _name_one(self, window: Window, living: np.ndarray[Any, np.dtype[np.intp]]) -> Detection:
-        """One of the living UAVs, at random: nothing shows which is a head."""
-        candidates = name_at_random(living, 1, window.uavs, self.rng)
-        extras = {"count": min(1, len(living)), "followed": np.zeros(window.uavs), "online_loss": []}
-        return Detection(candidates, np.zeros(window.uavs), np.where(window.alive, 0, -1), extras=extras)
+        heads, clustering = found.heads, found.clustering
+        extras = {"count": clustering.count, "followed": found.followed, "online_loss": found.loss}
+        extras |= {"features": clustering.features, **heads.extras}
+        return Detection(heads.candidates, heads.scores, clustering.labels, heads.leader, heads.attention, extras)
 
     def _cluster(self, window: Window, parameters: GruParameters, rng: np.random.Generator) -> Clustering:
         """Lines 2 and 3 of Algorithm 2."""

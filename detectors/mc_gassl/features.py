@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
-from pydantic import Field
 
 from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, embed
+from detectors.parameters import Lags
 from detectors.series.gaps import fill_gaps
-from usnet_env.arrays import Floats, Singles
+from usnet_env.arrays import Floats
 from usnet_env.config import Config, unknown_name
 from usnet_env.window import Window
 
 #: features of the newest T_0 samples (the paper's), their mean over all times, or one for every time
 MODES = ("single", "mean", "series")
 
-_Metres = Annotated[float, Field(gt=0)]
-
 
 class _Arguments(Config):
     mode: str
-    memory: Annotated[int, Field(ge=1, le=1000)]
-    scale: _Metres | tuple[_Metres, _Metres, _Metres]
+    memory: Lags
+    scale: Scale
 
 
 def inputs_of(window: Window, memory: int = 4) -> GruInputs:
@@ -43,11 +39,7 @@ def inputs_of(window: Window, memory: int = 4) -> GruInputs:
     position = whole.position[: steps - memory + 1] * alive
     velocity = sliding_window_view(whole.velocity * alive, memory, axis=0).swapaxes(2, 3)
     seen = sliding_window_view(window.velocity_seen, memory, axis=0).all(axis=-1)
-    return GruInputs(_single(position), _single(velocity), torch.from_numpy(seen))
-
-
-def _single(values: Singles) -> torch.Tensor:
-    return torch.from_numpy(np.array(values))
+    return GruInputs(*(torch.from_numpy(np.array(values)) for values in (position, velocity, seen)))
 
 
 def gru_features(

@@ -15,23 +15,13 @@ from pydantic import Field
 from torch import Tensor
 
 from usnet_env.arrays import AxisLength
-from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.config import ArgumentError, quote
 
-Scale = float | tuple[float, float, float]
+Metres = Annotated[float, Field(gt=0)]
+Scale = Metres | tuple[Metres, Metres, Metres]
 
 #: metres by which positions are divided, axis by axis: the paper's arena. Metres as they are saturate the gates.
 ARENA_SCALE = (1000.0, 1000.0, 100.0)
-
-
-class GruSizes(Config):
-    """Sizes of the GRU network.
-
-    Args:
-        width: entries of h, and so of a feature. The paper's h_0 is a position, which makes it 3; a wider h starts
-            with the position in its first three entries and 0 in the others.
-    """
-
-    width: Annotated[int, Field(ge=3, le=4096)] = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +89,16 @@ class GruInputs:
         return GruInputs(self.position[times], self.velocity[times], self.seen[times])
 
 
-def draw_parameters(sizes: GruSizes, generator: torch.Generator) -> GruParameters:
-    """A random start: uniform in ±1/sqrt(w + 3), float32."""
-    shape = (sizes.width, sizes.width + 3)
-    reset, update, candidate = (
-        (2.0 * torch.rand(shape, generator=generator) - 1.0) / shape[1] ** 0.5 for _ in range(3)
-    )
-    return GruParameters(reset, update, candidate)
+def draw_parameters(generator: torch.Generator, width: int = 3) -> GruParameters:
+    """A random start: uniform in ±1/sqrt(w + 3), float32.
+
+    Args:
+        generator: where all draws come from.
+        width: w, entries of h, and so of a feature. The paper's h_0 is a position, which makes it 3; a wider h starts
+            with the position in its first three entries and 0 in the others.
+    """
+    shape = (width, width + 3)
+    return GruParameters(*((2.0 * torch.rand(shape, generator=generator) - 1.0) / shape[1] ** 0.5 for _ in range(3)))
 
 
 def gru(parameters: GruParameters, first: Tensor, velocity: Tensor) -> Tensor:

@@ -30,10 +30,8 @@ class OnlineTraining(Config):
 def descend(parameters: GruParameters, loss: Tensor, at: GruParameters, rate: float) -> GruParameters:
     """``parameters`` less ``rate`` times the gradient of ``loss`` with respect to ``at``; no graph is kept."""
     gradients = torch.autograd.grad(loss, at.tensors())
-    moved = (
-        tensor.detach() - rate * gradient for tensor, gradient in zip(parameters.tensors(), gradients, strict=True)
-    )
-    return GruParameters(*moved)
+    pairs = zip(parameters.tensors(), gradients, strict=True)
+    return GruParameters(*(tensor.detach() - rate * gradient for tensor, gradient in pairs))
 
 
 def train_online(

@@ -17,8 +17,7 @@ def best_heads(inputs: Inputs, gamma: Singles) -> Indices:
         inputs: of all n living UAVs of the swarm.
         gamma: ``(parameters,)`` the Γ that GASSL trained in the clusters.
     """
-    own, source = inputs.own.copy(), np.ascontiguousarray(inputs.value.transpose(2, 3, 0, 1))
-    source = source.reshape(inputs.uavs, source.shape[1], -1)  # (n, R, 3 (T_0 + 1))
+    own, source = inputs.own.copy(), inputs.history.copy()
     for i in range(inputs.uavs):
         standardise(own[i])
         standardise(source[i])

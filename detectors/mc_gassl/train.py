@@ -18,7 +18,7 @@ import torch
 from pydantic import Field
 
 from detectors.mc_gassl.features import inputs_of
-from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, GruSizes, draw_parameters
+from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_parameters
 from detectors.mc_gassl.meta import Clustered, OfflineTraining, Task, train_offline
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
@@ -47,7 +47,7 @@ class MetaTraining(Config):
         strategies: F, random follow strategies, none of f1 to f7.
         episodes: E.
         seed: of all draws.
-        width: entries of a feature, see :class:`detectors.mc_gassl.gru.GruSizes`.
+        width: entries of a feature, see :func:`detectors.mc_gassl.gru.draw_parameters`.
         inner_rate: alpha.
         outer_rate: beta.
         sampling, margin, times, anchors, scale: of a batch, see :class:`detectors.mc_gassl.triplet.Metric`.
@@ -66,7 +66,7 @@ class MetaTraining(Config):
     margin: Positive = 0.5
     times: Count = 8
     anchors: Count = 256
-    scale: Positive | tuple[Positive, Positive, Positive] = ARENA_SCALE
+    scale: Scale = ARENA_SCALE
     clusters: Count = 5
     uavs: Count = 82
     observation_steps: Count = 100
@@ -76,12 +76,7 @@ class MetaTraining(Config):
 
     def offline(self) -> OfflineTraining:
         """Method, rates and batches."""
-        metric = Metric(
-            sampling=self.sampling, margin=self.margin, times=self.times, anchors=self.anchors, scale=self.scale
-        )
-        return OfflineTraining(
-            method=self.method, inner_rate=self.inner_rate, outer_rate=self.outer_rate, metric=metric
-        )
+        return self.part(OfflineTraining, metric=self.part(Metric))
 
 
 def _rng(training: MetaTraining, purpose: int, number: int = 0) -> np.random.Generator:
@@ -92,9 +87,9 @@ def _generator(training: MetaTraining, purpose: int, number: int = 0) -> torch.G
     return torch.Generator().manual_seed(int(_rng(training, purpose, number).integers(2**63)))
 
 
-def draw_task(training: MetaTraining, rng: np.random.Generator) -> Task:
+def draw_task(training: MetaTraining, number: int, purpose: int = _TASK) -> Task:
     """A random follow strategy, and a support and a query swarm that obey it, in their first round."""
-    return _make_task(training, _draw_windows(training, rng))
+    return _make_task(training, _draw_windows(training, number, purpose))
 
 
 def _make_task(training: MetaTraining, drawn: list[tuple[Window, Indices]]) -> Task:
@@ -102,17 +97,10 @@ def _make_task(training: MetaTraining, drawn: list[tuple[Window, Indices]]) -> T
     return Task(*(Clustered(inputs_of(window, training.memory), torch.from_numpy(labels)) for window, labels in drawn))
 
 
-def _draw_windows(training: MetaTraining, rng: np.random.Generator) -> list[tuple[Window, Indices]]:
+def _draw_windows(training: MetaTraining, number: int, purpose: int = _TASK) -> list[tuple[Window, Indices]]:
     """The windows of the support and the query swarm, each with the cluster of each UAV, ``(n,)``."""
-    swarm = SwarmConfig(
-        follow=random_follow_strategy(rng),
-        clusters=training.clusters,
-        uavs=training.uavs,
-        observation_steps=training.observation_steps,
-        memory=training.memory,
-        mobility=training.mobility,
-        head_jitter=training.head_jitter,
-    )
+    rng = _rng(training, purpose, number)
+    swarm = training.part(SwarmConfig, follow=random_follow_strategy(rng))
     rngs = rng.spawn(2)
     state, sighting = advance(swarm, start(swarm, rngs), rngs)
     drawn = []
@@ -122,44 +110,35 @@ def _draw_windows(training: MetaTraining, rng: np.random.Generator) -> list[tupl
     return drawn
 
 
-def _draw_strategy(training: MetaTraining, number: int) -> list[tuple[Window, Indices]]:
-    """Draw the windows of the strategy of this number."""
-    return _draw_windows(training, _rng(training, _TASK, number))
-
-
 def start_of(training: MetaTraining) -> GruParameters:
     """The random parameters that the training starts from."""
-    return draw_parameters(GruSizes(width=training.width), _generator(training, _START))
+    return draw_parameters(_generator(training, _START), training.width)
 
 
 def trained(training: MetaTraining) -> tuple[GruParameters, list[float]]:
     """The parameters, and the query loss of every episode; nothing is written."""
-    tasks = [_make_task(training, _draw_strategy(training, number)) for number in range(training.strategies)]
-    return train_offline(
-        start_of(training),
-        tasks,
-        range(training.episodes),
-        training.offline(),
-        lambda episode: _generator(training, _EPISODE, episode),
-    )
+    tasks = [draw_task(training, number) for number in range(training.strategies)]
+    return _train(training, start_of(training), tasks, range(training.episodes))
+
+
+def _train(
+    training: MetaTraining, parameters: GruParameters, tasks: list[Task], episodes: range
+) -> tuple[GruParameters, list[float]]:
+    draw = partial(_generator, training, _EPISODE)
+    return train_offline(parameters, tasks, episodes, training.offline(), draw)
 
 
 def online_losses(
     parameters: GruParameters, window: Window, labels: Indices, steps: int, training: MetaTraining
 ) -> tuple[GruParameters, list[float]]:
-    """On-line training on one window whose clusters are known.
+    """On-line training by some steps on a window of N UAVs whose clusters, the ``labels`` ``(N,)``, are known.
 
-    Args:
-        parameters: where to start.
-        window: N UAVs.
-        labels: ``(N,)`` cluster of each.
-        steps: gradient steps.
-        training: the batches are those of this training, its seed decides the draws.
+    The batches are those of the training, and its seed decides the draws.
 
     Returns:
         The trained parameters, and the loss before each step.
     """
-    settings = OnlineTraining(steps=steps, metric=training.offline().metric)
+    settings = OnlineTraining(steps=steps, metric=training.part(Metric))
     generator = _generator(training, _ONLINE)
     return train_online(parameters, inputs_of(window, training.memory), torch.from_numpy(labels), settings, generator)
 
@@ -196,7 +175,7 @@ def train_meta(
     training = MetaTraining() if training is None else training
     # A training can be prolonged: a checkpoint may be of fewer episodes.
     checkpoint = Checkpoint(Path(out), training.model_dump(mode="json", exclude={"episodes"}), checkpoint_every)
-    settings, total = training.offline(), training.strategies + training.episodes
+    total = training.strategies + training.episodes
     arrays, losses = checkpoint.read() if resume else ({}, [])
     if len(losses) > training.episodes:
         raise ArgumentError(
@@ -205,16 +184,14 @@ def train_meta(
         )
     parameters = parameters_of(str(checkpoint.path), arrays) if arrays else start_of(training)
     tasks = []
-    strategies, draw = range(training.strategies), partial(_draw_strategy, training)
-    with closing(run_in_order(draw, strategies, workers, "Strategy")) as drawn:
+    draw = partial(_draw_windows, training)
+    with closing(run_in_order(draw, range(training.strategies), workers, "Strategy")) as drawn:
         for windows in drawn:
             tasks.append(_make_task(training, windows))
             progress(len(tasks), total)
     while len(losses) < training.episodes:
         episodes = range(len(losses), min(len(losses) + checkpoint_every, training.episodes))
-        parameters, more = train_offline(
-            parameters, tasks, episodes, settings, lambda episode: _generator(training, _EPISODE, episode)
-        )
+        parameters, more = _train(training, parameters, tasks, episodes)
         losses += more
         checkpoint.write(dict(zip(NAMES, parameters.tensors(), strict=True)), losses)
         progress(training.strategies + len(losses), total)
@@ -225,21 +202,23 @@ def train_meta(
 
 def _metrics(training: MetaTraining, parameters: GruParameters, losses: list[float]) -> dict[str, Any]:
     """The loss at the beginning and end, and on strategies that were not trained on, beside the random start's."""
-    settings, few = training.offline(), max(1, min(500, len(losses) // 2))
-    begin = start_of(training)
-    held_out: dict[str, list[float]] = {"trained": [], "start": []}
+    few = max(1, min(500, len(losses) // 2))
+    begin, metric = start_of(training), training.part(Metric)
+    held_out: list[list[float]] = []
     for number in range(_HELD_OUT_TASKS):
-        swarm = draw_task(training, _rng(training, _HELD_OUT, number)).query
-        for name, weights in (("trained", parameters), ("start", begin)):
-            generator = _generator(training, _MEASURE, number)  # the same batch for both
-            with torch.no_grad():
-                loss = batch_loss(weights, swarm.inputs, swarm.labels, settings.metric, generator)
-            held_out[name].append(float(loss))
+        swarm = draw_task(training, number, _HELD_OUT).query
+        with torch.no_grad():
+            both = [  # of the same batch
+                batch_loss(weights, swarm.inputs, swarm.labels, metric, _generator(training, _MEASURE, number))
+                for weights in (parameters, begin)
+            ]
+        held_out.append([float(loss) for loss in both])
+    of_trained, of_start = zip(*held_out, strict=True)
     return {
         "episodes_averaged": few,
         "first_loss": float(np.mean(losses[:few])),
         "last_loss": float(np.mean(losses[-few:])),
         "held_out_strategies": _HELD_OUT_TASKS,
-        "held_out_loss": float(np.mean(held_out["trained"])),
-        "held_out_loss_of_random_start": float(np.mean(held_out["start"])),
+        "held_out_loss": float(np.mean(of_trained)),
+        "held_out_loss_of_random_start": float(np.mean(of_start)),
     }

@@ -10,13 +10,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, embed, gru
+from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, embed, gru
 from usnet_env.config import ArgumentError, Config
-
-#: how positives and negatives are chosen, see :func:`draw_triplets`
-SAMPLINGS = ("hard", "semi-hard", "random")
-
-_Metres = Annotated[float, Field(gt=0)]
 
 
 class Metric(Config):
@@ -34,7 +29,7 @@ class Metric(Config):
     margin: Annotated[float, Field(gt=0)] = 0.5
     times: Annotated[int, Field(ge=1, le=100_000)] = 8
     anchors: Annotated[int, Field(ge=1, le=100_000)] = 256
-    scale: _Metres | tuple[_Metres, _Metres, _Metres] = ARENA_SCALE
+    scale: Scale = ARENA_SCALE
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,15 +124,7 @@ def batch_loss(
 ) -> Tensor:
     """Equation (33) of one random batch, as a mean, so that rates and losses do not depend on B.
 
-    Args:
-        parameters: W.
-        inputs: of n UAVs at R times.
-        labels: ``(n,)`` int64, clusters; UAVs with -1 take no part.
-        metric: what the batch is made of.
-        generator: where all draws come from.
-
-    Returns:
-        The loss; 0 where no triplet can be drawn.
+    The arguments are those of :func:`draw_triplets`. The loss is 0 where no triplet can be drawn.
 
     Raises:
         ArgumentError: ``labels`` has another length than n.

@@ -17,7 +17,7 @@ from usnet_env.config import ArgumentError, quote
 #: the arrays of a file, in the order of :meth:`GruParameters.tensors`
 NAMES = ("reset", "update", "candidate")
 
-_PACKAGE, _META = "detectors.mc_gassl", "meta"
+_META = ("detectors.mc_gassl", "meta")
 
 
 def save_weights(
@@ -42,12 +42,12 @@ def load_weights(path: str | os.PathLike[str]) -> GruParameters:
 
 def load_meta_weights() -> GruParameters:
     """The meta-trained weights that this package ships, made by :func:`detectors.mc_gassl.train.train_meta`."""
-    return parameters_of(_META, packaged_arrays(_PACKAGE, _META))
+    return parameters_of("meta", packaged_arrays(*_META))
 
 
 def meta_record() -> dict[str, Any]:
     """How the shipped weights were trained, and how well: ``sha256``, ``training``, ``metrics``."""
-    return packaged_record(_PACKAGE, _META)
+    return packaged_record(*_META)
 
 
 def parameters_of(path: str, arrays: Mapping[str, Tensor]) -> GruParameters:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mc_gassl_inputs import generator, parameters, random_inputs
 
-from detectors.mc_gassl.gru import GruParameters, GruSizes, draw_parameters, embed, gru
+from detectors.mc_gassl.gru import GruParameters, draw_parameters, embed, gru
 from usnet_env.config import ArgumentError
 
 
@@ -78,7 +78,7 @@ def test_the_reset_gate_acts_before_the_weights():
 def test_metres_saturate_the_gates_and_scaled_positions_do_not():
     inputs = random_inputs(uavs=200, dtype=torch.float32)
     inputs.position.mul_(200.0)
-    weights = draw_parameters(GruSizes(), generator()).trainable()
+    weights = draw_parameters(generator()).trainable()
     for scale, flat in ((1.0, True), (1000.0, False)):
         # W_r acts through g_r alone: its gradient tells whether that gate is saturated.
         gradient = torch.autograd.grad(embed(weights, inputs, scale).sum(), weights.reset)[0].abs().mean()
@@ -89,7 +89,7 @@ def test_metres_saturate_the_gates_and_scaled_positions_do_not():
 
 def test_a_random_start_is_its_generators_alone():
     before = torch.random.get_rng_state()
-    one, two, other = (draw_parameters(GruSizes(width=7), generator(seed)) for seed in (1, 1, 2))
+    one, two, other = (draw_parameters(generator(seed), 7) for seed in (1, 1, 2))
     for a, b, c in zip(one.tensors(), two.tensors(), other.tensors(), strict=True):
         assert a.shape == (7, 10)
         assert a.abs().max() <= 10**-0.5
@@ -106,4 +106,4 @@ def test_parameters_of_other_shapes_are_refused(shapes):
 
 def test_a_width_below_a_position_is_refused():
     with pytest.raises(ArgumentError, match="width"):
-        GruSizes(width=2)
+        draw_parameters(generator(), 2)

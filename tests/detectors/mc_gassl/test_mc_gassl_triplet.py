@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 from mc_gassl_inputs import generator, parameters, random_inputs
 
 from detectors.mc_gassl.gru import GruParameters, embed
-from detectors.mc_gassl.triplet import SAMPLINGS, Metric, batch_loss, draw_triplets, triplet_loss
+from detectors.mc_gassl.triplet import Metric, batch_loss, draw_triplets, triplet_loss
 from usnet_env.config import ArgumentError
+
+SAMPLINGS = ("hard", "semi-hard", "random")
 
 
 def drawn(sampling, inputs, labels, anchors=10_000, seed=0):
