@@ -40,10 +40,9 @@ class Learned(Detector):
         policy: how candidates are chosen. ``"cost"`` and ``"map"`` mean the same as in
             :class:`detectors.follow_mixture.FollowMixture`.
 
-            * ``"cost"`` (default) minimises the expected J_m of P2
-              (:func:`detectors.policy.choose`). A redundant candidate costs 1/N of a round, a missed
-              head costs ``round_price`` rounds; so it also names doubtful UAVs. It names at least
-              one UAV.
+            * ``"cost"`` (default) minimises the expected J_m of P2 (:func:`detectors.policy.choose`). A redundant
+              candidate costs 1/N of a round, a missed head ``round_price`` rounds; so it also names doubtful UAVs. It
+              names at least one UAV.
             * ``"map"`` minimises the expected number of wrong decisions: it names the UAVs with a probability above
               1/2. It may name no UAV.
             * ``"threshold"`` names the UAVs with a probability above ``threshold``, or the most probable UAV if there
@@ -96,8 +95,7 @@ class Learned(Detector):
                 f"window must hold at most {MOST_UAVS} living UAVs for this detector, got {len(living)}."
             )
         probability, attention = np.zeros(window.uavs), np.zeros((window.uavs, window.uavs))
-        leader = np.full(window.uavs, -1, np.int64)
-        clusters = np.full(window.uavs, -1, np.int64)
+        leader, clusters = np.full((2, window.uavs), -1)
         if len(living):
             probability[living], following = _predict_probabilities(self._network, window, living)
             if not window.velocity_seen.any():  # equal inputs, of which rounding must not make an order
@@ -131,12 +129,10 @@ def _predict_probabilities(network: HeadNetwork, window: Window, living: NDArray
 
 def _choose_candidates(probability: Floats, alive: Mask, arguments: Any, tie: Floats) -> Mask:
     """Choose the candidates ``(N,)`` among the living UAVs by the policy."""
-    if arguments.policy == "cost":
-        return choose(probability, alive, Policy(round_price=arguments.round_price), tie)
-    if arguments.policy == "map":
-        return choose(probability, alive, Policy(policy="map"), tie)
+    if arguments.policy != "threshold":
+        policy = Policy(policy=arguments.policy, round_price=arguments.round_price)
+        return choose(probability, alive, policy, tie)
     named = alive & (probability > arguments.threshold)
     if not named.any() and alive.any():
-        living = np.flatnonzero(alive)
-        named[living[np.lexsort((tie[living], -probability[living]))[0]]] = True
+        named[np.lexsort((tie, -probability, ~alive))[0]] = True
     return named

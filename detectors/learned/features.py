@@ -69,7 +69,9 @@ def _compute_flight_statistics(velocity: Singles, seen: Mask) -> Iterator[Single
     steps = len(velocity)
     linear = centre_columns(velocity, seen)
     quadratic = centre_columns(_make_quadratic_features(velocity), seen)
-    products = centre_columns(_make_product_features(velocity), seen[1:] & seen[:-1])
+    # The products of each axis of a velocity with each axis of the previous velocity.
+    products = (velocity[1:, :, :, None] * velocity[:-1, :, None, :]).reshape(steps - 1, velocity.shape[1], 9)
+    products = centre_columns(products, seen[1:] & seen[:-1])
     own = 2 if steps >= _LONG else 1
     surprise, late = compute_innovations(linear, own), seen[own:]
     for target, first, second, third, there in (
@@ -101,12 +103,6 @@ def _make_quadratic_features(velocity: Singles) -> Singles:
     x, y, z = np.moveaxis(velocity, 2, 0)
     mixed = np.float32(np.sqrt(2.0))
     return np.stack([x * x, y * y, z * z, mixed * x * y, mixed * y * z, mixed * z * x], axis=2)
-
-
-def _make_product_features(velocity: Singles) -> Singles:
-    """``(T - 1, n, 9)``: the products of each axis of a velocity with each axis of the previous velocity."""
-    mixed = velocity[1:, :, :, None] * velocity[:-1, :, None, :]
-    return mixed.reshape(len(mixed), velocity.shape[1], 9)
 
 
 def _explain_shares(features: Singles, targets: list[Singles]) -> list[Singles]:

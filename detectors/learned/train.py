@@ -68,7 +68,7 @@ class HeadTraining(Config):
 
     def sizes(self) -> NetworkSizes:
         """Return the sizes of the network."""
-        return NetworkSizes(width=self.width, attn_heads=self.attn_heads, blocks=self.blocks)
+        return self.part(NetworkSizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +114,6 @@ def compute_loss(answer: Answer, example: Example, leader_weight: float) -> Tens
     """Cross entropy of the heads plus ``leader_weight`` times that of the leaders, each averaged over the UAVs."""
     head = torch.nn.functional.binary_cross_entropy_with_logits(answer.head, example.head)
     return head + leader_weight * torch.nn.functional.cross_entropy(answer.leader, example.leader)
-
-
-def _compute_learning_rate(training: HeadTraining, step: int) -> float:
-    rise = min(1.0, (step + 1) / training.warm)
-    return training.rate * rise * 0.5 * (1.0 + math.cos(math.pi * step / training.steps))
 
 
 def train_heads(
@@ -178,15 +173,12 @@ def _draw_step(training: HeadTraining, step: int) -> list[tuple[NDArray[Any], ..
 
 
 def _run_step(
-    training: HeadTraining,
-    step: int,
-    examples: list[Example],
-    network: HeadNetwork,
-    optimiser: torch.optim.Optimizer,
+    training: HeadTraining, step: int, examples: list[Example], network: HeadNetwork, optimiser: torch.optim.Optimizer
 ) -> float:
     """Run one step of the optimiser and return the mean loss of the examples."""
+    rise = min(1.0, (step + 1) / training.warm)
     for group in optimiser.param_groups:
-        group["lr"] = _compute_learning_rate(training, step)
+        group["lr"] = training.rate * rise * 0.5 * (1.0 + math.cos(math.pi * step / training.steps))
     optimiser.zero_grad()
     total = 0.0
     for example in examples:
@@ -200,9 +192,8 @@ def _run_step(
 
 def _evaluate_network(training: HeadTraining, network: HeadNetwork, losses: list[float]) -> dict[str, Any]:
     """Compute the loss at the start and the end of training, and the accuracy on held-out swarms."""
-    few = max(1, min(100, len(losses) // 2))
+    few, swarms = max(1, min(100, len(losses) // 2)), min(_HELD_OUT_SWARMS, training.steps)
     held_out, exact, right, of = [], 0, 0, 0
-    swarms = min(_HELD_OUT_SWARMS, training.steps)
     network.eval()
     for number in range(swarms):
         example = draw_example(training, _make_rng(training, _HELD_OUT, number))
@@ -238,13 +229,15 @@ def _read_checkpoint(checkpoint: Checkpoint, network: HeadNetwork, optimiser: to
     arrays, losses = checkpoint.read()
     if not losses:
         return losses
-    network.load_state_dict(
-        {name.removeprefix("network."): value for name, value in arrays.items() if name.startswith("network.")}
-    )
+    weights: dict[str, Tensor] = {}
     state: dict[int, dict[str, Tensor]] = {}
     for name, value in arrays.items():
-        if name.startswith("optimiser."):
-            _, number, entry = name.split(".")
+        owner, _, entry = name.partition(".")
+        if owner == "network":
+            weights[entry] = value
+        elif owner == "optimiser":
+            number, _, entry = entry.partition(".")
             state.setdefault(int(number), {})[entry] = value
+    network.load_state_dict(weights)
     optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
     return losses
