@@ -151,14 +151,14 @@ class LeadVotes(Detector):
         uavs = window.uavs
         proposed, score = np.zeros(uavs, bool), np.zeros(uavs)
         leader, attention = np.full(uavs, -1, np.int64), np.zeros((uavs, uavs))
-        clusters = [clustering.labels == label for label in range(clustering.count)]
-        evident = [
-            members.sum() >= _LEAST_UAVS and bool(window.velocity_seen[:, members].any()) for members in clusters
-        ]
-        for members, enough in zip(clusters, evident, strict=True):
-            if not enough:
+        large = []
+        for label in range(clustering.count):
+            members = clustering.labels == label
+            if members.sum() >= _LEAST_UAVS and window.velocity_seen[:, members].any():
+                large.append(members)
+            else:
                 proposed |= members if self.gate else self._draw_one(members)
-        large = sorted((members for members, enough in zip(clusters, evident, strict=True) if enough), key=np.sum)
+        large.sort(key=np.sum)
         while large:
             size = max(1, _BATCH_UAVS // int(large[0].sum()))
             part, large = large[:size], large[size:]

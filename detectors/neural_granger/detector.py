@@ -8,7 +8,6 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
@@ -17,7 +16,7 @@ from detectors.neural_granger.per_candidate import PerCandidate, fit_per_candida
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
 from detectors.series.votes import choose_heads, name_at_random, select_top, spread
-from usnet_env.arrays import Floats, Mask
+from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -81,17 +80,15 @@ class NeuralGranger(Detector):
         """
         super().check_arguments()
         self._resolve_device()
-        names = PerCandidate.model_fields
-        return PerCandidate(**{name: getattr(self, name) for name in names if getattr(self, name) is not None})
+        given = {name: getattr(self, name) for name in PerCandidate.model_fields}
+        return PerCandidate(**{name: value for name, value in given.items() if value is not None})
 
     def _resolve_device(self) -> torch.device:
-        if self.device == "auto":
-            return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        if self.device not in ("cpu", "cuda"):
+        if self.device not in ("cpu", "cuda", "auto"):
             raise ArgumentError(f"device must be 'cpu', 'cuda' or 'auto', got {quote(self.device)}.")
         if self.device == "cuda" and not torch.cuda.is_available():
             raise ArgumentError("device must be 'cpu' or 'auto' on a machine without a GPU, got 'cuda'.")
-        return torch.device(self.device)
+        return torch.device("cuda" if self.device != "cpu" and torch.cuda.is_available() else "cpu")
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
@@ -128,81 +125,45 @@ class NeuralGranger(Detector):
         one generator, so the answer for a window depends on the batch that it is in.
         """
         settings = self.check_arguments()
-        device = self._resolve_device()
-        rng = self.rng
         groups: dict[tuple[int, int, bool], list[int]] = {}
-        members = []
         for number, window in enumerate(windows):
             check_window(window, self.memory)
-            index = np.flatnonzero(window.alive)
-            members.append(index)
-            shown = len(index) >= _LEAST_UAVS and bool(window.velocity_seen.any())
-            groups.setdefault((len(index), window.observation_steps, shown), []).append(number)
+            living = int(window.alive.sum())
+            shown = living >= _LEAST_UAVS and bool(window.velocity_seen.any())
+            groups.setdefault((living, window.observation_steps, shown), []).append(number)
         answers: dict[int, Detection] = {}
         for (_, _, shown), numbers in groups.items():
-            chosen = [windows[number] for number in numbers]
-            among = [members[number] for number in numbers]
-            if not shown:
-                count = 0 if self.gate else self.top_k
-                found = [
-                    Detection(
-                        name_at_random(index, count, window.uavs, rng),
-                        np.zeros(window.uavs),
-                        extras={"followed": False},
-                    )
-                    for window, index in zip(chosen, among, strict=True)
-                ]
-            else:
-                found = self._fit_group(chosen, among, settings, device, rng)
-            answers.update(zip(numbers, found, strict=True))
+            answer = self._fit_group if shown else self._name_at_random
+            answers.update(zip(numbers, answer([windows[number] for number in numbers], settings), strict=True))
         return [answers[number] for number in range(len(windows))]
 
-    def _fit_group(
-        self,
-        windows: list[Window],
-        members: list[NDArray[np.intp]],
-        settings: PerCandidate,
-        device: torch.device,
-        rng: np.random.Generator,
-    ) -> list[Detection]:
-        samples = build_samples(windows, members, self.memory, device)
-        generator = torch.Generator(device).manual_seed(int(rng.integers(2**63)))
-        fit = fit_per_candidate(samples, settings, generator)
-        attention = fit.attention.double()
-        second = fit.held_out_gain.sort(dim=1, descending=True).values[:, 1]
-        whole: list[dict[str, Any]] = []
-        for e in range(len(windows)):
-            gain = second[e].double().cpu().numpy()
-            followed = bool(gain[int(fit.winner[e])] >= self.gate_threshold)
-            explained = fit.explained[e].double().cpu().numpy()
-            whole.append({"gain": gain, "followed": followed, "explained": explained})
-        return [
-            self._make_detection(window, index, attention[e].cpu().numpy(), whole[e], rng)
-            for e, (window, index) in enumerate(zip(windows, members, strict=True))
-        ]
+    def _name_at_random(self, windows: list[Window], _: PerCandidate) -> list[Detection]:
+        count = 0 if self.gate else self.top_k
+        found = [name_at_random(np.flatnonzero(each.alive), count, each.uavs, self.rng) for each in windows]
+        return [Detection(each, np.zeros(len(each)), extras={"followed": False}) for each in found]
 
-    def _make_detection(
-        self,
-        window: Window,
-        index: NDArray[np.intp],
-        attention: Floats,
-        extras: dict[str, Any],
-        rng: np.random.Generator,
-    ) -> Detection:
-        """Turn the attention ``(n, n)`` of the living UAVs into a detection for all N UAVs of the window."""
-        choice, own = choose_heads(attention, False, rng), choose_heads(attention, True, rng)
-        c = attention.copy()
-        np.fill_diagonal(c, 0.0)
-        c = c.sum(axis=0) / len(attention)
-        named = np.zeros(len(index), bool)
-        if not self.gate or extras["followed"]:
-            named[select_top(c, self.top_k, rng)] = True
-        wide = partial(spread, members=index, uavs=window.uavs)
-        more = {name: wide(value) if isinstance(value, np.ndarray) else value for name, value in extras.items()}
-        return Detection(
-            wide(named),
-            wide(c),
-            leader=wide(index[own], fill=-1),
-            attention=wide(attention, pairs=True),
-            extras={"choice": wide(index[choice], fill=-1), **more},
-        )
+    def _fit_group(self, windows: list[Window], settings: PerCandidate) -> list[Detection]:
+        members, device = [np.flatnonzero(window.alive) for window in windows], self._resolve_device()
+        samples = build_samples(windows, members, self.memory, device)
+        generator = torch.Generator(device).manual_seed(int(self.rng.integers(2**63)))
+        fit = fit_per_candidate(samples, settings, generator)
+        second = fit.held_out_gain.sort(dim=1, descending=True).values[:, 1]
+        arrays = (each.double().cpu().numpy() for each in (fit.attention, second, fit.explained))
+        found = []
+        for window, index, winner, attention, gain, explained in zip(
+            windows, members, fit.winner.tolist(), *arrays, strict=True
+        ):
+            choice, own = choose_heads(attention, False, self.rng), choose_heads(attention, True, self.rng)
+            c = attention.copy()
+            np.fill_diagonal(c, 0.0)
+            c = c.sum(axis=0) / len(attention)
+            followed = bool(gain[winner] >= self.gate_threshold)
+            named = np.zeros(len(index), bool)
+            if not self.gate or followed:
+                named[select_top(c, self.top_k, self.rng)] = True
+            wide = partial(spread, members=index, uavs=window.uavs)
+            extras: dict[str, Any] = {"choice": wide(index[choice], fill=-1), "gain": wide(gain), "followed": followed}
+            extras["explained"] = wide(explained)
+            leader, whole = wide(index[own], fill=-1), wide(attention, pairs=True)
+            found.append(Detection(wide(named), wide(c), leader=leader, attention=whole, extras=extras))
+        return found

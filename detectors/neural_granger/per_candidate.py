@@ -18,8 +18,9 @@ with the null model in the place of j = i.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -122,25 +123,22 @@ class AdditiveNetwork:
 
     def select(self, index: Tensor) -> AdditiveNetwork:
         """Copy some of the networks, without gradient."""
-        some = object.__new__(AdditiveNetwork)
-        some.weights = [parameter.detach()[index] for parameter in self.weights]
-        some.free = [parameter.detach()[index] for parameter in self.free]
-        return some
+        return self._map(lambda parameter: parameter.detach()[index])
 
     def repeat(self, count: int) -> AdditiveNetwork:
         """Repeat the only network ``count`` times; the gradients of the copies add up."""
-        same = object.__new__(AdditiveNetwork)
-        same.weights = [parameter.expand(count, *parameter.shape[1:]) for parameter in self.weights]
-        same.free = [parameter.expand(count, *parameter.shape[1:]) for parameter in self.free]
-        return same
+        return self._map(lambda parameter: parameter.expand(count, *parameter.shape[1:]))
+
+    def _map(self, change: Callable[[Tensor], Tensor]) -> AdditiveNetwork:
+        """The networks with changed parameters."""
+        changed = copy(self)
+        changed.weights, changed.free = ([change(each) for each in part] for part in (self.weights, self.free))
+        return changed
 
     def train(self, settings: PerCandidate, draw_loss: Callable[[], Tensor]) -> None:
         """Lower a loss by AdamW, with weight decay for ``weights`` only; ``draw_loss`` draws a batch in every step."""
-        groups = [
-            {"params": self.weights, "weight_decay": settings.weight_decay},
-            {"params": self.free, "weight_decay": 0.0},
-        ]
-        optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate)
+        groups: list[dict[str, Any]] = [{"params": self.weights}, {"params": self.free, "weight_decay": 0.0}]
+        optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
         for _ in range(settings.steps):
             loss = draw_loss()

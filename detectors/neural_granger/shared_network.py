@@ -77,12 +77,7 @@ def follow_by_shared_network(
 
 
 def _train(
-    problem: Problem,
-    network: AdditiveNetwork,
-    head: Tensor,
-    heads: Tensor,
-    used: Tensor,
-    generator: torch.Generator,
+    problem: Problem, network: AdditiveNetwork, head: Tensor, heads: Tensor, used: Tensor, generator: torch.Generator
 ) -> None:
     """Train the network to predict every follower from its head; the loss is the mean logarithm of their errors."""
     settings, samples = problem.settings, problem.samples
@@ -93,8 +88,7 @@ def _train(
 
     def draw_loss() -> Tensor:
         times = used[torch.randperm(len(used), generator=generator, device=head.device)[: settings.times]]
-        draw = torch.randperm(len(followers), generator=generator, device=head.device)[: settings.voters]
-        voters = followers[draw]
+        voters = followers[torch.randperm(len(followers), generator=generator, device=head.device)[: settings.voters]]
         errors = problem.compute_errors(network.repeat(len(heads)), heads, voters, times, generator)[0]
         weight = samples.weight[0, voters][:, times]
         mean = compute_weighted_mean(errors, weight)
