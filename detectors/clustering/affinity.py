@@ -49,11 +49,7 @@ def compute_lag_affinity(features: Floats, max_lag: int) -> Floats:
 
     c is the level of chance: the median over the UAVs of the highest correlation of a UAV with another one that is
     shifted in time. Without it the sum of many small correlations by chance would connect the clusters of a large
-    swarm.
-
-    Args:
-        features: ``(n, T, d)``.
-        max_lag: L, in samples.
+    swarm. ``features`` are ``(n, T, d)``, and ``max_lag`` is L, in samples.
 
     Raises:
         ArgumentError: the features have no time axis.
@@ -68,22 +64,19 @@ def compute_lag_affinity(features: Floats, max_lag: int) -> Floats:
     return np.clip((correlate_both_ways(features, max_lag) - chance) / (1.0 - chance), 0.0, 1.0)
 
 
-def _flatten_series(features: Floats) -> Floats:
-    return features.reshape(len(features), -1)
+def _centre_rows(features: Floats) -> Floats:
+    """``(n, d)``: one row for each UAV, less the mean row."""
+    flat = features.reshape(len(features), -1)
+    return np.asarray(flat - flat.mean(axis=0))
 
 
 def compute_rbf_affinity(features: Floats, max_lag: int) -> Floats:
     """Compute exp(-|x_i - x_j|² / (σ_i σ_j)), ``(n, n)``, where σ_i is the distance of i to its 7th neighbour.
 
     This is the local scaling of Zelnik-Manor and Perona (NIPS 2004). A fixed width does not fit all windows, and a
-    width from all distances is dominated by the distances between clusters.
-
-    Args:
-        features: ``(n, d)`` or ``(n, T, d)``.
-        max_lag: not used.
+    width from all distances is dominated by the distances between clusters. ``max_lag`` is not used.
     """
-    flat = _flatten_series(features)
-    flat = flat - flat.mean(axis=0)
+    flat = _centre_rows(features)
     length = (flat**2).sum(axis=1)
     squared = np.maximum(length[:, None] + length - 2.0 * flat @ flat.T, 0.0)
     np.fill_diagonal(squared, 0.0)
@@ -93,14 +86,8 @@ def compute_rbf_affinity(features: Floats, max_lag: int) -> Floats:
 
 
 def compute_cosine_affinity(features: Floats, max_lag: int) -> Floats:
-    """Compute max(0, cos(x_i - x̄, x_j - x̄)), ``(n, n)``, where x̄ is the mean over the UAVs.
-
-    Args:
-        features: ``(n, d)`` or ``(n, T, d)``.
-        max_lag: not used.
-    """
-    flat = _flatten_series(features)
-    flat = flat - flat.mean(axis=0)
+    """Compute max(0, cos(x_i - x̄, x_j - x̄)), ``(n, n)``, where x̄ is the mean over the UAVs; no ``max_lag`` is used."""
+    flat = _centre_rows(features)
     length = np.sqrt((flat**2).sum(axis=1))
     flat /= np.where(length > 1e-9, length, np.inf)[:, None]
     affinity = np.clip(flat @ flat.T, 0.0, 1.0)

@@ -44,13 +44,7 @@ def estimate_count_by_eigengap(affinity: Floats, rng: np.random.Generator, max_c
 
 
 def compute_largest_eigenvalues(matrix: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """Return the ``count`` largest eigenvalues of a symmetric matrix ``(n, n)`` in descending order.
-
-    Args:
-        matrix: ``(n, n)`` symmetric.
-        count: how many; at most n are returned.
-        rng: generator of the start vector of the Lanczos iterations (large matrices only).
-    """
+    """Return the ``count`` largest eigenvalues, at most n, of a symmetric matrix ``(n, n)`` in descending order."""
     if len(matrix) <= _DENSE or count >= len(matrix) - 1:
         return np.asarray(np.linalg.eigvalsh(matrix)[::-1][:count], np.float64)
     found = eigsh(matrix, count, which="LA", v0=rng.standard_normal(len(matrix)), return_eigenvectors=False, tol=1e-4)

@@ -21,18 +21,6 @@ from usnet_env.window import Window, frozen_array
 Features = Callable[[Window], ArrayLike]
 
 
-def _take_last_samples(window: Window, memory: int) -> tuple[Floats, Floats]:
-    """Return the positions at the start of the last T_0 steps and their velocities, each ``(N, T_0, 3)``."""
-    whole = fill_gaps(window)
-    position, velocity = whole.position[:-1][-memory:], whole.velocity[-memory:]
-    return position.swapaxes(0, 1).astype(np.float64), velocity.swapaxes(0, 1).astype(np.float64)
-
-
-def _flatten_samples(position: Floats, velocity: Floats) -> Floats:
-    """Return one row ``(6 T_0,)`` per UAV: position and velocity, sample by sample."""
-    return np.concatenate([position, velocity], axis=2).reshape(len(position), -1)
-
-
 def compute_raw_features(window: Window, memory: int) -> Floats:
     """Return the paper's window: the last T_0 velocities and the positions where they start, ``(N, 6 T_0)``.
 
@@ -43,7 +31,9 @@ def compute_raw_features(window: Window, memory: int) -> Floats:
     Returns:
         Metres and metres per step, sample by sample: x, y, z of the position, then of the velocity.
     """
-    return _flatten_samples(*_take_last_samples(window, memory))
+    whole = fill_gaps(window)
+    samples = np.concatenate([whole.position[:-1][-memory:], whole.velocity[-memory:]], axis=2, dtype=np.float64)
+    return samples.swapaxes(0, 1).reshape(window.uavs, -1)
 
 
 def compute_scaled_features(window: Window, memory: int) -> Floats:
@@ -51,14 +41,12 @@ def compute_scaled_features(window: Window, memory: int) -> Floats:
 
     The mean and the standard deviation of a coordinate are over all living UAVs and all T_0 samples.
     """
-    parts = []
-    for values in _take_last_samples(window, memory):
-        living = values[window.alive].reshape(-1, 3)
-        if len(living) == 0:
-            living = np.zeros((1, 3))
-        spread = living.std(axis=0)
-        parts.append((values - living.mean(axis=0)) / np.where(spread > 1e-12, spread, 1.0))
-    return _flatten_samples(*parts)
+    samples = compute_raw_features(window, memory).reshape(window.uavs, -1, 6)
+    living = samples[window.alive].reshape(-1, 6)
+    if len(living) == 0:
+        return samples.reshape(window.uavs, -1)
+    spread = living.std(axis=0)
+    return ((samples - living.mean(axis=0)) / np.where(spread > 1e-12, spread, 1.0)).reshape(window.uavs, -1)
 
 
 def collect_velocity_series(window: Window, memory: int) -> Floats:

@@ -102,13 +102,7 @@ def _last_compared(k: int, margin: float) -> int:
 
 
 def _choose_count(gaps: list[float], deviations: list[float], margin: float) -> int | None:
-    """Return the smallest k that satisfies the rule, or ``None``.
-
-    Args:
-        gaps: Gap(1), Gap(2), ..., as far as they are known.
-        deviations: s_1, s_2, ..., as many.
-        margin: as in :func:`compute_gap_statistic`.
-    """
+    """Return the smallest k that satisfies the rule, or ``None``, by Gap(1), ... and s_1, ... that are known."""
     for k in range(1, len(gaps)):
         later = range(k + 1, min(_last_compared(k, margin), len(gaps)))  # index j is Gap(j + 1)
         if gaps[k - 1] >= gaps[k] - deviations[k] and not any(

@@ -18,15 +18,9 @@ _TOLERANCE = 3e-4  # K-Means has converged when no W_k falls by more than this s
 
 
 def assign_k_means_labels(features: Floats, count: int, rng: np.random.Generator) -> Indices:
-    """Cluster the rows of one data set by K-Means with K-Means++ and ten starts.
+    """Labels ``(n,)`` from 0 of the rows ``(n, d)`` of one data set, by K-Means with K-Means++ and ten starts.
 
-    Args:
-        features: ``(n, d)``.
-        count: the number of clusters; it is lowered to the number of distinct rows.
-        rng: generator of the seed of scikit-learn.
-
-    Returns:
-        Labels ``(n,)`` from 0.
+    ``count`` is lowered to the number of distinct rows. ``rng`` draws the seed of scikit-learn.
     """
     count = min(count, len(np.unique(features, axis=0)))
     labels: Indices = SklearnKMeans(count, n_init=STARTS, random_state=int(rng.integers(2**31))).fit_predict(features)

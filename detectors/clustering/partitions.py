@@ -29,16 +29,13 @@ class KMeans(Clusterer):
 
 
 class Spectral(Clusterer):
-    """Spectral clustering of the regularised affinity.
-
-    :func:`detectors.clustering.affinity.regularise_affinity` defines it.
-    """
+    """Spectral clustering of the affinity after :func:`detectors.clustering.affinity.regularise_affinity`."""
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn."""
         assert count is not None
-        if count == 1 or count >= len(living.index):
-            return np.zeros(len(living.index), np.int64) if count == 1 else np.arange(count)
+        if count in (1, len(living.index)):
+            return np.arange(len(living.index)) % count
         # K-Means on the embedding sometimes makes a cluster of one head that is similar to no UAV; cluster_qr does not.
         labels: Indices = spectral_clustering(
             regularise_affinity(living.affinity),
@@ -116,10 +113,10 @@ class Hdbscan(Clusterer):
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
-        n = len(living.index)
-        if n < living.arguments.least:
+        n, least = len(living.index), living.arguments.least
+        if n < least:
             return np.zeros(n, np.int64)
-        model = HDBSCAN(min_cluster_size=living.arguments.least, min_samples=1, metric="precomputed", copy=True)
+        model = HDBSCAN(min_cluster_size=least, min_samples=1, metric="precomputed", copy=True)
         found: Indices = model.fit_predict(1.0 - living.affinity).astype(np.int64)
         clustered = found >= 0
         if not clustered.any():
