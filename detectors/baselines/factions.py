@@ -56,7 +56,7 @@ class Factions(Detector):
         check_pairs(window.uavs)
         living = np.flatnonzero(window.alive)
         scores = np.zeros(window.uavs)
-        leader, clusters = np.full((2, window.uavs), -1)
+        leader, clusters = np.full((2, window.uavs), -1, np.int64)
         candidates = np.zeros(window.uavs, bool)
         if len(living):
             network = build_following_network(
@@ -81,11 +81,7 @@ class Factions(Detector):
 def build_following_network(velocity: NDArray[np.floating], seen: Mask, max_lag: int, threshold: float) -> Floats:
     """Build the network ``(n, n)``; entry (i, j) is the correlation with which i follows j, or 0.
 
-    Args:
-        velocity: ``(T, n, 3)``.
-        seen: ``(T, n)`` bool.
-        max_lag: the largest lag, in samples.
-        threshold: the smallest correlation that counts as following.
+    ``velocity`` is ``(T, n, 3)``, ``seen`` is ``(T, n)``; the other arguments are those of :class:`Factions`.
     """
     flight = scale_to_unit(centre_columns(velocity.astype(np.float64), seen))
     best = correlate_over_lags(flight, flight, min(max_lag, len(velocity) - 2))

@@ -210,12 +210,7 @@ def _find_threshold(values: Floats, maxima: list[Floats], level: float) -> float
 
 
 def correlate_flights(series: Floats, seen: Mask, lags: int) -> tuple[Floats, Indices]:
-    """Correlate each UAV's series with each other's past.
-
-    Args:
-        series: ``(T, n, d)``.
-        seen: ``(T, n)`` bool.
-        lags: the largest lag.
+    """Correlate each UAV's ``series`` ``(T, n, d)``, where it was ``seen`` ``(T, n)``, with each other's past.
 
     Returns:
         ``(n, n)`` largest correlation of i with the past of j over the lags 1 to ``lags``, and the lag ``(n, n)``.

@@ -165,10 +165,8 @@ def detection_from_evidence(
     """
     uavs = len(alive)
     living = np.flatnonzero(alive)
-    scores = np.zeros(uavs)
-    attention = np.zeros((uavs, uavs))
-    vote = np.full(uavs, -1, np.int64)
-    weight = np.zeros(uavs)
+    scores, weight, attention = np.zeros(uavs), np.zeros(uavs), np.zeros((uavs, uavs))
+    vote, label, leader = np.full((3, uavs), -1, np.int64)
     found: list[int] = []
     if evidence is not None:
         chosen, weight[living] = compute_votes(evidence)
@@ -184,9 +182,6 @@ def detection_from_evidence(
     heads = np.sort(heads)
     candidates = np.zeros(uavs, bool)
     candidates[heads] = True
-
-    label = np.full(uavs, -1, np.int64)
-    leader = np.full(uavs, -1, np.int64)
     if len(heads):
         label[living] = attention[np.ix_(living, heads)].argmax(axis=1)
         label[heads] = np.arange(len(heads))
