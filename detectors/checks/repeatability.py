@@ -88,12 +88,7 @@ def _summarise_detection(candidates: Mask, scores: Floats) -> Floats:
 
 
 def compute_p_value(here: Floats, there: Floats) -> float:
-    """p-value of a permutation test for equal means of two samples.
-
-    Args:
-        here: ``(k, d)``, the first sample.
-        there: ``(k, d)``, the second sample.
-    """
+    """p-value of a permutation test for equal means of two samples, ``(k, d)`` each."""
     pooled = np.concatenate([here, there])
     rng = np.random.default_rng(0)
     orders = np.stack([np.arange(len(pooled)), *(rng.permutation(len(pooled)) for _ in range(RELABELLINGS))])

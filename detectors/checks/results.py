@@ -80,10 +80,7 @@ def get_name(check: Check) -> str:
 def run_check(check: Check, detector: Any, excuses: Mapping[str, str]) -> CheckResult:
     """Run one check, whatever the detector raises except ``KeyboardInterrupt``.
 
-    Args:
-        check: the check.
-        detector: the detector.
-        excuses: reasons by the names of the checks that are expected to fail.
+    ``excuses`` are reasons by the names of the checks that are expected to fail.
     """
     name = get_name(check)
     begin = time.perf_counter()

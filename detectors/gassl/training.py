@@ -161,12 +161,7 @@ def _train_uav(  # type: ignore[no-untyped-def]
 def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, training: Training) -> Fit:
     """Lines 1 to 7 of Algorithm 1: one UAV after another, all times in every step, Γ handed on.
 
-    Args:
-        inputs: of n UAVs.
-        phi: ``(n, parameters)`` initial Φ.
-        gamma: ``(parameters,)`` initial Γ.
-        sizes: of the AGAT.
-        training: Ω and β.
+    The initial Φ ``phi`` ``(n, parameters)`` and the initial Γ ``gamma`` ``(parameters,)`` stay as they are.
     """
     uavs, heads = inputs.uavs, sizes.attn_heads
     phi, gamma = phi.copy(), gamma.copy()

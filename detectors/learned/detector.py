@@ -95,7 +95,7 @@ class Learned(Detector):
                 f"window must hold at most {MOST_UAVS} living UAVs for this detector, got {len(living)}."
             )
         probability, attention = np.zeros(window.uavs), np.zeros((window.uavs, window.uavs))
-        leader, clusters = np.full((2, window.uavs), -1)
+        leader, clusters = np.full((2, window.uavs), -1, np.int64)
         if len(living):
             probability[living], following = _predict_probabilities(self._network, window, living)
             if not window.velocity_seen.any():  # equal inputs, of which rounding must not make an order

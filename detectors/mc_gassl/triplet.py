@@ -52,7 +52,7 @@ class Triplets:
 def draw_triplets(
     metric: Metric, parameters: GruParameters, inputs: GruInputs, labels: Tensor, generator: torch.Generator
 ) -> Triplets:
-    """Triplets for random anchors.
+    """Draw triplets for random anchors.
 
     ``"hard"`` is the paper's, equations (30) and (31): of the anchor's cluster the farthest in input space, of the
     others the nearest in input space. Inputs are in metres there, so positions decide. ``"semi-hard"`` (Schroff et al.,

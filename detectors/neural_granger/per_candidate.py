@@ -216,11 +216,7 @@ def find_untrained_times(used: Tensor, times: int) -> Tensor:
 
 
 def predict_from_own_history(samples: Samples, ridge: float) -> Tensor:
-    """Predict each UAV's next velocity from its own last velocities, without those times: the null model.
-
-    Returns:
-        ``(E, n, R, 3)``, see :func:`detectors.series.null_models.predict_from_own_past`.
-    """
+    """Predict each UAV's next velocity ``(E, n, R, 3)`` from its own last ones, without those times: the null model."""
     past = (_VELOCITY_SCALE * samples.velocity.flatten(3)).cpu().numpy()
     past = np.concatenate([past, np.ones_like(past[..., :1])], axis=-1)
     target, weight = samples.target.cpu().numpy(), samples.weight.cpu().numpy()
@@ -262,7 +258,7 @@ class Problem:
         times: Tensor,
         generator: torch.Generator | None = None,
     ) -> Tensor:
-        """Squared errors ``(E, c, v, t)`` of predicting the voters from the columns, with E * c networks.
+        """Squared errors ``(E, c, v, t)`` of predicting the voters from the columns.
 
         Args:
             network: E * c networks.
@@ -291,10 +287,7 @@ class Problem:
 def fit_per_candidate(samples: Samples, settings: PerCandidate, generator: torch.Generator) -> Fit:
     """Train a network for every candidate, select the winner, and compute attention with the winner's network.
 
-    Args:
-        samples: E windows of n UAVs.
-        settings: sizes and rates.
-        generator: of all random numbers; on the same device as the samples.
+    ``generator``, of all random numbers, is on the same device as the samples of E windows.
     """
     windows, uavs = samples.windows, samples.uavs
     device = samples.target.device
