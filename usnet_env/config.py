@@ -13,7 +13,8 @@ from difflib import get_close_matches
 from functools import update_wrapper
 from inspect import Parameter, Signature
 from pathlib import PurePath
-from typing import Any, Concatenate, ParamSpec, TypeVar, get_type_hints
+from types import MappingProxyType
+from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
@@ -140,11 +141,21 @@ def _to_python(value: Any) -> Any:
     return value
 
 
-def unknown_argument(name: str, owner: str, known: Iterable[str]) -> ArgumentError:
-    """The error for an argument that ``owner`` does not have; it suggests the most similar argument."""
+def unknown_argument(
+    name: str, owner: str, known: Iterable[str], instead: Mapping[str, str] = MappingProxyType({})
+) -> ArgumentError:
+    """The error for an argument that ``owner`` does not have.
+
+    Args:
+        name: the argument.
+        owner: the class or function, for the message.
+        known: the arguments that it has; the most similar one is suggested.
+        instead: what to suggest in place of that, by the name of an argument that similar classes have.
+    """
     takes = list(known)
     near = get_close_matches(name, takes, n=1)
-    hint = f" (did you mean {near[0]!r}?)" if near else ""
+    hint = instead.get(name) or (f"did you mean {near[0]!r}?" if near else "")
+    hint = hint and f" ({hint})"
     return ArgumentError(f"{name} is not an argument of {owner}{hint}; it takes {', '.join(takes)}.")
 
 
@@ -170,7 +181,12 @@ class Config(BaseModel):
     """A frozen, strictly typed configuration; an invalid value raises :class:`ArgumentError`.
 
     The descriptions of the fields, if they have any, become the section ``Args`` of the docstring.
+
+    Attributes:
+        instead: arguments that this configuration does not have and similar ones do, and what to say about each.
     """
+
+    instead: ClassVar[Mapping[str, str]] = {}
 
     model_config = ConfigDict(
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True
@@ -182,7 +198,10 @@ class Config(BaseModel):
         except ValidationError as error:
             for found in error.errors():
                 if found["type"] == "extra_forbidden":
-                    raise unknown_argument(str(found["loc"][0]), type(self).__name__, type(self).model_fields) from None
+                    owner = type(self)
+                    raise unknown_argument(
+                        str(found["loc"][0]), owner.__name__, owner.model_fields, owner.instead
+                    ) from None
             raise ArgumentError(_to_sentence(error)) from None
 
     @model_validator(mode="before")
@@ -224,7 +243,7 @@ def takes_arguments(
         def checked(self: OwnerT, /, *none: P.args, **values: P.kwargs) -> None:
             for name in values:
                 if name not in fields:
-                    raise unknown_argument(name, type(self).__name__, fields)
+                    raise unknown_argument(name, type(self).__name__, fields, config.instead)  # type: ignore[attr-defined]
             init(self, config(*none, **values))
 
         types = get_type_hints(config)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar
 
 import gymnasium as gym
@@ -51,11 +52,17 @@ class SingleClusterArguments(
 ):
     """The arguments of :class:`SingleClusterEnv`."""
 
+    instead: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("clusters", "uavs", "cluster_sizes"), "there is one cluster; its size is 'followers'"
+    )
+
     followers: Annotated[int, Field(ge=2, le=90_000)] = Field(15, description="m, number of followers, at least 2")
 
 
 class MultiClusterArguments(OutputArguments, game.RoundArguments, SwarmConfig):
     """The arguments of :class:`MultiClusterEnv`."""
+
+    instead: ClassVar[Mapping[str, str]] = {"followers": "the sizes are 'clusters', 'uavs' and 'cluster_sizes'"}
 
 
 class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
