@@ -96,6 +96,15 @@ def test_refusals_are_one_sentence(run, recorded, tmp_path, monkeypatch):
     )
     assert "path must be an episode file or a folder with some" in refusal(run, "replay", tmp_path)
     assert "got no --screenshot" in refusal(run, "replay", recorded, "--round", "1")
+    one = recorded / "episodes" / "one-per-round-0.npz"
+    before = sorted(path.name for path in tmp_path.iterdir()), sorted(path.name for path in one.parent.iterdir())
+    assert "screenshot must end in .png, got " in refusal(run, "replay", one, "--screenshot", tmp_path / "a.jpg")
+    words = ("replay", one, "--screenshot", tmp_path / "a.png", "--round", "9")
+    assert "round must be a whole number from 1 to " in refusal(run, *words)
+    assert before == (sorted(p.name for p in tmp_path.iterdir()), sorted(p.name for p in one.parent.iterdir()))
     (tmp_path / "broken.npz").write_bytes(b"PK")
     monkeypatch.chdir(tmp_path)  # a message cuts a long path
     assert "broken.npz" in refusal(run, "replay", "broken.npz")
+    (tmp_path / "run").mkdir()
+    refused = refusal(run, "compare", "run", one)
+    assert refused == "usnet: path must be an episode file, got the folder 'run'.\n"

@@ -112,25 +112,27 @@ def replay(
         raise ArgumentError("--round and --step must be given together with --screenshot, got no --screenshot.")
     from usnet_env.replay import EpisodeRecord, animate, write_recording
     from usnet_env.replay.story import describe_outcome, describe_round, name_game
-    from usnet_env.replay.viewer import find_time, find_viewer, open_replay, take_screenshot
+    from usnet_env.replay.viewer import check_screenshot, find_time, find_viewer, open_replay, take_screenshot
 
+    if screenshot is not None:
+        check_screenshot(screenshot)
     file = _choose_episode(path, episode)
     if file is None:
         _list_episodes(_find_episodes(path))
         return
     record = EpisodeRecord.load(file)
+    shown = None if screenshot is None else (screenshot, find_time(record, number or 1, step))
     click.echo(name_game(record))
     for each in range(1, record.rounds + 1):
         click.echo(f"  {each}: {describe_round(record, each)}")
     click.echo(describe_outcome(record))
     if animation is not None:
         click.echo(f"animation  {animate(record, animation)}")
-    if animation is None or rrd is not None or open_viewer or screenshot is not None:
+    if animation is None or rrd is not None or open_viewer or shown is not None:
         written = write_recording(record, rrd or file.with_suffix(".rrd"))
         click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
-        if screenshot is not None:
-            when = find_time(record, number or 1, step)
-            click.echo(f"screenshot {take_screenshot([written], screenshot, when)}")
+        if shown is not None:
+            click.echo(f"screenshot {take_screenshot([written], *shown)}")
         if open_viewer:
             open_replay(written)
 

@@ -81,6 +81,8 @@ def read_episode_file(
         words = json.loads(str(arrays.pop(_METADATA)))
     except ArgumentError:
         raise
+    except IsADirectoryError:
+        raise ArgumentError(f"path must be an episode file, got the folder {where}.") from None
     except FileNotFoundError:
         raise ArgumentError(f"path must be an episode file, got {where}, which does not exist.") from None
     except Exception as error:  # a damaged header makes NumPy raise whatever Python's own tokenizer raises

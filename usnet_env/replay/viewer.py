@@ -21,7 +21,7 @@ from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.scribe import ANSWER, Clock
 
-__all__ = ["find_time", "find_viewer", "open_replay", "take_screenshot"]
+__all__ = ["check_screenshot", "find_time", "find_viewer", "open_replay", "take_screenshot"]
 
 _START_SECONDS, _LEAST_SECONDS, _MOST_SECONDS = 60.0, 4.0, 30.0
 
@@ -75,6 +75,18 @@ def find_time(record: EpisodeRecord, number: int, step: int | None = None) -> fl
     return float(clock.seconds[r, int(np.searchsorted(flown, step, side="right")) - 1])
 
 
+def check_screenshot(path: str | os.PathLike[str]) -> Path:
+    """The place of a screenshot, which is a PNG.
+
+    Raises:
+        ArgumentError: the name has another ending.
+    """
+    place = as_path("screenshot", path)
+    if place.suffix.lower() != ".png":
+        raise ArgumentError(f"screenshot must end in .png, got {quote(str(place))}.")
+    return place
+
+
 def take_screenshot(recordings: list[Path], path: str | os.PathLike[str], seconds: float) -> Path:
     """Take a picture of the viewer at a time of the timeline ``time``; no screen is needed, but a Vulkan driver is.
 
@@ -82,17 +94,18 @@ def take_screenshot(recordings: list[Path], path: str | os.PathLike[str], second
 
     Args:
         recordings: the files that it opens.
-        path: the PNG to write; an existing file is replaced.
+        path: the file to write, ``.png``; an existing file is replaced.
         seconds: the time in the recording.
 
     Returns:
         The path.
 
     Raises:
-        ArgumentError: the viewer cannot be started, for example because there is no graphics driver, or the place can't
-            be written to.
+        ArgumentError: the name has another ending, the viewer cannot be started, for example because there is no
+            graphics driver, or the place can't be written to.
         MissingExtraError: rerun-sdk is not installed.
     """
+    place = check_screenshot(path)
     try:
         import rerun  # noqa: F401
     except ImportError:
@@ -110,9 +123,9 @@ def take_screenshot(recordings: list[Path], path: str | os.PathLike[str], second
         with contextlib.suppress(ProcessLookupError):  # it has ended
             os.killpg(viewer.pid, signal.SIGKILL)  # the command and the viewer that it starts
         viewer.wait()
-    with atomic_write(as_path("path", path)) as aside:
+    with atomic_write(place) as aside:
         aside.write_bytes(picture)
-    return as_path("path", path)
+    return place
 
 
 def _wait_for_picture(client: Any) -> bytes:
