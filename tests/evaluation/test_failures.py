@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sample_detectors import AllAlive, FailingWithOne
 
-from usnet_env import ArgumentError, Window, evaluate, make_detector
+from usnet_env import ArgumentError, Detection, Window, evaluate, make_detector
 from usnet_env.evaluation import EvaluationError
 
 MULTI = "USNET/MultiCluster-v0"
@@ -27,6 +27,18 @@ def test_a_failure_names_the_line_of_the_detector_and_no_folder(detector, how):
     )
     assert failed.value.__cause__ is not None
     assert list(failed.value.failures) == [str(failed.value).split("'")[1]]
+
+
+class WrongCandidates(AllAlive):
+    def detect(self, window):
+        return Detection(np.array([1, 2]), np.zeros(window.uavs))
+
+
+@pytest.mark.parametrize("how", [{}, {"workers": 2}, {"isolate": True}])
+def test_a_detection_that_is_refused_is_found_at_the_line_that_makes_it(how):
+    """Not in the ``__init__`` that Python generates for a dataclass, which has no file."""
+    with pytest.raises(EvaluationError, match=r"got array\(\[1, 2\]\) \(test_failures\.py, line \d+, in detect\)\.$"):
+        evaluate(MULTI, WrongCandidates(), episodes=2, env_kwargs=SMALL, **how)
 
 
 class OutOfRange(AllAlive):
