@@ -45,6 +45,12 @@ def test_the_page_holds_everything_and_loads_nothing(page):
     assert "prefers-color-scheme: dark" in text
 
 
+def test_without_reasons_the_page_says_how_much_attention_a_candidate_receives(tmp_path):
+    episode = small_episode(reasons=None)
+    text = html.unescape(write_episode_page(episode, tmp_path / "report.html").read_text())
+    assert "receives attention 2 (sum over the other 11 UAVs)." in text  # of 4 followers, 0.5 each
+
+
 def test_a_page_of_many_episodes_has_pictures_of_fewer_rounds(tmp_path, monkeypatch):
     monkeypatch.setattr("usnet_env.replay.page._MOST_ROUNDS", 2)
     monkeypatch.setattr("usnet_env.replay.page._LEAST_ROUNDS", 1)

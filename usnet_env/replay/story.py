@@ -160,7 +160,7 @@ def explain_uav(record: EpisodeRecord, number: int, uav: int) -> str:
         parts.append(format_count(behind, "follower"))
     if record.attention is not None and record.attention[r].any():
         weight = float(record.attention[r][others, uav].sum())
-        parts.append(f"gets {weight:.3g} of the attention of {int(others.sum())}")
+        parts.append(f"receives attention {weight:.3g} (sum over the other {format_count(int(others.sum()), 'UAV')})")
     if not parts:
         rank = int((record.scores[r][record.alive[r]] > record.scores[r, uav]).sum()) + 1
         parts.append(f"score rank {rank} of {int(record.alive[r].sum())}")
