@@ -10,8 +10,8 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from detector_pages import detector_pages
-from environment_pages import environment_pages, game_pages, write_pages
+from detector_pages import detector_classes
+from pages import write_pages
 
 project = "USNET"
 author = "the USNET maintainers"
@@ -51,12 +51,18 @@ def _keep_bars(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, line
         lines[number] = "".join(parts)
 
 
+def _leave_out_docstring(_app: Any, what: str, name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
+    """The page of a detector has its docstring in Markdown."""
+    if what == "class" and name in detector_classes().values():
+        lines.clear()
+
+
 def _generate_pages(app: Any) -> None:
-    write_pages(Path(app.srcdir) / "envs", environment_pages() | game_pages())
-    write_pages(Path(app.srcdir) / "detector", detector_pages())
+    write_pages(Path(app.srcdir))
 
 
 def setup(app: Any) -> None:
     """Write the generated pages before Sphinx looks for them."""
     app.connect("builder-inited", _generate_pages)
     app.connect("autodoc-process-docstring", _keep_bars)
+    app.connect("autodoc-process-docstring", _leave_out_docstring)

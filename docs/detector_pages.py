@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
+
+from docstrings import describe_class
+
 from usnet_env.plugins import DETECTORS, DetectorEntry, list_detectors
 
-__all__ = ["detector_pages"]
+__all__ = ["detector_classes", "detector_pages"]
 
 _NO_ASSUMPTION = "Nothing: it is a trivial policy, with which others are compared."
 #: What each detector assumes about the swarm.
@@ -47,11 +51,17 @@ FIGURES = {
 }
 
 
+@cache
+def detector_classes() -> dict[str, str]:
+    """The class of each detector that ships, by name, with its module."""
+    points = DETECTORS.entry_points()
+    return {name: point.value.replace(":", ".") for name, point in points.items() if name in ASSUMPTIONS}
+
+
 def detector_pages() -> dict[str, str]:
     """Markdown of the pages, by file name (without suffix)."""
-    points = DETECTORS.entry_points()
-    targets = {name: point.value.replace(":", ".") for name, point in points.items() if name in ASSUMPTIONS}
-    return {entry.name: _write_page(entry, targets[entry.name]) for entry in list_detectors() if entry.name in targets}
+    classes = detector_classes()
+    return {entry.name: _write_page(entry, classes[entry.name]) for entry in list_detectors() if entry.name in classes}
 
 
 def _write_page(entry: DetectorEntry, target: str) -> str:
@@ -60,17 +70,17 @@ def _write_page(entry: DetectorEntry, target: str) -> str:
         "assumes": ASSUMPTIONS[name],
         "needs beyond the core": ", ".join(tags.needs) or "nothing",
         "largest window": "no limit" if tags.most_uavs is None else f"{tags.most_uavs:,} UAVs",
-        "shortest window": f"{tags.least_steps} steps",
+        "shortest window": f"{tags.least_steps} step{'s' * (tags.least_steps != 1)}",
         "uses positions": "yes" if tags.uses_positions else "no, velocities only",
         "number of clusters M": "may be given" if tags.takes_clusters else "is not taken",
     }
     rows = "\n".join(f"| {fact} | {value} |" for fact, value in facts.items())
     links = [f"[How it works](../{EXPLANATIONS[name]}.md)"] if name in EXPLANATIONS else []
-    links += ["[all detectors](../detectors.md)", "[results](../results/index.md)"]
+    links += ["[All detectors](../detectors.md)", "[Results](../results/index.md)"]
     figure = ""
     if name in FIGURES:
         path, caption = FIGURES[name]
-        figure = f"![{caption}](../images/{path})\n\n{caption}\n"
+        figure = f"![{caption}](../images/{path})\n\n{caption}\n\n"
     return f"""# {name}
 
 {entry.description}
@@ -79,10 +89,11 @@ def _write_page(entry: DetectorEntry, target: str) -> str:
 | --- | --- |
 {rows}
 
-`make_detector("{name}")` creates it, `usnet evaluate --detector {name}` plays it. {", ".join(links)}.
+`make_detector("{name}")` creates it. `usnet evaluate --detector {name}` plays it. See also: {", ".join(links)}.
 
-{figure}
-## Arguments
+{figure}{describe_class(DETECTORS.entry_points()[name].load())}
+
+## Class
 
 ```{{eval-rst}}
 .. autoclass:: {target}

@@ -6,8 +6,7 @@ import dataclasses
 import importlib
 import inspect
 import re
-from collections.abc import Iterable, Mapping
-from pathlib import Path
+from collections.abc import Iterable
 from typing import Any
 
 import usnet_env.envs
@@ -18,7 +17,7 @@ from usnet_env.swarm.follow import CONTROLS, FIELD_MODELS
 from usnet_env.swarm.kinematics import KINEMATICS
 from usnet_env.tracks.env import TracksEnv
 
-__all__ = ["environment_pages", "field_tables", "game_pages", "write_pages"]
+__all__ = ["environment_pages", "field_tables", "game_pages"]
 
 
 def environment_pages() -> dict[str, str]:
@@ -46,9 +45,10 @@ def _environment_page(kind: str) -> str:
 | --- | --- |
 {rows}
 
-`gym.make("usnet_env:{first}")` creates the environment. `gym.make_vec("{first}", num_envs=64)` creates the vector
-environment {{class}}`usnet_env.envs.{kind}VectorEnv`: with `reset(seed=s)`, its episode b is the one that a single
-environment plays with the seed s + b.
+`gym.make("usnet_env:{first}")` creates the environment.
+`gym.make_vec("usnet_env:{first}", num_envs=64)` creates the vector environment
+{{class}}`usnet_env.envs.{kind}VectorEnv`: with `reset(seed=s)`, its episode b is the one that a single environment
+plays with the seed s + b.
 
 {sections}
 """
@@ -111,15 +111,3 @@ def _docstring(described: type) -> tuple[str, str]:
 
 def _format_arguments(arguments: dict[str, object]) -> str:
     return ", ".join(f"`{name}={value!r}`" for name, value in arguments.items()) or "none"
-
-
-def write_pages(folder: Path, pages: Mapping[str, str]) -> None:
-    """Write pages into ``folder``. Unchanged files are not touched, so that Sphinx does not read them again."""
-    folder.mkdir(exist_ok=True)
-    for path in folder.glob("*.md"):
-        if path.stem not in pages:
-            path.unlink()
-    for name, text in pages.items():
-        path = folder / f"{name}.md"
-        if not path.exists() or path.read_text(encoding="utf-8") != text:
-            path.write_text(text, encoding="utf-8")

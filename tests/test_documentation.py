@@ -1,6 +1,6 @@
 """Everything that the pages show is run, and what they say about the environments is compared with the code."""
 
-import importlib.util
+import importlib
 import inspect
 import multiprocessing
 import os
@@ -21,6 +21,7 @@ from usnet_env.multiagent import GAMES
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+WRITTEN = sorted(path for folder in ("envs", "detector", "results") for path in (ROOT / "docs" / folder).glob("*.md"))
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 MARK = "--- end of a block ---"
 FENCE = re.compile(r"^```(?P<kind>[^`\n]*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -158,11 +159,11 @@ def test_every_shown_command_is_known(page):
     assert {words[0] for words in commands_of(page)} <= LEFT_ALONE | {"usnet"}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=named)
+@pytest.mark.parametrize("page", PAGES + WRITTEN, ids=named)
 def test_links_into_the_repository_lead_somewhere(page):
     text = FENCE.sub("", page.read_text(encoding="utf-8"))
     targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", text) + re.findall(r"src=\"([^\"]+)\"", text)
-    elsewhere = ("http:", "https:", "mailto:", "envs/", "detector/")
+    elsewhere = ("http:", "https:", "mailto:")
     inside = [target for target in targets if not target.startswith(elsewhere)]
     assert [target for target in inside if not (page.parent / target).exists()] == []
 
@@ -172,18 +173,51 @@ def test_no_page_names_a_place_on_a_machine():
         assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", page.read_text(encoding="utf-8")), page
 
 
-# The environments' pages, which are their docstrings
+# The pages of environments and detectors, which are their docstrings
 
 
-def load_environment_pages(name: str = "environment_pages") -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def load_generator(name: str) -> ModuleType:
+    sys.path.insert(0, str(ROOT / "docs"))
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.pop(0)
+
+
+def test_the_committed_pages_are_what_the_docstrings_say():
+    assert load_generator("pages").find_differing() == {}
+
+
+def test_pages_that_differ_are_named_and_written(tmp_path, monkeypatch, capsys):
+    pages = load_generator("pages")
+    pages.write_pages(tmp_path / "docs")
+    changed, stray = tmp_path / "docs" / "envs" / "field.md", tmp_path / "docs" / "detector" / "gone.md"
+    changed.write_text("old")
+    stray.write_text("a detector that has gone")
+    monkeypatch.setattr(pages, "DOCS", tmp_path / "docs")
+    monkeypatch.setattr(sys, "argv", ["pages.py", "--check"])
+    assert pages.main() == 1
+    assert sorted(line.split()[0] for line in capsys.readouterr().err.splitlines()) == [
+        "docs/detector/gone.md",
+        "docs/envs/field.md",
+    ]
+    monkeypatch.setattr(sys, "argv", ["pages.py"])
+    assert pages.main() == 0
+    assert not stray.exists()
+    assert changed.read_text() == (ROOT / "docs" / "envs" / "field.md").read_text()
+
+
+def test_the_page_of_a_detector_lists_its_arguments_with_their_defaults():
+    generator = load_generator("detector_pages")
+    for name, target in generator.detector_classes().items():
+        module, _, attribute = target.rpartition(".")
+        page = (ROOT / "docs" / "detector" / f"{name}.md").read_text(encoding="utf-8")
+        for parameter in inspect.signature(getattr(importlib.import_module(module), attribute)).parameters.values():
+            assert f"`{parameter.name}={parameter.default!r}`" in page, name
 
 
 def generated_pages() -> dict[str, str]:
-    return load_environment_pages().environment_pages()
+    return load_generator("environment_pages").environment_pages()
 
 
 CLASSES = sorted({f"{kind}Env" for kind, _ in ENVIRONMENTS.values()})
@@ -200,7 +234,7 @@ SECTIONS = [
 
 
 def test_every_game_has_a_page_with_gymnasiums_sections():
-    pages = load_environment_pages().game_pages()
+    pages = load_generator("environment_pages").game_pages()
     assert set(pages) == set(GAMES)
     for name, text in pages.items():
         headings = re.findall(r"^## (.+)$", text, re.MULTILINE)
@@ -209,7 +243,7 @@ def test_every_game_has_a_page_with_gymnasiums_sections():
 
 def test_the_field_page_has_every_model():
     page = (ROOT / "docs" / "field.md").read_text(encoding="utf-8")
-    for table in load_environment_pages().field_tables():
+    for table in load_generator("environment_pages").field_tables():
         assert table in page, table
 
 
@@ -218,7 +252,7 @@ def test_every_detector_is_in_the_overview_and_has_a_page():
     shipped = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
     names = list(shipped["usnet.detectors"])
     assert [name for name in names if f"| [`{name}`](detector/{name}.md) |" not in page] == []
-    generator = load_environment_pages("detector_pages")
+    generator = load_generator("detector_pages")
     pages = generator.detector_pages()
     classes = {name: target.replace(":", ".") for name, target in shipped["usnet.detectors"].items()}
     assert [name for name in names if f"autoclass:: {classes[name]}\n" not in pages[name]] == []
@@ -228,7 +262,7 @@ def test_every_detector_is_in_the_overview_and_has_a_page():
 
 
 def test_the_page_of_recorded_tracks_has_gymnasiums_sections():
-    text = load_environment_pages().environment_pages()["tracks"]
+    text = load_generator("environment_pages").environment_pages()["tracks"]
     assert re.findall(r"^## (.+)$", text, re.MULTILINE) == SECTIONS
     assert "USNET/Tracks-v0" in text
 

@@ -552,12 +552,16 @@ def test_a_misspelt_argument_gets_the_most_similar_name(make):
         ArgumentError, match=r"^cluster is not an argument of MultiClusterEnv \(did you mean 'clusters'"
     ):
         make(MULTI, cluster=3)
-    with pytest.raises(ArgumentError, match=r"^max_rounds is not an argument of SingleClusterEnv; it takes follow, .*\.$"):
+    with pytest.raises(
+        ArgumentError, match=r"^max_rounds is not an argument of SingleClusterEnv; it takes follow, .*\.$"
+    ):
         make(SINGLE, max_rounds=3)
     size = r"^uavs is not an argument of SingleClusterEnv \(there is one cluster; its size is 'followers'\); it takes"
     with pytest.raises(ArgumentError, match=size):
         make(SINGLE, uavs=3)
-    with pytest.raises(ArgumentError, match=r"^clusters is not an argument of SingleClusterEnv \(there is one cluster; "):
+    with pytest.raises(
+        ArgumentError, match=r"^clusters is not an argument of SingleClusterEnv \(there is one cluster; "
+    ):
         make(SINGLE, clusters=3)
     with pytest.raises(ArgumentError, match=r"^followers is not an argument of MultiClusterEnv \(the sizes are 'clus"):
         make(MULTI, followers=3)
