@@ -7,7 +7,7 @@ from functools import cache
 
 from detectors.studies import rounds, table2
 from result_pages.suites import read_suite
-from result_pages.text import RESULTS, Row, exact_of, mean_of, page, share, table
+from result_pages.text import RESULTS, SAME_SEEDS, Row, exact_of, mean_of, page, share, table
 from usnet_env.evaluation import load_suite
 from usnet_env.evaluation.report import format_interval, group_rows, mean_over_episodes
 from usnet_env.evaluation.suite import read_rows
@@ -85,9 +85,10 @@ def _describe_suites() -> str:
         "In each [frozen suite](SUITES) all detectors meet the same swarms, and none is given the number of clusters. "
         f"Cells × episodes, which is n: {', '.join(sizes)}. `paper` is the game of the paper, `controls` are swarms in "
         "which the obvious answer is wrong, `sensing` has bad sensors, and in `field` leaders are late, weak, indirect "
-        "or hard to see. *Exact*: round 1 names all heads and no other UAV. J_m: rounds plus redundant candidates "
-        "divided by N; lower is better, 1 is best. Intervals are 95 %; a mean without an interval means that all "
-        "values were equal. A name without arguments means the default settings; –: not played."
+        "or hard to see. *Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, plus the "
+        "redundant candidates divided by N; lower is better, 1 is best. Intervals are 95 %. "
+        f"{SAME_SEEDS} A mean without an interval means that all values were equal. A name without arguments means the "
+        "default settings; –: not played."
     )
 
 
@@ -161,9 +162,8 @@ def text() -> str:
         "Results",
         "All tables of these pages are made by `python benchmarks/tables.py` from the rows in `benchmarks/results/`; "
         "`benchmarks/README.md` lists the command of every file. The label of a row is the detector's full name with "
-        "every argument that differs from its default. Intervals are 95 %: Wilson's for rates, the percentile "
-        "bootstrap for means. Episodes of several cells that share a seed are one group, which widens both; if all "
-        "episodes have the same value, the n of Wilson's interval is the number of seeds.",
+        "every argument that differs from its default. Intervals are 95 %: Wilson's for rates, the expanded "
+        "percentile bootstrap for means. Episodes of several cells that share a seed are one group, which widens both.",
         "## One table",
         summary(),
         "Destroying all UAVs in round 1 costs J_m < 2, less than any detector that needs a second round. So J_m alone "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from commands import commands_of
@@ -15,6 +16,7 @@ __all__ = [
     "FOLLOW",
     "NOTICE",
     "RESULTS",
+    "SAME_SEEDS",
     "Row",
     "cost_of",
     "demoted",
@@ -31,6 +33,13 @@ __all__ = [
 ]
 
 Row = Mapping[str, str]
+
+#: Why intervals of rates of 0 and 100 % are wider than those of rates nearby: see ``rate_interval``.
+SAME_SEEDS = (
+    "Episodes that share a seed are one group, so a rate of 0 % or 100 % has the interval of one episode for each "
+    "seed, which can be wider than the interval of a rate between them."
+)
+_EXTREME_RATE = re.compile(r"\b(?:100|0)\.0 % \(")
 
 NOTICE = "<!-- Written by `python benchmarks/tables.py` from the rows in benchmarks/results. Do not edit. -->"
 
@@ -83,8 +92,10 @@ def source(files: Sequence[str], more: str = "") -> str:
 
 
 def page(title: str, *parts: str) -> str:
-    """A page: notice, title, paragraphs."""
-    return "\n\n".join([NOTICE, f"# {title}", *parts]) + "\n"
+    """A page: notice, title, paragraphs; the first one explains the intervals of rates of 0 and 100 %, if any."""
+    text = "\n\n".join(parts[1:])
+    start = f"{parts[0]} {SAME_SEEDS}" if _EXTREME_RATE.search(text) and SAME_SEEDS not in text else parts[0]
+    return "\n\n".join([NOTICE, f"# {title}", start, text]).strip() + "\n"
 
 
 def table_alone(markdown: str) -> str:
