@@ -70,9 +70,9 @@ def _played() -> list[tuple[FrozenSuite, list[Row]]]:
     return [(suite, rows) for suite in list_suites().values() if (rows := read_suite(suite))]
 
 
-def read_suite(suite: FrozenSuite) -> list[Row]:
+def read_suite(suite: FrozenSuite, results: Path = RESULTS) -> list[Row]:
     """The committed rows of the suite's version; none if it was not played."""
-    path = RESULTS / _file(suite)
+    path = results / _file(suite)
     return list(csv.DictReader(io.StringIO(gzip.decompress(path.read_bytes()).decode()))) if path.exists() else []
 
 

@@ -1,0 +1,59 @@
+"""Rows of a detector that joins later are added to those of the others, if all met the same swarms."""
+
+import csv
+import gzip
+import io
+from pathlib import Path
+
+import pytest
+import suites
+
+from usnet_env.evaluation import FrozenSuite, evaluate_suite, load_suite
+
+TEXT = """
+version: 3
+purpose: For a test.
+episodes: 2
+seed: 5000
+tuning_seed: 5
+arguments: {clusters: 2, uavs: 12, observation_steps: 10, max_rounds: 2}
+cells: {plain: {}, noise: {position_noise: 0.2}}
+"""
+
+
+@pytest.fixture
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FrozenSuite:
+    (tmp_path / "small.yaml").write_text(TEXT)
+    suite = load_suite(tmp_path / "small.yaml")
+    monkeypatch.setattr(suites, "load_suite", {"small": suite}.__getitem__)
+    return suite
+
+
+def rows_of(path: Path) -> list[tuple[str, str, str]]:
+    text = gzip.decompress(path.read_bytes()).decode()
+    return [(row["cell"], row["detector"], row["episode"]) for row in csv.DictReader(io.StringIO(text))]
+
+
+def test_a_later_detector_is_added_and_others_stay(small: FrozenSuite, tmp_path: Path) -> None:
+    first, second, other = (tmp_path / name / "small" for name in ("first", "second", "other"))
+    evaluate_suite(small, ["none", "destroy-all"], isolate=False, out=first)
+    evaluate_suite(small, "random", isolate=False, out=second)
+    path = suites.pack([first], results=tmp_path)
+    before = path.read_bytes()
+    assert suites.pack([second], add=True, results=tmp_path) == path
+    rows = rows_of(path)
+    detectors = ("random", "none", "destroy-all")
+    assert sorted(rows) == sorted((cell, name, k) for cell in small.cells for name in detectors for k in ("0", "1"))
+    assert [cell for cell, *_ in rows] == ["plain"] * 6 + ["noise"] * 6
+    assert suites.pack([second], add=True, results=tmp_path).read_bytes() == path.read_bytes()
+    assert suites.pack([first], results=tmp_path).read_bytes() == before
+    evaluate_suite(small, "random", isolate=False, out=other, seed=6000)
+    with pytest.raises(ValueError, match="must be of the same swarms"):
+        suites.pack([other], add=True, results=tmp_path)
+    assert path.read_bytes() == before
+
+
+def test_a_detector_that_did_not_play_all_cells_is_refused(small: FrozenSuite, tmp_path: Path) -> None:
+    evaluate_suite(small, "none", isolate=False, out=tmp_path / "small", cells=["plain"])
+    with pytest.raises(ValueError, match=r"must have 4 rows of small \(version 3\), got another number of \['none'\]"):
+        suites.pack([tmp_path / "small"], results=tmp_path)
