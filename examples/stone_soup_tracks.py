@@ -1,6 +1,6 @@
 """From radar detections to leaders: a simulated swarm is tracked by Stone Soup, and a detector gets the tracks.
 
-    pip install 'usnet[tracker]'
+    pip install -e '.[tracker]'
     python examples/stone_soup_tracks.py
 
 A radar sees the swarm as points without names: some UAVs are missed, places are noisy, and some points are false. Stone
