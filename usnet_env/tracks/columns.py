@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError, quote, unknown_name
 
-__all__ = ["ROLES", "check_mapping", "choose_columns"]
+__all__ = ["ROLES", "check_mapping", "choose_columns", "find_marks", "is_movebank", "read_marks"]
 
 #: The roles of columns, with the names that are guessed, the preferred one first.
 ROLES: dict[str, tuple[str, ...]] = {
@@ -31,6 +34,9 @@ ROLES: dict[str, tuple[str, ...]] = {
     "vz": ("vz", "v_z", "vel_z", "velocity_z"),
     "leader": ("leader", "leader_id", "head", "follows"),
 }  # fmt: skip
+_OUTLIERS = ("algorithm_marked_outlier", "import_marked_outlier", "manually_marked_outlier")
+_MOVEBANK = {"individual_local_identifier", "tag_local_identifier", *_OUTLIERS}  # one of these is in each of its files
+_TRUE, _FALSE = {"true", "t", "yes", "1", "1.0"}, {"false", "f", "no", "0", "0.0"}
 _NUMBER_SIGNS = set("0123456789.+-eE \t")
 
 
@@ -101,6 +107,37 @@ def choose_columns(
                 f"{role}."
             )
     return found
+
+
+def is_movebank(header: Iterable[str]) -> bool:
+    """Whether the names of the columns are those of Movebank."""
+    return bool(_MOVEBANK & set(map(_normalise, header)))
+
+
+def find_marks(header: Sequence[str]) -> dict[str, str]:
+    """The columns in which Movebank marks outliers, by their names with underscores; none in another file."""
+    plain = {_normalise(name): name for name in header} if is_movebank(header) else {}
+    return {mark: plain[mark] for mark in ("visible", *_OUTLIERS, "manually_marked_valid") if mark in plain}
+
+
+def read_marks(values: Mapping[str, Iterable[Any]], rows: int) -> Mask:
+    """Which of some rows of a Movebank file are marked as outliers, ``(rows,)`` bool.
+
+    By Movebank's attribute dictionary, ``visible`` is false where one of the outlier columns is true, unless
+    ``manually_marked_valid`` is true. A file may hold some of these columns only; an empty cell marks nothing.
+
+    Args:
+        values: the values by the names that :func:`find_marks` gives, and others.
+        rows: number of rows.
+    """
+
+    def says(name: str, words: set[str]) -> Mask:
+        return np.array([str(each).strip().lower() in words for each in values.get(name, ())] or [False] * rows, bool)
+
+    outlier = says("visible", _FALSE)
+    for name in _OUTLIERS:
+        outlier |= says(name, _TRUE)
+    return outlier & ~says("manually_marked_valid", _TRUE)
 
 
 def _normalise(name: str) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote
-from usnet_env.tracks.columns import choose_columns
+from usnet_env.tracks.columns import choose_columns, find_marks, is_movebank
 from usnet_env.tracks.opening import expanded_limit, open_expanded, read_lines
 
 __all__ = ["Block", "ReadOptions", "missing_package", "read_csv", "read_npz", "read_parquet", "read_ulog"]
@@ -44,14 +44,17 @@ class Block:
     """Some rows of a file.
 
     Args:
-        values: the values by role, as texts or as an array; a file without ids has no ``"id"``.
+        values: the values by role, as texts or as an array, and by the names of Movebank's marks of outliers; a file
+            without ids has no ``"id"``.
         names: the name of the column by role, for messages.
         first_row: number of the first row in the file; that of the column names is 1.
+        movebank: whether the file has the columns of Movebank.
     """
 
     values: Mapping[str, Sequence[Any] | NDArray[Any]]
     names: Mapping[str, str]
     first_row: int
+    movebank: bool = False
 
 
 def missing_package(what: str, package: str) -> ArgumentError:
@@ -81,7 +84,8 @@ def read_csv(path: Path, options: ReadOptions) -> Iterator[Block]:
         delimiter = max(_DELIMITERS, key=first.count)
         header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter))]
         found = choose_columns(header, options.columns, where)
-        places = {role: header.index(name) for role, name in found.items()}
+        places = {role: header.index(name) for role, name in (found | find_marks(header)).items()}
+        movebank = is_movebank(header)
         rows = csv.reader(lines, delimiter=delimiter)
         row = 2
         try:
@@ -89,7 +93,7 @@ def read_csv(path: Path, options: ReadOptions) -> Iterator[Block]:
                 count = len(block)
                 if any(len(cells) != len(header) for cells in block):
                     block = _check_lengths(block, len(header), where, row)
-                yield Block({role: [cells[k] for cells in block] for role, k in places.items()}, found, row)
+                yield Block({role: [cells[k] for cells in block] for role, k in places.items()}, found, row, movebank)
                 row += count
         except csv.Error as error:
             raise ArgumentError(
@@ -123,17 +127,19 @@ def read_parquet(path: Path, options: ReadOptions) -> Iterator[Block]:
     except (pyarrow.ArrowException, OSError) as error:
         raise _damaged(path, "Parquet", error) from None
     with file:
-        found = choose_columns(file.schema_arrow.names, options.columns, quote(os.fspath(path)))
-        most, needed = expanded_limit(path, options.max_bytes), 8 * file.metadata.num_rows * len(found)
+        header = file.schema_arrow.names
+        found = choose_columns(header, options.columns, quote(os.fspath(path)))
+        read, movebank = found | find_marks(header), is_movebank(header)
+        most, needed = expanded_limit(path, options.max_bytes), 8 * file.metadata.num_rows * len(read)
         if needed > most:
             raise ArgumentError(
                 f"max_bytes must be at least the {needed} bytes that {quote(os.fspath(path))} expands to, got {most}."
             )
         row = 2
         try:
-            for batch in file.iter_batches(_ROWS, columns=list(dict.fromkeys(found.values()))):
-                values = {role: _from_arrow(batch.column(name)) for role, name in found.items()}
-                yield Block(values, found, row)
+            for batch in file.iter_batches(_ROWS, columns=list(dict.fromkeys(read.values()))):
+                values = {role: _from_arrow(batch.column(name)) for role, name in read.items()}
+                yield Block(values, found, row, movebank)
                 row += batch.num_rows
         except (pyarrow.ArrowException, OSError) as error:
             raise _damaged(path, "Parquet", error) from None
@@ -179,10 +185,11 @@ def read_npz(path: Path, options: ReadOptions) -> Iterator[Block]:
         yield _unfold(arrays, where)
         return
     found = choose_columns(list(arrays), options.columns, where)
-    lengths = {name: arrays[name].shape for name in found.values()}
+    read = found | find_marks(list(arrays))
+    lengths = {name: arrays[name].shape for name in read.values()}
     if any(len(shape) != 1 or shape != lengths[found["id"]] for shape in lengths.values()):
         raise ArgumentError(f"path must hold 1-D arrays of one length, got {where} with the shapes {quote(lengths)}.")
-    yield Block({role: _plain(arrays[name]) for role, name in found.items()}, found, 2)
+    yield Block({role: _plain(arrays[name]) for role, name in read.items()}, found, 2, is_movebank(list(arrays)))
 
 
 def _plain(array: NDArray[Any]) -> Any:

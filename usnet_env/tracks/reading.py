@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, plain_text, quote, real_number, whole_number
 from usnet_env.files import as_path
-from usnet_env.tracks.columns import check_mapping
+from usnet_env.tracks.columns import check_mapping, read_marks
 from usnet_env.tracks.degrees import to_local_metres
 from usnet_env.tracks.formats import Block, ReadOptions, read_csv, read_npz, read_parquet, read_ulog
 from usnet_env.tracks.gpx import read_gpx
@@ -57,7 +57,7 @@ def read_tracks(
         time_unit: seconds in one unit of the time column, such as 0.001 for milliseconds or 1 / 30 for frames of a
             video; ``None``: 1.
         missing: ``"refuse"`` a row without a time, place or id, or ``"skip"`` it. Such rows of a Movebank file, which
-            are missed fixes, are always skipped.
+            are missed fixes, are always skipped; so are those that Movebank marks as outliers.
         encoding: of a CSV file.
         max_bytes: the most bytes that a compressed file may expand to; ``None``: 256 MiB, or 20 times its size.
         progress: called with the number of rows that have been read.
@@ -124,7 +124,7 @@ class _Table:
     def __init__(self, skip: bool, unit: float | None, several: bool) -> None:
         self._skip, self._unit, self._several = skip, unit, several
         self.rows = 0
-        self._skipped = 0
+        self._skipped = self._marked = 0
         self._code: dict[Any, int] = {}
         self._leader_code: dict[Any, int] = {}
         self._parts: dict[str, list[NDArray[Any]]] = {}
@@ -144,24 +144,33 @@ class _Table:
                 f"{quote(os.fspath(path))}, {quote(sorted(block.names))}."
             )
         self._names = block.names
-        movebank = block.names.get("id") == "individual-local-identifier"
-        skip = self._skip or movebank
+        skip = self._skip or block.movebank
         rows = len(next(iter(block.values.values())))
         self.rows += rows
+        whole, numbers = block.values, np.arange(rows)
+        if block.movebank and (marked := read_marks(whole, rows)).any():
+            self._marked += int(marked.sum())
+            numbers = np.flatnonzero(~marked)
+            rows = len(numbers)
+            whole = {
+                role: each[numbers] if isinstance(each, np.ndarray) else [each[k] for k in numbers.tolist()]
+                for role, each in whole.items()
+            }
         if not rows:
             return
         parts: dict[str, NDArray[Any]] = {}
         good = np.ones(rows, bool)
 
         def about(role: str, k: int) -> str:
-            return f"row {block.first_row + k} of column {quote(block.names[role])} in {quote(os.fspath(path))}"
+            row = block.first_row + int(numbers[k])
+            return f"row {row} of column {quote(block.names[role])} in {quote(os.fspath(path))}"
 
-        time_role = "t" if "t" in block.values else "frame"
+        time_role = "t" if "t" in whole else "frame"
         for role in (time_role, "x", "y", "lon", "lat", "z", "vx", "vy", "vz"):
-            if role in block.values:
-                values = block.values[role]
+            if role in whole:
+                values = whole[role]
                 parts[role] = self._times(values, role, about) if role == time_role else _numbers(values, role, about)
-        names: list[Any] = [path.stem] * rows if "id" not in block.values else _texts(block.values["id"])
+        names: list[Any] = [path.stem] * rows if "id" not in whole else _texts(whole["id"])
         for role, values in parts.items():
             bad = ~np.isfinite(values)
             if bad.any() and not skip:
@@ -178,11 +187,9 @@ class _Table:
                     f"{about('id', int(nameless.argmax()))}."
                 )
             good &= ~nameless
-        if "leader" in block.values:
+        if "leader" in whole:
             led = self._leader_code
-            parts["leader"] = np.array(
-                [led.setdefault(each, len(led)) for each in _texts(block.values["leader"])], np.int32
-            )
+            parts["leader"] = np.array([led.setdefault(each, len(led)) for each in _texts(whole["leader"])], np.int32)
         if not good.all():
             self._skipped += int((~good).sum())
             names = [name for name, fine in zip(names, good, strict=True) if fine]
@@ -235,6 +242,9 @@ class _Table:
         notes = [f"Columns: {', '.join(f'{role} = {name}' for role, name in self._names.items())}."]
         if self._skipped:
             notes.append(f"{self._skipped} of {self.rows} rows had no time, place or id and are skipped.")
+        if self._marked:
+            marked = "is marked as an outlier" if self._marked == 1 else "are marked as outliers"
+            notes.append(f"{self._marked} of {self.rows} rows {marked} in the file and skipped.")
         unit = 1.0 if self._timestamps else self._unit or 1.0
         if "frame" in self._names and self._unit is None:
             notes.append("Times are numbers of frames; one frame counts as 1 s (time_unit= gives its seconds).")
