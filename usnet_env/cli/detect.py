@@ -44,6 +44,8 @@ _OPTIONS = {  # patterns of arguments in errors, and the options that set them
     r"missing='skip'": "--skip-missing is given",
     r"encoding= ": "--encoding ",
     r"time_unit= ": "--time-unit ",
+    r"keep_spikes= ": "--keep-spikes ",
+    r"shorter step= ": "shorter --step ",
 }
 
 _EXAMPLES = """
@@ -88,6 +90,7 @@ def _rename_arguments(sentence: str) -> str:
 @click.option("--stride", type=WholeNumber(1, 10**9), help="Steps between windows.  [default: those of a window]")
 @click.option("--step", type=PositiveNumber(), help="Seconds of a step.  [default: chosen from the tracks]")
 @click.option("--max-gap", type=PositiveNumber(), help="Longest gap in seconds that is interpolated.")
+@click.option("--keep-spikes", is_flag=True, help="Keep single samples off the track, to which it jumps and back.")
 @click.option("--column", "columns", multiple=True, metavar="ROLE=NAME", help="Name of a column. May be repeated.")
 @click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: 1]")
 @click.option("--skip-missing", is_flag=True, help="Skip rows without a time, place or id.")
@@ -106,6 +109,7 @@ def detect(
     stride: int | None,
     step: float | None,
     max_gap: float | None,
+    keep_spikes: bool,
     columns: tuple[str, ...],
     time_unit: float | None,
     skip_missing: bool,
@@ -144,8 +148,8 @@ def detect(
         )
     report = read.report()
     for finding in report.warnings:
-        print_message(f"warning: {finding.sentence}")
-    even = read.resample(step, max_gap=max_gap)
+        print_message(f"warning: {_rename_arguments(finding.sentence)}")
+    even = read.resample(step, max_gap=max_gap, keep_spikes=keep_spikes)
     chosen = list(even.notes[len(read.notes) :])
     del read
     stride = window if stride is None else stride

@@ -14,6 +14,8 @@ _AXIS, _SQUARED_ECCENTRICITY = 6_378_137.0, 6.694379990141317e-3  # metres; the 
 def to_local_metres(longitude: Floats, latitude: Floats) -> tuple[Floats, Floats, tuple[float, float], str]:
     """Project degrees (WGS 84) to metres east and north of the middle of the tracks.
 
+    The middle is that of the 1st and the 99th percentiles, so that a wrong fix far away doesn't move it.
+
     With pyproj, the projection is azimuthal equidistant. Without it, it is equirectangular, with the radii of curvature
     of the ellipsoid in the middle: x = N cos(φ₀) Δλ, y = M Δφ. Its lengths at a distance d north or south of the middle
     are wrong by the share tan(φ₀) d / R in x: 0.3 % at 10 km and latitude 60°.
@@ -27,8 +29,8 @@ def to_local_metres(longitude: Floats, latitude: Floats) -> tuple[Floats, Floats
     """
     reference = float(longitude[0])
     east = (longitude - reference + 180.0) % 360.0 - 180.0  # tracks may cross the 180th meridian
-    middle_longitude = reference + float(east.min() + east.max()) / 2
-    middle = ((middle_longitude + 180.0) % 360.0 - 180.0, float(latitude.min() + latitude.max()) / 2)
+    middle_longitude = reference + _find_middle(east)
+    middle = ((middle_longitude + 180.0) % 360.0 - 180.0, _find_middle(latitude))
     try:
         import pyproj
     except ImportError:
@@ -43,3 +45,7 @@ def to_local_metres(longitude: Floats, latitude: Floats) -> tuple[Floats, Floats
     )
     x, y = project.transform(longitude, latitude)
     return np.asarray(x), np.asarray(y), middle, "metres in a local azimuthal equidistant frame (pyproj), from degrees"
+
+
+def _find_middle(degrees: Floats) -> float:
+    return float(np.quantile(degrees, (0.01, 0.99)).mean())

@@ -1,4 +1,4 @@
-"""What is doubtful about recorded tracks: gaps, jumps, exchanged ids, clocks and velocities. Nothing is repaired."""
+"""What is doubtful about recorded tracks: gaps, jumps, spikes, exchanged ids, clocks and velocities."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Mask
+from usnet_env.tracks.jumps import JUMP, Jumps, find_jumps
 
 if TYPE_CHECKING:
     from usnet_env.tracks.tracks import Tracks
@@ -17,7 +18,6 @@ __all__ = ["Finding", "TrackReport", "find_problems"]
 
 _GAP = 3.0  # a gap is an interval of more than this many typical intervals of its id
 _UNEVEN = 0.1  # sampling is uneven if a tenth of the intervals differ from the typical one by more than this share
-_JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
 _EXCHANGE = 0.25  # after an exchange of ids, each is this close to the place expected of the other, in jump lengths
 _MOST_JUMPS = 2000  # compared with each other for exchanged ids
 _AGREEMENT = 0.3  # velocities agree with positions if half of them differ by less than this share
@@ -30,8 +30,8 @@ class Finding:
     """Something doubtful about tracks.
 
     Args:
-        kind: ``"clocks"``, ``"gaps"``, ``"uneven sampling"``, ``"jumps"``, ``"exchanged ids"``, ``"velocities"`` or
-            ``"degrees"``.
+        kind: ``"clocks"``, ``"gaps"``, ``"uneven sampling"``, ``"spikes"``, ``"jumps"``, ``"exchanged ids"``,
+            ``"velocities"`` or ``"degrees"``.
         sentence: what was found, where first, and what it means.
         count: how often.
     """
@@ -71,12 +71,11 @@ def find_problems(tracks: Tracks) -> TrackReport:
         f"{whole} of {ids} ids are there from the beginning to the end.",
         *tracks.notes,
     )
-    speed = _speeds(tracks, interval, inner)
     found = [
         *_find_clocks(tracks, typical, usual),
         *_find_gaps(tracks, interval, inner, typical),
         *_find_uneven(tracks, interval, inner, typical),
-        *_find_jumps(tracks, speed),
+        *_describe_jumps(tracks, find_jumps(tracks)),
         *_find_velocity_conflicts(tracks, interval, inner),
         *_find_degrees(tracks),
     ]
@@ -98,14 +97,6 @@ def _count_whole(tracks: Tracks) -> int:
     first, last = tracks.time[tracks.offsets[filled]], tracks.time[tracks.offsets[filled + 1] - 1]
     slack = 0.01 * tracks.duration
     return int(((first <= slack) & (last >= tracks.duration - slack)).sum())
-
-
-def _speeds(tracks: Tracks, interval: Floats, inner: Mask) -> Floats:
-    """``(S - 1,)`` metres per second from each sample to the next of its id; 0 between ids."""
-    squares = np.zeros(len(interval))
-    for axis in range(3):
-        squares += np.diff(tracks.position[:, axis]) ** 2
-    return np.sqrt(squares) / np.where(inner, interval, np.inf)
 
 
 def _count(ids: NDArray[np.intp]) -> str:
@@ -194,26 +185,35 @@ def _find_uneven(tracks: Tracks, interval: Floats, inner: Mask, typical: Floats)
     return [Finding("uneven sampling", sentence, int(off.sum()))]
 
 
-def _find_jumps(tracks: Tracks, speed: Floats) -> list[Finding]:
-    """Find steps that are much faster than the others, and pairs of them in which two ids exchange their places."""
-    moving = speed[speed > 0]
-    if not len(moving):
-        return []
-    usual = float(np.quantile(moving, 0.95))
-    jumps = np.flatnonzero(speed > _JUMP * usual)
-    if not len(jumps):
-        return []
-    fastest = int(jumps[speed[jumps].argmax()])
-    found = [
-        Finding(
-            "jumps",
-            f"{len(jumps)} steps are jumps, more than {_JUMP:g} times as fast as 95 % of the steps ({usual:.3g} m/s); "
-            f"the fastest has {speed[fastest]:.3g} m/s, after {tracks.file_time(tracks.time[fastest])} "
-            f"(id {tracks.ids[_owner(tracks, fastest)]}).",
-            len(jumps),
+def _describe_jumps(tracks: Tracks, jumps: Jumps) -> list[Finding]:
+    """Describe single samples off the track, other jumps, and pairs of ids that exchange their places."""
+    found = []
+    fast = f"more than {JUMP:g} times as fast as 95 % of the steps ({jumps.usual:.3g} m/s)"
+    if len(jumps.spikes):
+        first, count = int(jumps.spikes[0]), len(jumps.spikes)
+        who = "1 sample is a spike" if count == 1 else f"{count} samples are spikes"
+        found.append(
+            Finding(
+                "spikes",
+                f"{who}: the steps to it and from it are {fast}, the way past it is not; the first is at "
+                f"{tracks.file_time(tracks.time[first])} (id {tracks.ids[_owner(tracks, first)]}). Spikes are left out "
+                "unless keep_spikes= is given.",
+                count,
+            )
         )
-    ]
-    pairs = _find_exchanges(tracks, jumps[:_MOST_JUMPS])
+    steps = jumps.steps[~np.isin(jumps.steps, jumps.spikes) & ~np.isin(jumps.steps + 1, jumps.spikes)]
+    if len(steps):
+        fastest, count = int(steps[jumps.speed[steps].argmax()]), len(steps)
+        found.append(
+            Finding(
+                "jumps",
+                f"{'1 step is a jump' if count == 1 else f'{count} steps are jumps'}, {fast}; the fastest has "
+                f"{jumps.speed[fastest]:.3g} m/s, after {tracks.file_time(tracks.time[fastest])} "
+                f"(id {tracks.ids[_owner(tracks, fastest)]}).",
+                count,
+            )
+        )
+    pairs = _find_exchanges(tracks, jumps.steps[:_MOST_JUMPS])
     if pairs:
         one, other = pairs[0]
         names = f"{tracks.ids[_owner(tracks, one)]} and {tracks.ids[_owner(tracks, other)]}"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, quote
 from usnet_env.tracks.findings import typical_intervals
+from usnet_env.tracks.jumps import close_jumps
 
 if TYPE_CHECKING:
     from usnet_env.tracks.tracks import Tracks
@@ -32,6 +33,7 @@ _FEWEST = 16  # one in this many ids must follow another
 _SIGNIFICANT = 5.0  # a lead exceeds those of shifted tracks by this many robust standard deviations
 _NEARLY = 0.8  # the shortest step whose lead is at least this share of the largest is chosen
 _SIGNAL = 4.0  # in a step, the squared movement should exceed the noise of the squared movement this many times
+_SHORT_LAG = 0.75  # steps; a delay that is shorter is none of one step
 _LARGEST_SCALE = 64  # samples; the noise asks for no longer step
 
 
@@ -172,7 +174,8 @@ def choose_step(tracks: Tracks) -> StepChoice:
     The noise of the positions is white, so it adds -σ² to the covariance of successive steps and nothing to later ones:
     σ² = 2 c₂ - c₃ - c₁ (at least 0), with the covariances c_k of steps k apart, because those of the movement itself
     change slowly. The shortest step that is tried is long enough that the mean squared movement is at least four times
-    its noise. Each further step is √2 times as long, as long as the tracks have 100 steps.
+    its noise. Each further step is √2 times as long, as long as the tracks have 100 steps. Gross jumps count as steps
+    of no length: a single one may exceed the noise and the movement of all others.
 
     At each step, the lead of j over i is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4, with the correlation C(τ) of the
     changes of i's velocity with those of j's velocity τ steps before. The lead over i is that of the best j, less the
@@ -187,6 +190,7 @@ def choose_step(tracks: Tracks) -> StepChoice:
     if not np.isfinite(typical).any():
         raise ArgumentError("tracks must hold an id with at least 2 samples; each id has only one.")
     interval = float(f"{np.nanmedian(typical):.9g}")  # differences of times have rounding errors
+    tracks = close_jumps(tracks)
     noise, needed = _noise(_sample_velocities(tracks, interval))
     factors = _step_factors(needed, tracks.duration / interval)
     leads = [_measure_leads(_sample_velocities(tracks, factor * interval)) for factor in factors]
@@ -211,6 +215,11 @@ def choose_step(tracks: Tracks) -> StepChoice:
         f"(median of {lead.followers})"
     )
     sentences = [f"The step is {step:g} s, {sampled}: {'; '.join(reasons)}."]
+    if lead.lag < _SHORT_LAG:
+        sentences.append(
+            "Warning: this delay is shorter than the step, so direct leaders and delays can't be told; a shorter step= "
+            "and longer windows may show them."
+        )
     if best == len(factors) - 1 and len(factors) > 1:
         sentences.append(
             f"Warning: it is the longest step that was tried, since the tracks should have at least {_LEAST_STEPS} "

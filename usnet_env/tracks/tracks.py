@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote, real_number, whole_number
 from usnet_env.tracks.findings import TrackReport, find_problems
+from usnet_env.tracks.jumps import leave_out_spikes
 from usnet_env.tracks.resampling import choose_step, resample_positions
 from usnet_env.tracks.windows import TrackWindow, cut_windows
 from usnet_env.window import as_array, frozen_array
@@ -166,13 +167,14 @@ class Tracks:
         """What the tracks hold, and what is doubtful about them: nothing of it is repaired."""
         return find_problems(self)
 
-    def resample(self, step: float | None = None, *, max_gap: float | None = None) -> Tracks:
+    def resample(self, step: float | None = None, *, max_gap: float | None = None, keep_spikes: bool = False) -> Tracks:
         """Resample all tracks to one grid of times, which starts at the earliest sample.
 
         Where a grid step has at least three samples, the value at the grid time is that of a straight line that is
         fitted to the samples within half a step; otherwise it is interpolated linearly between the two samples around
         it. Both are exact for straight flight at constant speed. An id has no sample at grid times that no two samples
-        enclose, or whose two samples are further apart than ``max_gap``.
+        enclose, or whose two samples are further apart than ``max_gap``. Spikes, single samples off the track, are left
+        out: a track jumps to them and back from them, and the way past them is no jump.
 
         Args:
             step: seconds between grid times. ``None`` chooses it: at least so long that the movement in a step exceeds
@@ -180,19 +182,24 @@ class Tracks:
                 4 steps; ``notes`` say which and why.
             max_gap: longest time in seconds between two samples that is interpolated; ``None``: one and a half times
                 the interval that 90 % of the id's intervals don't exceed, at least the step.
+            keep_spikes: whether to keep spikes.
 
         Raises:
-            ArgumentError: an argument is not a positive number, or no id has two samples.
+            ArgumentError: ``step`` or ``max_gap`` is not a positive number, ``keep_spikes`` is not a truth value, or no
+                id has two samples.
         """
         if max_gap is not None:
             max_gap = real_number("max_gap", max_gap, 0.0, _LONGEST_STEP)
+        if not isinstance(keep_spikes, bool):
+            raise ArgumentError(f"keep_spikes must be True or False, got {quote(keep_spikes)}.")
+        tracks = self if keep_spikes else leave_out_spikes(self)
         if step is None:
-            choice = choose_step(self)
+            choice = choose_step(tracks)
             step, why = choice.step, choice.reasons
         else:
             step = real_number("step", step, _SHORTEST_STEP, _LONGEST_STEP)
             why = (f"The step of {step:g} s was given.",)
-        grid = resample_positions(self, step, max_gap)
+        grid = resample_positions(tracks, step, max_gap)
         return replace(
             self,
             offsets=grid.offsets,

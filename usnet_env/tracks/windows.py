@@ -65,7 +65,7 @@ def cut_windows(tracks: Tracks, length: int, stride: int, least_steps: int) -> I
     if not count:
         raise ArgumentError(
             f"length must be at most the {round(tracks.duration / tracks.step)} steps of {tracks.step:g} s that the "
-            f"tracks last, got {quote(length)}."
+            f"tracks last, got {quote(length)}; a shorter step= gives more steps."
         )
     number = np.round(tracks.time / tracks.step).astype(np.int64)
     known = np.unique(number)
