@@ -154,7 +154,9 @@ def _from_arrow(column: Any) -> Any:
         column = column.dictionary_decode()
         kind = column.type
     if pyarrow.types.is_timestamp(kind):
-        return column.cast(pyarrow.timestamp("us", kind.tz), safe=False).to_numpy(zero_copy_only=False)
+        return column.cast(pyarrow.timestamp("ns" if kind.unit == "ns" else "us", kind.tz), safe=False).to_numpy(
+            zero_copy_only=False
+        )
     if pyarrow.types.is_floating(kind) or (pyarrow.types.is_integer(kind) and not column.null_count):
         return column.to_numpy(zero_copy_only=False)
     return ["" if each is None else each for each in column.to_pylist()]

@@ -6,7 +6,7 @@ import codecs
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,6 +30,7 @@ _READERS = {
 }  # fmt: skip
 _NO_VALUE = {"", "na", "n/a", "nan", "null", "none", "nat"}
 _LIMITS = {"lon": 360.0, "lat": 90.0}  # degrees
+_EPOCH, _MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=1)
 _LARGEST = 1e15  # of numbers in a file: float64 has no fractions beyond
 
 
@@ -200,11 +201,12 @@ class _Table:
             self._parts.setdefault("t" if role == time_role else role, []).append(values)
 
     def _times(self, values: Any, role: str, about: Callable[[str, int], str]) -> Floats:
-        """Convert times to numbers of the file's unit, or timestamps to seconds since 1970."""
+        """Convert times to numbers of the file's unit, or timestamps to whole microseconds since 1970."""
         if isinstance(values, np.ndarray) and values.dtype.kind == "M":
             timestamps = True
-            seconds = values.astype("datetime64[us]").astype(np.int64) / 1e6
-            converted = np.where(np.isnat(values), np.nan, seconds)
+            half = np.timedelta64(500, "ns") if values.dtype == "datetime64[ns]" else np.timedelta64(0, "us")
+            rounded = (values + half).astype("datetime64[us]").astype(np.float64)
+            converted = np.where(np.isnat(values), np.nan, rounded)
         elif isinstance(values, np.ndarray):
             timestamps, converted = False, values.astype(np.float64)
         else:
@@ -252,7 +254,10 @@ class _Table:
             raise ArgumentError(f"time_unit must be None for timestamps, got {self._unit:g}.")
         time = self._take("t")
         assert time is not None
-        time *= unit
+        start = 0.0
+        if self._timestamps:  # whole microseconds: their differences are exact
+            start = float(time.min())
+            time = (time - start) / 1e6
         axes = ("lon", "lat", "z") if "lon" in self._parts else ("x", "y", "z")
         position = [each for role in axes if (each := self._take(role)) is not None]
         frame, origin = "metres", None
@@ -270,7 +275,7 @@ class _Table:
         leader = self._leaders(codes, notes)
         return assemble(
             tuple(self._code), codes, time, position, velocity, leader,
-            Clock(0.0, unit, bool(self._timestamps), self._whole), frame, tuple(notes), origin,
+            Clock(start / 1e6, unit, bool(self._timestamps), self._whole), frame, tuple(notes), origin,
         )  # fmt: skip
 
     def _leaders(self, codes: NDArray[Any], notes: list[str]) -> Indices | None:
@@ -345,8 +350,8 @@ def _number(value: Any, role: str, about: Callable[[str, int], str], k: int) -> 
 
 
 def _timestamps(values: Sequence[Any], role: str, about: Callable[[str, int], str]) -> Floats:
-    """Convert ISO 8601 timestamps to seconds since 1970; without a time zone they are UTC."""
-    seconds = np.empty(len(values))
+    """Convert ISO 8601 timestamps to microseconds since 1970; without a time zone they are UTC."""
+    micros = np.empty(len(values))
     for k, value in enumerate(values):
         try:
             moment = value if isinstance(value, datetime) else datetime.fromisoformat(value.strip())
@@ -356,7 +361,7 @@ def _timestamps(values: Sequence[Any], role: str, about: Callable[[str, int], st
                     f"{role} must be a number or an ISO 8601 timestamp in every row, got {quote(value)} in "
                     f"{about(role, k)}."
                 ) from None
-            seconds[k] = math.nan
+            micros[k] = math.nan
         else:
-            seconds[k] = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-    return seconds
+            micros[k] = ((moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - _EPOCH) // _MICROSECOND
+    return micros

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,8 @@ from usnet_env.window import as_array, frozen_array
 
 __all__ = ["Clock", "Tracks"]
 
-_DIGITS = 9  # decimals of a time that is written as a number
+_DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
+_EPOCH = datetime(1970, 1, 1)
 _SHORTEST_STEP, _LONGEST_STEP = 1e-9, 1e9  # seconds
 
 
@@ -43,9 +44,10 @@ class Clock:
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""
         if self.timestamps:
-            moment = datetime.fromtimestamp(round(self.origin + seconds, 6), UTC)
-            return moment.replace(tzinfo=None).isoformat(timespec="milliseconds") + "Z"
-        number = round(self.origin + seconds / self.unit, _DIGITS)
+            moment = _EPOCH + timedelta(milliseconds=round(1000 * (self.origin + seconds)))
+            return moment.isoformat(timespec="milliseconds") + "Z"
+        number = self.origin + seconds / self.unit
+        number = round(number, _count_decimals(number))
         return int(number) if self.whole and number.is_integer() else number
 
 
@@ -270,12 +272,12 @@ def assemble(
     Args:
         ids: the N ids.
         codes: ``(S,)`` index of the id of each sample, in the order of the file.
-        time: ``(S,)`` seconds.
+        time: ``(S,)`` times in the clock's unit, or in seconds for timestamps.
         position: the coordinates x, y and z or only x and y, ``(S,)`` metres each. The list is emptied, which frees the
             memory of its arrays.
         velocity: ``(S, 3)`` metres per second, or ``None``.
         leader: ``(S,)`` index of each sample's leader, -1 for none, or ``None``.
-        clock: how a second of ``time`` is written; second 0 becomes the earliest time.
+        clock: how time 0 and a second are written; second 0 becomes the earliest time.
         frame: what the positions are, in words.
         notes: what the reader found.
         origin: ``(3,)`` coordinates of the origin, if the positions are already relative to it.
@@ -284,6 +286,12 @@ def assemble(
         ArgumentError: two samples of an id have one time and different places; the sentence names their rows.
     """
     start = float(time.min())
+    latest = max(abs(start), abs(float(time.max())))
+    time = time - start
+    if _count_decimals(latest) < _DIGITS:  # seconds since 1970: the difference of two has as few decimals
+        time = np.round(time, _count_decimals(latest))
+    time *= clock.unit
+    clock = replace(clock, origin=clock.origin + start)
     order = np.lexsort((time, codes)) if not _is_sorted(codes, time) else None
     if order is not None:
         codes, time = codes[order], time[order]
@@ -299,7 +307,7 @@ def assemble(
         if differ.any():
             k = int(doubled[np.flatnonzero(differ)[0]])
             one, other = sorted((int(rows[k]) + 2, int(rows[k + 1]) + 2))
-            moment = replace(clock, origin=0.0).file_time(float(time[k]))
+            moment = clock.file_time(float(time[k]))
             raise ArgumentError(
                 f"time must differ between the samples of an id, got {quote(moment)} with two places for id "
                 f"{quote(ids[int(codes[k])])} in rows {one} and {other}."
@@ -315,7 +323,6 @@ def assemble(
     if origin is None:
         origin = np.round((places.min(axis=0) + places.max(axis=0)) / 2)
         places -= origin
-    time = time - start
     for array in (time, places):
         array.setflags(write=False)
     return Tracks(
@@ -326,10 +333,15 @@ def assemble(
         origin=origin,
         velocity=None if velocity is None else velocity[pick],
         leader=None if leader is None else leader[pick],
-        clock=replace(clock, origin=start / clock.unit),
+        clock=clock,
         frame=frame,
         notes=notes,
     )
+
+
+def _count_decimals(number: float) -> int:
+    """How many decimals float64 has at this size, at most 9."""
+    return min(_DIGITS, max(0, int(-np.log10(np.spacing(abs(number))))))
 
 
 def _is_frozen(value: Any, dtype: type, shape: tuple[int | None, ...]) -> bool:
