@@ -272,7 +272,8 @@ def test_wrong_encodings_are_refused_by_row(tmp_path):
     assert "UTF-16" in refusal(path)
     path.write_text("id,t,x,y\na,0,1,2\nb,0,1,2\n", encoding="utf-8-sig")
     assert read_tracks(path).samples == 2
-    assert refusal(path, encoding="utf-16").startswith("encoding must be")
+    assert refusal(path, encoding="utf-16").startswith("encoding must be one in which plain letters take one byte")
+    assert refusal(path, encoding="foo").startswith("encoding must be one that Python knows")
 
 
 def test_damaged_binary_files(tmp_path):

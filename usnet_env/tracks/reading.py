@@ -90,9 +90,14 @@ def read_tracks(
 
 def _check_encoding(encoding: Any) -> str:
     try:
-        plain = "id,1\n".encode(plain_text("encoding", encoding)) == b"id,1\n"
-        codecs.lookup(encoding)
-    except (LookupError, UnicodeError, ValueError):
+        codecs.lookup(plain_text("encoding", encoding))
+    except (LookupError, ValueError):
+        raise ArgumentError(
+            f"encoding must be one that Python knows, such as utf-8 or latin-1, got {quote(encoding)}."
+        ) from None
+    try:
+        plain = "id,1\n".encode(encoding) == b"id,1\n"
+    except (LookupError, UnicodeError, ValueError):  # some encodings are not of texts
         plain = False
     if not plain:
         raise ArgumentError(
