@@ -16,6 +16,7 @@ from usnet_env.tracks.windows import TrackWindow
 __all__ = ["Link", "find_links"]
 
 _MOST_LAG = 12  # steps
+_DIGITS = 9  # decimals of a delay
 _LEAST_STEPS = 4  # of the window for each step of the longest lag
 
 
@@ -27,8 +28,9 @@ class Link:
         follower: as in the file.
         leader: the id that it follows directly: a head, or a relay that follows the head itself.
         head: the leader of the whole group.
-        delay: seconds after which the velocity of the follower agrees best with that of the leader, from 0; ``None``:
-            one of the two does not change its velocity while both are seen.
+        delay: seconds, a whole number of steps, after which the velocity of the follower agrees best with that of the
+            leader. ``None``: no delay of a step or more fits better than none, or one of the two does not change its
+            velocity while both are seen.
     """
 
     follower: str | int
@@ -64,7 +66,10 @@ def find_links(
 
 
 def _measure_delay(cut: TrackWindow, follower: int, leader: int) -> float | None:
-    """The lag, in seconds, at which the follower's velocity is most correlated with the leader's earlier velocity."""
+    """The lag, in seconds, at which the follower's velocity is most correlated with the leader's earlier velocity.
+
+    ``None`` if this lag is 0: the delay is shorter than the step, or there is none.
+    """
     window = cut.window
     seen = window.velocity_seen[:, [leader, follower]]
     both = seen.all(axis=1)
@@ -75,6 +80,5 @@ def _measure_delay(cut: TrackWindow, follower: int, leader: int) -> float | None
     ahead, behind = centred[:, 0], centred[:, 1]
     most = min(_MOST_LAG, len(centred) // _LEAST_STEPS)
     curve = np.array([(ahead[: len(ahead) - lag] * behind[lag:]).sum() for lag in range(most + 1)])
-    if not curve.any():
-        return None
-    return float(curve.argmax()) * cut.step
+    lag = int(curve.argmax())
+    return round(lag * cut.step, _DIGITS) if lag else None
