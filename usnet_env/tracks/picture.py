@@ -27,10 +27,12 @@ if TYPE_CHECKING:
 __all__ = ["MOST_MAPS", "draw_leaders"]
 
 MOST_MAPS, _COLUMNS = 6, 3
-_MAP, _GAP, _LEGEND, _HEADER = 4.6, 0.75, 2.7, 1.1  # inches
+_MAP, _GAP, _LEGEND, _HEADER = 4.6, 0.75, 2.7, 1.3  # inches
+_TITLES = 0.4  # inches between rows of maps, for titles of two lines
 _MOST_ROWS, _ROW = 16, 0.27  # of the lower chart; inches
 _MOST_NAMES = 12  # leaders that a map names
 _MOST_REJECTED = 3  # candidates in the title of a map
+_LONGEST_TITLE = 40  # characters of a line
 #: A window of a map, its leader by index ``(N,)`` (-1: none; a leader has its own index), and the leaders.
 Map = tuple[TrackWindow, NDArray[np.int64], DetectedWindow]
 
@@ -51,18 +53,20 @@ def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str) -> Figure
     bars = found.leaders[:_MOST_ROWS]
     chart = 1.1 + _ROW * max(len(bars), 1)
     width = max(columns * (_MAP + _GAP) + _LEGEND, 9.0)
-    height = _HEADER + lines * (_MAP + _GAP + 0.2) + chart
+    height = _HEADER + lines * (_MAP + _GAP + _TITLES) + chart
     figure = new_figure(width, height)
     figure.text(0.5 / width, 1 - 0.25 / height, "Leaders and followers", fontsize=17, weight="bold", va="top")
     shown = f"{len(maps)} of {len(found.windows)} windows, " if len(maps) < len(found.windows) else ""
-    about = f"{title}: {shown}by {found.detector}. Stars are leaders, lines connect followers to them."
+    date = _find_date(found)
+    day = f" {date} (UTC)," if date else ""
+    about = f"{title}:{day} {shown}by {found.detector}. Stars are leaders, lines connect followers to them."
     figure.text(0.5 / width, 1 - 0.65 / height, about, fontsize=10, va="top", color="#333333")
     marks: dict[str, str] = {}
     beside: Axes | None = None
     for k, (cut, leader, window) in enumerate(maps):
-        left, top = 0.7 + k % columns * (_MAP + _GAP), _HEADER + k // columns * (_MAP + _GAP + 0.2)
+        left, top = 0.7 + k % columns * (_MAP + _GAP), _HEADER + k // columns * (_MAP + _GAP + _TITLES)
         axes = figure.add_axes((left / width, 1 - (top + _MAP) / height, _MAP / width, _MAP / height))
-        marks |= _draw_map(axes, cut, leader, window)
+        marks |= _draw_map(axes, cut, leader, window, date)
         if k % columns:
             axes.set_ylabel("")
         if k == columns - 1:
@@ -71,11 +75,13 @@ def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str) -> Figure
         draw_legend(beside, marks)
     bottom = 0.55
     axes = figure.add_axes((1.9 / width, bottom / height, (width - 2.4) / width, (chart - 1.0) / height))
-    _draw_times(axes, found)
+    _draw_times(axes, found, date)
     return figure
 
 
-def _draw_map(axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: DetectedWindow) -> dict[str, str]:
+def _draw_map(
+    axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: DetectedWindow, date: str
+) -> dict[str, str]:
     """Draw one window; returns the marks that it shows, for the legend."""
     uavs = len(cut.ids)
     leaders = {each.id for each in window.leaders}
@@ -84,7 +90,7 @@ def _draw_map(axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: D
     position = cut.window.position + np.asarray(cut.origin, np.float32)
     draw_round(
         position, cut.window.seen, cut.window.alive, head, leader, none,
-        axes=axes, title=_title_map(window), legend=False, limits=_limits(position[cut.window.seen]),
+        axes=axes, title=_title_map(window, date), legend=False, limits=_limits(position[cut.window.seen]),
     )  # fmt: skip
     place = last_seen_position(position, cut.window.seen)
     names = {each: i for i, each in enumerate(cut.ids)}
@@ -100,15 +106,31 @@ def _draw_map(axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: D
     return {mark: words.get(mark, mark) for mark, who in present.items() if who.any()}
 
 
-def _format_time(time: float | int | str) -> str:
-    """A time of the file with up to eight digits, so that the ticks of an axis have room."""
-    return f"{time:.8g}" if isinstance(time, float) else str(time)
+def _find_date(found: FoundLeaders) -> str:
+    """The date of all windows if the times are timestamps of one day, otherwise nothing."""
+    times = [time for window in found.windows for time in (window.start, window.end)]
+    dates = {time.partition("T")[0] for time in times if isinstance(time, str)}
+    return dates.pop() if len(dates) == 1 else ""
 
 
-def _title_map(window: DetectedWindow) -> str:
-    """The times of a window, and its candidates that are not confirmed."""
-    named = ", ".join(map(str, window.rejected[:_MOST_REJECTED]))
-    return f"{_format_time(window.start)} to {_format_time(window.end)}{'; not confirmed: ' + named if named else ''}"
+def _format_time(time: float | int | str, date: str) -> str:
+    """A time of the file, short enough for an axis: up to 8 digits, or a timestamp without ``date`` and final zeros."""
+    if not isinstance(time, str):
+        return f"{time:.8g}" if isinstance(time, float) else str(time)
+    day, _, clock = time.removesuffix("Z").partition("T")
+    clock = clock.rstrip("0").removesuffix(".") if "." in clock else clock
+    return clock if day == date else f"{day} {clock}"
+
+
+def _title_map(window: DetectedWindow, date: str) -> str:
+    """The times of a window and, in a second line, its candidates that are not confirmed."""
+    day = date or str(window.start).partition("T")[0]
+    title = f"{_format_time(window.start, date)} to {_format_time(window.end, day)}"
+    if window.rejected:
+        named = f"not confirmed: {', '.join(map(str, window.rejected[:_MOST_REJECTED]))}"
+        more = "" if len(window.rejected) <= _MOST_REJECTED else ", …"
+        title += f"\n{named if len(named) <= _LONGEST_TITLE else named[: _LONGEST_TITLE - 1] + '…'}{more}"
+    return title
 
 
 def _limits(place: NDArray[np.float32]) -> Limits:
@@ -118,7 +140,7 @@ def _limits(place: NDArray[np.float32]) -> Limits:
     return x, y, 0.54 * max(float((high - low).max()), 1e-6)
 
 
-def _draw_times(axes: Axes, found: FoundLeaders) -> None:
+def _draw_times(axes: Axes, found: FoundLeaders, date: str) -> None:
     """Draw a row for each leader over the file, with a bar for each window in which it leads."""
     bars = found.leaders[:_MOST_ROWS]
     for row, each in enumerate(bars):
@@ -132,10 +154,10 @@ def _draw_times(axes: Axes, found: FoundLeaders) -> None:
     axes.set_yticks(range(len(bars)), [str(each.id) for each in bars], fontsize=8)
     axes.set_ylim(max(len(bars), 1) - 0.5, -0.5)
     count = len(found.windows)
-    longest = max(len(_format_time(window.start)) for window in found.windows)
+    longest = max(len(_format_time(window.start, date)) for window in found.windows)
     ticks = np.unique(np.linspace(0, count - 1, min(count, max(2, min(8, 80 // longest)))).astype(int))
     axes.set_xlim(0, count)
-    axes.set_xticks(ticks, [_format_time(found.windows[k].start) for k in ticks], fontsize=8)
+    axes.set_xticks(ticks, [_format_time(found.windows[k].start, date) for k in ticks], fontsize=8)
     more = f", {len(bars)} of {len(found.leaders)} leaders" if len(bars) < len(found.leaders) else ""
     words = f"Windows in which each id leads (colour = group){more}; time of their start below"
     axes.set_title(words, fontsize=10, loc="left")
