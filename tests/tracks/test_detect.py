@@ -54,7 +54,7 @@ def test_no_id_leads_a_leaderless_flock(folder):
     found = find_leaders(read_tracks(folder / "leaderless.csv"))
     assert leaders_by_window(found) == [[]] * 5
     assert found.leaders == ()
-    assert [row["leader"] for row in found.rows()] == [None] * 5
+    assert [row["id"] for row in found.rows()] == [None] * 5
 
 
 def test_a_leader_is_confirmed_by_followers_that_move_like_it_later(folder):
@@ -133,12 +133,13 @@ def test_json_is_one_object_with_these_keys(run, folder):
     found = json.loads(out)
     assert set(found) == {"windows", "leaders"}
     assert len(found["windows"]) == 5
+    fields = {"id", "probability", "followers", "reason", "group", "score"}
     for window in found["windows"]:
         assert set(window) == {"start", "end", "leaders", "not_confirmed", "links", "left_out"}
         assert [set(link) for link in window["links"]] == [{"follower", "leader", "head", "delay"}] * 11
         for leader in window["leaders"]:
-            assert set(leader) == {"id", "probability", "followers", "reason"}
-    assert [set(leader) for leader in found["leaders"]] == [{"id", "probability", "followers", "reason"}]
+            assert set(leader) == fields
+    assert [set(leader) for leader in found["leaders"]] == [{*fields, "share"}]
     assert found["windows"][1]["start"] == 50.0
     assert found["leaders"][0]["id"] == "bird-0"
     assert found["leaders"][0]["probability"] is None
@@ -162,8 +163,8 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     with open(out / "windows.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert (rows[0]["start"], rows[0]["end"]) == ("0.0", "50.0")
-    assert {row["leader"] for row in rows} == {"bird-0", "bird-1"}
-    assert "bird-2" in next(row for row in rows if row["leader"] == "bird-0")["followers"].split(";")
+    assert {row["id"] for row in rows} == {"bird-0", "bird-1"}
+    assert "bird-2" in next(row for row in rows if row["id"] == "bird-0")["followers"].split(";")
     assert json.loads((out / "leaders.json").read_text())["leaders"][0]["id"] == "bird-0"
     record = EpisodeRecord.load(out / "episode.npz")
     assert (record.rounds, record.uavs, record.labelled) == (7, 14, False)
@@ -179,7 +180,7 @@ def test_parquet_holds_the_same_rows(run, folder, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     assert run("detect", folder / "flock.csv", *QUICK, "--out", tmp_path)[0] == 0
     table = parquet.read_table(tmp_path / "windows.parquet").to_pylist()
-    assert [row["leader"] for row in table] == ["bird-0"] * 5
+    assert [row["id"] for row in table] == ["bird-0"] * 5
     assert len(table[0]["followers"]) == 11
 
 

@@ -249,11 +249,16 @@ def _tables(found: FoundLeaders) -> list[Table]:
         if not window.leaders:
             named = f"Not confirmed: {', '.join(map(str, window.rejected[:_MOST_NAMES]))}." if window.rejected else ""
             rows.append([*when, "none found", "", "", named])
-    over_file = [_cells(leader) for leader in found.leaders] or [["none found", "", "", ""]]
+    over_file = []
+    for leader in found.leaders:
+        name, *cells = _cells(leader)
+        over_file.append([name, f"{leader.share or 0.0:.0%}", *cells])
     headings = ["leader", "p", "followers", "why"]
     return [
         _make_table(f"Windows, by {found.detector}", ["from", "to", *headings], rows),
-        _make_table("Over the file", headings, over_file),
+        _make_table(
+            "Over the file", ["leader", "windows", *headings[1:]], over_file or [["none found", "", "", "", ""]]
+        ),
     ]
 
 
@@ -287,10 +292,10 @@ def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Map], title: st
     from usnet_env.tracks.picture import draw_leaders
 
     rows = found.rows()
-    over_file = [{**each.as_dict(), "group": each.group, "score": each.score} for each in found.leaders]
+    over_file = [each.as_dict() for each in found.leaders]
     for name, table, columns in (
         ("windows", rows, ()),
-        ("leaders", over_file, ("id", "probability", "followers", "reason", "group", "score")),
+        ("leaders", over_file, ("id", "probability", "followers", "reason", "group", "score", "share")),
         ("links", found.link_rows(), ("start", "end", "follower", "leader", "head", "delay")),
     ):
         _write_table(folder / name, table, columns)

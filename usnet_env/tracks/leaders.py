@@ -41,6 +41,7 @@ class Leader:
         reason: why, a sentence.
         group: number of its group; a group keeps its number from window to window.
         score: the detector's score; over the file, the mean over the windows in which it leads.
+        share: over the file, the share of the windows in which it leads; ``None`` for the leader of one window.
     """
 
     id: str | int
@@ -49,15 +50,19 @@ class Leader:
     reason: str
     group: int
     score: float
+    share: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {
+        """Plain values for JSON; only a leader over the file has a share."""
+        values = {
             "id": self.id,
             "probability": self.probability,
             "followers": list(self.followers),
             "reason": self.reason,
+            "group": self.group,
+            "score": self.score,
         }
+        return values if self.share is None else {**values, "share": self.share}
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +128,7 @@ class FoundLeaders:
                         "start": each.start,
                         "end": each.end,
                         "group": leader and leader.group,
-                        "leader": leader and leader.id,
+                        "id": leader and leader.id,
                         "probability": leader and leader.probability,
                         "score": leader and leader.score,
                         "followers": [] if leader is None else list(leader.followers),
@@ -372,5 +377,6 @@ class _Summary:
                 reason += f" By chance, a group without a leader has as many with probability {chance:.2g}."
             probability = self._probability[group, head] / len(windows) if self._sure else None
             score = self._scores[group, head] / len(windows)
-            found.append(Leader(ids[head], probability, tuple(ids[i] for i in behind), reason, group, score))
+            share = len(windows) / self._count
+            found.append(Leader(ids[head], probability, tuple(ids[i] for i in behind), reason, group, score, share))
         return tuple(found)

@@ -1,0 +1,120 @@
+"""Times, delays, and the fields of the files that ``usnet detect`` writes."""
+
+import csv
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from track_files import Sure, rows_of, straight, write_csv
+
+from usnet_env.tracks import Tracks, find_leaders, read_tracks
+
+QUICK = ("--detector", "lagged-regression")
+
+
+def flying(lag, steps=600, seed=3):
+    """Positions ``(steps, 3, 2)``: ids 1 and 2 copy the turns of id 0 after ``lag`` and ``lag + 1`` samples."""
+    rng = np.random.default_rng(seed)
+    turn = np.convolve(rng.normal(0, 1, steps), np.ones(4) / 4, "same")
+    path = np.stack([np.cos(np.cumsum(turn)), np.sin(np.cumsum(turn))], axis=1)
+    velocity = np.stack([path, np.roll(path, lag, axis=0), np.roll(path, lag + 1, axis=0)], axis=1)
+    return np.cumsum(velocity + rng.normal(0, 0.05, velocity.shape), axis=0)
+
+
+def stamp(t, epoch=False):
+    """The time of sample ``t``, one every 0.1 s."""
+    return (
+        f"{1278580320 + t // 10}.{t % 10}" if epoch else f"2010-07-08T09:{12 + t // 600}:{t // 10 % 60:02}.{t % 10}00"
+    )
+
+
+@pytest.mark.parametrize("epoch", [False, True])
+def test_times_every_tenth_of_a_second_are_exact(run, tmp_path, epoch):
+    places = flying(lag=2)
+    rows = [[f"b{k}", stamp(t, epoch), *map(float, places[t, k])] for t in range(600) for k in range(3)]
+    path = write_csv(tmp_path / "tracks.csv", rows)
+    read = read_tracks(path)
+    np.testing.assert_array_equal(read.time[:600], np.arange(600) / 10)
+    assert "one every 0.1 s;" in read.report().facts[0]
+    status, out, _ = run("detect", path, *QUICK, "--step", "0.1", "--json")
+    assert status == 0
+    windows = json.loads(out)["windows"]
+    expected = [stamp(t, epoch) for t in range(0, 501, 100)]
+    as_number = [float(each) if epoch else f"{each}Z" for each in expected]
+    assert [(each["start"], each["end"]) for each in windows] == list(pairwise(as_number))
+    delays = {link["delay"] for each in windows for link in each["links"]}
+    assert delays
+    assert delays <= {None, *(k / 10 for k in range(13))}
+
+
+def test_milliseconds_since_1970_are_exact(tmp_path):
+    rows = [[row[0], 1278580320000 + 100 * k // 3, *row[2:]] for k, row in enumerate(rows_of(straight()))]
+    read = read_tracks(write_csv(tmp_path / "tracks.csv", rows), time_unit=0.001)
+    np.testing.assert_allclose(read.time, np.round(read.time, 3), atol=1e-12)
+
+
+def test_parquet_keeps_nanoseconds_to_the_microsecond(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    times = np.datetime64("2010-07-08T09:12:00", "ns") + np.arange(4) * np.timedelta64(33_333_333, "ns")
+    columns = {"id": list("aabb"), "timestamp": times[[0, 3, 1, 2]], "x": [0, 3, 1, 2], "y": [0, 1, 1, 0]}
+    parquet.write_table(pyarrow.table(columns), tmp_path / "tracks.parquet")
+    np.testing.assert_array_equal(read_tracks(tmp_path / "tracks.parquet").time, [0, 0.1, 0.033333, 0.066667])
+
+
+def test_a_delay_of_less_than_a_step_is_left_empty(run, tmp_path):
+    places = flying(lag=0)
+    who, time = ["a", "b", "c"] * 600, np.repeat(np.arange(600) * 0.5, 3)
+    tracks = Tracks.from_samples(who, time, places.reshape(-1, 2)).resample(0.5)
+    for window in find_leaders(tracks, Sure(0), confirm=False).windows[1:]:
+        assert {link.follower: link.delay for link in window.links} == {"b": None, "c": 0.5}
+    write_csv(tmp_path / "tracks.csv", [[who[i], time[i], *places.reshape(-1, 2)[i]] for i in range(1800)])
+    words = ("--step", "0.5", "--unconfirmed", "--out", tmp_path / "found")
+    assert run("detect", tmp_path / "tracks.csv", *QUICK, *words)[0] == 0
+    with open(tmp_path / "found" / "links.csv", newline="", encoding="utf-8") as file:
+        delays = {row["delay"] for row in csv.DictReader(file)}
+    assert "" in delays
+    assert "0.0" not in delays
+
+
+def test_tables_and_json_have_the_same_fields(run, tmp_path):
+    places = flying(lag=2)
+    rows = [["abc"[k], t * 0.5, *map(float, places[t, k])] for t in range(600) for k in range(3)]
+    path = write_csv(tmp_path / "tracks.csv", rows)
+    status, out, _ = run("detect", path, *QUICK, "--step", "0.5", "--unconfirmed", "--out", tmp_path / "found")
+    assert status == 0
+    found = json.loads((tmp_path / "found" / "leaders.json").read_text(encoding="utf-8"))
+    tables = {}
+    for name in ("windows", "leaders"):
+        with open(tmp_path / "found" / f"{name}.csv", newline="", encoding="utf-8") as file:
+            tables[name] = list(csv.DictReader(file))
+    assert set(tables["leaders"][0]) == set(found["leaders"][0])
+    fields = {*found["windows"][0], *found["windows"][0]["leaders"][0]} - {"leaders", "links"}
+    assert set(tables["windows"][0]) == fields
+    led = sum(each["id"] == found["leaders"][0]["id"] for window in found["windows"] for each in window["leaders"])
+    assert found["leaders"][0]["share"] == pytest.approx(led / len(found["windows"]))
+    assert f"{led / len(found['windows']):.0%}" in out.partition("Over the file")[2]
+
+
+def test_the_titles_of_a_picture_fit_their_maps(tmp_path):
+    """The date is written once, and candidates that are not confirmed are in a second line."""
+    pytest.importorskip("matplotlib")
+    from usnet_env.tracks.picture import draw_leaders
+
+    names = [f"a bird with a long name {k}" for k in range(3)]
+    places = flying(lag=0)
+    rows = [[names[k], stamp(t), *map(float, places[t, k])] for t in range(600) for k in range(3)]
+    tracks = read_tracks(write_csv(tmp_path / "tracks.csv", rows)).resample(0.1)
+    maps = []
+    found = find_leaders(tracks, Sure(2), on_window=lambda cut, answer, each: maps.append((cut, np.full(3, -1), each)))
+    assert all(window.rejected for window in found.windows)
+    figure = draw_leaders(found, maps, "tracks.csv")
+    figure.draw_without_rendering()
+    titles = [axes.title for axes in figure.axes] + [axes._left_title for axes in figure.axes]
+    boxes = {each.get_text(): each.get_window_extent() for each in titles if " to 09:" in each.get_text()}
+    assert [title.partition("\n")[0] for title in boxes][:2] == ["09:12:00 to 09:12:10", "09:12:10 to 09:12:20"]
+    assert all("\nnot confirmed: a bird" in title for title in boxes)
+    width = figure.axes[0].get_window_extent().width
+    assert max(box.width for box in boxes.values()) < width + 0.5 * figure.dpi
+    assert sum("2010-07-08" in each.get_text() for each in figure.texts) == 1
