@@ -112,6 +112,14 @@ CHANGES = {
     "delay-25": Change("they are at most 25 samples, or a quarter of the window", ((detector, "count_lags", _many),)),
     "rows-a-lag": Change("the own past has all lags, however short the window is", ((evidence, "_ROWS_A_LAG", 1),)),
     "freedom": Change("all rows have the same weight, sharp turns too", ((evidence, "_FREEDOM", INFINITE),)),
+    "white": Change(
+        "rows count as independent, however long the errors of the own past last",
+        ((evidence, "_whiteness", lambda innovation: np.ones(len(innovation))),),
+    ),
+    "share-half": Change(
+        "half of the single UAVs follow a head a priori, instead of an unknown share",
+        ((fit, "_SHARES", np.array([0.5])), (fit, "_WEIGHTS", np.array([1.0]))),
+    ),
     "own-choice-free": Change("a single UAV chooses a head at no price", ((pooling, "RARE", 0.5),)),
     "own-choice-never": Change("no single UAV chooses a head by itself", ((pooling, "RARE", 1e-300),)),
     "unit-spread": Change(

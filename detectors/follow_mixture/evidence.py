@@ -44,7 +44,7 @@ class Targets:
         innovation: ``(C + n, R, 3)`` e; 0 for the rest of a group of one.
         own: ``(C + n, R, z)`` orthonormal columns that span Z.
         weight: ``(C + n, R)`` weight of each row, in units of which e and Z are.
-        rows: ``(C + n,)`` effective number of rows: R - z, less if a few rows hold most of |e|².
+        rows: ``(C + n,)`` effective number of rows: R - z, less if a few rows hold most of |e|² or if e is not white.
     """
 
     label: Indices
@@ -130,10 +130,24 @@ def make_targets(velocity: Floats, label: Indices, lags: int) -> Targets:
         weight[part] = 1.0 / np.sqrt(1.0 + square / (_FREEDOM * scale))
         own[part] = whiten(known * weight[part][:, :, None])
         innovation[part] = _residuals(own[part], mean[part, lags:] * weight[part][:, :, None])
-    square = (innovation**2).sum(axis=2)
-    # Of normal innovations the participation ratio is 3/5 of their number; a few sharp turns count as a few rows.
-    effective = 5.0 / 3.0 * square.sum(axis=1) ** 2 / np.maximum((square**2).sum(axis=1), _NOTHING**2)
-    return Targets(label, innovation, own, weight, np.minimum(effective, rows - width))
+    share = np.minimum(_steadiness(innovation), _whiteness(innovation))
+    return Targets(label, innovation, own, weight, np.minimum(rows * share, rows - width))
+
+
+def _steadiness(innovation: Floats) -> Floats:
+    """``(k,)``: effective share of the rows of ``(k, R, 3)``: below 1 if a few sharp turns hold most of the energy."""
+    return np.minimum(5 / 3 * _participation((innovation**2).sum(axis=2)), 1.0)  # of normal innovations it is 3/5
+
+
+def _whiteness(innovation: Floats) -> Floats:
+    """``(k,)``: effective share of the rows of ``(k, R, 3)``, for features with their spectrum (Bartlett's formula)."""
+    power = (np.abs(np.fft.rfft(innovation, axis=1)[:, 1:]) ** 2).sum(axis=2)
+    return np.minimum(4 / 3 * _participation(power), 1.0)  # of white innovations it is 3/4
+
+
+def _participation(values: Floats) -> Floats:
+    """``(k,)``: the share of ``values`` ``(k, m)`` that hold their sum: 1 if all are equal, 1/m if one is not 0."""
+    return np.asarray(values.mean(axis=1) ** 2 / np.maximum((values**2).mean(axis=1), _NOTHING**2))
 
 
 def _residuals(columns: Floats, target: Floats) -> Floats:

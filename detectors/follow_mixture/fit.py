@@ -33,6 +33,7 @@ _CERTAIN = 7.0  # log-odds of every UAV at which the search ends
 _LEAST_TOGETHER = 0.01  # least prior probability that a head moves with its followers, relative to a single UAV
 _ITERATIONS = 8
 _NOTHING = 1e-12
+_SHARES, _WEIGHTS = (np.polynomial.legendre.leggauss(24) + np.array([[1.0], [0.0]])) / 2.0  # of an integral from 0 to 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,13 +277,13 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
     targets, pairs = search.targets, search.pairs
     sizes, uavs = targets.sizes, len(targets.label)
     alone = sizes[targets.label] == 1
-    pool, follows = _weigh_single_uavs(search, found)
+    singles, pool, follows = _weigh_single_uavs(search, found)
 
     several = sizes > 1
     head = np.where(several, found.assignment.head, -1)
     groups = np.bincount(head[head >= 0], minlength=uavs)
     others = groups[pairs.uav] - (head[pairs.group] == pairs.uav)
-    paid = np.where((others > 0) | (pool[pairs.uav] > 0), np.log(uavs), 0.0)
+    paid = np.where((others > 0) | (pool[pairs.uav] > 0), np.log(uavs), singles[pairs.uav])
     together = max(float(np.median(kept[alone] if alone.sum() > 1 else kept)), _LEAST_TOGETHER)
     prior = np.where(alone, 0.0, np.log(together / sizes[targets.label]))
     row = np.cumsum(several) - 1
@@ -296,11 +297,15 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
         return np.asarray(np.log(-np.expm1(stays)) - stays - follows)
 
 
-def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats]:
-    """``(n,)``: log-odds that a UAV leads single UAVs; and ``(n,)``: log-odds of following a head itself.
+def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats, Floats]:
+    """What single UAVs say about the n UAVs.
 
     Each single UAV follows one of the heads found, or none, with equal prior probabilities. A further head is rare, and
-    one of n UAVs.
+    one of n UAVs. An unknown share of the single UAVs follows it: all shares are as probable.
+
+    Returns:
+        ``(n,)`` log-likelihood ratio of the single UAVs if this UAV is a head; ``(n,)`` log-odds that it leads single
+        UAVs; ``(n,)`` log-odds of following a head itself.
     """
     targets, pairs, heads = search.targets, search.pairs, found.assignment.heads
     uavs, known = len(targets.label), len(heads)
@@ -314,12 +319,13 @@ def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats]
     odds = evidence - together[:, None]  # of a further head
     odds[:, head] -= np.log1p(-np.minimum(np.exp(odds[:, head]), 1.0 - _NOTHING))  # instead of the other heads
     odds[np.isin(single, targets.label[heads])] = -np.inf
-    count = np.isfinite(odds).sum(axis=0)
-    every = np.logaddexp(odds, 0.0).sum(axis=0)
-    led = every + np.log(np.maximum(-np.expm1(-every), _NOTHING))  # without that no UAV follows
-    led += np.log(RARE / uavs) - count * np.log1p(1.0 / np.maximum(known + ~head, 1))
+    follows = odds + np.log(np.maximum(known + ~head, 1))  # instead of one of the other heads, or none
+    ratio = np.logaddexp(np.log1p(-_SHARES), np.log(_SHARES) + follows[:, :, None])
+    asked = np.isfinite(odds)
+    every = logsumexp(np.where(asked[:, :, None], ratio, 0.0).sum(axis=0), b=_WEIGHTS, axis=1)
+    leads = np.log(np.maximum(-np.expm1(-every - np.log1p(asked.sum(axis=0))), _NOTHING))  # that at least one follows
     pool = np.where(targets.sizes[targets.label] == 1, np.log(RARE / uavs), -np.inf)  # without any evidence
-    pool[candidates] = led
-    itself = np.full(len(targets.sizes), 0.0)
+    singles, itself = np.zeros(uavs), np.zeros(len(targets.sizes))
+    singles[candidates], pool[candidates] = every, every + leads + np.log(RARE / uavs)
     itself[single] = together - np.log1p(known)
-    return pool, itself[targets.label]
+    return singles, pool, itself[targets.label]
