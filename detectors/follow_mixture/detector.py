@@ -131,7 +131,7 @@ def _give_reasons(found: Fit) -> list[str]:
         nats, count, through = found.gain[behind][first].sum(), int(behind.sum()), int((found.root == head).sum()) - 1
         where = f" in {len(groups)} groups" if len(groups) > 1 else ""
         when = f" at lag {lag}" if lag else ""
-        more = f"; {through - count} follow through others" if through > count else ""
+        more = f"; {through - count} more through others" if through > count else ""
         who = f"{count} follower{'s' if count > 1 else ''}{where}"
         reasons.append(f"Its past predicts {who}{when} (evidence {nats:.0f} nats){more}.")
     return reasons
