@@ -3,12 +3,32 @@
 from __future__ import annotations
 
 import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 from usnet_env.cli import main
+from usnet_env.evaluation import EvaluationResult
 from usnet_env.replay import EpisodeRecord
 
+COUNTS = """
+import numpy as np
+from usnet_env import Detection
+
+CALLS = []
+
+
+class Counts:
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        CALLS.append(window)
+        candidates = np.arange(window.uavs) < len(CALLS) // 2  # another number in each round that is ever played
+        return Detection(candidates & window.alive, candidates)
+"""
+CHEATS = Path(__file__).parent / "detectors" / "checks"
 SMALL = ["--set", "clusters=2", "uavs=12", "observation_steps=20", "max_rounds=3"]
 
 
@@ -51,6 +71,43 @@ def test_failures_are_recorded_and_shown_in_three_commands(run, tmp_path, monkey
     assert "random(count=1) on USNET/MultiCluster-v0" in out
     assert "  1: 1 candidate" in out
     assert [words[1:] for words in opened] == [["runs/mine/episodes/random_count=1-1.rrd"]]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs Linux or macOS")
+def test_an_isolated_detector_is_recorded_in_its_own_process(run, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(CHEATS)
+    sys.modules.pop("guessing_cheats", None)
+    words = ["--detector", "guessing_cheats:PeeksIntoFrames", "--isolate", "--episodes", "1", *SMALL]
+    status, _, err = run("evaluate", *words, "--out", tmp_path, "--record", "every=1")
+    assert status == 0, err
+    assert "differently" not in err
+    assert "guessing_cheats" not in sys.modules
+    (row,) = EvaluationResult.load(tmp_path).rows
+    (path,) = (tmp_path / "episodes").iterdir()
+    record = EpisodeRecord.load(path)
+    assert (record.seed, record.rounds, record.objective[-1]) == (row["swarm_seed"], row["rounds"], row["J"])
+    assert (record.hits[0] == record.head.sum()) == bool(row["exact"])
+
+
+def test_an_episode_that_differs_from_its_row_is_not_kept_and_said_once(run, tmp_path, monkeypatch):
+    (tmp_path / "counts_calls.py").write_text(COUNTS)
+    monkeypatch.syspath_prepend(tmp_path)
+    words = [
+        "--detector",
+        "counts_calls:Counts",
+        "--detector",
+        "none",
+        "--episodes",
+        "2",
+        "--backend",
+        "serial",
+        *SMALL,
+    ]
+    status, _, err = run("evaluate", *words, "--out", tmp_path / "run", "--record", "every=1")
+    assert status == 0
+    assert err.count("differently") == 1
+    assert "counts_calls:Counts answered 2 episodes, such as 0, differently when played again: it is not det" in err
+    assert sorted(path.name for path in (tmp_path / "run" / "episodes").iterdir()) == ["none-0.npz", "none-1.npz"]
 
 
 @pytest.mark.slow

@@ -7,10 +7,11 @@ import sys
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 from sample_detectors import AllAlive, Ending, Followed, Policy, RandomThird
 
-from usnet_env import ArgumentError, evaluate
+from usnet_env import ArgumentError, Detection, Window, evaluate
 from usnet_env.evaluation import EvaluationError, runner
 from usnet_env.evaluation.agents import as_agent
 from usnet_env.evaluation.episode import episode_seeds, play_episode
@@ -114,6 +115,22 @@ def test_rows_are_those_of_their_seeds_and_can_be_played_again(tmp_path):
     assert untimed(again.rows) == untimed(first.rows)
 
 
+def test_a_whole_detection_comes_from_the_process_as_an_episode_file_keeps_it():
+    (window,) = (Window.from_observation(gym.make(MULTI, **SMALL).reset(seed=seed)[0]) for seed in [3])
+    agent = IsolatedAgent(Telling(), Limits())
+    try:
+        agent.reset(5)
+        there, here = agent.detect(window), Telling().detect(window)
+    finally:
+        agent.close()
+    for name in ("candidates", "scores", "clusters", "leader", "attention"):
+        np.testing.assert_array_equal(getattr(there, name), getattr(here, name))
+    assert there.extras.keys() == here.extras.keys() - {"secret"}
+    for name in ("probability", "heads"):
+        np.testing.assert_array_equal(there.extras[name], here.extras[name])
+    assert there.extras["reasons"] == ["because"]
+
+
 @pytest.mark.slow
 def test_workers_change_nothing():
     asked = {"episodes": 3, "env_kwargs": SMALL, "isolate": True, "secret": SECRET}
@@ -136,6 +153,18 @@ def test_detectors_that_end_hang_or_eat_memory_fail_and_the_others_play_on(tmp_p
     assert [row["detector"] for row in failed.value.result.rows] == ["AllAlive"] * 2
     rows = (tmp_path / "episodes.csv").read_text().splitlines()[1:]
     assert [row.split(",")[0] for row in rows] == ["AllAlive"] * 2
+
+
+class Telling:
+    """Fills every part of a detection."""
+
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        each = np.arange(window.uavs)
+        extras = {"probability": each / 20, "heads": np.array([2]), "reasons": ["because"], "secret": object()}
+        return Detection(each == 2, each, each % 3, np.full(window.uavs, 2), np.eye(window.uavs), extras)
 
 
 class Interrupting(IsolatedAgent):

@@ -130,6 +130,7 @@ def evaluate(
     if out is not None:
         ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes from there."
     from usnet_env import evaluation
+    from usnet_env.processes import Limits
 
     how["progress"] = sys.stderr is not None and sys.stderr.isatty()
     failure: Exception | None = None
@@ -164,10 +165,9 @@ def evaluate(
             secret = result.config.get("secret", "not known: an earlier part of it was killed before its end")
             print_message(f"The secret of this run is {secret}.")
         if record is not None:
-            written = record_episodes(result, record, detectors, env_kwargs, out)
-            where = (
-                f"are in {out}/episodes; `usnet replay {out}` lists them" if written else "were written: none failed"
-            )
+            isolation = Limits(seconds=how["time_limit"], megabytes=how["memory_limit"]) if isolate else None
+            written = record_episodes(result, record, detectors, env_kwargs, out, isolation)
+            where = f"are in {out}/episodes; `usnet replay {out}` lists them" if written else "were written"
             click.echo(f"{len(written)} episode files {where}.", err=True)
     if failure is not None:
         raise failure

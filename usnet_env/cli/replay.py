@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +17,12 @@ from usnet_env.config import ArgumentError, quote
 
 if TYPE_CHECKING:
     from usnet_env.evaluation import EvaluationResult
+    from usnet_env.processes import Limits
+    from usnet_env.replay import EpisodeRecord
 
 EPISODES = "episodes"  # the folder of the episode files of a run
 _MOST_FAILURES, _MOST_ON_PAGE = 20, 6
+_SAME = 1e-9  # of two values of a metric
 _EVERY = re.compile(r"every=([1-9][0-9]{0,8})\Z")
 
 _DEMO_EXAMPLES = """
@@ -222,9 +226,16 @@ def _choose_rows(result: EvaluationResult, wanted: str) -> list[dict[str, Any]]:
 
 
 def record_episodes(
-    result: EvaluationResult, wanted: str, detectors: Sequence[str], env_kwargs: dict[str, Any], out: str
+    result: EvaluationResult,
+    wanted: str,
+    detectors: Sequence[str],
+    env_kwargs: dict[str, Any],
+    out: str,
+    isolation: Limits | None = None,
 ) -> list[Path]:
     """Play chosen episodes of a run again, from the seeds in their rows, and write their episode files.
+
+    An episode that differs from its row is not written: a message names its detector.
 
     Args:
         result: of the run.
@@ -232,22 +243,67 @@ def record_episodes(
         detectors: the detectors of the command; those of an earlier one are not recorded.
         env_kwargs: arguments of the environment.
         out: folder of the run.
+        isolation: the detectors of an isolated run play in processes of their own here too, with these limits.
     """
-    import gymnasium as gym
-
-    from usnet_env.plugins import detector_label, make_detector
-    from usnet_env.replay import record_episode
+    from usnet_env.plugins import detector_label
 
     players = {detector_label(each): each for each in (*detectors, *result.config["detectors"])}
-    written = []
+    chosen: dict[str, list[dict[str, Any]]] = {}
     for row in _choose_rows(result, wanted):
-        label = row["detector"]
-        name = re.sub(r"[^\w.=-]+", "_", label).strip("_")
-        env = gym.make(result.config["env"], **env_kwargs)
-        seeds = row["swarm_seed"], row["detector_seed"]
-        record = record_episode(env, make_detector(players[label]), *seeds, label=label)
-        env.close()
-        if abs(float(record.objective[-1]) - float(row["J"])) > 1e-9:
-            print_message(f"{label} answered episode {row['episode']} differently when it was played again.")
-        written.append(record.save(Path(out) / EPISODES / f"{name}-{row['episode']}.npz"))
+        chosen.setdefault(row["detector"], []).append(row)
+    written = []
+    for label, rows in chosen.items():
+        name, others = re.sub(r"[^\w.=-]+", "_", label).strip("_"), []
+        for row, record in _play_again(result.config["env"], env_kwargs, players[label], label, rows, isolation):
+            if record is None or _differs(record, row):
+                others.append(str(row["episode"]))
+            else:
+                written.append(record.save(Path(out) / EPISODES / f"{name}-{row['episode']}.npz"))
+        if others:
+            which = f"episode {others[0]}" if len(others) == 1 else f"{len(others)} episodes, such as {others[0]},"
+            print_message(
+                f"{label} answered {which} differently when played again: it is not deterministic, or it reads "
+                "something besides the window and its seed. No file of such an episode was written."
+            )
     return written
+
+
+def _play_again(
+    env_id: str,
+    env_kwargs: dict[str, Any],
+    player: str,
+    label: str,
+    rows: Sequence[dict[str, Any]],
+    isolation: Limits | None,
+) -> Iterator[tuple[dict[str, Any], EpisodeRecord | None]]:
+    """Each row with the record of its episode; ``None`` if an isolated detector failed in it this time."""
+    import gymnasium as gym
+
+    from usnet_env.evaluation.isolation import IsolatedAgent
+    from usnet_env.plugins import make_detector
+    from usnet_env.processes import PlainError, ProcessDied
+    from usnet_env.replay import record_episode
+
+    alone = None if isolation is None else IsolatedAgent(player, isolation)
+    try:
+        for row in rows:
+            detector: Any = make_detector(player) if alone is None else alone
+            with closing(gym.make(env_id, **env_kwargs)) as env:
+                try:
+                    yield row, record_episode(env, detector, row["swarm_seed"], row["detector_seed"], label=label)
+                except (ArgumentError, PlainError, ProcessDied):
+                    if alone is None:
+                        raise
+                    yield row, None
+    finally:
+        if alone is not None:
+            alone.close()
+
+
+def _differs(record: EpisodeRecord, row: dict[str, Any]) -> bool:
+    """Whether the record has another score than the row in any metric, except the seconds."""
+    from usnet_env.evaluation.metrics import CLUSTER_METRICS, METRICS, record_metrics
+
+    found = record_metrics(record)
+    compared = [name for name in METRICS if name not in CLUSTER_METRICS and name != "seconds_per_round"]
+    return any(abs(float(found[name] or 0) - float(row[name])) > _SAME for name in compared)

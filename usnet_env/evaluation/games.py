@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usnet_env.config import ArgumentError, quote
-from usnet_env.envs.play import PlayedRound
-from usnet_env.evaluation.agents import Answer
 from usnet_env.evaluation.engine import RunArguments, choose_place, play_run
 from usnet_env.evaluation.episode import Row, detector_step
 from usnet_env.evaluation.identity import describe, describe_code, describe_detector
-from usnet_env.evaluation.metrics import episode_metrics
+from usnet_env.evaluation.metrics import record_metrics
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.schedule import Seeds
 from usnet_env.evaluation.store import COLUMNS
@@ -29,7 +27,6 @@ from usnet_env.processes import Limits
 
 if TYPE_CHECKING:
     from usnet_env.multiagent.base import UsnetParallelEnv
-    from usnet_env.multiagent.play import GameResult
 
 Players = Mapping[str, Any]
 
@@ -83,7 +80,7 @@ class _GamePlayer:
             "detector_seed": policy_seed,
             "uavs": len(game.record["head"]),
             "heads": int(game.record["head"].sum()),
-            **episode_metrics("P2", _played_rounds(game)),
+            **record_metrics(SimpleNamespace(**{"clusters": None, **game.record})),
             **_role_means("return", game.returns),
             **_role_means("price", game.prices),
         }
@@ -103,18 +100,6 @@ def _identify(policy: Any) -> Any:
     """What distinguishes a policy from others: its class and arguments, not what it has counted since."""
     detector = getattr(policy, "detector", None)
     return describe_detector(policy) if detector is None else [describe(type(policy)), describe_detector(detector)]
-
-
-def _played_rounds(game: GameResult) -> list[PlayedRound[Answer]]:
-    """The rounds of a game in the form from which metrics are computed."""
-    record = game.record
-    found = []
-    for number, candidates in enumerate(record["candidates"]):
-        truth: Any = SimpleNamespace(head=record["head"], decoy=record["decoy"], leader=record["leader"][number])
-        answer = Answer(candidates, record["scores"][number], None, float(record["seconds"][number]))
-        info = {"over_budget": record["over_budget"][number]}
-        found.append(PlayedRound(None, truth, answer, info, truth))
-    return found
 
 
 def _role_means(what: str, values: Mapping[str, float]) -> dict[str, float]:

@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
-from usnet_env.evaluation.agents import Agent, Answer, RefusedArgumentError, as_agent
+from usnet_env.evaluation.agents import Agent, Answer, DetectorAgent, RefusedArgumentError, as_agent
 from usnet_env.evaluation.parts import send
 from usnet_env.processes import Arrays, Limits, PlainError, PlainFunction, PlainProcess, SendError
+from usnet_env.window import Window
 
 _ALONE = ""  # the name of an observation that is no mapping
+_EXTRAS = ("probability", "attention_heads", "features", "heads")  # the arrays of them that an episode file keeps
+_MOST_NUMBERS = 2**21  # of an array of a whole detection; a larger one stays where it is
 _OWN_ERRORS = {"ArgumentError": ArgumentError, "RefusedArgumentError": RefusedArgumentError}
 
 
@@ -48,11 +51,36 @@ def _answer(agent: Agent, values: dict[str, Any], arrays: dict[str, NDArray[Any]
         agent.reset(values["seed"])
     elif values["call"] == "warm_up":
         agent.warm_up(observation)
+    elif values["call"] == "detect":
+        return _detect(agent, observation)
     else:
         answer = agent.answer(observation)
         parts = {"candidates": answer.candidates, "scores": answer.scores, "clusters": answer.clusters}
         return {}, {name: part for name, part in parts.items() if part is not None}
     return {}, {}
+
+
+def _detect(agent: Agent, observation: Any) -> tuple[dict[str, Any], Arrays]:
+    """The whole detection of a detector as plain data, in the detector's process."""
+    if not isinstance(agent, DetectorAgent):
+        raise ArgumentError("detector must have the method detect(window), got a policy.")
+    found = agent.detector.detect(Window.from_observation(observation))
+    if not isinstance(found, Detection):
+        raise ArgumentError(f"detect must return a usnet_env.Detection, got {quote(found)}.")
+    arrays = {name: getattr(found, name) for name in ("candidates", "scores", "clusters", "leader", "attention")}
+    arrays |= {f"extras.{name}": _as_numbers(found.extras.get(name)) for name in _EXTRAS}
+    kept = {name: part for name, part in arrays.items() if part is not None and part.size <= _MOST_NUMBERS}
+    reasons = found.extras.get("reasons")
+    return {"reasons": [str(each) for each in reasons] if isinstance(reasons, list | tuple) else []}, kept
+
+
+def _as_numbers(values: Any) -> NDArray[Any] | None:
+    """The values as an array of numbers; ``None`` if they are something else."""
+    try:
+        array = np.asarray(values)
+    except (TypeError, ValueError):
+        return None
+    return array if array.dtype.kind in "biuf" else None
 
 
 class IsolatedAgent:
@@ -102,16 +130,31 @@ class IsolatedAgent:
         checked = Detection(**parts)
         return Answer(checked.candidates, checked.scores, checked.clusters, seconds)
 
+    def detect(self, window: Window) -> Detection:
+        """Return the detector's whole answer to a window, with all that an episode file keeps of it."""
+        seen = {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round", "step")}
+        values, parts = self._exchange("detect", {name: part for name, part in seen.items() if part is not None})
+        extras = {name: parts.pop(key) for name in _EXTRAS if (key := f"extras.{name}") in parts}
+        reasons, heads = values.get("reasons"), extras.get("heads", np.empty(0))
+        if isinstance(reasons, list) and heads.dtype.kind in "iu" and heads.ndim == 1:
+            extras["reasons"] = [str(each) for each in reasons]
+        else:
+            extras.pop("heads", None)
+        if not {"candidates", "scores"} <= parts.keys() <= {"candidates", "scores", "clusters", "leader", "attention"}:
+            raise ArgumentError(f"an answer must hold candidates and scores, got {quote(sorted(parts))}.")
+        return Detection(**parts, extras=extras)
+
     def close(self) -> None:
         """End the process."""
         self._process.close()
 
     def _call(self, what: str, observation: Any = None, **values: Any) -> dict[str, Any]:
         seen = {} if observation is None else observation if isinstance(observation, Mapping) else {_ALONE: observation}
+        return self._exchange(what, seen, **values)[1]
+
+    def _exchange(self, what: str, seen: Mapping[str, Any], **values: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         with _own_errors():
-            return self._process.call(
-                {"call": what, **values}, {name: np.asarray(part) for name, part in seen.items()}
-            )[1]
+            return self._process.call({"call": what, **values}, {name: np.asarray(part) for name, part in seen.items()})
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -70,3 +71,18 @@ def episode_metrics(problem: str, rounds: Sequence[PlayedRound[Answer]]) -> dict
         "head_in_cluster_first": together,
     }
     return values
+
+
+def record_metrics(record: Any) -> dict[str, float | int | None]:
+    """Compute all metrics of an episode that was recorded.
+
+    Args:
+        record: an :class:`usnet_env.replay.EpisodeRecord`, or an object with the same arrays.
+    """
+    rounds: list[PlayedRound[Answer]] = []
+    for number, candidates in enumerate(record.candidates):
+        truth: Any = SimpleNamespace(head=record.head, decoy=record.decoy, leader=record.leader[number])
+        clusters = None if record.clusters is None else record.clusters[number]
+        answer = Answer(candidates, record.scores[number], clusters, float(record.seconds[number]))
+        rounds.append(PlayedRound(None, truth, answer, {"over_budget": record.over_budget[number]}, truth))
+    return episode_metrics(record.problem, rounds)
