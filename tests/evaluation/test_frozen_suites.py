@@ -83,6 +83,18 @@ def test_a_detector_that_fails_in_a_cell_does_not_stop_the_others(path):
     assert [entry["detector"] for entry in played.summary] == ["none"]
 
 
+def test_a_suite_in_which_all_fail_has_an_empty_ranking_and_no_status_0(run, path, tmp_path, monkeypatch):
+    found = evaluate_suite(path, Raising(), isolate=False)
+    assert found.ranking().row_count == 0
+    (tmp_path / "raises_in_all_cells.py").write_text("class Raises:\n    reset = detect = lambda *_: 1 / 0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    status, out, err = run("evaluate", "--suite", path, "--detector", "raises_in_all_cells:Raises", "--episodes", "1")
+    assert status == 2
+    assert "plain: detector 'raises_in_all_cells:Raises' failed" in err
+    assert err.endswith("usnet: no detector has a result in any cell.\n")
+    assert "Traceback" not in out + err
+
+
 class Sometimes(Raising):
     def __init__(self, fails=True):
         self.fails = fails

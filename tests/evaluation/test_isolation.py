@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -129,6 +130,26 @@ def test_a_whole_detection_comes_from_the_process_as_an_episode_file_keeps_it():
     for name in ("probability", "heads"):
         np.testing.assert_array_equal(there.extras[name], here.extras[name])
     assert there.extras["reasons"] == ["because"]
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "evaluation.evaluate('USNET/MultiCluster-v0', 'none', episodes=1, isolate=True)",
+        "evaluation.evaluate_suite('controls', 'none', cells=['decoys'], episodes=1)",
+        pytest.param(
+            "evaluation.evaluate_suite('controls', 'none', cells=['decoys'], episodes=2, workers=2, isolate=False)",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_script_without_a_guard_is_told_so(tmp_path, call):
+    (tmp_path / "script.py").write_text(f"from usnet_env import evaluation\n{call}\n")
+    done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 1
+    last = done.stderr.splitlines()[-1]
+    assert "a worker process did not start: it ended its process with status 1. A worker process imports the" in last
+    assert last.endswith('in a block that begins with `if __name__ == "__main__":`.')
 
 
 @pytest.mark.slow

@@ -158,6 +158,8 @@ def evaluate(
             click.echo(result.to_markdown() if show_all else "", nl=False)
         for cell, text in result.failures.items():
             print_message(f"{cell}: {text}")
+        if not result.detectors:
+            failure = evaluation.EvaluationError("no detector has a result in any cell.")
     else:
         if not as_json:
             _print_result(result, show_all)

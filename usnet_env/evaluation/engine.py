@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from usnet_env.config import ArgumentError, Config
-from usnet_env.evaluation.errors import EvaluationError
+from usnet_env.evaluation.errors import EvaluationError, not_started
 from usnet_env.evaluation.parts import send
 from usnet_env.evaluation.result import EvaluationResult, summarise
 from usnet_env.evaluation.schedule import Schedule, Seeds
@@ -29,11 +29,6 @@ ResultT = TypeVar("ResultT")
 
 MOST_EPISODES = 1_000_000
 MOST_WORKERS = 4_096
-
-_GUARD = (
-    "A worker process imports the script that started it, so a script must start a run, a suite or a training in a "
-    'block that begins with `if __name__ == "__main__":`.'
-)
 
 
 class RunArguments(Config):
@@ -129,7 +124,7 @@ def run_tasks(
 def _refuse(place: Place, error: SendError) -> Exception:
     """The error of a function that cannot be sent, or of a process that did not start, in one sentence or two."""
     if not error.started:
-        return EvaluationError(f"{error}." if place.backend == "ray" else f"{error}. {_GUARD}")
+        return not_started(error, hint=place.backend != "ray")
     if place.backend == "ray":
         text = "backend must be 'serial' for a detector or argument that cannot be sent to another process, got 'ray'"
     else:

@@ -16,7 +16,25 @@ class EvaluationError(RuntimeError):
     Attributes:
         result: the result of the detectors that did not fail; ``None`` if there is none.
         failures: the message of each detector that failed, by its label.
+        started: whether all processes could start; otherwise no detector is to blame.
     """
 
     result: EvaluationResult | None = None
     failures: Mapping[str, str] = MappingProxyType({})
+    started: bool = True
+
+
+def not_started(error: Exception, hint: bool = True) -> EvaluationError:
+    """The error of a process that did not start.
+
+    Args:
+        error: why.
+        hint: name the most frequent reason, a script that has no guard.
+    """
+    guard = (
+        " A worker process imports the script that started it, so a script must start a run, a suite or a training in "
+        'a block that begins with `if __name__ == "__main__":`.'
+    )
+    found = EvaluationError(f"{error}.{guard if hint else ''}")
+    found.started = False
+    return found

@@ -158,6 +158,7 @@ def evaluate_suite(
 
     Raises:
         ArgumentError: an argument was refused, by the suite or by :func:`usnet_env.evaluate`.
+        EvaluationError: no process could start.
     """
     chosen = suite if isinstance(suite, FrozenSuite) else load_suite(suite)
     if cells is not None and (isinstance(cells, str) or not isinstance(cells, Sequence) or not cells):
@@ -188,6 +189,8 @@ def evaluate_suite(
                 **how,
             )
         except EvaluationError as error:
+            if not error.started:
+                raise
             failed = dict(error.failures)
             if error.result is not None:
                 results[name] = error.result

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.evaluation.agents import Agent, Answer, DetectorAgent, RefusedArgumentError, as_agent
+from usnet_env.evaluation.errors import not_started
 from usnet_env.evaluation.parts import send
 from usnet_env.processes import Arrays, Limits, PlainError, PlainFunction, PlainProcess, SendError
 from usnet_env.window import Window
@@ -96,6 +97,7 @@ class IsolatedAgent:
 
     Raises:
         ArgumentError: the object cannot be sent to another process.
+        EvaluationError: the process could not start.
     """
 
     def __init__(self, detector: Any, limits: Limits) -> None:
@@ -108,6 +110,7 @@ class IsolatedAgent:
         Raises:
             ArgumentError: there is no such detector, it refuses an argument, or it could not be sent.
             PlainError, ProcessDied: making it failed.
+            EvaluationError: the process did not start.
         """
         with _own_errors():
             self._process.start()
@@ -163,6 +166,8 @@ def _own_errors() -> Iterator[None]:
     try:
         yield
     except SendError as error:
+        if not error.started:
+            raise not_started(error) from None
         raise ArgumentError(
             f"isolate must be false for a detector that cannot be sent to another process: {error}."
         ) from None

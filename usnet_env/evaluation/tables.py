@@ -70,7 +70,7 @@ def _join(names: Sequence[str]) -> str:
 
 def _sign(summary: Summary) -> int:
     """1 for J_m, which is at least 1 and is to be low; -1 for J_s, which is at most 0 and is to be high."""
-    return 1 if summary[0]["metrics"]["J"]["mean"] > 0 else -1
+    return 1 if not summary or summary[0]["metrics"]["J"]["mean"] > 0 else -1
 
 
 def objective_name(summary: Summary) -> str:
@@ -213,7 +213,7 @@ def ranking_table(summary: Summary, env: str) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    episodes = sorted({entry["episodes"] for entry in summary})
+    episodes = sorted({entry["episodes"] for entry in summary}) or [0]
     played = f"{episodes[0]}" if len(episodes) == 1 else f"{episodes[0]} to {episodes[-1]}"
     plural = "" if episodes == [1] else "s"
     title = f"{env}, {played} episode{plural} of each detector: means, best first"

@@ -118,14 +118,15 @@ class Worker:
 
 
 def as_failure(label: str, episode: int, error: BaseException) -> BaseException:
-    """The failure of a contestant by what ended its task; errors of arguments are raised.
+    """The failure of a contestant by what ended its task; errors of arguments and of starting a process are raised.
 
     Args:
         label: of the contestant.
         episode: number of the episode, or :data:`PREPARE`.
         error: what ended the task.
     """
-    if isinstance(error, Exception) and not isinstance(error, EvaluationError | ProcessDied):
+    own = error.started if isinstance(error, EvaluationError) else isinstance(error, ProcessDied)
+    if isinstance(error, Exception) and not own:
         raise error
     where = "its warm-up" if episode == PREPARE else f"episode {episode}"
     return error if isinstance(error, EvaluationError) else detector_error(label, where, error)

@@ -110,6 +110,7 @@ def _serve(connection: Connection, megabytes: float | None) -> None:
     prepare_child()
     pid = os.getpid()
     with suppress(EOFError, OSError):
+        connection.send_bytes(_pack({}, {}))  # it has started: the main script could be imported
         data = connection.recv_bytes()
         try:
             make = ForkingPickler.loads(data)  # from the parent, which is trusted
@@ -165,7 +166,7 @@ class PlainProcess:
         except Exception as error:
             raise SendError(f"{type(error).__name__}: {error}") from error
         if os.name == "nt":
-            raise SendError("this needs Linux or macOS", started=False)
+            raise SendError("this needs Linux or macOS")
         self._seconds = limits.seconds
         self._started = False
         self._reason = "its process was closed"
@@ -182,11 +183,19 @@ class PlainProcess:
         Raises:
             PlainError: ``make`` raised an exception.
             ProcessDied: the process ended.
-            SendError: ``make`` could not be unpickled.
+            SendError: ``make`` could not be unpickled, or the process did not start.
         """
         if not self._started:
+            if not self._connection.closed:
+                self._wait_until_running()
             self._exchange(None if len(self._make) < _SMALL else self._make, None)
             self._started = True
+
+    def _wait_until_running(self) -> None:
+        try:
+            self._exchange(None, None)
+        except ProcessDied as error:
+            raise SendError(f"a worker process did not start: {error.reason}", started=False) from None
 
     def call(self, values: Mapping[str, Any], arrays: Arrays) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Call the function, once it is made.
