@@ -132,7 +132,7 @@ def test_detectors_are_compared_over_cells_by_groups_of_a_swarm(path):
     assert found.difference == pytest.approx((wide["destroy-all"] - wide["one-per-round"]).mean())
     assert found.p * 2**3 == round(found.p * 2**3)  # three groups, not six episodes
     assert [each.b for each in played.compare("none")] == ["destroy-all", "one-per-round"]
-    assert played.to_latex("J").splitlines()[2].startswith("own, J, n = 3 a cell & destroy-all & none")
+    assert played.to_latex("J").splitlines()[2].startswith(r"own, J\_m, n = 3 a cell & destroy-all & none")
 
 
 @pytest.mark.parametrize(

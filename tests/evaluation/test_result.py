@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import sys
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from usnet_env import ArgumentError
 from usnet_env.evaluation import METRICS, EvaluationResult, interquartile_means, performance_profiles
@@ -88,30 +90,60 @@ def test_the_repr_is_a_line_and_html_is_escaped():
 def test_markdown_and_latex_hold_the_means_and_intervals():
     result = from_values(**{"a|b": [2.0, 2.0], "c_d(x=1)": [3.0, 3.0]})
     assert result.to_markdown(["J", "success"]) == (
-        "| detector | episodes | J | success |\n"
+        "| detector | episodes | J_m↓ | success↑ |\n"
         "| --- | ---: | ---: | ---: |\n"
-        "| a\\|b | 2 | 2.000 (2.000 to 2.000) | 0.000 (0.000 to 0.658) |\n"
-        "| c_d(x=1) | 2 | 3.000 (3.000 to 3.000) | 0.000 (0.000 to 0.658) |\n"
+        "| a\\|b | 2 | 2.000 | 0.000 (0.000 to 0.658) |\n"
+        "| c_d(x=1) | 2 | 3.000 | 0.000 (0.000 to 0.658) |\n"
     )
     assert result.to_latex(["J"]).splitlines() == [
         r"\begin{tabular}{lrr}",
         r"\toprule",
-        r"detector & episodes & J \\",
+        r"detector & episodes & J\_m$\downarrow$ \\",
         r"\midrule",
-        r"a\textbar{}b & 2 & $2.000$ ($2.000$ to $2.000$) \\",
-        r"c\_d(x=1) & 2 & $3.000$ ($3.000$ to $3.000$) \\",
+        r"a\textbar{}b & 2 & $2.000$ \\",
+        r"c\_d(x=1) & 2 & $3.000$ \\",
         r"\bottomrule",
         r"\end{tabular}",
     ]
     assert (
-        from_values(a=[4.5e-5, 4.5e-5])
+        from_values(a=[0, 9e-5])
         .to_latex(["J"])
         .splitlines()[4]
-        .endswith(r"$4.5 \cdot 10^{-5}$ ($4.5 \cdot 10^{-5}$ to $4.5 \cdot 10^{-5}$) \\")
+        .endswith(r"$4.5 \cdot 10^{-5}$ ($0.000$ to $9 \cdot 10^{-5}$) \\")
     )
     assert len(result.to_markdown().splitlines()[0].split("|")) == 2 + 2 + len(METRICS)
     with pytest.raises(ArgumentError, match=r"^metrics must be one of .*'j'"):
         result.to_markdown(["j"])
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_no_table_is_cut_or_breaks_a_name_where_the_terminal_is_narrow(width):
+    labels = ["one-per-round", "lagged-regression"]
+    metrics = {name: {"mean": 99.123, "low": 98.876, "high": 99.5} for name in METRICS}
+    summary = [{"detector": label, "episodes": 100, "metrics": metrics} for label in labels]
+    result = EvaluationResult(RowTable(COLUMNS), summary, {"env": "USNET/Made-v0"})
+    for table, values in ((result.table(), len(METRICS)), (result.ranking(), 1)):
+        console = Console(width=width, file=io.StringIO())
+        console.print(table)
+        text = console.file.getvalue()
+        assert "…" not in text
+        assert text.count("98.88") + text.count("98.876") == 2 * values
+        parts = text.count("detector ")
+        assert [text.count(label) for label in labels] == [parts, parts]
+        assert max(map(len, text.splitlines())) <= width
+
+
+def test_a_mean_of_equal_values_has_no_interval_and_the_objective_its_name_in_every_format():
+    result = from_values(a=[-2.0, -2.0])
+    found = [result.to_markdown(["J"]), result.to_latex(["J"]), result._repr_html_()]
+    for table in (result.table(["J"]), result.ranking()):
+        with (console := Console(width=80)).capture() as captured:
+            console.print(table)
+        found.append(captured.get())
+    for text in found:
+        assert "J_s" in text.replace("\\_", "_")
+        assert "↑" in text or r"\uparrow" in text
+        assert text.count("-2.000") == (2 if "every episode" in text else 1)
 
 
 def test_a_frame_has_a_row_for_each_episode(monkeypatch):

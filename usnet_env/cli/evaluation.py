@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from usnet_env.cli.options import PairsCommand, PositiveNumber, WholeNumber, add_place, describe_keys, parse_pairs
-from usnet_env.cli.output import PIPE_WIDTH, print_message, show
+from usnet_env.cli.output import print_message, show
 from usnet_env.cli.replay import check_record_option, record_episodes
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from usnet_env.evaluation import EvaluationResult, SuiteResult
 
 _TIME_LIMIT = 3600.0  # seconds
@@ -178,28 +176,8 @@ def evaluate(
 
 
 def _print_result(result: EvaluationResult, show_all: bool) -> None:
-    """Print the ranking, or all metrics, and a sentence about the best detector.
-
-    If the table of all metrics is too wide for the terminal, it is printed as several with some of the columns each.
-    """
+    """Print the ranking, or all metrics, and a sentence about the best detector."""
     if not result.summary:
         return
-    show(*_split_table(result) if show_all else [result.ranking()])
+    show(result.table() if show_all else result.ranking())
     click.echo(result.conclusion())
-
-
-def _split_table(result: EvaluationResult) -> list[Table]:
-    """The table of all metrics, in parts that fit the terminal."""
-    from rich.console import Console
-
-    from usnet_env.evaluation import METRICS
-
-    console = Console()
-    width = console.width if console.is_terminal else PIPE_WIDTH
-    unlimited = console.options.update(max_width=10_000)
-    parts: list[list[str]] = [[]]
-    for name in METRICS:
-        if parts[-1] and console.measure(result.table([*parts[-1], name]), options=unlimited).maximum > width:
-            parts.append([])
-        parts[-1].append(name)
-    return [result.table(columns) for columns in parts]

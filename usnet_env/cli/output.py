@@ -8,9 +8,9 @@ import click
 
 from usnet_env.progress import progress_bar
 
-__all__ = ["PIPE_WIDTH", "print_message", "progress_bar", "show", "show_markdown"]
+__all__ = ["print_message", "progress_bar", "show", "show_markdown"]
 
-PIPE_WIDTH = 400  # columns if standard output is not a terminal: wide enough that nothing is cut or wrapped
+_PIPE_WIDTH = 400  # columns if standard output is not a terminal: wide enough that nothing is cut or wrapped
 
 
 def show(*renderables: Any) -> None:
@@ -22,7 +22,7 @@ def show(*renderables: Any) -> None:
         for renderable in renderables:
             console.print(renderable)
         return
-    wide = Console(width=PIPE_WIDTH)
+    wide = Console(width=_PIPE_WIDTH)
     with wide.capture() as captured:
         for renderable in renderables:
             wide.print(renderable)
@@ -36,7 +36,7 @@ def show_markdown(text: str) -> None:
     from rich.markdown import Markdown
 
     if Console().is_terminal:
-        Console(width=PIPE_WIDTH).print(Markdown(text))
+        Console(width=_PIPE_WIDTH).print(Markdown(text))
     else:
         show(Markdown(text))
 

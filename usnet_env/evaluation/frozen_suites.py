@@ -326,7 +326,8 @@ class SuiteResult(Results):
         lines.append(["all cells", *(show(means.get(each)) for each in self.detectors)])
         counts = sorted({entry["episodes"] for each in self.results.values() for entry in each.summary}) or [0]
         n = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-        return [f"{self.suite.name}, {metric}, n = {n} a cell", *self.detectors], lines
+        name = tables.objective_name(self.summary) if metric == "J" and self.summary else metric
+        return [f"{self.suite.name}, {name}, n = {n} a cell", *self.detectors], lines
 
     def to_frame(self) -> DataFrame:
         """The rows of all cells as a data frame of pandas, with a column ``cell``.

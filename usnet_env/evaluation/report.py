@@ -103,7 +103,7 @@ def format_markdown(
 
 _LATEX = str.maketrans(
     {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "|": r"\textbar{}"}
-    | {"<": r"\textless{}", ">": r"\textgreater{}", "–": "--"}
+    | {"↓": r"$\downarrow$", "↑": r"$\uparrow$", "<": r"\textless{}", ">": r"\textgreater{}", "–": "--"}
     | {sign: f"\\{sign}" for sign in "&%$#_{}"}
 )
 

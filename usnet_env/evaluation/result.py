@@ -216,6 +216,8 @@ class EvaluationResult(Results):
     def table(self, metrics: Sequence[str] | None = None) -> Table:
         """Create a table for a terminal, with one row for each detector.
 
+        If it is too wide for the terminal, it is printed as several with some of the metrics each.
+
         Args:
             metrics: names of the columns; by default all metrics that at least one detector has.
         """
@@ -224,7 +226,8 @@ class EvaluationResult(Results):
     def ranking(self) -> Table:
         """Create a table for a terminal of 80 columns: the detectors by their J, best first, and their main metrics.
 
-        An arrow after a heading points to the better values. :meth:`table` has all metrics.
+        An arrow after a heading points to the better values; where all values are equal, a mean has no interval.
+        :meth:`table` has all metrics.
         """
         return tables.ranking_table(self.summary, self.config["env"])
 

@@ -16,20 +16,19 @@ if TYPE_CHECKING:
 
 Summary = Sequence[Mapping[str, Any]]
 
-#: Headings of the metrics in tables.
+#: Headings of the metrics in tables, with the arrow that points to the better values; that of J depends on the problem.
 HEADINGS = {
-    "J": "J",
-    "rounds": "rounds",
-    "redundancy": "redundancy",
-    "success": "success",
-    "exact": "exact",
-    "precision_first": "precision\nin round 1",
-    "recall_first": "recall\nin round 1",
-    "f1_first": "F1\nin round 1",
-    "ap_first": "AP\nin round 1",
-    "seconds_per_round": "seconds\nper round",
-    "purity_first": "purity\nin round 1",
-    "head_in_cluster_first": "head in cluster\nin round 1",
+    "rounds": "rounds↓",
+    "redundancy": "redundancy↓",
+    "success": "success↑",
+    "exact": "exact↑",
+    "precision_first": "precision↑\nin round 1",
+    "recall_first": "recall↑\nin round 1",
+    "f1_first": "F1↑\nin round 1",
+    "ap_first": "AP↑\nin round 1",
+    "seconds_per_round": "seconds↓\nper round",
+    "purity_first": "purity↑\nin round 1",
+    "head_in_cluster_first": "head in cluster↑\nin round 1",
 }
 
 #: Columns of the ranked table after J, with the arrow that points to the better values.
@@ -94,6 +93,10 @@ def _first_metric(summary: Summary) -> _First:
     """J; in recorded tracks F1, since J of their one round does not count the heads that are missed."""
     if any(name in entry["metrics"] for entry in summary for name in TRACK_METRICS):
         return _First("f1_first", "F1", -1)
+    return _objective(summary)
+
+
+def _objective(summary: Summary) -> _First:
     return _First("J", objective_name(summary), _sign(summary))
 
 
@@ -128,7 +131,9 @@ def _cells(
     alone: str = "{}",
     form: Callable[[float], str] = _format_number,
 ) -> list[str]:
-    """A detector's mean and interval of each metric; ``–`` where it has none, and one value has no interval.
+    """A detector's mean and interval of each metric; ``–`` where it has none.
+
+    Where all values are equal, or there is one, a mean has no interval.
 
     Args:
         entry: the detector's entry of the summary.
@@ -139,20 +144,25 @@ def _cells(
     """
 
     def show(cell: Mapping[str, float]) -> str:
-        single = entry["episodes"] == 1 and cell["low"] == cell["high"]
-        return (alone if single else pattern).format(*(form(cell[part]) for part in ("mean", "low", "high")))
+        equal = cell["low"] == cell["high"]
+        return (alone if equal else pattern).format(*(form(cell[part]) for part in ("mean", "low", "high")))
 
     return [show(cell) if (cell := entry["metrics"].get(name)) else "–" for name in metrics]
 
 
-def _headings(metrics: Sequence[str]) -> list[str]:
-    return ["detector", "episodes", *(HEADINGS.get(name, name).replace("\n", " ") for name in metrics)]
+def _heading(summary: Summary, metric: str) -> str:
+    """The heading of a metric, in one or two lines."""
+    return _objective(summary).heading if metric == "J" else HEADINGS.get(metric, metric)
+
+
+def _headings(summary: Summary, metrics: Sequence[str]) -> list[str]:
+    return ["detector", "episodes", *(_heading(summary, name).replace("\n", " ") for name in metrics)]
 
 
 def markdown_table(summary: Summary, metrics: Sequence[str] | None) -> str:
     """The means and intervals of all detectors as a table in Markdown."""
     chosen = _choose_metrics(summary, metrics)
-    lines = [_headings(chosen), ["---", *["---:"] * (len(chosen) + 1)]]
+    lines = [_headings(summary, chosen), ["---", *["---:"] * (len(chosen) + 1)]]
     for entry in summary:
         label = entry["detector"].replace("|", r"\|")
         lines.append([label, str(entry["episodes"]), *_cells(entry, chosen, "{} ({} to {})")])
@@ -170,7 +180,7 @@ def latex_table(summary: Summary, metrics: Sequence[str] | None) -> str:
         ]
         for entry in summary
     ]
-    return "\n".join([*format_latex(_headings(chosen), body, text_columns=1), ""])
+    return "\n".join([*format_latex(_headings(summary, chosen), body, text_columns=1), ""])
 
 
 def html_table(summary: Summary, title: str) -> str:
@@ -192,15 +202,17 @@ def html_table(summary: Summary, title: str) -> str:
 def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Table:
     """All metrics with their intervals, one row for each detector, for a terminal."""
     from rich.box import SIMPLE_HEAD
-    from rich.table import Table
     from rich.text import Text
 
+    from usnet_env.evaluation.split_table import SplitTable
+
     columns = _choose_metrics(summary, metrics)
-    table = Table(title=f"{env}: mean and 95 % interval", box=SIMPLE_HEAD, leading=1, title_justify="left")
+    table = SplitTable(title=f"{env}: mean and 95 % interval", box=SIMPLE_HEAD, leading=1, title_justify="left")
+    table.repeated = 2
     table.add_column("detector", overflow="fold")
-    table.add_column("episodes", justify="right")
+    table.add_column("episodes", justify="right", no_wrap=True)
     for name in columns:
-        table.add_column(HEADINGS.get(name, name), justify="right", no_wrap=True)
+        table.add_column(_heading(summary, name), justify="right", no_wrap=True)
     for entry in summary:
         # Text is not parsed as Rich markup, in which brackets have a meaning.
         table.add_row(Text(entry["detector"]), str(entry["episodes"]), *_cells(entry, columns, "{}\n{}–{}"))
@@ -210,22 +222,22 @@ def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Tab
 def ranking_table(summary: Summary, env: str) -> Table:
     """The detectors by their J, best first, and their main metrics, for a terminal of 80 columns."""
     from rich.box import SIMPLE_HEAD
-    from rich.table import Table
     from rich.text import Text
+
+    from usnet_env.evaluation.split_table import SplitTable
 
     episodes = sorted({entry["episodes"] for entry in summary}) or [0]
     played = f"{episodes[0]}" if len(episodes) == 1 else f"{episodes[0]} to {episodes[-1]}"
     plural = "" if episodes == [1] else "s"
     title = f"{env}, {played} episode{plural} of each detector: means, best first"
-    table = Table(title=title, box=SIMPLE_HEAD, title_justify="left", show_edge=False, padding=(0, 1, 0, 0))
+    table = SplitTable(title=title, box=SIMPLE_HEAD, title_justify="left", show_edge=False, padding=0)
     table.add_column("detector", overflow="fold")
     best = _first_metric(summary)
     for heading in (f"{best.heading} (95 % int.)", *RANKING.values()):
         table.add_column(heading, justify="right", no_wrap=True)
     for entry in rank(summary):
         metrics = entry["metrics"]
-        equal = metrics[best.column]["low"] == metrics[best.column]["high"]
-        cells = _cells(entry, [best.column], "{} (all equal)" if equal else "{} ({}–{})", form=_format_objective)
+        cells = _cells(entry, [best.column], "{} ({}–{})", form=_format_objective)
         cells += [_format_short(name, metrics[name]["mean"]) for name in RANKING]
         table.add_row(Text(entry["detector"]), *cells)  # Text is not parsed as Rich markup
     return table
