@@ -83,6 +83,38 @@ def test_a_detector_that_fails_in_a_cell_does_not_stop_the_others(path):
     assert [entry["detector"] for entry in played.summary] == ["none"]
 
 
+def test_a_folder_of_a_suite_says_which_suite_it_is(path, tmp_path):
+    out = tmp_path / "own"
+    evaluate_suite(path, "none", isolate=False, out=out)
+    read = SuiteResult.load(out)
+    assert read.suite is None
+    assert list(read.results) == ["other", "plain"]  # by name
+    assert read.cell("plain", "none", "J").mean == 3.0
+    played = evaluate_suite(
+        "controls", "none", cells=["decoys", "independent"], episodes=1, isolate=False, out=tmp_path / "controls"
+    )
+    read = SuiteResult.load(tmp_path / "controls")
+    assert read.suite == load_suite("controls")
+    assert read.to_markdown() == played.to_markdown()
+    with pytest.raises(ArgumentError, match=r"^folder must hold runs of a suite, got "):
+        SuiteResult.load(tmp_path / "controls" / "decoys")
+
+
+def test_a_suite_has_a_page_of_its_tables(run, path, tmp_path):
+    evaluate_suite(path, ["none", Raising()], isolate=False, out=tmp_path / "own")
+    status, out, err = run("report", tmp_path / "own")
+    assert (status, err) == (0, "")
+    assert out == f"page  {tmp_path / 'own' / 'report.html'}\n"
+    text = (tmp_path / "own" / "report.html").read_text()
+    assert "none has a J_m of 3.000 in every episode." in text
+    assert "<td>plain</td><td>0 (0–66) %</td>" in text
+    assert "no answer today" in text
+    assert "recorded episode" not in text
+    status, _, err = run("replay", tmp_path / "own")
+    assert status == 2
+    assert "the folder of a suite, which has none; `usnet report` writes a page of its tables." in err
+
+
 def test_a_suite_in_which_all_fail_has_an_empty_ranking_and_no_status_0(run, path, tmp_path, monkeypatch):
     found = evaluate_suite(path, Raising(), isolate=False)
     assert found.ranking().row_count == 0

@@ -70,10 +70,20 @@ def _find_episodes(place: Path) -> list[Path]:
     for folder in (place, place / EPISODES):
         if found := sorted(folder.glob("*.npz"), key=lambda path: [int(n) for n in re.findall(r"\d+", path.stem)][-1:]):
             return found
+    if _is_suite(place):
+        raise ArgumentError(
+            f"path must be an episode file or a folder with some, got {quote(str(place))}, the folder of a suite, "
+            "which has none; `usnet report` writes a page of its tables."
+        )
     raise ArgumentError(
         f"path must be an episode file or a folder with some, got {quote(str(place))}; `usnet evaluate --out DIR "
         "--record every=10` writes them."
     )
+
+
+def _is_suite(place: Path) -> bool:
+    """Whether a folder holds the runs of a suite."""
+    return not (place / "run.json").exists() and any(place.glob("*/run.json"))
 
 
 def _choose_episode(place: Path, episode: int | None) -> Path | None:
@@ -185,11 +195,19 @@ def report(path: Path, page: Path | None) -> None:
     """Write one self-contained page: scores, and for each recorded episode an animation and its rounds.
 
     PATH is the folder of `usnet evaluate --out`, or of a demo, or an episode file. The page opens without a network.
+    That of a suite has its tables.
     """
-    from usnet_env.evaluation import EvaluationResult
+    from usnet_env.evaluation import EvaluationResult, SuiteResult
     from usnet_env.replay import EpisodeRecord
     from usnet_env.replay.page import write_page
 
+    if path.is_dir() and _is_suite(path):
+        suite = SuiteResult.load(path)
+        written = write_page(
+            f"Detectors on {suite.label}", {}, page or path / "report.html", tables=[suite._repr_html_()]
+        )
+        click.echo(f"page  {written}")
+        return
     folder = path if path.is_dir() else path.parent
     result = EvaluationResult.load(folder) if (folder / "run.json").exists() and path.is_dir() else None
     files = _find_episodes(path) if path.is_dir() and (result is None or (folder / EPISODES).is_dir()) else []

@@ -6,6 +6,7 @@ means the same wherever it was measured. A file of your own works the same way.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,12 +24,13 @@ from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.evaluation import tables
 from usnet_env.evaluation.environments import find_environment, make_environment
 from usnet_env.evaluation.errors import EvaluationError
+from usnet_env.evaluation.identity import describe
 from usnet_env.evaluation.metrics import RATES
 from usnet_env.evaluation.report import format_interval, format_latex, format_markdown
 from usnet_env.evaluation.result import EvaluationResult, Results, Summary, summarise
 from usnet_env.evaluation.runner import evaluate
 from usnet_env.evaluation.statistics import Interval
-from usnet_env.evaluation.store import COLUMNS
+from usnet_env.evaluation.store import COLUMNS, RUN
 from usnet_env.evaluation.table import RowTable
 from usnet_env.files import as_path, atomic_write
 
@@ -222,6 +224,21 @@ def _read_failures(folder: Path | None) -> Failures:
         raise ArgumentError(f"out must hold a {_FAILURES} of a suite, got a broken one in {str(folder)!r}.") from None
 
 
+def _find_suite(runs: Mapping[str, EvaluationResult]) -> FrozenSuite | None:
+    """The suite of this package that has these runs as cells, with the same arguments; one with their seed first."""
+
+    def has(suite: FrozenSuite, name: str, config: Mapping[str, Any]) -> bool:
+        cell = suite.cells.get(name)
+        if cell is None or cell.env.rpartition(":")[2] != config["env"]:
+            return False
+        return bool(json.loads(json.dumps(describe(cell.arguments))) == config["env_kwargs"])
+
+    configs = {name: run.config for name, run in runs.items()}
+    found = [each for each in list_suites().values() if all(has(each, *one) for one in configs.items())]
+    seeds = {config["seed"] for config in configs.values()}
+    return min(found, key=lambda suite: not {suite.seed, suite.tuning_seed} & seeds, default=None)
+
+
 def _join_failures(failures: Failures, cells: Iterable[str]) -> dict[str, str]:
     return {cell: " ".join(failures[cell].values()) for cell in cells if cell in failures}
 
@@ -231,31 +248,51 @@ class SuiteResult(Results):
     """The results of a suite.
 
     Args:
-        suite: the suite.
+        suite: the suite; ``None`` if :meth:`load` has read it from a folder, and it is no suite of this package.
         results: the result of each cell that was played.
         failures: why a detector has no result in a cell, by cell.
     """
 
-    suite: FrozenSuite
+    suite: FrozenSuite | None
     results: Mapping[str, EvaluationResult]
     failures: Mapping[str, str]
 
     @classmethod
-    def load(cls, folder: str | PathLike[str], suite: str | PathLike[str] | FrozenSuite) -> SuiteResult:
+    def load(cls, folder: str | PathLike[str], suite: str | PathLike[str] | FrozenSuite | None = None) -> SuiteResult:
         """Read the folder of a suite that was played, finished or not.
+
+        Args:
+            folder: the folder.
+            suite: as of :func:`evaluate_suite`; ``None``: the suite of this package whose cells are the runs of the
+                folder. If there is none, the cells are all runs of the folder, in the order of their names.
 
         Raises:
             ArgumentError: the folder holds no run of a cell, or a file in it is broken.
         """
-        chosen = suite if isinstance(suite, FrozenSuite) else load_suite(suite)
         root = as_path("folder", folder)
-        results = {name: EvaluationResult.load(root / name) for name in chosen.cells if (root / name).is_dir()}
+        chosen = load_suite(suite) if isinstance(suite, str | PathLike) else suite
+        found = sorted(path.parent.name for path in root.glob(f"*/{RUN}")) if chosen is None else chosen.cells
+        results = {name: EvaluationResult.load(root / name) for name in found if (root / name).is_dir()}
         if not results:
-            raise ArgumentError(f"folder must hold runs of the suite {chosen.name}, got {quote(str(root))}.")
-        return cls(chosen, results, _join_failures(_read_failures(root), chosen.cells))
+            of = "a suite" if chosen is None else f"the suite {chosen.name}"
+            raise ArgumentError(f"folder must hold runs of {of}, got {quote(str(root))}.")
+        if chosen is None and (chosen := _find_suite(results)):
+            results = {name: results[name] for name in chosen.cells if name in results}
+        failures = _read_failures(root)
+        return cls(chosen, results, _join_failures(failures, chosen.cells if chosen else failures))
+
+    @property
+    def label(self) -> str:
+        """Name and version of the suite."""
+        return "suite" if self.suite is None else self.suite.label
 
     def __repr__(self) -> str:
-        return f"<SuiteResult of {self.suite.label}: {len(self.results)} cells, {len(self.detectors)} detectors>"
+        return f"<SuiteResult of {self.label}: {len(self.results)} cells, {len(self.detectors)} detectors>"
+
+    def _repr_html_(self) -> str:
+        """The ranking, the table of the cells and the failures, for a notebook."""
+        title = f"{self.label}, {len(self.results)} cells"
+        return tables.html_table(self.summary, title) + tables.html_cells(*self._table("exact"), self.failures)
 
     def list_results(self) -> list[EvaluationResult]:
         """The result of each cell."""
@@ -292,7 +329,7 @@ class SuiteResult(Results):
 
     def ranking(self) -> Table:
         """The detectors by their mean J over all cells, as a table for a terminal of 80 columns."""
-        return tables.ranking_table(self.summary, f"{self.suite.label}, {len(self.results)} cells")
+        return tables.ranking_table(self.summary, f"{self.label}, {len(self.results)} cells")
 
     def to_markdown(self, metric: str = "exact") -> str:
         """A table with a line for each cell and a column for each detector: the mean of a metric and its interval.
@@ -327,7 +364,8 @@ class SuiteResult(Results):
         counts = sorted({entry["episodes"] for each in self.results.values() for entry in each.summary}) or [0]
         n = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
         name = tables.objective_name(self.summary) if metric == "J" and self.summary else metric
-        return [f"{self.suite.name}, {name}, n = {n} a cell", *self.detectors], lines
+        suite = "suite" if self.suite is None else self.suite.name
+        return [f"{suite}, {name}, n = {n} a cell", *self.detectors], lines
 
     def to_frame(self) -> DataFrame:
         """The rows of all cells as a data frame of pandas, with a column ``cell``.

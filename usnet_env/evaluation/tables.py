@@ -199,6 +199,14 @@ def html_table(summary: Summary, title: str) -> str:
     return f"<table><caption>{escape(title)}</caption>{body}</table><p>{escape(conclude(summary))}</p>"
 
 
+def html_cells(header: Sequence[str], lines: Sequence[Sequence[str]], failures: Mapping[str, str]) -> str:
+    """The table of the cells of a suite in HTML, and why detectors have no result in some of them."""
+    rows = [(tag, line) for tag, own in (("th", [header]), ("td", lines)) for line in own]
+    body = "".join(f"<tr>{''.join(f'<{tag}>{escape(text)}</{tag}>' for text in line)}</tr>" for tag, line in rows)
+    said = "".join(f"<p>{escape(f'{cell}: {text}')}</p>" for cell, text in failures.items())
+    return f"<table>{body}</table>{said}"
+
+
 def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Table:
     """All metrics with their intervals, one row for each detector, for a terminal."""
     from rich.box import SIMPLE_HEAD

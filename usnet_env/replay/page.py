@@ -219,12 +219,13 @@ def write_page(
     sections = [
         _write_episode(name, (links or {}).get(name), check_record(each), most) for name, each in records.items()
     ]
-    shown = format_count(len(records), "recorded episode")
+    about = _ABOUT if all(each.labelled for each in records.values()) else _ABOUT_TRACKS
+    shown = f"<p>{about} This page has {format_count(len(records), 'recorded episode')}.</p>" if records else ""
     page = f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>
 <h1>{html.escape(title)}</h1>
-<p>{_ABOUT if all(each.labelled for each in records.values()) else _ABOUT_TRACKS} This page has {shown}.</p>
+{shown}
 {"".join(f'<div class="scroll">{table}</div>' for table in tables)}{"".join(sections)}
 <script>{_SCRIPT}</script></body></html>
 """
