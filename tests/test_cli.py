@@ -462,6 +462,33 @@ def test_a_stopped_run_leaves_whole_files_and_the_same_command_resumes(run, monk
     assert len(whole) == 12
 
 
+class Stopping:
+    """Is interrupted in its first answer."""
+
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("where", ["env", "suite"])
+def test_an_interruption_before_the_first_episode_points_to_no_folder(run, monkeypatch, tmp_path, where):
+    out = tmp_path / "run"
+    monkeypatch.setattr("usnet_env.evaluation.agents.make_detector", lambda name: Stopping())
+    if where == "env":
+        words = ["--backend", "serial", *SMALL]
+    else:
+        words = ["--suite", "controls", "--cell", "decoys"]
+        monkeypatch.setattr("usnet_env.evaluation.frozen_suites.evaluate", stop)
+    status, shown, err = run("evaluate", "--detector", "none", "--episodes", "2", "--out", out, *words)
+    assert (status, shown, err) == (130, "", "usnet: interrupted. No episode was finished.\n")
+
+
+def stop(*_, **__):
+    raise KeyboardInterrupt
+
+
 def test_a_reader_that_goes_away_leaves_no_traceback():
     running = process("list", "envs")
     running.stdout.close()

@@ -83,6 +83,15 @@ def test_a_detector_that_fails_in_a_cell_does_not_stop_the_others(path):
     assert [entry["detector"] for entry in played.summary] == ["none"]
 
 
+def test_the_progress_bar_names_the_cell_and_how_many_there_are(path, monkeypatch, capsys):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "200")
+    evaluate_suite(path, "none", isolate=False, episodes=1, progress=True)
+    shown = capsys.readouterr().err
+    assert "cell 1 of 2: plain, episodes" in shown
+    assert "cell 2 of 2: other, episodes" in shown
+
+
 def test_a_folder_of_a_suite_says_which_suite_it_is(path, tmp_path):
     out = tmp_path / "own"
     evaluate_suite(path, "none", isolate=False, out=out)

@@ -146,6 +146,17 @@ def test_a_mean_of_equal_values_has_no_interval_and_the_objective_its_name_in_ev
         assert text.count("-2.000") == (2 if "every episode" in text else 1)
 
 
+def test_a_result_is_read_as_a_mapping_of_labels_to_metrics():
+    result = from_values(a=[1.0, 2.0], b=[3.0, 3.0])
+    assert list(result) == ["a", "b"]
+    assert ("a" in result, "x" in result, 0 in result) == (True, False, False)
+    assert len(result) == 2
+    for kind in (KeyError, ArgumentError):
+        with pytest.raises(kind) as refused:
+            result["x"]
+        assert str(refused.value) == "detector must be one of a, b, got 'x'."
+
+
 def test_a_frame_has_a_row_for_each_episode(monkeypatch):
     pytest.importorskip("pandas")
     result = from_values(a=[1.0, 2.0], b=[3.0])

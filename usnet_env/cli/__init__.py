@@ -60,7 +60,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, EOFError):
         if argv is None:  # this process ends now: a second Ctrl-C must not break the sentence
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-        print_message(f"interrupted. {(context.obj if context else None) or ''}".rstrip())
+        hint = context.obj if context else None  # a text, or a function that returns it
+        print_message(f"interrupted. {(hint() if callable(hint) else hint) or ''}".rstrip())
         return _INTERRUPTED
     except click.exceptions.Exit as end:
         return int(end.exit_code)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import sys
 import warnings
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -69,7 +71,7 @@ Arguments for --set:
     help="Seed of the evaluation.  [default: 0, or that of the suite]",
 )
 @click.option("--workers", type=WholeNumber(1, 4_096), default=1, show_default=True, help="Number of processes.")
-@add_place
+@partial(add_place, default="processes, also for one worker; with --isolate or --suite, serial for one worker")
 @click.option(
     "--time-limit",
     type=PositiveNumber(),
@@ -111,8 +113,9 @@ def evaluate(
 ) -> None:
     """Play every detector against the same swarms, and print a table of them, best first.
 
-    Episodes are played in worker processes; with --isolate, each detector has its own process. A detector that hangs or
-    ends its process has failed; the other detectors play to the end.
+    The workers are child processes, also a single one; with --isolate or --suite, each detector has its own process,
+    and a single worker is the command itself. A detector that hangs or ends its process has failed; the other detectors
+    play to the end. With --backend serial and without isolation, it ends the command.
     """
     env_kwargs, out = parse_pairs(settings), how["out"]
     if suite is not None and (env_id is not None or env_kwargs):
@@ -126,7 +129,7 @@ def evaluate(
     if how["time_limit"] is None and (how["backend"] != "serial" or isolate or suite is not None):
         how["time_limit"] = _TIME_LIMIT
     if out is not None:
-        ctx.find_root().obj = f"Finished episodes are kept in {out}; the same command resumes from there."
+        ctx.find_root().obj = partial(_tell_what_is_kept, out)
     from usnet_env import evaluation
     from usnet_env.processes import Limits
 
@@ -173,6 +176,16 @@ def evaluate(
         raise failure
     if out is not None and not as_json:
         click.echo(f"Rows, summary and config are in {out}.", err=True)
+
+
+def _tell_what_is_kept(out: str) -> str:
+    """What an interrupted run, or suite, has left."""
+    for path in (Path(out, "episodes.csv"), *Path(out).glob("*/episodes.csv")):
+        if path.is_file():
+            with path.open("rb") as file:
+                if file.readline() and file.readline():  # more than the header
+                    return f"Finished episodes are kept in {out}; the same command resumes from there."
+    return "No episode was finished."
 
 
 def _print_result(result: EvaluationResult, show_all: bool) -> None:

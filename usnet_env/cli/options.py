@@ -53,13 +53,17 @@ class PositiveNumber(click.ParamType):  # type: ignore[type-arg]  # generic in t
         return number
 
 
-def add_place(command: Any) -> Any:
-    """Add the options ``--backend`` and ``--address`` to a command: where its tasks run."""
+def add_place(command: Any, default: str = "processes, if there are several workers") -> Any:
+    """Add the options ``--backend`` and ``--address`` to a command: where its tasks run.
+
+    Args:
+        command: the command.
+        default: what the help says of it.
+    """
     backend = click.option(
         "--backend",
         type=click.Choice(["serial", "processes", "ray"]),
-        help="Run in this process, in child processes, or on the nodes of a Ray cluster.  "
-        "[default: processes, if there are several workers]",
+        help=f"Run in this process, in child processes, or on the nodes of a Ray cluster.  [default: {default}]",
     )
     return backend(
         click.option(

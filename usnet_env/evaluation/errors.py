@@ -6,8 +6,16 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from usnet_env.config import ArgumentError
+
 if TYPE_CHECKING:
     from usnet_env.evaluation.result import EvaluationResult
+
+
+class UnknownLabelError(ArgumentError, KeyError):
+    """A result has no detector with this label; an error of an argument, and one of a mapping's key."""
+
+    __str__ = Exception.__str__  # a KeyError quotes its text
 
 
 class EvaluationError(RuntimeError):

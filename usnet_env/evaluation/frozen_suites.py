@@ -33,6 +33,7 @@ from usnet_env.evaluation.statistics import Interval
 from usnet_env.evaluation.store import COLUMNS, RUN
 from usnet_env.evaluation.table import RowTable
 from usnet_env.files import as_path, atomic_write
+from usnet_env.progress import part_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -177,19 +178,20 @@ def evaluate_suite(
     results: dict[str, EvaluationResult] = {}
     failures = _read_failures(folder)
     played = list(dict.fromkeys(cells or chosen.cells))
-    for name in played:
+    for number, name in enumerate(played, 1):
         cell, failed, asked = chosen.cells[name], {}, chosen.episodes if episodes is None else episodes
         try:
-            results[name] = evaluate(
-                cell.env,
-                detector,
-                episodes=asked,
-                seed=chosen.seed if seed is None else seed,
-                env_kwargs=cell.arguments,
-                isolate=isolate,
-                out=None if folder is None else folder / name,
-                **how,
-            )
+            with part_of(f"cell {number} of {len(played)}: {name}"):
+                results[name] = evaluate(
+                    cell.env,
+                    detector,
+                    episodes=asked,
+                    seed=chosen.seed if seed is None else seed,
+                    env_kwargs=cell.arguments,
+                    isolate=isolate,
+                    out=None if folder is None else folder / name,
+                    **how,
+                )
         except EvaluationError as error:
             if not error.started:
                 raise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from typing import TYPE_CHECKING, Any, overload
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.evaluation import statistics, tables
+from usnet_env.evaluation.errors import UnknownLabelError
 from usnet_env.evaluation.identity import differing_keys
 from usnet_env.evaluation.metrics import LOWER_IS_BETTER, OPTIONAL_METRICS, RATES
 from usnet_env.evaluation.statistics import CONFIDENCE, Interval, Profile, mean_interval
@@ -205,13 +206,23 @@ class EvaluationResult(Results):
         """Return the metrics of the detector with this label.
 
         Raises:
-            ArgumentError: no row has that label.
+            UnknownLabelError: no row has that label; it is an ArgumentError and a KeyError.
         """
         for entry in self.summary:
             if entry["detector"] == detector:
                 metrics: dict[str, Any] = entry["metrics"]
                 return metrics
-        raise unknown_name("detector", detector, [entry["detector"] for entry in self.summary])
+        raise UnknownLabelError(str(unknown_name("detector", detector, self)))
+
+    def __contains__(self, detector: object) -> bool:
+        return detector in list(self)
+
+    def __iter__(self) -> Iterator[str]:
+        """The labels of the detectors."""
+        return (entry["detector"] for entry in self.summary)
+
+    def __len__(self) -> int:
+        return len(self.summary)
 
     def table(self, metrics: Sequence[str] | None = None) -> Table:
         """Create a table for a terminal, with one row for each detector.
