@@ -241,8 +241,8 @@ def _connect(address: str | None, workers: int) -> tuple[Any, bool]:
         ray: Any = import_module("ray")
     except ImportError as error:
         raise ArgumentError(
-            f"backend must be another one if Ray cannot be imported ({error}); `pip install -e '.[ray]'` in the folder of "
-            "the repository installs it."
+            f"backend must be another one if Ray cannot be imported ({error}); `pip install -e '.[ray]'` in the folder "
+            "of the repository installs it."
         ) from None
     if ray.is_initialized():
         return ray, False
