@@ -282,6 +282,7 @@ def test_help_imports_nothing_heavy(fresh_process):
         (["--set", "=f1"], ["--set", "'=f1'"]),
         (["--set", "follow=f1", "follow=f2"], ["--set", "follow"]),
         (["--set", "folow=f1"], ["folow", "'follow'", "miss_rate"]),
+        (["--env", "USNET/SingleCluster-v0", "--set", "clusters=3"], ["clusters", "its size is 'followers'"]),
         (["--set", "follow=f9"], ["follow", "'f9'"]),
         (["--set", "follow={a: 1}"], ["follow"]),
         (["--set", "follow=[1"], ["follow", "'[1'"]),

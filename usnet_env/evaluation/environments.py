@@ -82,7 +82,8 @@ def make_environment(spec: EnvSpec, env_kwargs: Mapping[str, Any]) -> gym.Env[An
     known = list_arguments(spec)
     for name in env_kwargs:
         if known is not None and name not in known:
-            raise unknown_argument(str(name), spec.id, known)
+            config = getattr(getattr(creator, "__init__", None), "config", None)
+            raise unknown_argument(str(name), spec.id, known, getattr(config, "instead", {}))
     env: gym.Env[Any, Any] = gym.make(spec, disable_env_checker=True, **env_kwargs)
     if not is_usnet(env):
         env.close()
