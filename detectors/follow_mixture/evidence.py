@@ -174,7 +174,9 @@ def bayes_factor(share: Floats, rows: Floats, width: int) -> Floats:
     return np.asarray(np.where(rows > width + 1.0, factor, 0.0))
 
 
-def screen(targets: Targets, past: Floats, names: Sequence[str], groups: Indices) -> Floats:
+def screen(
+    targets: Targets, past: Floats, names: Sequence[str], groups: Indices, only: Indices | None = None
+) -> Floats:
     """``(K, c, n)``: evidence of laws of each group's own, for all candidates and K classes.
 
     Classes of three features are compared in single precision; for larger ones the screening ignores the weights of the
@@ -185,13 +187,14 @@ def screen(targets: Targets, past: Floats, names: Sequence[str], groups: Indices
         past: ``(n, R, L, 3)`` pasts of the candidates.
         names: the feature classes; those that others contain are left out.
         groups: ``(c,)`` the groups that are screened.
+        only: ``(n,)`` the single group of which each UAV is a candidate, -1 or ``None``: of all. Others: no evidence.
     """
     weight = targets.weight[groups]
     rows = targets.rows[groups, None]
     power = targets.energy[groups][:, None]
     # Single precision is enough to order the candidates, and this is most of the work in a large swarm.
     flat, plain, own = (
-        values.transpose(1, 0, 2).reshape(weight.shape[1], -1).astype(np.float32)
+        np.ascontiguousarray(values.transpose(1, 0, 2), np.float32)
         for values in (
             targets.innovation[groups] * weight[:, :, None],
             targets.innovation[groups] / weight[:, :, None],
@@ -199,17 +202,23 @@ def screen(targets: Targets, past: Floats, names: Sequence[str], groups: Indices
         )
     )
     square = (weight**2).astype(np.float32)
-    rough = ((plain**2).reshape(len(plain), -1, 3).sum(axis=(0, 2)) + 3 * len(plain) * _GRAIN**2)[:, None]
+    rough = ((plain**2).sum(axis=(0, 2)) + 3 * len(plain) * _GRAIN**2)[:, None]
     screened = [name for name in names if name in SCREENED]
     evidence = np.zeros((len(screened), len(groups), len(past)))
-    for first in range(0, len(past), _CHUNK):
-        part = slice(first, first + _CHUNK)
+    only = np.full(len(past), -1) if only is None else only
+    every, uavs = np.count_nonzero(only < 0), len(past)
+    order = np.argsort(only, kind="stable")
+    for part in np.split(order, [*range(_CHUNK, every, _CHUNK), *range(every, uavs, _CHUNK)]):
+        valid = (only[part] < 0) | (only[part] == groups[:, None])
+        some = np.flatnonzero(valid.any(axis=1))
         for number, (_, found) in enumerate(make_features(past[part], screened)):
             if found.shape[2] == 3:
-                share = _explain_by_three(found.astype(np.float32), flat, own, square) / power
+                share = _explain_by_three(found.astype(np.float32), flat[:, some], own[:, some], square[some])
+                share /= power[some]
             else:
-                share = _explain_roughly(whiten(found).astype(np.float32), plain) / rough
-            evidence[number, :, part] = bayes_factor(share, rows, found.shape[2])
+                share = _explain_roughly(whiten(found).astype(np.float32), plain[:, some]) / rough[some]
+            gained = bayes_factor(share, rows[some], found.shape[2])
+            evidence[number, some[:, None], part] = np.where(valid[some], gained, 0.0)
     return evidence
 
 
@@ -224,12 +233,9 @@ def choose_pairs(targets: Targets, evidence: Floats, groups: Indices) -> Pairs:
     inside = targets.label[None] == groups[:, None]
     alone = targets.sizes[targets.label] == 1
     asked = np.zeros(evidence.shape[1:], bool)
-    for columns in (np.flatnonzero(alone), np.flatnonzero(~alone)):
-        for values in evidence[:, :, columns]:
-            asked[:, columns] |= _find_highest(np.where(inside[:, columns], 0.0, values))
-    for row in range(len(groups)):
-        members = np.flatnonzero(inside[row])
-        asked[row, members] = _find_highest(evidence[:, row, members]).any(axis=0)
+    for sort in (alone & ~inside, ~alone & ~inside, inside):
+        for values in evidence:
+            asked |= _find_highest(np.where(sort, values, 0.0))
     place, uav = np.nonzero(asked)
     return pair(targets, groups[place], uav)
 
@@ -254,24 +260,20 @@ def pick(pairs: Pairs, places: Indices | Mask) -> Pairs:
 
 
 def _explain_roughly(white: Singles, flat: Singles) -> Floats:
-    """``(C, k)``: energy of unweighted innovations ``(R, 3 C)`` that orthonormal features ``(k, R, p)`` explain."""
-    product = (white.transpose(0, 2, 1).reshape(-1, len(flat)) @ flat).reshape(len(white), white.shape[2], -1)
-    energy = np.einsum("kpc,kpc->kc", product, product)
-    return np.asarray(energy.reshape(len(white), -1, 3).sum(axis=2).T)
+    """``(C, k)``: energy of unweighted innovations ``(R, C, 3)`` that orthonormal features ``(k, R, p)`` explain."""
+    product = np.tensordot(white, flat, (1, 0))  # (k, p, C, 3)
+    return np.asarray(np.einsum("kpca,kpca->kca", product, product).sum(axis=2).T)
 
 
 def _explain_by_three(features: Singles, flat: Singles, own: Singles, weight: Singles) -> Floats:
     """``(C, k)``: energy that three features ``(k, R, 3)`` explain beyond the own pasts.
 
-    ``flat`` ``(R, 3 C)`` are the innovations and ``own`` ``(R, z C)`` the own pasts, times the weights of their rows;
+    ``flat`` ``(R, C, 3)`` are the innovations and ``own`` ``(R, C, z)`` the own pasts, times the weights of their rows;
     ``weight`` ``(C, R)`` are the squares of these weights.
     """
-    count, uavs, rows = len(weight), len(features), len(flat)
-    turned = features.transpose(0, 2, 1).reshape(-1, rows)
-    moment = (turned @ flat).reshape(uavs, 3, count, 3)
-    known = (turned @ own).reshape(uavs, 3, count, own.shape[1] // max(count, 1))
+    moment, known = np.tensordot(features, flat, (1, 0)), np.tensordot(features, own, (1, 0))
     products = features[:, :, [0, 1, 1, 2, 2, 2]] * features[:, :, [0, 0, 1, 0, 1, 2]]  # of a lower triangle
-    gram = (products.transpose(0, 2, 1).reshape(-1, rows) @ weight.T).reshape(uavs, 6, count)
+    gram = np.tensordot(products, weight, (1, 1))
     return np.asarray(_solve_by_three(moment, known, gram, RIDGE, _NOTHING).T)
 
 

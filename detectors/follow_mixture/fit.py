@@ -24,7 +24,7 @@ from detectors.follow_mixture.evidence import (
     screen,
 )
 from detectors.follow_mixture.features import LEVELS, LONE
-from detectors.follow_mixture.groups import find_groups
+from detectors.follow_mixture.groups import find_groups, limit_candidates
 from detectors.follow_mixture.motion import Motion, fit_spectra, lagged, smoothed_pasts
 from detectors.follow_mixture.pooling import MorePairs, ask_single_uavs
 from usnet_env.arrays import Floats, Indices
@@ -140,10 +140,10 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
     spectra = fit_spectra(velocity, motion.unit)
     targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
     past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
-    several = np.flatnonzero(targets.sizes > 1)
+    several, only = np.flatnonzero(targets.sizes > 1), limit_candidates(label, rng)
     more: MorePairs | None = None  # at first no single UAV follows, as heads and decoys do not
     for names in LEVELS:
-        pairs = choose_pairs(targets, screen(targets, past, names, several), several)
+        pairs = choose_pairs(targets, screen(targets, past, names, several, only), several)
         if more is not None:
             pairs = more.join(targets, pairs)
         classes = gather_statistics(targets, past, pairs, names)

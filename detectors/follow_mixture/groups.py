@@ -27,6 +27,7 @@ _ORDERED_BY = 3  # the share that orders the mergers: the largest, by which most
 _GRAIN = 1e-3  # motion below this share of the mean speed is rounding of the positions
 _BANDS = 8  # of frequencies; the spectra count as constant within one
 _AT_ONCE = 300  # UAVs that are compared pair by pair; a larger swarm is grouped in turns
+_DRAWN = 3  # members of each group that are compared with the other groups of a larger swarm
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +89,8 @@ def find_groups(velocity: Floats, spectra: FlightSpectra, rng: np.random.Generat
         label[turn] = turn[found]
         if len(waiting):
             waiting = _join(coordinates, band, model, label, turn, waiting, price)
-    _, label = np.unique(label, return_inverse=True)
-    return _number_by_first(label)
+    _, first, place = np.unique(label, return_index=True, return_inverse=True)
+    return np.asarray(np.argsort(np.argsort(first))[place], np.int64)
 
 
 def _spectral_bands(velocity: Floats, spectra: FlightSpectra) -> tuple[Floats, list[Indices], Floats, Floats, Floats]:
@@ -236,23 +237,27 @@ def _join(
     """Let UAVs join the groups of a turn: writes to ``label``, and returns those that joined none."""
     names, group = np.unique(label[turn], return_inverse=True)
     size = np.bincount(group).astype(np.float64)
-    member = (group[None] == np.arange(len(names))[:, None]).astype(np.float64)
-    total = member @ coordinates[turn]
+    total = np.zeros((len(names), coordinates.shape[1]))
+    np.add.at(total, group, coordinates[turn])
     left = coordinates[waiting]
-    energy = np.stack([(total[:, part] ** 2).sum(axis=1) for part in band])
-    single = np.stack([(left[:, part] ** 2).sum(axis=1) for part in band])
-    cross = np.stack([left[:, part] @ total[:, part].T for part in band])
-    rise = model.worth(single[:, :, None] + energy[:, None] + 2.0 * cross, 1.0 + size[None])
-    rise -= model.worth(single, np.ones(len(left)))[:, None] + model.worth(energy, size)[None]
+    energy, single = (np.stack([(some[:, part] ** 2).sum(axis=1) for part in band]) for some in (total, left))
+    # The worth of a union is linear in its energy |left|² + |total|² + 2 left total, band by band.
+    slope = 0.5 * model.ratio[:, None] / ((1.0 + (1.0 + size) * model.ratio[:, None]) * model.noise[:, None])
+    column = np.repeat(np.arange(len(band)), [len(part) for part in band])[np.argsort(np.concatenate(band))]
+    rise = left @ (2.0 * total * slope[column].T).T
+    rise += single.T @ slope - model.worth(single, np.ones(len(left)))[:, None]
+    rise += model.worth(energy, 1.0 + size) - model.worth(energy, size)
     best = rise.argmax(axis=1)
     joins = rise[np.arange(len(left)), best] > price
     label[waiting[joins]] = names[best[joins]]
     return np.asarray(waiting[~joins])
 
 
-def _number_by_first(label: Indices) -> Indices:
-    """Labels renamed by the order of their first members."""
-    _, first, place = np.unique(label, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return np.asarray(rank[place], np.int64)
+def limit_candidates(label: Indices, rng: np.random.Generator) -> Indices:
+    """``(n,)``: the only group that each UAV may lead, or -1: all may. Of a large swarm, a few of each group may."""
+    if len(label) <= _AT_ONCE:
+        return np.full(len(label), -1)
+    order = np.lexsort((rng.random(len(label)), label))
+    rank = np.arange(len(label)) - np.searchsorted(label[order], label[order])
+    drawn = np.isin(np.arange(len(label)), order[rank < _DRAWN])
+    return np.where(drawn, -1, label)

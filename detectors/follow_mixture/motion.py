@@ -60,11 +60,9 @@ def read_motion(window: Window, living: Indices) -> Motion | None:
     if len(living) < 2 or window.observation_steps < LEAST_STEPS:
         return None
     seen = window.velocity_seen[:, living]
-    if not seen.any():
-        return None
     found = window.velocity[:, living][seen].astype(np.float64)
     flown = np.sqrt(np.vecdot(found, found))
-    if flown.mean() <= 0:
+    if not flown.sum() > 0:
         return None
     drift, unit = common_drift(found, flown)
     velocity: Floats = window.velocity - drift
@@ -155,9 +153,8 @@ def fit_spectra(velocity: Floats, noiseless: bool) -> FlightSpectra:
     wave = 2.0 * (1.0 - np.cos(omega))
     scale = max(float(periodogram.mean()), _NOTHING)
     powers = scale * _POWERS
-    shapes = (1.0 - _MEMORIES[:, None] ** 2) / (
-        1.0 - 2.0 * _MEMORIES[:, None] * np.cos(omega) + _MEMORIES[:, None] ** 2
-    )
+    memory = _MEMORIES[:, None]
+    shapes = (1.0 - memory**2) / (1.0 - 2.0 * memory * np.cos(omega) + memory**2)
     best, found = np.inf, FlightSpectra(np.full(uavs, scale), np.zeros(uavs), 0.0)
     for noise in 0.5 * scale * (_NOISES[:1] if noiseless else _NOISES):
         model = powers[:, None, None] * shapes[None] + noise * wave

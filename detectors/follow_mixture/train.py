@@ -36,6 +36,7 @@ from usnet_env.window import Window
 _BIN = 0.25  # width of a bin of log-odds
 _BINS = int(2 * MOST_ODDS / _BIN) + 1
 _ODDS = np.linspace(-MOST_ODDS, MOST_ODDS, _BINS)
+_DEFAULTS = 4, 12  # memory and max_lag of the detector
 _SCORES = ((0, "brier"), (1, "log loss"))
 #: Prior of a calibration: mean and standard deviation of the log slope, the offset and the log-odds of the doubt.
 _PRIOR = np.array([[0.0, 1.0], [0.0, 3.0], [-2.0, 2.0]])
@@ -104,28 +105,23 @@ def draw_window(config: SwarmConfig, rng: np.random.Generator) -> tuple[Window, 
 
 def play(games: Sequence[Game[Draws]]) -> list[Row]:
     """Draw swarms, fit them, and count heads and other UAVs by uncalibrated log-odds."""
-    return [_play(draws, swarm) for draws, swarm in games]
-
-
-def _play(draws: Draws, swarm: int) -> Row:
-    rng = np.random.default_rng([draws.seed, swarm])
-    config = draw_calibration_swarm(draws.most_uavs, draws.most_clusters, rng)
-    window, leads = draw_window(config, rng)
-    living = np.flatnonzero(window.alive)
-    head = leads[living]
-    motion = read_motion(window, living)
-    found = (
-        None if motion is None else fit_motion(motion, 4, 12, None, rng)
-    )  # the detector's memory and max_lag by default
-    counts, exact = "", not head.any()
-    if found is not None:
-        place = np.rint((np.clip(found.log_odds, -MOST_ODDS, MOST_ODDS) + MOST_ODDS) / _BIN).astype(np.int64)
-        uavs, led = np.bincount(place, minlength=_BINS), np.bincount(place[head], minlength=_BINS)
-        counts = " ".join(f"{k}:{uavs[k]}:{led[k]}" for k in np.flatnonzero(uavs).tolist())
-        exact = np.array_equal(found.heads, np.flatnonzero(head))
-    follows, heads = int(config.follow != "none"), int(head.sum())
-    numbers = {"swarm": swarm, "follows": follows, "living": len(living), "heads": heads, "exact": int(exact)}
-    return Row(**vars(draws), **numbers, log_odds=counts)
+    rows = []
+    for draws, swarm in games:
+        rng = np.random.default_rng([draws.seed, swarm])
+        config = draw_calibration_swarm(draws.most_uavs, draws.most_clusters, rng)
+        window, leads = draw_window(config, rng)
+        living = np.flatnonzero(window.alive)
+        head, motion = leads[living], read_motion(window, living)
+        found = None if motion is None else fit_motion(motion, *_DEFAULTS, None, rng)
+        counts, exact = "", not head.any()
+        if found is not None:
+            place = np.rint((np.clip(found.log_odds, -MOST_ODDS, MOST_ODDS) + MOST_ODDS) / _BIN).astype(np.int64)
+            uavs, led = np.bincount(place, minlength=_BINS), np.bincount(place[head], minlength=_BINS)
+            counts = " ".join(f"{k}:{uavs[k]}:{led[k]}" for k in np.flatnonzero(uavs).tolist())
+            exact = np.array_equal(found.heads, np.flatnonzero(head))
+        numbers = {"swarm": swarm, "living": len(living), "heads": int(head.sum()), "exact": int(exact)}
+        rows.append(Row(**vars(draws), **numbers, follows=int(config.follow != "none"), log_odds=counts))
+    return rows
 
 
 def _count(rows: Sequence[Row]) -> tuple[Floats, Floats]:

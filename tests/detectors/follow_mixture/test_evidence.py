@@ -102,6 +102,18 @@ def test_the_evidence_of_a_pair_is_that_of_a_regression_on_both_pasts():
         assert evidence[(pairs.group == 1) & (pairs.uav == 0)] > 50
 
 
+def test_a_candidate_of_its_own_group_alone_has_the_same_evidence_there_and_none_elsewhere():
+    velocity, past = make_problem(4)
+    targets = make_targets(velocity, LABEL, LAGS)
+    groups = np.array(list(HEAD_OF))
+    only = np.where(np.arange(len(LABEL)) % 2, LABEL, -1)
+    found = screen(targets, past, NAMES, groups, only)
+    compared = (only < 0) | (only == groups[:, None])
+    np.testing.assert_allclose(found[:, compared], screen(targets, past, NAMES, groups)[:, compared], rtol=1e-4)
+    assert compared.any(axis=1).all() and not compared.all()
+    assert not found[:, ~compared].any()
+
+
 @given(st.integers(0, 1000), st.integers(1, 6), st.floats(0.0, 2.0))
 @settings(max_examples=30)
 def test_the_bayes_factor_is_the_largest_of_a_g_prior(seed, width, strength):
