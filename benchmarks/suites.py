@@ -14,10 +14,10 @@ import csv
 import gzip
 import io
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from result_pages.suites import read_suite
+from result_pages.suites import failures_file, read_failures, read_suite, rows_file
 from running import RESULTS
 
 from usnet_env.evaluation import SuiteResult, load_suite
@@ -42,32 +42,50 @@ def pack(folders: Sequence[Path], add: bool = False, results: Path = RESULTS) ->
         ValueError: a detector lacks episodes, or rows of the file and of the folders are of different swarms.
     """
     suite = load_suite(folders[0].name)
-    path = results / "suites" / f"{suite.name}-v{suite.version}.csv.gz"
-    played = [SuiteResult.load(folder, suite).results for folder in folders]
+    path = results / rows_file(suite)
+    played = [SuiteResult.load(folder, suite) for folder in folders]
+    failed = [
+        {"cell": cell, "detector": name, "reason": reason}
+        for cell in suite.cells
+        for found in played
+        for name, reason in found.failures.get(cell, {}).items()
+    ]
+    without = {(row["cell"], row["detector"]) for row in failed}  # of these, no row counts
     rows = [
         {"cell": cell, **{name: _format(row[name]) for name in COLUMNS}}
         for cell in suite.cells
         for found in played
-        if cell in found
-        for row in found[cell].rows
+        if cell in found.results
+        for row in found.results[cell].rows
+        if (cell, row["detector"]) not in without
     ]
-    own = Counter(row["detector"] for row in rows)
+    counts = Counter(row["detector"] for row in rows + failed * suite.episodes)
     expected = suite.episodes * len(suite.cells)
-    if short := [name for name, count in own.items() if count != expected]:
+    if short := [name for name, count in counts.items() if count != expected]:
         raise ValueError(f"each detector must have {expected} rows of {suite.label}, got another number of {short}.")
     if add and path.exists():
-        rows += [row for row in read_suite(suite, results) if row["detector"] not in own]
-        order = list(suite.cells)
-        rows.sort(key=lambda row: order.index(row["cell"]))
-    if len({(row["cell"], row["episode"], row["swarm_seed"]) for row in rows}) != expected:
+        rows += [row for row in read_suite(suite, results) if row["detector"] not in counts]
+        failed += [row for row in read_failures(suite, results) if row["detector"] not in counts]
+    order = list(suite.cells)
+    swarms = {(row["cell"], row["episode"], row["swarm_seed"]) for row in rows}
+    if len(swarms) != suite.episodes * len({row["cell"] for row in rows}):
         raise ValueError(f"all rows of {suite.label} must be of the same swarms: play with the secret of the others.")
+    content = _write_csv(("cell", *COLUMNS), sorted(rows, key=lambda row: order.index(row["cell"])))
+    with atomic_write(path) as aside:
+        aside.write_bytes(gzip.compress(content, mtime=0))
+    if failed or (results / failures_file(suite)).exists():
+        content = _write_csv(("cell", "detector", "reason"), sorted(failed, key=lambda row: order.index(row["cell"])))
+        with atomic_write(results / failures_file(suite)) as aside:
+            aside.write_bytes(content)
+    return path
+
+
+def _write_csv(columns: Sequence[str], rows: Sequence[Mapping[str, str]]) -> bytes:
     text = io.StringIO()
-    writer = csv.DictWriter(text, ("cell", *COLUMNS), lineterminator="\n")
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    with atomic_write(path) as aside:
-        aside.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
-    return path
+    return text.getvalue().encode()
 
 
 def _format(value: object) -> str:

@@ -28,7 +28,7 @@ def text() -> str:
     parts, files = [], []
     for suite, rows in _played():
         parts += _describe(suite, rows)
-        files += [_file(suite), _picture(suite)]
+        files += [rows_file(suite), *([failures_file(suite)] if read_failures(suite) else []), _picture(suite)]
     return page(
         "Frozen suites",
         "[Frozen suites](../suites.md) are lists of environments with a version. All detectors met the same swarms, "
@@ -56,7 +56,7 @@ def cells_text() -> str:
         "these cells.",
         *parts,
         "## Raw rows and commands",
-        source([*(_file(suite) for suite, _ in _played()), "leak_probe.csv"]),
+        source([*(rows_file(suite) for suite, _ in _played()), "leak_probe.csv"]),
     )
 
 
@@ -72,31 +72,45 @@ def _played() -> list[tuple[FrozenSuite, list[Row]]]:
 
 def read_suite(suite: FrozenSuite, results: Path = RESULTS) -> list[Row]:
     """The committed rows of the suite's version; none if it was not played."""
-    path = results / _file(suite)
+    path = results / rows_file(suite)
     return list(csv.DictReader(io.StringIO(gzip.decompress(path.read_bytes()).decode()))) if path.exists() else []
 
 
-def _file(suite: FrozenSuite) -> str:
+def read_failures(suite: FrozenSuite, results: Path = RESULTS) -> list[Row]:
+    """Why detectors have no rows in some cells: columns ``cell``, ``detector`` and ``reason``."""
+    path = results / failures_file(suite)
+    return read_csv(path) if path.exists() else []
+
+
+def rows_file(suite: FrozenSuite) -> str:
+    """The file of rows, in the folder of results."""
     return f"suites/{suite.name}-v{suite.version}.csv.gz"
+
+
+def failures_file(suite: FrozenSuite) -> str:
+    """The file of the cells in which detectors failed, in the folder of results."""
+    return f"suites/{suite.name}-v{suite.version}-failures.csv"
 
 
 def _picture(suite: FrozenSuite) -> str:
     return f"suites/{suite.name}-v{suite.version}.png"
 
 
-def is_solved(rows: list[Row]) -> bool:
-    """Whether all detectors, the trivial policies apart, solve the suite."""
-    rates = [
-        _rate(own)
-        for name, own in group_rows(rows, lambda row: row["detector"]).items()
-        if name.split("(")[0] not in TRIVIAL
-    ]
-    return min(rates) >= SOLVED
+def is_solved(suite: FrozenSuite, rows: list[Row]) -> bool:
+    """Whether all detectors, the trivial policies apart, solve all cells of the suite."""
+    found = group_rows(rows, lambda row: row["detector"])
+    return all(_score(suite, own) >= SOLVED for name, own in found.items() if name.split("(")[0] not in TRIVIAL)
 
 
-def _by_detector(rows: list[Row]) -> dict[str, list[Row]]:
+def _by_detector(suite: FrozenSuite, rows: list[Row]) -> dict[str, list[Row]]:
     """The rows of each detector; those that are exact most often come first."""
-    return dict(sorted(group_rows(rows, lambda row: row["detector"]).items(), key=lambda item: -_rate(item[1])))
+    found = group_rows(rows, lambda row: row["detector"])
+    return dict(sorted(found.items(), key=lambda item: -_score(suite, item[1])))
+
+
+def _score(suite: FrozenSuite, rows: list[Row]) -> float:
+    """The share of exact episodes, over all cells of the suite; in a failed cell, no episode is exact."""
+    return sum(int(row["exact"]) for row in rows) / (suite.episodes * len(suite.cells))
 
 
 def _describe(suite: FrozenSuite, rows: list[Row]) -> list[str]:
@@ -111,22 +125,59 @@ def _describe(suite: FrozenSuite, rows: list[Row]) -> list[str]:
             mean_of(own, "J"),
             f"{median(float(row['seconds_per_round']) for row in own):.2g}",
         )
-        for name, own in _by_detector(rows).items()
+        for name, own in _by_detector(suite, rows).items()
     ]
     solved = " This suite is *solved*: every detector but the trivial policies is exact in 95 % of the episodes."
     return [
         f"## {suite.label}",
-        f"{suite.purpose} SHA-256 of the file: `{suite.digest[:16]}…`.{solved if is_solved(rows) else ''}",
+        f"{suite.purpose} SHA-256 of the file: `{suite.digest[:16]}…`.{solved if is_solved(suite, rows) else ''}",
         table(("detector", "n", "cells", "exact", "F1 in round 1", "J", "seconds"), lines),
+        *_list_failures(suite),
+        *_compare_sizes(suite, rows),
         f"![Heat map of {suite.name}: how often each detector is exact in each cell]"
         f"(../../benchmarks/results/{_picture(suite)})",
+    ]
+
+
+def _list_failures(suite: FrozenSuite) -> list[str]:
+    """In which cells detectors have no rows, and why."""
+    found = group_rows(read_failures(suite), lambda row: (row["detector"], row["reason"]))
+    if not found:
+        return []
+    lines = [(f"`{name}`", ", ".join(row["cell"] for row in own), why) for (name, why), own in found.items()]
+    return [
+        "A detector that fails in a cell has no rows there: *cells* counts the others, and the means are over them. "
+        "In the order of the table, a failed cell counts as not exact.",
+        table(("detector", "failed in", "reason"), lines),
+    ]
+
+
+def _compare_sizes(suite: FrozenSuite, rows: list[Row]) -> list[str]:
+    """F1 and seconds of each cell, if the largest swarm of the suite is more than ten times the smallest."""
+    sizes = [int(cell.arguments.get("uavs", 1)) for cell in suite.cells.values()]
+    if max(sizes) <= 10 * min(sizes):
+        return []
+    cells = group_rows(rows, lambda row: (row["cell"], row["detector"]))
+
+    def say(own: list[Row]) -> str:
+        if not own:
+            return "–"
+        score, seconds = (median([float(row[name]) for row in own]) for name in ("f1_first", "seconds_per_round"))
+        return f"{score:.2f}; {seconds:.2g} s"
+
+    lines = [
+        (f"`{name}`", *(say(cells.get((cell, name), [])) for cell in suite.cells)) for name in _by_detector(suite, rows)
+    ]
+    return [
+        "The median F1 in round 1, and the median seconds of one answer, by cell:",
+        table(("detector", *suite.cells), lines),
     ]
 
 
 def _cells(suite: FrozenSuite, rows: list[Row]) -> str:
     """How often each detector is exact in each cell, with intervals."""
     cells = group_rows(rows, lambda row: (row["cell"], row["detector"]))
-    order, leaks = list(_by_detector(rows)), _read_leaks()
+    order, leaks = list(_by_detector(suite, rows)), _read_leaks()
     body = [
         (
             cell,
@@ -140,7 +191,7 @@ def _cells(suite: FrozenSuite, rows: list[Row]) -> str:
 
 def _heat_map(suite: FrozenSuite, rows: list[Row]) -> Figure:
     """Cells from top to bottom, detectors from left to right; an entry is the share of exact episodes in percent."""
-    order, cells = list(_by_detector(rows)), group_rows(rows, lambda row: (row["cell"], row["detector"]))
+    order, cells = list(_by_detector(suite, rows)), group_rows(rows, lambda row: (row["cell"], row["detector"]))
     share = np.full((len(suite.cells), len(order)), np.nan)
     for place, cell in enumerate(suite.cells):
         for column, name in enumerate(order):

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 import suites
+from result_pages.suites import read_failures
 
+from usnet_env import Detection, Window
 from usnet_env.evaluation import FrozenSuite, evaluate_suite, load_suite
 
 TEXT = """
@@ -57,3 +59,36 @@ def test_a_detector_that_did_not_play_all_cells_is_refused(small: FrozenSuite, t
     evaluate_suite(small, "none", isolate=False, out=tmp_path / "small", cells=["plain"])
     with pytest.raises(ValueError, match=r"must have 4 rows of small \(version 3\), got another number of \['none'\]"):
         suites.pack([tmp_path / "small"], results=tmp_path)
+
+
+class Sometimes:
+    """Answers in one cell, and fails in the other."""
+
+    def reset(self, seed: int | None = None) -> None:
+        """Nothing to prepare."""
+
+    def detect(self, window: Window) -> Detection:
+        if not window.seen.all():
+            raise RuntimeError("a UAV is not seen")
+        return Detection(window.alive, window.alive)
+
+
+def test_a_cell_in_which_a_detector_failed_is_kept_with_its_reason(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "small.yaml").write_text(TEXT.replace("{position_noise: 0.2}", "{miss_rate: 0.3}"))
+    small = load_suite(tmp_path / "small.yaml")
+    monkeypatch.setattr(suites, "load_suite", {"small": small}.__getitem__)
+    first, second = (tmp_path / name / "small" for name in ("first", "second"))
+    evaluate_suite(small, {"sometimes": Sometimes()}, isolate=False, out=first)
+    evaluate_suite(small, "none", isolate=False, out=second)
+    path = suites.pack([first, second], results=tmp_path)
+    assert sorted(rows_of(path)) == sorted(
+        [("plain", "sometimes", "0"), ("plain", "sometimes", "1")]
+        + [(cell, "none", k) for cell in small.cells for k in ("0", "1")]
+    )
+    ((cell, detector, reason),) = (row.values() for row in read_failures(small, tmp_path))
+    assert (cell, detector) == ("noise", "sometimes")
+    assert "a UAV is not seen" in reason
+    evaluate_suite(small, "random", isolate=False, out=tmp_path / "third" / "small")
+    suites.pack([tmp_path / "third" / "small"], add=True, results=tmp_path)
+    assert len(read_failures(small, tmp_path)) == 1
+    assert len(rows_of(path)) == 10

@@ -157,8 +157,8 @@ def evaluate(
         if not as_json:
             show(result.ranking())
             click.echo(result.to_markdown() if show_all else "", nl=False)
-        for cell, text in result.failures.items():
-            print_message(f"{cell}: {text}")
+        for cell, own in result.failures.items():
+            print_message(f"{cell}: {' '.join(own.values())}")
         if not result.detectors:
             failure = evaluation.EvaluationError("no detector has a result in any cell.")
     else:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
@@ -207,7 +207,7 @@ def evaluate_suite(
         if folder is not None:
             with atomic_write(folder / _FAILURES) as aside:
                 aside.write_text(yaml.safe_dump(failures, allow_unicode=True), encoding="utf-8")
-    return SuiteResult(chosen, results, _join_failures(failures, played))
+    return SuiteResult(chosen, results, {cell: failures[cell] for cell in played if cell in failures})
 
 
 def _read_failures(folder: Path | None) -> Failures:
@@ -241,10 +241,6 @@ def _find_suite(runs: Mapping[str, EvaluationResult]) -> FrozenSuite | None:
     return min(found, key=lambda suite: not {suite.seed, suite.tuning_seed} & seeds, default=None)
 
 
-def _join_failures(failures: Failures, cells: Iterable[str]) -> dict[str, str]:
-    return {cell: " ".join(failures[cell].values()) for cell in cells if cell in failures}
-
-
 @dataclass(frozen=True, repr=False)
 class SuiteResult(Results):
     """The results of a suite.
@@ -252,12 +248,12 @@ class SuiteResult(Results):
     Args:
         suite: the suite; ``None`` if :meth:`load` has read it from a folder, and it is no suite of this package.
         results: the result of each cell that was played.
-        failures: why a detector has no result in a cell, by cell.
+        failures: why a detector has no result in a cell, by cell and by the label of the detector.
     """
 
     suite: FrozenSuite | None
     results: Mapping[str, EvaluationResult]
-    failures: Mapping[str, str]
+    failures: Mapping[str, Mapping[str, str]]
 
     @classmethod
     def load(cls, folder: str | PathLike[str], suite: str | PathLike[str] | FrozenSuite | None = None) -> SuiteResult:
@@ -281,7 +277,8 @@ class SuiteResult(Results):
         if chosen is None and (chosen := _find_suite(results)):
             results = {name: results[name] for name in chosen.cells if name in results}
         failures = _read_failures(root)
-        return cls(chosen, results, _join_failures(failures, chosen.cells if chosen else failures))
+        order = list(chosen.cells if chosen else failures)
+        return cls(chosen, results, {cell: failures[cell] for cell in order if cell in failures})
 
     @property
     def label(self) -> str:

@@ -199,11 +199,13 @@ def html_table(summary: Summary, title: str) -> str:
     return f"<table><caption>{escape(title)}</caption>{body}</table><p>{escape(conclude(summary))}</p>"
 
 
-def html_cells(header: Sequence[str], lines: Sequence[Sequence[str]], failures: Mapping[str, str]) -> str:
+def html_cells(
+    header: Sequence[str], lines: Sequence[Sequence[str]], failures: Mapping[str, Mapping[str, str]]
+) -> str:
     """The table of the cells of a suite in HTML, and why detectors have no result in some of them."""
     rows = [(tag, line) for tag, own in (("th", [header]), ("td", lines)) for line in own]
     body = "".join(f"<tr>{''.join(f'<{tag}>{escape(text)}</{tag}>' for text in line)}</tr>" for tag, line in rows)
-    said = "".join(f"<p>{escape(f'{cell}: {text}')}</p>" for cell, text in failures.items())
+    said = "".join(f"<p>{escape(f'{cell}: {text}')}</p>" for cell, own in failures.items() for text in own.values())
     return f"<table>{body}</table>{said}"
 
 

@@ -110,7 +110,8 @@ def test_a_candidate_of_its_own_group_alone_has_the_same_evidence_there_and_none
     found = screen(targets, past, NAMES, groups, only)
     compared = (only < 0) | (only == groups[:, None])
     np.testing.assert_allclose(found[:, compared], screen(targets, past, NAMES, groups)[:, compared], rtol=1e-4)
-    assert compared.any(axis=1).all() and not compared.all()
+    assert compared.any(axis=1).all()
+    assert not compared.all()
     assert not found[:, ~compared].any()
 
 
