@@ -18,6 +18,8 @@ ratio, and the median counts; what takes long has fewer turns, and says so.
 from __future__ import annotations
 
 import argparse
+import json
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -37,6 +39,7 @@ P1 = f"{OURS}(objective='P1')"
 SEED = 2022
 CLUSTERS, UAVS, STEPS = 5, 82, 100
 SIZES = (82, 200, 500, 1000, 2000, 5000, 10_000)
+PARTS = ("window", "growth", "memory", "gassl")
 SERIES = ("clusters fixed", "clusters in proportion")
 LARGEST = 10_000
 FOLLOWERS = 50
@@ -186,19 +189,24 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=20, help="of each strategy beside GASSL")
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "follow_mixture_speed.json")
+    parser.add_argument("--part", nargs="+", choices=PARTS, default=PARTS, help="the others stay as the file has them")
     arguments = parser.parse_args()
     sizes = tuple(sorted(arguments.sizes))
-    result: dict[str, object] = {
+    parts: dict[str, Callable[[], object]] = {
+        "window": lambda: windows(arguments.turns, arguments.windows),
+        "growth": lambda: {series: growth(series, sizes, arguments.turns, arguments.swarms) for series in SERIES},
+        "memory": lambda: {series: memory(series) for series in SERIES},
+        "gassl": lambda: beside_gassl(arguments.episodes),
+    }
+    about = {
         "machine": machine(),
         "versions": versions(("torch",)),
         "seconds": "processor time",
         "turns": arguments.turns,
-        "window": windows(arguments.turns, arguments.windows),
-        "growth": {series: growth(series, sizes, arguments.turns, arguments.swarms) for series in SERIES},
-        "memory": {series: memory(series) for series in SERIES},
-        "gassl": beside_gassl(arguments.episodes),
     }
-    write_json(arguments.out, result)
+    earlier = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
+    measured = {part: parts[part]() for part in PARTS if part in arguments.part}
+    write_json(arguments.out, earlier | about | measured)
 
 
 if __name__ == "__main__":
