@@ -47,8 +47,8 @@ def compare_delays(velocity: Floats, past: Floats, longest: int) -> tuple[Floats
     leader that explains little.
 
     Args:
-        velocity: ``(k, T, 3)``.
-        past: ``(k, T - L, L, 3)``.
+        velocity: ``(k, T, a)``.
+        past: ``(k, T - L, L, a)``.
         longest: the longest delay in samples; a quarter of the steps at most.
 
     Returns:
@@ -60,12 +60,12 @@ def compare_delays(velocity: Floats, past: Floats, longest: int) -> tuple[Floats
     def ask(candidates: Floats, lags: int, classes: tuple[str, ...]) -> Floats:
         alone = make_targets(velocity, every, lags)
         found = screen(alone, candidates, classes, every).max(axis=0, initial=0.0)
-        return np.asarray(found + 1.5 * alone.rows[:count, None] * np.log1p(-_RELAY))
+        return np.asarray(found + 0.5 * alone.axes * alone.rows[:count, None] * np.log1p(-_RELAY))
 
     evidence = ask(past, lags, LEVELS[0])
     if longest > lags:
-        late = lagged(velocity, longest)[:, :, lags:].swapaxes(1, 2)  # (k, D, R, 3)
-        each = ask(late.reshape(-1, late.shape[2], 1, 3), longest, LEVELS[0][:1])
+        late = lagged(velocity, longest)[:, :, lags:].swapaxes(1, 2)  # (k, D, R, a)
+        each = ask(late.reshape(-1, late.shape[2], 1, late.shape[3]), longest, LEVELS[0][:1])
         evidence = np.maximum(evidence, each.reshape(count, count, longest - lags).max(axis=2))
     laws = len(LEVELS[0]) + longest - lags
     price = np.log(1.0 / RARE - 1.0) + np.log(max(count - 1, 1) * laws)
@@ -87,8 +87,8 @@ def ask_delays(
 
     Args:
         targets: the groups.
-        velocity: ``(n, T, 3)``.
-        past: ``(n, R, L, 3)``.
+        velocity: ``(n, T, a)``.
+        past: ``(n, R, L, a)``.
         leads: the UAVs that lead; of the others, only single ones can be followed.
         gain: ``(C,)`` what each group gains already; the log-odds are higher.
         longest: see :func:`compare_delays`.
@@ -117,8 +117,8 @@ def find_hierarchy(
     """Find the direct leaders of UAVs that lead, and of single UAVs.
 
     Args:
-        velocity: ``(n, T, 3)``.
-        past: ``(n, R, L, 3)``.
+        velocity: ``(n, T, a)``.
+        past: ``(n, R, L, a)``.
         leads: the UAVs that lead.
         single: the UAVs by themselves that are asked.
         leader: ``(n,)`` the UAV that each was assigned to, -1 for none.

@@ -30,7 +30,7 @@ _GRAIN = 1e-3  # innovations below this share of the mean speed are rounding of 
 _ASKED = 3  # candidates of each sort that a class nominates for a group; their evidence is exact
 _CHUNK = 1000  # UAVs or pairs of one matrix product; bounds the memory
 _FREEDOM = 4.0  # of the t distribution whose weights the rows have: a sharp turn counts little more than other rows
-_MEDIAN = 2.366  # of a chi-square variable with three degrees of freedom
+_MEDIAN = {1: 0.455, 2: 1.386, 3: 2.366}  # of a chi-square variable, by its degrees of freedom
 _LEAST_SPREAD = 0.005  # least standard deviation of an innovation, in mean speeds
 _NOTHING = 1e-12
 
@@ -41,7 +41,7 @@ class Targets:
 
     Args:
         label: ``(n,)`` the group of each UAV.
-        innovation: ``(C + n, R, 3)`` e; 0 for the rest of a group of one.
+        innovation: ``(C + n, R, a)`` e; 0 for the rest of a group of one.
         own: ``(C + n, R, z)`` orthonormal columns that span Z.
         weight: ``(C + n, R)`` weight of each row, in units of which e and Z are.
         rows: ``(C + n,)`` effective number of rows: R - z, less if a few rows hold most of |e|² or if e is not white.
@@ -59,9 +59,19 @@ class Targets:
         return np.bincount(self.label)
 
     @property
+    def axes(self) -> int:
+        """Number of axes, a: each is a regression by itself."""
+        return int(self.innovation.shape[2])
+
+    @property
+    def grain(self) -> float:
+        """Energy of rounding."""
+        return self.axes * self.innovation.shape[1] * _GRAIN**2
+
+    @property
     def energy(self) -> Floats:
         """``(C + n,)`` |e|², and the energy of rounding, which no candidate explains."""
-        return np.asarray((self.innovation**2).sum(axis=(1, 2)) + 3 * self.innovation.shape[1] * _GRAIN**2)
+        return np.asarray((self.innovation**2).sum(axis=(1, 2)) + self.grain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +95,7 @@ class Statistics:
 
     Args:
         name: of the class.
-        moment: ``(P, p, 3)`` features times innovations.
+        moment: ``(P, p, a)`` features times innovations.
         gram: ``(P, p, p)`` features times features, less what the own past explains of them.
     """
 
@@ -103,30 +113,30 @@ def make_targets(velocity: Floats, label: Indices, lags: int) -> Targets:
     """Compute the innovations of the groups.
 
     Args:
-        velocity: ``(n, T, 3)``.
+        velocity: ``(n, T, a)``.
         label: ``(n,)`` the group of each UAV.
         lags: L; the rows are the steps from L on.
     """
-    steps = velocity.shape[1]
+    _, steps, axes = velocity.shape
     rows = steps - lags
     own_lags = int(np.clip(rows // _ROWS_A_LAG, 1, lags))
     sizes = np.bincount(label)
-    total = np.zeros((len(sizes), steps, 3))
+    total = np.zeros((len(sizes), steps, axes))
     np.add.at(total, label, velocity)
     rest = total[label] - velocity
     few = np.maximum(sizes[label] - 1, 1)[:, None, None]
     mean = np.concatenate([total / sizes[:, None, None], rest / few])
-    width = 1 + 3 * own_lags
-    innovation, own = np.zeros((len(mean), rows, 3)), np.zeros((len(mean), rows, width))
+    width = 1 + axes * own_lags
+    innovation, own = np.zeros((len(mean), rows, axes)), np.zeros((len(mean), rows, width))
     weight = np.ones((len(mean), rows))
     there = np.flatnonzero(np.append(sizes > 0, sizes[label] > 1))  # nothing is the rest of a group of one
     for first in range(0, len(there), _CHUNK):
         part = there[first : first + _CHUNK]
-        past = lagged(mean[part], lags)[:, :, :own_lags].reshape(-1, rows, 3 * own_lags)
+        past = lagged(mean[part], lags)[:, :, :own_lags].reshape(-1, rows, axes * own_lags)
         known = np.concatenate([np.ones((len(past), rows, 1)), past], axis=2)
         plain = _residuals(whiten(known), mean[part, lags:])
         square = (plain**2).sum(axis=2)
-        scale = np.maximum(np.median(square, axis=1, keepdims=True) / _MEDIAN, _LEAST_SPREAD**2)
+        scale = np.maximum(np.median(square, axis=1, keepdims=True) / _MEDIAN[axes], _LEAST_SPREAD**2)
         weight[part] = 1.0 / np.sqrt(1.0 + square / (_FREEDOM * scale))
         own[part] = whiten(known * weight[part][:, :, None])
         innovation[part] = _residuals(own[part], mean[part, lags:] * weight[part][:, :, None])
@@ -135,14 +145,16 @@ def make_targets(velocity: Floats, label: Indices, lags: int) -> Targets:
 
 
 def _steadiness(innovation: Floats) -> Floats:
-    """``(k,)``: effective share of the rows of ``(k, R, 3)``: below 1 if a few sharp turns hold most of the energy."""
-    return np.minimum(5 / 3 * _participation((innovation**2).sum(axis=2)), 1.0)  # of normal innovations it is 3/5
+    """``(k,)``: effective share of the rows of ``(k, R, a)``: below 1 if a few sharp turns hold most of the energy."""
+    axes = innovation.shape[2]  # of normal innovations it is a / (a + 2)
+    return np.minimum((axes + 2) / axes * _participation((innovation**2).sum(axis=2)), 1.0)
 
 
 def _whiteness(innovation: Floats) -> Floats:
-    """``(k,)``: effective share of the rows of ``(k, R, 3)``, for features with their spectrum (Bartlett's formula)."""
+    """``(k,)``: effective share of the rows of ``(k, R, a)``, for features with their spectrum (Bartlett's formula)."""
     power = (np.abs(np.fft.rfft(innovation, axis=1)[:, 1:]) ** 2).sum(axis=2)
-    return np.minimum(4 / 3 * _participation(power), 1.0)  # of white innovations it is 3/4
+    axes = innovation.shape[2]  # of white innovations it is a / (a + 1)
+    return np.minimum((axes + 1) / axes * _participation(power), 1.0)
 
 
 def _participation(values: Floats) -> Floats:
@@ -151,7 +163,7 @@ def _participation(values: Floats) -> Floats:
 
 
 def _residuals(columns: Floats, target: Floats) -> Floats:
-    """``(k, R, 3)``: what orthonormal columns ``(k, R, z)`` leave of targets."""
+    """``(k, R, a)``: what orthonormal columns ``(k, R, z)`` leave of targets."""
     return np.asarray(target - columns @ (columns.transpose(0, 2, 1) @ target))
 
 
@@ -165,12 +177,12 @@ def whiten(columns: Floats, ridge: float = RIDGE) -> Floats:
     return np.asarray(columns @ inverse.transpose(0, 2, 1))
 
 
-def bayes_factor(share: Floats, rows: Floats, width: int) -> Floats:
-    """Log Bayes factor of a regression of three axes on ``width`` features that explain ``share``, against none."""
+def bayes_factor(share: Floats, rows: Floats, width: int, axes: int) -> Floats:
+    """Log Bayes factor of a regression of all axes on ``width`` features that explain ``share``, against none."""
     share = np.clip(share, 0.0, 1.0 - _NOTHING)
     free = np.maximum(rows - width, 1.0)
     strength = np.maximum(share * free / ((1.0 - share) * width) - 1.0, 0.0)  # g: the F ratio less 1
-    factor = 1.5 * free * np.log1p(strength) - 1.5 * rows * np.log1p(strength * (1.0 - share))
+    factor = 0.5 * axes * free * np.log1p(strength) - 0.5 * axes * rows * np.log1p(strength * (1.0 - share))
     return np.asarray(np.where(rows > width + 1.0, factor, 0.0))
 
 
@@ -184,7 +196,7 @@ def screen(
 
     Args:
         targets: the groups.
-        past: ``(n, R, L, 3)`` pasts of the candidates.
+        past: ``(n, R, L, a)`` pasts of the candidates.
         names: the feature classes; those that others contain are left out.
         groups: ``(c,)`` the groups that are screened.
         only: ``(n,)`` the single group of which each UAV is a candidate, -1 or ``None``: of all. Others: no evidence.
@@ -202,7 +214,7 @@ def screen(
         )
     )
     square = (weight**2).astype(np.float32)
-    rough = ((plain**2).sum(axis=(0, 2)) + 3 * len(plain) * _GRAIN**2)[:, None]
+    rough = ((plain**2).sum(axis=(0, 2)) + targets.grain)[:, None]
     screened = [name for name in names if name in SCREENED]
     evidence = np.zeros((len(screened), len(groups), len(past)))
     only = np.full(len(past), -1) if only is None else only
@@ -212,12 +224,12 @@ def screen(
         valid = (only[part] < 0) | (only[part] == groups[:, None])
         some = np.flatnonzero(valid.any(axis=1))
         for number, (_, found) in enumerate(make_features(past[part], screened)):
-            if found.shape[2] == 3:
-                share = _explain_by_three(found.astype(np.float32), flat[:, some], own[:, some], square[some])
+            if found.shape[2] == targets.axes:
+                share = _explain_exactly(found.astype(np.float32), flat[:, some], own[:, some], square[some])
                 share /= power[some]
             else:
                 share = _explain_roughly(whiten(found).astype(np.float32), plain[:, some]) / rough[some]
-            gained = bayes_factor(share, rows[some], found.shape[2])
+            gained = bayes_factor(share, rows[some], found.shape[2], targets.axes)
             evidence[number, some[:, None], part] = np.where(valid[some], gained, 0.0)
     return evidence
 
@@ -260,41 +272,45 @@ def pick(pairs: Pairs, places: Indices | Mask) -> Pairs:
 
 
 def _explain_roughly(white: Singles, flat: Singles) -> Floats:
-    """``(C, k)``: energy of unweighted innovations ``(R, C, 3)`` that orthonormal features ``(k, R, p)`` explain."""
-    product = np.tensordot(white, flat, (1, 0))  # (k, p, C, 3)
+    """``(C, k)``: energy of unweighted innovations ``(R, C, a)`` that orthonormal features ``(k, R, p)`` explain."""
+    product = np.tensordot(white, flat, (1, 0))  # (k, p, C, a)
     return np.asarray(np.einsum("kpca,kpca->kca", product, product).sum(axis=2).T)
 
 
-def _explain_by_three(features: Singles, flat: Singles, own: Singles, weight: Singles) -> Floats:
-    """``(C, k)``: energy that three features ``(k, R, 3)`` explain beyond the own pasts.
+def _explain_exactly(features: Singles, flat: Singles, own: Singles, weight: Singles) -> Floats:
+    """``(C, k)``: energy that few features ``(k, R, p)`` explain beyond the own pasts.
 
-    ``flat`` ``(R, C, 3)`` are the innovations and ``own`` ``(R, C, z)`` the own pasts, times the weights of their rows;
+    ``flat`` ``(R, C, a)`` are the innovations and ``own`` ``(R, C, z)`` the own pasts, times the weights of their rows;
     ``weight`` ``(C, R)`` are the squares of these weights.
     """
     moment, known = np.tensordot(features, flat, (1, 0)), np.tensordot(features, own, (1, 0))
-    products = features[:, :, [0, 1, 1, 2, 2, 2]] * features[:, :, [0, 0, 1, 0, 1, 2]]  # of a lower triangle
+    row, column = np.tril_indices(features.shape[2])
+    products = features[:, :, row] * features[:, :, column]
     gram = np.tensordot(products, weight, (1, 1))
-    return np.asarray(_solve_by_three(moment, known, gram, RIDGE, _NOTHING).T)
+    return np.asarray(_solve(moment, known, gram, RIDGE, _NOTHING).T)
 
 
 @compiled()
-def _solve_by_three(moment: Singles, known: Singles, gram: Singles, ridge: float, least: float) -> Floats:
-    """``(k, C)``: m' G^-1 m, summed over three axes, with G less what the own past explains, by Cholesky's method.
+def _solve(moment: Singles, known: Singles, gram: Singles, ridge: float, least: float) -> Floats:
+    """``(k, C)``: m' G^-1 m, summed over the axes, with G less what the own past explains, by Cholesky's method.
 
     Args:
-        moment: ``(k, 3, C, 3)`` features times innovations.
-        known: ``(k, 3, C, z)`` features times own pasts.
-        gram: ``(k, 6, C)`` lower triangles of features times features.
+        moment: ``(k, p, C, a)`` features times innovations.
+        known: ``(k, p, C, z)`` features times own pasts.
+        gram: ``(k, p (p + 1) / 2, C)`` lower triangles of features times features.
         ridge: share of the mean diagonal of G that is added to it.
         least: added to the diagonal.
     """
-    uavs, _, count, width = known.shape
+    uavs, features, count, width = known.shape
     explained = np.empty((uavs, count))
-    lower, left = np.empty((3, 3)), np.empty(3)
+    lower, left = np.empty((features, features)), np.empty(features)
     for k in range(uavs):
         for c in range(count):
-            more = ridge * (gram[k, 0, c] + gram[k, 2, c] + gram[k, 5, c]) / 3.0 + least
-            for p in range(3):
+            trace = gram[k, 0, c]
+            for p in range(1, features):
+                trace += gram[k, p * (p + 3) // 2, c]
+            more = ridge * trace / features + least
+            for p in range(features):
                 for q in range(p + 1):
                     value = gram[k, p * (p + 1) // 2 + q, c]
                     for z in range(width):
@@ -303,8 +319,8 @@ def _solve_by_three(moment: Singles, known: Singles, gram: Singles, ridge: float
                         value -= lower[p, r] * lower[q, r]
                     lower[p, q] = np.sqrt(max(value, 0.0) + more) if p == q else value / lower[q, q]
             total = 0.0
-            for axis in range(3):
-                for p in range(3):
+            for axis in range(moment.shape[3]):
+                for p in range(features):
                     value = moment[k, p, c, axis]
                     for r in range(p):
                         value -= lower[p, r] * left[r]
@@ -315,12 +331,12 @@ def _solve_by_three(moment: Singles, known: Singles, gram: Singles, ridge: float
 
 
 def gather_statistics(targets: Targets, past: Floats, pairs: Pairs, names: Sequence[str]) -> list[Statistics]:
-    """Compute the cross products of the feature classes ``names`` for the pairs; ``past`` ``(n, R, L, 3)``."""
+    """Compute the cross products of the feature classes ``names`` for the pairs; ``past`` ``(n, R, L, a)``."""
     asked, place = np.unique(pairs.uav, return_inverse=True)
     found = []
     for name, features in make_features(past[asked], names):
         width = features.shape[2]
-        moment, gram = np.empty((len(place), width, 3)), np.empty((len(place), width, width))
+        moment, gram = np.empty((len(place), width, targets.axes)), np.empty((len(place), width, width))
         for first in range(0, len(place), _CHUNK):
             part, target = slice(first, first + _CHUNK), pairs.target[first : first + _CHUNK]
             weighted = features[place[part]] * targets.weight[target][:, :, None]
@@ -339,22 +355,22 @@ def own_evidence(targets: Targets, pairs: Pairs, statistics: Statistics) -> Floa
     """``(P,)``: log Bayes factor of each pair with a law of its own."""
     solved = np.linalg.solve(statistics.gram, statistics.moment)
     share = (statistics.moment * solved).sum(axis=(1, 2)) / targets.energy[pairs.target]
-    return bayes_factor(share, targets.rows[pairs.target], statistics.width)
+    return bayes_factor(share, targets.rows[pairs.target], statistics.width, targets.axes)
 
 
 def fit_law(statistics: Statistics, used: Indices, variance: Floats) -> Floats:
-    """Weights ``(p, 3)`` of one law for the pairs ``used`` ``(k,)``, with error variances ``(k,)``."""
+    """Weights ``(p, a)`` of one law for the pairs ``used`` ``(k,)``, with error variances ``(k,)``."""
     gram = np.einsum("k,kpq->pq", 1.0 / variance, statistics.gram[used])
     moment = np.einsum("k,kpa->pa", 1.0 / variance, statistics.moment[used])
     return np.asarray(np.linalg.solve(gram, moment))
 
 
 def gain_by_law(targets: Targets, pairs: Pairs, statistics: Statistics, law: Floats) -> tuple[Floats, Floats]:
-    """Log-likelihood that each pair gains by a law ``(p, 3)``, or its own ``(P, p, 3)``, which is given; both ``(P,)``.
+    """Log-likelihood that each pair gains by a law ``(p, a)``, or its own ``(P, p, a)``, which is given; both ``(P,)``.
 
     Each pair has an error variance of its own per axis and row, which is returned too.
     """
     power, rows = targets.energy[pairs.target], targets.rows[pairs.target]
     left = power + (law * (statistics.gram @ law - 2.0 * statistics.moment)).sum(axis=(1, 2))
-    left = np.maximum(left, 3 * targets.innovation.shape[1] * _GRAIN**2)
-    return -1.5 * rows * np.log(left / power), left / (3.0 * np.maximum(rows, 1.0))
+    left, axes = np.maximum(left, targets.grain), targets.axes
+    return -0.5 * axes * rows * np.log(left / power), left / (axes * np.maximum(rows, 1.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from math import prod
 
 import numpy as np
 
@@ -31,17 +32,18 @@ def make_features(past: Floats, names: Iterable[str]) -> Iterator[tuple[str, Flo
     """Yield the name and the features ``(n, R, p)`` of the classes that L allows; each column has mean 0.
 
     Args:
-        past: ``(n, R, L, 3)`` velocities before each row's time, newest first.
+        past: ``(n, R, L, a)`` velocities before each row's time, newest first.
         names: of the classes.
     """
     newest, two = past[:, :, :1], past[:, :, :2]
+    one, other = np.triu_indices(past.shape[3], 1)
     for name in names:
         if name == "v(1)":
             parts = [newest]
         elif name == "v²(1)":
             parts = [newest**2]
         elif name == "v+v²+vv(1)":
-            parts = [newest, newest**2, newest[..., [1, 2, 0]] * newest[..., [2, 0, 1]]]
+            parts = [newest, newest**2, newest[..., one[::-1]] * newest[..., other[::-1]]]
         elif past.shape[2] == 1:
             continue
         elif name == "v(L)":
@@ -52,10 +54,5 @@ def make_features(past: Floats, names: Iterable[str]) -> Iterator[tuple[str, Flo
             parts = [past, past**2]
         else:
             parts = [two, two**2, past[:, :, 0, :, None] * past[:, :, 1, None, :]]
-        yield name, _centre(np.concatenate(parts, axis=2))
-
-
-def _centre(values: Floats) -> Floats:
-    """``(n, R, ...)`` as ``(n, R, p)``, less the mean over the rows."""
-    flat = values.reshape(*values.shape[:2], int(np.prod(values.shape[2:])))
-    return np.asarray(flat - flat.mean(axis=1, keepdims=True))
+        flat = np.concatenate([part.reshape(*part.shape[:2], prod(part.shape[2:])) for part in parts], axis=2)
+        yield name, np.asarray(flat - flat.mean(axis=1, keepdims=True))

@@ -49,7 +49,7 @@ class Fit:
         relays: ``(2, n)``, see :class:`detectors.follow_mixture.delays.Hierarchy`.
         gain: ``(n,)`` log-likelihood that the UAV's group gains by its head, in nats.
         features: the class of features that the law uses.
-        law: ``(p, 3)`` weights of the shared law, or ``None`` if each group has a law of its own.
+        law: ``(p, a)`` weights of the shared law, or ``None`` if each group has a law of its own.
         value: gain of all groups less the prices, in nats.
         noise: variance of the position noise, in squared steps of mean speed.
         lag: ``(M,)`` the most probable lag of each head's groups, in samples; 0 if no lag explains them alone.
@@ -189,16 +189,13 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
 
 
 def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) -> Indices:
-    """The lag at which each head's velocity, or its squares, explains best alone the groups ``chosen`` that follow it.
+    """``(M,)``: the lag, from 1, at which each head alone explains best the groups that follow it; 0 if none does.
 
     Args:
         targets: the groups.
-        past: ``(n, R, L, 3)`` pasts of the candidates.
+        past: ``(n, R, L, a)`` pasts of the candidates.
         chosen: pairs of a group and its head.
         heads: ``(M,)`` ascending.
-
-    Returns:
-        ``(M,)`` lags in samples, from 1; 0 where no lag has evidence.
     """
     evidence = np.zeros((past.shape[2], len(heads)))
     for lag, gained in enumerate(evidence):
@@ -241,7 +238,7 @@ def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _An
 def _share_law(search: _Search, some: Statistics, assignment: Assignment, own: Floats) -> _Answer | None:
     """Fit the law and the heads alternately, within one class; ``own`` ``(P,)`` is the evidence of other laws."""
     best: _Answer | None = None
-    variance = np.ones(len(search.pairs.group))
+    axes, variance = search.targets.axes, np.ones(len(search.pairs.group))
     for turn in range(_ITERATIONS):
         used = search.chosen(assignment)
         if not len(used):
@@ -251,7 +248,7 @@ def _share_law(search: _Search, some: Statistics, assignment: Assignment, own: F
         shared, variance = gain_by_law(search.targets, search.pairs, some, law)
         evidence = np.maximum(shared, own)
         before, assignment = assignment, search.assign(evidence)
-        value = assignment.value - 1.5 * some.width * float(np.log(3.0 * rows))
+        value = assignment.value - 0.5 * axes * some.width * float(np.log(axes * rows))
         if best is not None and turn > 1 and value <= best.value:
             break
         if best is None or value > best.value:

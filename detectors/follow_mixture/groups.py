@@ -37,7 +37,7 @@ class _Bands:
     Args:
         noise: ``(F,)`` power of jitter and observation noise in each band.
         ratio: ``(F,)`` P, the power of the shared signal relative to it.
-        count: ``(F,)`` number of real coordinates in each band, over the three axes.
+        count: ``(F,)`` number of real coordinates in each band, over all axes.
     """
 
     noise: Floats
@@ -59,7 +59,7 @@ def find_groups(velocity: Floats, spectra: FlightSpectra, rng: np.random.Generat
     other UAV that is not compared yet joins the group that gains most by it, if one gains.
 
     Args:
-        velocity: ``(n, T, 3)`` in units of the mean speed, without missing values.
+        velocity: ``(n, T, a)`` in units of the mean speed, without missing values.
         spectra: the spectra of these velocities.
         rng: draws the UAVs of a turn.
 
@@ -94,8 +94,8 @@ def find_groups(velocity: Floats, spectra: FlightSpectra, rng: np.random.Generat
 
 
 def _spectral_bands(velocity: Floats, spectra: FlightSpectra) -> tuple[Floats, list[Indices], Floats, Floats, Floats]:
-    """Fourier coordinates ``(n, 3 K)``, and the columns, their number, 2 (1 - cos w) and the spectrum of each band."""
-    uavs, steps = velocity.shape[:2]
+    """Fourier coordinates ``(n, a K)``, and the columns, their number, 2 (1 - cos w) and the spectrum of each band."""
+    uavs, steps, axes = velocity.shape
     transformed = np.fft.rfft(velocity, axis=1, norm="ortho")[:, 1:]
     omega = 2.0 * np.pi * np.arange(1, transformed.shape[1] + 1) / steps
     real, imaginary = np.sqrt(2.0) * transformed.real, np.sqrt(2.0) * transformed.imag
@@ -106,7 +106,7 @@ def _spectral_bands(velocity: Floats, spectra: FlightSpectra) -> tuple[Floats, l
     omega = np.concatenate([omega, omega[: imaginary.shape[1]]])
     order = np.argsort(omega, kind="stable")
     parts = np.array_split(order, min(_BANDS, len(order)))
-    columns = [(3 * part[:, None] + np.arange(3)).ravel() for part in parts]
+    columns = [(axes * part[:, None] + np.arange(axes)).ravel() for part in parts]
     wave = 2.0 * (1.0 - np.cos(omega))
     typical = spectra.typical(omega)
     return (

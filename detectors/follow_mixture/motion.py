@@ -32,10 +32,10 @@ _NOTHING = 1e-12  # least scale, in squared mean speeds: straight motion without
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The velocities of n UAVs at T steps.
+    """The velocities of n UAVs at T steps, along the a axes along which any of them moves.
 
     Args:
-        velocity: ``(n, T, 3)`` in units of the mean speed, without the drift; gaps are filled.
+        velocity: ``(n, T, a)`` in units of the mean speed, without the drift; gaps are filled.
         speed: mean speed without the drift, in metres per step.
         unit: every UAV flies at the same constant speed; then positions are seen without noise.
         drift: ``(3,)`` metres per step, the velocity of the whole swarm that was taken off.
@@ -73,7 +73,9 @@ def read_motion(window: Window, living: Indices) -> Motion | None:
         velocity = filled.velocity.astype(np.float64)
     velocity = np.ascontiguousarray(velocity[:, living].swapaxes(0, 1))
     speed = float(np.sqrt(np.vecdot(velocity, velocity))[seen.T].mean())
-    return Motion(velocity / speed, speed, unit, drift)
+    moves = np.ptp(velocity, axis=(0, 1)) > _ROUNDING * speed  # tracks in a plane are evidence of two axes, not three
+    moves |= not moves.any()
+    return Motion(np.ascontiguousarray(velocity[:, :, moves]) / speed, speed, unit, drift)
 
 
 def common_drift(velocity: Floats, speeds: Floats) -> tuple[Floats, bool]:
@@ -103,7 +105,7 @@ def common_drift(velocity: Floats, speeds: Floats) -> tuple[Floats, bool]:
 
 
 def lagged(velocity: Floats, lags: int) -> Floats:
-    """The velocities before each step from ``lags`` on: ``(n, T - lags, lags, 3)``, newest first."""
+    """The velocities before each step from ``lags`` on: ``(n, T - lags, lags, a)``, newest first."""
     rows = velocity.shape[1] - lags
     return velocity[:, np.arange(rows)[:, None] + lags - 1 - np.arange(lags)[None]]
 
@@ -143,7 +145,7 @@ def fit_spectra(velocity: Floats, noiseless: bool) -> FlightSpectra:
     """Fit the spectra by Whittle's likelihood of the periodograms; power and memory of each UAV, one noise for all.
 
     Args:
-        velocity: ``(n, T, 3)``.
+        velocity: ``(n, T, a)``.
         noiseless: whether positions are known to be seen without noise.
     """
     uavs, steps = velocity.shape[:2]
@@ -175,12 +177,12 @@ def smoothed_pasts(velocity: Floats, spectra: FlightSpectra, lags: int) -> Float
     better than their head does.
 
     Args:
-        velocity: ``(n, T, 3)`` observed.
+        velocity: ``(n, T, a)`` observed.
         spectra: the spectra of these velocities.
         lags: L, the number of past velocities.
 
     Returns:
-        ``(n, T - L, L, 3)``, newest first, in place of :func:`lagged`.
+        ``(n, T - L, L, a)``, newest first, in place of :func:`lagged`.
     """
     uavs, steps = velocity.shape[:2]
     flight, noise = spectra.flight(steps), spectra.seen(steps)
@@ -191,7 +193,7 @@ def smoothed_pasts(velocity: Floats, spectra: FlightSpectra, lags: int) -> Float
     reach = np.linalg.solve(lower, flight).transpose(0, 2, 1)
     times = np.arange(lags, steps)
     before = np.arange(steps)[None, :] < times[:, None]
-    past = np.empty((uavs, steps - lags, lags, 3))
+    past = np.empty((uavs, steps - lags, lags, velocity.shape[2]))
     for lag in range(lags):
         past[:, :, lag] = mean + (reach[:, times - 1 - lag] * before) @ innovation
     return past

@@ -86,7 +86,7 @@ def ask_single_uavs(
 
     Args:
         targets: the groups.
-        past: ``(n, R, L, 3)`` pasts of the candidates.
+        past: ``(n, R, L, a)`` pasts of the candidates.
         names: the feature classes of laws that followers share.
         head: ``(C,)`` the heads of the groups of several; -1 for none.
         late: D pairs of a group and a UAV that it follows with a delay of its own.
@@ -111,13 +111,7 @@ def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indi
     """The candidates whose law predicts single UAVs, by a greedy search: the best one, the best one for all others, ...
 
     The screening ignores what a candidate's features share with the own pasts of the single UAVs. What the followers of
-    a candidate gain must exceed their description length.
-
-    Args:
-        targets: the groups.
-        past: ``(n, R, L, 3)`` pasts of the candidates.
-        names: the feature classes.
-        single: ``(c,)`` the groups of one UAV that are asked.
+    a candidate gain must exceed their description length. The arguments are those of :func:`_screenings`.
     """
     worth = np.full((len(names), len(past)), -np.inf)
     chunk = max(_NUMBERS // (past.shape[1] * max(len(single), 1)), 1)
@@ -145,25 +139,21 @@ def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indi
 
 @dataclass(frozen=True, eq=False)
 class _Screening:
-    """Products of k candidates' features, which are made orthonormal, and the innovations of c single UAVs.
+    """Products ``(k, c, a p)`` of candidates' features, which are made orthonormal, and innovations of single UAVs.
 
     Args:
         name: of the feature class.
         uav: ``(k,)`` the candidates.
-        moment: ``(k, c, 3 p)`` features times innovations.
-        others: ``(k, c)`` whether the single UAV is not the candidate.
-        strength: ``(c,)`` mean square of the weights of the rows.
-        energy: ``(c,)`` of the innovations.
-        rows: ``(c,)`` effective number of rows.
+        moment: the products.
+        targets: the groups.
+        single: ``(c,)`` those of one UAV that are asked.
     """
 
     name: str
     uav: Indices
     moment: Floats
-    others: Mask
-    strength: Floats
-    energy: Floats
-    rows: Floats
+    targets: Targets
+    single: Indices
 
     def weigh(self, gained: Floats) -> tuple[Floats, Floats]:
         """What the followers of each candidate gain, less their description length ``(k,)``; the gains ``(k, c)``.
@@ -171,20 +161,22 @@ class _Screening:
         Args:
             gained: ``(c,)`` what the single UAVs gain already, by other candidates.
         """
-        moment, strength, energy = self.moment, self.strength, self.energy
-        width = moment.shape[2] // 3
+        moment, axes, width = self.moment, self.targets.axes, self.moment.shape[2] // self.targets.axes
+        rows, energy = self.targets.rows[self.single], self.targets.energy[self.single]
+        strength = (self.targets.weight[self.single] ** 2).mean(axis=1)
+        others = self.targets.label[self.uav, None] != self.single
         share = np.minimum((moment**2).sum(axis=2) / (strength * energy), 1.0 - _NOTHING)
-        follows = self.others & (share * (self.rows - width) > (1.0 - share) * width)  # the F ratio exceeds 1
-        follows &= -1.5 * self.rows * np.log1p(-share) > gained
+        follows = others & (share * (rows - width) > (1.0 - share) * width)  # the F ratio exceeds 1
+        follows &= -0.5 * axes * rows * np.log1p(-share) > gained
         gain = np.zeros(share.shape)
         for _ in range(_TURNS):
-            used = follows * (3.0 * self.rows / energy)
+            used = follows * (axes * rows / energy)
             aim = (used[:, None] @ moment) - used[:, :, None] * moment
             rest = np.maximum((used @ strength)[:, None] - used * strength, _NOTHING)
-            by_chance = 3.0 * width * rest / np.maximum((aim**2).sum(axis=2), _NOTHING)
+            by_chance = axes * width * rest / np.maximum((aim**2).sum(axis=2), _NOTHING)
             law = aim * (np.maximum(1.0 - by_chance, 0.0) / rest)[:, :, None]
             left = energy + (law * (strength[:, None] * law - 2.0 * moment)).sum(axis=2)
-            gain = -1.5 * self.rows * np.log(np.maximum(left / energy, _NOTHING)) * self.others
+            gain = -0.5 * axes * rows * np.log(np.maximum(left / energy, _NOTHING)) * others
             before, follows = follows, gain > gained
             if np.array_equal(before, follows):
                 break
@@ -198,15 +190,10 @@ def _screenings(
 ) -> Iterator[_Screening]:
     """The products of some candidates with the single UAVs, by class."""
     weight = targets.weight[single]
-    flat = (targets.innovation[single] * weight[:, :, None]).transpose(1, 0, 2).reshape(weight.shape[1], -1)
-    others = targets.label[uav, None] != single[None]
+    flat = (targets.innovation[single] * weight[:, :, None]).swapaxes(0, 1)  # (R, c, a)
     for name, features in make_features(past[uav], names):
-        k, rows, width = features.shape
-        white = whiten(features).transpose(0, 2, 1).reshape(-1, rows)
-        moment = (white @ flat).reshape(k, width, len(single), 3).transpose(0, 2, 1, 3).reshape(k, len(single), -1)
-        yield _Screening(
-            name, uav, moment, others, (weight**2).mean(axis=1), targets.energy[single], targets.rows[single]
-        )
+        product = np.tensordot(whiten(features), flat, (1, 0)).swapaxes(1, 2)  # (k, c, p, a)
+        yield _Screening(name, uav, product.reshape(len(uav), len(single), -1), targets, single)
 
 
 def _pool(targets: Targets, pairs: Pairs, some: Statistics, follows: Mask, fixed: Mask) -> Floats:
@@ -221,7 +208,7 @@ def _pool(targets: Targets, pairs: Pairs, some: Statistics, follows: Mask, fixed
         follows: ``(P,)`` the followers at first; then, in turns, those that gain.
         fixed: ``(P,)`` pairs of which that does not change.
     """
-    weight = (3.0 * targets.rows / targets.energy)[pairs.target]
+    weight = (targets.axes * targets.rows / targets.energy)[pairs.target]
     gram, moment = some.gram * weight[:, None, None], some.moment * weight[:, None, None]
     candidates, column = np.unique(pairs.uav, return_inverse=True)
     evidence = np.zeros(len(weight))
@@ -240,12 +227,12 @@ def _pool(targets: Targets, pairs: Pairs, some: Statistics, follows: Mask, fixed
 
 
 def _fit_laws(gram: Floats, moment: Floats) -> Floats:
-    """Laws ``(k, p, 3)``, shrunk by the share of what they explain that 3 p weights explain by chance."""
-    width = gram.shape[1]
+    """Laws ``(k, p, a)``, shrunk by the share of what they explain that 3 p weights explain by chance."""
+    width, axes = moment.shape[1:]
     ridge = RIDGE * np.trace(gram, axis1=1, axis2=2) / width + _NOTHING
     law = np.linalg.solve(gram + ridge[:, None, None] * np.eye(width), moment)
     explained = (moment * law).sum(axis=(1, 2))
-    return np.asarray(law * np.maximum(1.0 - 3.0 * width / np.maximum(explained, _NOTHING), 0.0)[:, None, None])
+    return np.asarray(law * np.maximum(1.0 - axes * width / np.maximum(explained, _NOTHING), 0.0)[:, None, None])
 
 
 def _choose(targets: Targets, evidence: Floats, single: Indices) -> tuple[Pairs, Floats]:

@@ -104,3 +104,28 @@ def test_a_slow_drift_is_left_in_and_one_of_unequal_speeds_is_the_mean():
     motion = read_motion(fast, np.arange(24))
     assert not motion.unit
     np.testing.assert_allclose(motion.drift, fast.velocity.reshape(-1, 3).mean(axis=0), atol=1e-4)
+
+
+def flatten(window, axes):
+    """The window with motion along some axes only, which become the last ones."""
+    position, velocity = (np.zeros_like(values) for values in (window.position, window.velocity))
+    position[..., -len(axes) :], velocity[..., -len(axes) :] = window.position[..., axes], window.velocity[..., axes]
+    return Window(position, velocity, window.seen, window.alive, window.round)
+
+
+def test_an_axis_without_motion_adds_no_evidence():
+    """Heads on a line, behind noise: with the weight of three axes, the evidence of one axis was overrated."""
+    noisy = {"follow": "f2", "clusters": 3, "uavs": 30, "mobility": "gauss_markov", "head_jitter": True}
+    exact = 0
+    for seed in range(12):
+        window, truth = swarm_window(seed, position_noise=0.2, **noisy)
+        exact += np.array_equal(answer(flatten(window, [0]), policy="map").candidates, truth.head)
+    assert exact >= 9
+
+
+def test_the_plane_of_a_swarm_does_not_matter():
+    window, truth = swarm_window(3, position_noise=0.1, follow="f2", clusters=3, uavs=30)
+    last, first = answer(flatten(window, [0, 1])), answer(flatten(window, [1, 0]))
+    np.testing.assert_allclose(last.extras["probability"], first.extras["probability"], atol=1e-6)
+    assert np.array_equal(last.candidates, truth.head)
+    assert last.extras["strategy"]["law"].shape[1] == 2

@@ -97,7 +97,7 @@ def test_the_evidence_of_a_pair_is_that_of_a_regression_on_both_pasts():
             alone = (regress(known, target) ** 2).sum()
             both = np.column_stack([known, features[uav] * weight[:, None]])
             share = 1.0 - (regress(both, target) ** 2).sum() / alone
-            expected = bayes_factor(share, targets.rows[pairs.target[place]], statistics.width)
+            expected = bayes_factor(share, targets.rows[pairs.target[place]], statistics.width, 3)
             assert evidence[place] == pytest.approx(float(expected), rel=1e-3, abs=1e-2)
         assert evidence[(pairs.group == 1) & (pairs.uav == 0)] > 50
 
@@ -115,23 +115,23 @@ def test_a_candidate_of_its_own_group_alone_has_the_same_evidence_there_and_none
     assert not found[:, ~compared].any()
 
 
-@given(st.integers(0, 1000), st.integers(1, 6), st.floats(0.0, 2.0))
+@given(st.integers(0, 1000), st.integers(1, 6), st.floats(0.0, 2.0), st.integers(1, 3))
 @settings(max_examples=30)
-def test_the_bayes_factor_is_the_largest_of_a_g_prior(seed, width, strength):
+def test_the_bayes_factor_is_the_largest_of_a_g_prior(seed, width, strength, axes):
     """y ~ N(0, s² (I + g P)) for the projection P on the features, with s² integrated over 1 / s²."""
     rng = np.random.default_rng(seed)
     rows = 20
     features = np.linalg.qr(rng.normal(size=(rows, width)))[0]
-    y = strength * features @ rng.normal(size=(width, 3)) + rng.normal(size=(rows, 3))
+    y = strength * features @ rng.normal(size=(width, axes)) + rng.normal(size=(rows, axes))
 
     def evidence(g):
         covariance = np.eye(rows) + g * features @ features.T
         bent = np.sum(y * np.linalg.solve(covariance, y))
-        return -1.5 * np.linalg.slogdet(covariance)[1] - 1.5 * rows * np.log(bent / (y**2).sum())
+        return -0.5 * axes * (np.linalg.slogdet(covariance)[1] + rows * np.log(bent / (y**2).sum()))
 
     best = max(0.0, -minimize_scalar(lambda x: -evidence(np.exp(x)), (-3.0, 3.0), tol=1e-10).fun)
     share = ((features.T @ y) ** 2).sum() / (y**2).sum()
-    assert float(bayes_factor(share, np.float64(rows), width)) == pytest.approx(best, rel=1e-6, abs=1e-6)
+    assert float(bayes_factor(share, np.float64(rows), width, axes)) == pytest.approx(best, rel=1e-6, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", [0, 1, 3])
