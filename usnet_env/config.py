@@ -61,6 +61,11 @@ def quote(value: object) -> str:
     return line if len(line) <= _LONGEST_VALUE else line[: _LONGEST_VALUE - 1] + "…"
 
 
+def how_to_install(extra: str) -> str:
+    """Say how an extra of this package is installed, as the second half of a sentence without its full stop."""
+    return f"`pip install -e '.[{extra}]'` in the folder of the repository installs it"
+
+
 def is_whole_number(value: object) -> bool:
     """Whether ``value`` is an integer of Python or NumPy; a boolean is not."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)

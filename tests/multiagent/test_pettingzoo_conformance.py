@@ -197,6 +197,7 @@ try:
 except ImportError as error:
     print(error)
 """
-    assert (
-        fresh_process.run(code).strip() == "Games with several agents need PettingZoo: pip install 'usnet[multiagent]'."
+    assert fresh_process.run(code).strip() == (
+        "Games with several agents need PettingZoo; `pip install -e '.[multiagent]'` in the folder of the repository "
+        "installs it."
     )

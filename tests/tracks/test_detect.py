@@ -189,8 +189,8 @@ def test_missing_extras_leave_out_a_file_and_say_so(run, folder, tmp_path, monke
         monkeypatch.setitem(sys.modules, name, None)
     status, _, err = run("detect", folder / "flock.csv", *QUICK, "--out", tmp_path, "--record")
     assert status == 0
-    assert "usnet[render]" in err
-    assert "usnet[replay]" in err
+    assert "'.[render]'" in err
+    assert "'.[replay]'" in err
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {"episode.npz", "leaders.csv", "leaders.json", "links.csv", "windows.csv"}
 

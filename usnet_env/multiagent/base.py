@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from usnet_env.arrays import Floats, Mask, Observation, Singles
-from usnet_env.config import ArgumentError, optional_seed, quote
+from usnet_env.config import ArgumentError, how_to_install, optional_seed, quote
 from usnet_env.drawing import EpisodeFrames, MissingExtraError, describe_frame
 from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules, check_options
 from usnet_env.objectives import hits_and_redundant
@@ -25,7 +25,7 @@ try:
     from pettingzoo.utils.conversions import parallel_to_aec_wrapper
     from pettingzoo.utils.wrappers import BaseParallelWrapper, OrderEnforcingWrapper
 except ImportError:
-    raise MissingExtraError("Games with several agents need PettingZoo: pip install 'usnet[multiagent]'.") from None
+    raise MissingExtraError(f"Games with several agents need PettingZoo; {how_to_install('multiagent')}.") from None
 
 __all__ = [
     "AECEnv",

@@ -19,7 +19,7 @@ from importlib import import_module
 from multiprocessing.reduction import ForkingPickler
 from typing import Any, Generic
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, how_to_install, quote
 from usnet_env.processes.limits import Limits, ProcessDied
 from usnet_env.processes.outcome import Outcome, ResultT, TaskT, every_task
 from usnet_env.processes.parent import SendError, without_interrupts
@@ -241,8 +241,7 @@ def _connect(address: str | None, workers: int) -> tuple[Any, bool]:
         ray: Any = import_module("ray")
     except ImportError as error:
         raise ArgumentError(
-            f"backend must be another one if Ray cannot be imported ({error}); `pip install -e '.[ray]'` in the folder "
-            "of the repository installs it."
+            f"backend must be another one if Ray cannot be imported ({error}); {how_to_install('ray')}."
         ) from None
     if ray.is_initialized():
         return ray, False

@@ -1,6 +1,6 @@
 """Rerun recordings: one of an episode, and one of two detectors on the same swarm.
 
-Rerun is an extra (``pip install 'usnet[replay]'``) and is imported only when a recording is written. Each recording has
+Rerun is an extra (``pip install -e '.[replay]'``) and is imported only when a recording is written. Each recording has
 a stream of its own; Rerun's global state does not change.
 """
 
@@ -15,7 +15,7 @@ from uuid import uuid4
 
 import numpy as np
 
-from usnet_env.config import ArgumentError
+from usnet_env.config import ArgumentError, how_to_install
 from usnet_env.drawing import MissingExtraError
 from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.course import ABOUT, CURVES, write_course
@@ -40,7 +40,7 @@ def _open_recording(
     try:
         import rerun as rr
     except ImportError:
-        raise MissingExtraError("Replays need rerun-sdk: pip install 'usnet[replay]'.") from None
+        raise MissingExtraError(f"Replays need rerun-sdk; {how_to_install('replay')}.") from None
     # Recordings with the same application id share one camera and one layout in the viewer.
     recording_id = str(uuid4())
     stream = rr.RecordingStream(f"usnet {recording_id}", recording_id=recording_id)

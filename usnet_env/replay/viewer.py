@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from usnet_env.config import ArgumentError, quote, whole_number
+from usnet_env.config import ArgumentError, how_to_install, quote, whole_number
 from usnet_env.drawing import MissingExtraError
 from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.episode import EpisodeRecord
@@ -43,7 +43,7 @@ def _start(*words: str) -> subprocess.Popen[bytes]:
             start_new_session=True,
         )
     except FileNotFoundError:
-        raise MissingExtraError("The viewer needs rerun-sdk: pip install 'usnet[replay]'.") from None
+        raise MissingExtraError(f"The viewer needs rerun-sdk; {how_to_install('replay')}.") from None
 
 
 def open_replay(*paths: str | os.PathLike[str]) -> None:
@@ -109,7 +109,7 @@ def take_screenshot(recordings: list[Path], path: str | os.PathLike[str], second
     try:
         import rerun  # noqa: F401
     except ImportError:
-        raise MissingExtraError("The viewer needs rerun-sdk: pip install 'usnet[replay]'.") from None
+        raise MissingExtraError(f"The viewer needs rerun-sdk; {how_to_install('replay')}.") from None
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, how_to_install, quote
 from usnet_env.tracks.columns import choose_columns, find_marks, is_movebank
 from usnet_env.tracks.opening import expanded_limit, open_expanded, read_lines
 
@@ -60,7 +60,7 @@ class Block:
 def missing_package(what: str, package: str) -> ArgumentError:
     """The error for a format whose package is not installed."""
     return ArgumentError(
-        f"path must be in a format that can be read, got {what}, which needs {package}: pip install 'usnet[tracks]'."
+        f"path must be in a format that can be read, got {what}, which needs {package}; {how_to_install('tracks')}."
     )
 
 
