@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -28,7 +30,26 @@ class Counts:
         candidates = np.arange(window.uavs) < len(CALLS) // 2  # another number in each round that is ever played
         return Detection(candidates & window.alive, candidates)
 """
-CHEATS = Path(__file__).parent / "detectors" / "checks"
+STOPS = """
+from pathlib import Path
+from usnet_env import Detection
+
+
+class Stops:
+    def __init__(self):
+        made = Path(__file__).with_name("made")
+        self.again = made.exists()
+        made.touch()
+
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        if self.again:
+            raise RuntimeError("made twice")
+        return Detection(window.alive, window.alive)
+"""
+CHEATS = [Path(__file__).parent / "evaluation", Path(__file__).parent / "detectors" / "checks"]  # one imports the other
 SMALL = ["--set", "clusters=2", "uavs=12", "observation_steps=20", "max_rounds=3"]
 
 
@@ -75,7 +96,8 @@ def test_failures_are_recorded_and_shown_in_three_commands(run, tmp_path, monkey
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs Linux or macOS")
 def test_an_isolated_detector_is_recorded_in_its_own_process(run, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(CHEATS)
+    for folder in CHEATS:
+        monkeypatch.syspath_prepend(folder)
     sys.modules.pop("guessing_cheats", None)
     words = ["--detector", "guessing_cheats:PeeksIntoFrames", "--isolate", "--episodes", "1", *SMALL]
     status, _, err = run("evaluate", *words, "--out", tmp_path, "--record", "every=1")
@@ -108,6 +130,54 @@ def test_an_episode_that_differs_from_its_row_is_not_kept_and_said_once(run, tmp
     assert err.count("differently") == 1
     assert "counts_calls:Counts answered 2 episodes, such as 0, differently when played again: it is not det" in err
     assert sorted(path.name for path in (tmp_path / "run" / "episodes").iterdir()) == ["none-0.npz", "none-1.npz"]
+
+
+def test_an_episode_in_which_an_isolated_detector_fails_when_played_again_says_why(run, tmp_path, monkeypatch):
+    (tmp_path / "stops_later.py").write_text(STOPS)
+    monkeypatch.syspath_prepend(tmp_path)
+    words = ["--detector", "stops_later:Stops", "--episodes", "1", "--isolate", *SMALL]
+    status, _, err = run("evaluate", *words, "--out", tmp_path / "run", "--record", "every=1")
+    assert status == 0, err
+    assert (
+        "usnet: stops_later:Stops failed in episode 0 when played again, but not in the run: "
+        "RuntimeError: made twice. No file of such an episode was written.\n"
+    ) in err
+    assert "differently" not in err
+    assert not (tmp_path / "run" / "episodes").exists()
+
+
+def test_detectors_of_a_run_are_compared_on_its_page_and_on_standard_output(run, recorded, tmp_path):
+    pytest.importorskip("matplotlib")
+    run_alone = tmp_path / "run"  # without its recorded episodes, whose pictures take long
+    shutil.copytree(recorded, run_alone, ignore=shutil.ignore_patterns("episodes"))
+    one, other = "one-per-round", "random(count=2)"
+    expected = str(EvaluationResult.load(run_alone).compare(one, other, "rounds"))
+    words = ("report", run_alone, "--compare", one, "--metric", "rounds")
+    for named in ([], ["--compare", other]):  # alone: with all others
+        status, out, err = run(*words, *named)
+        assert (status, err) == (0, "")
+        assert out == f"{expected}.\npage  {run_alone / 'report.html'}\n"
+    text = (run_alone / "report.html").read_text()
+    assert f"<p>{html.escape(expected)}.</p>" in text
+    assert f"J of {other} minus {one}: " in run("report", run_alone, "--compare", other)[1]
+
+
+def test_comparisons_that_cannot_be_made_are_refused(run, recorded, tmp_path):
+    episode = recorded / "episodes" / "one-per-round-0.npz"
+    for words, refused in (
+        ((episode, "--compare", "none"), "--compare must be given with the folder of a run or a suite, got "),
+        ((recorded, "--metric", "J"), "--metric must be given together with --compare, got no --compare."),
+        ((recorded, "--compare", "gone"), "detector must be one of one-per-round, random(count=2), got 'gone'."),
+        ((recorded, *["--compare", "one-per-round"] * 2), "--compare must name each detector once, got one-per-"),
+        ((recorded, "--compare", "one-per-round", "--metric", "K"), "metric must be one of J, "),
+    ):
+        assert refused in refusal(run, "report", *words)
+    assert not (recorded / "report.html").exists()
+    words = ["evaluate", "--detector", "none", "--episodes", "1", "--backend", "serial", *SMALL]
+    assert run(*words, "--out", tmp_path)[0] == 0
+    assert "--compare must find another detector there, got 'none' alone." in refusal(
+        run, "report", tmp_path, "--compare", "none"
+    )
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,7 @@ from usnet_env.config import ArgumentError, quote
 
 if TYPE_CHECKING:
     from usnet_env.evaluation import EvaluationResult
+    from usnet_env.evaluation.result import Results
     from usnet_env.processes import Limits
     from usnet_env.replay import EpisodeRecord
 
@@ -32,6 +34,13 @@ Examples:
   usnet demo --detector learned --clusters 8 --uavs 185 --follow f1
   usnet demo --paper-example --out runs/paper
 """  # click reads the control characters: they keep the lines
+_REPORT_EXAMPLES = """
+\b
+Examples:
+  usnet report runs/mine
+  usnet report runs/mine --compare learned --compare factions
+  usnet report runs/mine --compare learned --metric exact
+"""
 _REPLAY_EXAMPLES = """
 \b
 Examples:
@@ -188,38 +197,63 @@ def compare(first: str, second: str, rrd: str, open_viewer: bool) -> None:
         open_replay(written)
 
 
-@click.command(short_help="Write a page of a run or an episode for any browser.")
+@click.command(short_help="Write a page of a run or an episode for any browser.", epilog=_REPORT_EXAMPLES)
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--html", "page", type=click.Path(path_type=Path), help="Page to write.  [default: PATH/report.html]")
-def report(path: Path, page: Path | None) -> None:
+@click.option(
+    "--compare",
+    "labels",
+    multiple=True,
+    metavar="LABEL",
+    help="Compare this detector with the further ones, or with all, swarm by swarm. May be repeated.",
+)
+@click.option("--metric", metavar="NAME", help="What is compared.  [default: J]")
+def report(path: Path, page: Path | None, labels: tuple[str, ...], metric: str | None) -> None:
     """Write one self-contained page: scores, and for each recorded episode an animation and its rounds.
 
     PATH is the folder of `usnet evaluate --out`, or of a demo, or an episode file. The page opens without a network.
-    That of a suite has its tables.
+    That of a suite has its tables. Comparisons are printed, too.
     """
+    if metric is not None and not labels:
+        raise ArgumentError("--metric must be given together with --compare, got no --compare.")
     from usnet_env.evaluation import EvaluationResult, SuiteResult
     from usnet_env.replay import EpisodeRecord
     from usnet_env.replay.page import write_page
 
     if path.is_dir() and _is_suite(path):
         suite = SuiteResult.load(path)
-        written = write_page(
-            f"Detectors on {suite.label}", {}, page or path / "report.html", tables=[suite._repr_html_()]
-        )
+        tables = [suite._repr_html_(), *_compare_detectors(suite, labels, metric)]
+        written = write_page(f"Detectors on {suite.label}", {}, page or path / "report.html", tables=tables)
         click.echo(f"page  {written}")
         return
     folder = path if path.is_dir() else path.parent
     result = EvaluationResult.load(folder) if (folder / "run.json").exists() and path.is_dir() else None
+    if result is None and labels:
+        raise ArgumentError(f"--compare must be given with the folder of a run or a suite, got {quote(str(path))}.")
     files = _find_episodes(path) if path.is_dir() and (result is None or (folder / EPISODES).is_dir()) else []
     files = files or ([] if path.is_dir() else [path])
     page = page or folder / "report.html"
     records = {file.stem: EpisodeRecord.load(file) for file in files[:_MOST_ON_PAGE]}
     links = {file.stem: Path(os.path.relpath(file, page.parent)).as_posix() for file in files}
-    tables = [] if result is None else [result._repr_html_(), f"<p>{result.conclusion()}</p>"]
+    tables = [] if result is None else [result._repr_html_(), *_compare_detectors(result, labels, metric)]
     title = "Who leads this swarm?" if result is None else f"Detectors on {result.config['env']}"
     click.echo(f"page  {write_page(title, records, page, links=links, tables=tables)}")
     if len(files) > _MOST_ON_PAGE:
         print_message(f"the page shows {_MOST_ON_PAGE} of {len(files)} recorded episodes.")
+
+
+def _compare_detectors(result: Results, labels: Sequence[str], metric: str | None) -> list[str]:
+    """Print the comparisons that were asked for, and return them as HTML."""
+    if not labels:
+        return []
+    if len(set(labels)) < len(labels):
+        raise ArgumentError(f"--compare must name each detector once, got {', '.join(labels)}.")
+    found = result.compare(labels[0], list(labels[1:]) or None, metric or "J")
+    if not found:
+        raise ArgumentError(f"--compare must find another detector there, got {quote(labels[0])} alone.")
+    for each in found:
+        click.echo(f"{each}.")
+    return [f"<p>{html.escape(str(each))}.</p>" for each in found]
 
 
 def check_record_option(wanted: str, out: str | None) -> None:
@@ -271,19 +305,30 @@ def record_episodes(
         chosen.setdefault(row["detector"], []).append(row)
     written = []
     for label, rows in chosen.items():
-        name, others = re.sub(r"[^\w.=-]+", "_", label).strip("_"), []
+        name = re.sub(r"[^\w.=-]+", "_", label).strip("_")
+        others: list[int] = []
+        failed: dict[int, str] = {}
         for row, record in _play_again(result.config["env"], env_kwargs, players[label], label, rows, isolation):
-            if record is None or _differs(record, row):
-                others.append(str(row["episode"]))
+            if isinstance(record, str):
+                failed[row["episode"]] = record
+            elif _differs(record, row):
+                others.append(row["episode"])
             else:
                 written.append(record.save(Path(out) / EPISODES / f"{name}-{row['episode']}.npz"))
+        none = "No file of such an episode was written."
         if others:
-            which = f"episode {others[0]}" if len(others) == 1 else f"{len(others)} episodes, such as {others[0]},"
             print_message(
-                f"{label} answered {which} differently when played again: it is not deterministic, or it reads "
-                "something besides the window and its seed. No file of such an episode was written."
+                f"{label} answered {_name_episodes(others)} differently when played again: it is not deterministic, or "
+                f"it reads something besides the window and its seed. {none}"
             )
+        if failed:
+            which, reason = _name_episodes(list(failed)), next(iter(failed.values()))
+            print_message(f"{label} failed in {which} when played again, but not in the run: {reason}. {none}")
     return written
+
+
+def _name_episodes(episodes: Sequence[int]) -> str:
+    return f"episode {episodes[0]}" if len(episodes) == 1 else f"{len(episodes)} episodes, such as {episodes[0]},"
 
 
 def _play_again(
@@ -293,8 +338,8 @@ def _play_again(
     label: str,
     rows: Sequence[dict[str, Any]],
     isolation: Limits | None,
-) -> Iterator[tuple[dict[str, Any], EpisodeRecord | None]]:
-    """Each row with the record of its episode; ``None`` if an isolated detector failed in it this time."""
+) -> Iterator[tuple[dict[str, Any], EpisodeRecord | str]]:
+    """Each row with the record of its episode; with the reason if an isolated detector failed in it this time."""
     import gymnasium as gym
 
     from usnet_env.evaluation.isolation import IsolatedAgent
@@ -309,10 +354,10 @@ def _play_again(
             with closing(gym.make(env_id, **env_kwargs)) as env:
                 try:
                     yield row, record_episode(env, detector, row["swarm_seed"], row["detector_seed"], label=label)
-                except (ArgumentError, PlainError, ProcessDied):
+                except (ArgumentError, PlainError, ProcessDied) as error:
                     if alone is None:
                         raise
-                    yield row, None
+                    yield row, " ".join(str(error).split()).rstrip(".")
     finally:
         if alone is not None:
             alone.close()
