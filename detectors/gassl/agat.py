@@ -310,7 +310,9 @@ def attend_backward(  # type: ignore[no-untyped-def]
             from_query.T.copy(), from_key, second, second_bias, last, value[head], alpha[head], pooled[head],
             d_pooled[head], d_by_unit, d_from_key, d_second, d_second_bias, d_last,
         )  # fmt: skip
-        d_from_query[:] = d_by_unit.T
+        for t in range(times):
+            for k in range(numbers[5]):
+                d_from_query[t, k] = d_by_unit[k, t]
         affine_backward(query, first_query, d_from_query, d_first_query, d_first_bias, of_query)
         np.dot(first_key, d_from_key.T, d_key)
         np.dot(key, d_from_key, d_first_key)

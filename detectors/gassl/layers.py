@@ -3,6 +3,9 @@
 No function may reorder its floating-point operations (Numba's ``fastmath``): how a compiler reorders them depends on
 where a function is inlined, and answers of a process that compiles would differ from those of one that loads the cache.
 Sums over many terms are products of matrices instead, which BLAS computes.
+
+An array is copied into a part of another one by a loop. For ``part[:] = array`` Numba compiles a message about wrong
+shapes, and the texts for it, into every function above, and the first call takes seconds more.
 """
 
 from __future__ import annotations

@@ -109,9 +109,12 @@ def _forward(phi, gamma, numbers, history, value, own, target, weight):  # type:
     alpha, pooled, hidden, query = attend(phi, numbers, history, value)
     times, owns = own.shape
     inputs = np.empty((times, owns + 3 * numbers[0]), np.float32)
-    inputs[:, :owns] = own
-    for head in range(numbers[0]):
-        inputs[:, owns + 3 * head : owns + 3 * head + 3] = pooled[head].T
+    for t in range(times):
+        for c in range(owns):
+            inputs[t, c] = own[t, c]
+        for head in range(numbers[0]):
+            for c in range(3):
+                inputs[t, owns + 3 * head + c] = pooled[head, c, t]
     scale = standardise(inputs)
     predicted, one, two, three = predict(gamma, inputs)
     loss = _ZERO
@@ -133,7 +136,9 @@ def gradient(phi, gamma, numbers, history, value, own, target, weight):  # type:
     d_inputs = predict_backward(gamma, inputs, scale, one, two, three, d_output, d_gamma)
     owns = own.shape[1]
     for head in range(numbers[0]):
-        d_pooled[head] = d_inputs[:, owns + 3 * head : owns + 3 * head + 3].T
+        for c in range(3):
+            for t in range(d_inputs.shape[0]):
+                d_pooled[head, c, t] = d_inputs[t, owns + 3 * head + c]
     attend_backward(phi, numbers, history, value, alpha, pooled, hidden, query, d_pooled, d_phi)
     return loss, d_phi, d_gamma
 
