@@ -33,17 +33,12 @@ def test_finds_heads_and_clusters_of_f1(kind, clusters):
 
 
 @pytest.mark.parametrize("clusters", [None, 3])
-def test_regression_finds_the_heads_of_squares_and_correlation_cannot(clusters):
-    missed = 0
+def test_regression_finds_the_heads_of_squares(clusters):
     for seed in range(10):
         velocity, leader = flight(np.random.default_rng(seed), kind="f4")
         detection = answer(LaggedRegression(clusters=clusters), window_of(velocity))
         assert np.array_equal(detection.candidates, heads_of(leader))
         assert np.array_equal(detection.leader, leader)
-        missed += not np.array_equal(
-            answer(LaggedCorrelation(clusters=clusters), window_of(velocity)).candidates, heads_of(leader)
-        )
-    assert missed >= 9
 
 
 @pytest.mark.parametrize("kind", BOTH)

@@ -190,7 +190,8 @@ def test_followers_with_delays_of_their_own_lead_to_their_head():
         known = (found.extras["root"] >= 0) & ~truth.head
         right.append((found.extras["root"] == truth.leader)[known].mean())
         short += np.array_equal(answer(window, policy="map", max_lag=4).candidates, truth.head)
-    assert exact >= 5 > 2 >= short
+    assert exact >= 5
+    assert exact > short  # the longest delay matters
     assert np.mean(right) > 0.85
 
 

