@@ -141,10 +141,10 @@ def _describe(suite: FrozenSuite, rows: list[Row]) -> list[str]:
 
 def _list_failures(suite: FrozenSuite) -> list[str]:
     """In which cells detectors have no rows, and why."""
-    found = group_rows(read_failures(suite), lambda row: (row["detector"], row["reason"]))
+    found = group_rows(read_failures(suite), lambda row: (row["detector"], row["reason"].partition(": ")[2]))
     if not found:
         return []
-    lines = [(f"`{name}`", ", ".join(row["cell"] for row in own), why) for (name, why), own in found.items()]
+    lines = [(f"`{name}`", ", ".join(row["cell"] for row in own), why) for (name, why), own in sorted(found.items())]
     return [
         "A detector that fails in a cell has no rows there: *cells* counts the others, and the means are over them. "
         "In the order of the table, a failed cell counts as not exact.",
@@ -203,17 +203,18 @@ def _heat_map(suite: FrozenSuite, rows: list[Row]) -> Figure:
     axes.imshow(share, cmap="cividis", vmin=0, vmax=100, aspect="auto")
     for (place, column), value in np.ndenumerate(share):
         shown = "–" if np.isnan(value) else f"{value:.0f}"
-        axes.text(column, place, shown, ha="center", va="center", fontsize=7.5, color="k" if value > 55 else "w")
+        axes.text(column, place, shown, ha="center", va="center", fontsize=7.5, color="w" if value <= 55 else "k")
     axes.set_xticks(range(len(order)), order, rotation=50, ha="right", fontsize=8.5, color="k")
     axes.set_yticks(range(len(suite.cells)), list(suite.cells), fontsize=8.5, color="k")
     axes.tick_params(length=0)
     counts = sorted({len(own) for own in cells.values()})
+    failed = " –: the detector failed there." if np.isnan(share).any() else ""
     caption_figure(
         figure,
         f"{suite.label}: in how many percent of the episodes is round 1 exact?",
         f"A row is a cell, a column is a detector; the best detector is on the left. Exact: all heads are named, "
         f"and no other UAV. n = {' or '.join(map(str, counts))} episodes in each entry; the 95 % interval of a share "
-        f"of one half is ±{_half_width(counts[0]):.0f} points.",
+        f"of one half is ±{_half_width(counts[0]):.0f} points.{failed}",
     )
     return figure
 
