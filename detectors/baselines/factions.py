@@ -94,8 +94,8 @@ def compute_pagerank(network: Floats) -> Floats:
     """Compute the PageRank ``(n,)`` of the nodes of a network ``(n, n)`` (Page et al., 1999)."""
     uavs = len(network)
     out = network.sum(axis=1, keepdims=True)
-    step = np.where(out > 0, network / np.where(out > 0, out, 1.0), 1.0 / uavs)
+    step, ends = network / np.where(out > 0, out, 1.0), ~(out[:, 0] > 0)
     rank = np.full(uavs, 1.0 / uavs)
-    for _ in range(_ITERATIONS):
-        rank = (1.0 - _DAMPING) / uavs + _DAMPING * (rank @ step)
+    for _ in range(_ITERATIONS):  # a node without links has one to every node; summed apart, equal ranks stay equal
+        rank = (1.0 - _DAMPING) / uavs + _DAMPING * (rank @ step + rank[ends].sum() / uavs)
     return rank
