@@ -154,8 +154,8 @@ def _list_failures(suite: FrozenSuite) -> list[str]:
 
 def _compare_sizes(suite: FrozenSuite, rows: list[Row]) -> list[str]:
     """F1 and seconds of each cell, if the largest swarm of the suite is more than ten times the smallest."""
-    sizes = [int(cell.arguments.get("uavs", 1)) for cell in suite.cells.values()]
-    if max(sizes) <= 10 * min(sizes):
+    sizes = [int(cell.arguments["uavs"]) for cell in suite.cells.values() if "uavs" in cell.arguments]
+    if not sizes or max(sizes) <= 10 * min(sizes):
         return []
     cells = group_rows(rows, lambda row: (row["cell"], row["detector"]))
 
