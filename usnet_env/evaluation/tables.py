@@ -199,9 +199,7 @@ def html_table(summary: Summary, title: str) -> str:
     return f"<table><caption>{escape(title)}</caption>{body}</table><p>{escape(conclude(summary))}</p>"
 
 
-def html_cells(
-    header: Sequence[str], lines: Sequence[Sequence[str]], failures: Mapping[str, Mapping[str, str]]
-) -> str:
+def html_cells(header: Sequence[str], lines: Sequence[Sequence[str]], failures: Mapping[str, Mapping[str, str]]) -> str:
     """The table of the cells of a suite in HTML, and why detectors have no result in some of them."""
     rows = [(tag, line) for tag, own in (("th", [header]), ("td", lines)) for line in own]
     body = "".join(f"<tr>{''.join(f'<{tag}>{escape(text)}</{tag}>' for text in line)}</tr>" for tag, line in rows)
