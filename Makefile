@@ -23,7 +23,7 @@ test: $(INSTALLED)  ## run the quick tests
 test-all: $(INSTALLED)  ## run all tests and show the coverage
 	$(BIN)/pytest -n auto --cov=usnet_env --cov=detectors
 
-test-extras:  ## test each extra in an environment of its own; takes half an hour
+test-extras:  ## test each extra in a separate environment; takes half an hour
 	PYTHON=$(PYTHON) tests/frameworks/extras.sh
 
 test-lowest:  ## run the package with the lowest versions of its dependencies that are allowed

@@ -156,7 +156,7 @@ def list_windows(tiers: list[str], each: int, random: int, seed: int) -> list[tu
     found = []
     for cell in cells():
         if cell.tier in tiers:
-            found += [(cell.tier, cell.name, n) for n in range(min(each, 2) if cell.kind != "P2" else each)]
+            found += [(cell.tier, cell.name, n) for n in range(each)]
     if "field" in tiers:
         found += [("field", name, n) for name in FIELD.cells for n in range(each)]
     mobilities = [draw_swarm(np.random.default_rng((seed, number))).mobility for number in range(random)]
@@ -205,9 +205,10 @@ def play(game: Game, key: str) -> dict[str, Any]:
 def main() -> None:
     """List the changes, or play."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--games", type=int, default=4, help="of each cell; 2 at most in P1, silence and shifted")
+    parser.add_argument("--games", type=int, default=4, help="of each cell")
     parser.add_argument("--tier", nargs="*", default=[*sorted({cell.tier for cell in cells()}), "field", "drift"])
     parser.add_argument("--random", type=int, default=120, help="random swarms")
+    parser.add_argument("--change", nargs="*", default=[*CHANGES], choices=[*CHANGES], help="beside the whole detector")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--list", action="store_true", help="list the changes and play nothing")
@@ -221,7 +222,8 @@ def main() -> None:
         return play(draw_game(cell["tier"], cell["cell"], number, arguments.random, arguments.seed), cell["change"])
 
     windows = list_windows(arguments.tier, arguments.games, arguments.random, arguments.seed)
-    games = [({"change": key, "tier": tier, "cell": cell}, number) for tier, cell, number in windows for key in CHANGES]
+    keys = [key for key in CHANGES if not key or key in arguments.change]
+    games = [({"change": key, "tier": tier, "cell": cell}, number) for tier, cell, number in windows for key in keys]
     play_games(arguments.results, games, play_one, ("uavs", "heads", "exact", "J"), "game")
 
 

@@ -81,7 +81,7 @@ def test_failures_are_recorded_and_shown_in_three_commands(run, tmp_path, monkey
     pytest.importorskip("rerun")
     monkeypatch.chdir(tmp_path)
     play = ["evaluate", "--detector", "random(count=1)", "--episodes", "2", "--backend", "serial", *SMALL]
-    status, _, err = run(*play, "--out", "runs/mine", "--record", "failures")
+    status, _, err = run(*play, "--out", "runs/mine", "--record", "worst")
     assert status == 0, err
     assert "2 episode files are in runs/mine/episodes; `usnet replay runs/mine` lists them." in err
     assert run("replay", "runs/mine")[0] == 0
@@ -214,10 +214,10 @@ def refusal(run, *words):
 
 
 def test_refusals_are_one_sentence(run, recorded, tmp_path, monkeypatch):
-    assert "--record must be every=NUMBER or failures, got 'all'" in refusal(
+    assert "--record must be every=NUMBER or worst, got 'all'" in refusal(
         run, "evaluate", "--detector", "none", "--out", tmp_path / "x", "--record", "all"
     )
-    assert "got no --out" in refusal(run, "evaluate", "--detector", "none", "--record", "failures")
+    assert "got no --out" in refusal(run, "evaluate", "--detector", "none", "--record", "worst")
     assert "--episode must be the number of a recorded episode, got 1" in refusal(
         run, "replay", recorded, "--episode", "1"
     )

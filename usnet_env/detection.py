@@ -43,7 +43,7 @@ class Detection:
         candidates: ``(N,)`` bool, the UAVs to destroy in this round (the paper's Ĥ_r).
         scores: ``(N,)`` float64, finite; a higher score means a more likely head.
         clusters: ``(N,)`` int64, a cluster label for each UAV (-1: no cluster), or ``None``.
-        leader: ``(N,)`` int64, the estimated head of each UAV (-1: no head), or ``None``.
+        leader: ``(N,)`` int64, the UAV that each UAV follows, its head or a relay (-1: none), or ``None``.
         attention: ``(N, N)`` float64; row i has the attention weights of UAV i on all UAVs, or ``None``.
         extras: further results by name; head probabilities have the name ``"probability"``.
 

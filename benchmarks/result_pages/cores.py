@@ -72,8 +72,8 @@ def text() -> str:
         "Former and present core of follow-mixture",
         "[follow-mixture](../follow_mixture.md) has a core of 2,200 lines; the former one had 4,700. Both played the"
         " same swarms, and the rows are of the episodes that both played. No rule was tuned on the seed "
-        "9191; what the present core had scored on it was known when delays were added, and when slow innovations were "
-        "counted as fewer rows. *Exact* is the share of "
+        "9191. But the scores of the present core on it were known before two later changes: individual delays, and "
+        "fewer effective rows where innovations are slow. *Exact* is the share of "
         "episodes in which round 1 names all heads and no other UAV. J is J_m (lower is better), J_s in the tier P1 "
         "(0 is best), and the number of UAVs named in the tier silence (0 is right), which was played with "
         "`policy='map'`; the tier P1 with `objective='P1'`. Seconds are the median of one window; both cores were "

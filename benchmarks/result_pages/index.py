@@ -97,7 +97,7 @@ def _paper() -> str:
     rates = [rate.mean for (_, followers), rate in table2.read_paper().items() if followers == 2]
     low, high = rounds.read_paper()["follow"].bounds("J", 82)
     single = f"{100 * sum(rates) / len(rates):.1f} %; 7,000"
-    lines = [("in the paper's words", single, "–", f"{low:.2f}–{high:.2f}; –")]
+    lines = [("the paper", single, "–", f"{low:.2f}–{high:.2f}; –")]
     measured = []
     for name, sizes in (("episodes-seed2022.csv", (2,)), ("episodes-decoys1-seed2022.csv", (2, 15))):
         found = table2.rate_of(
@@ -124,7 +124,8 @@ def _paper() -> str:
 
 _PAPER = (
     "GASSL plays P1, MC-GASSL plays P2; iid heads, f1 to f7, seed 2022, n after the semicolon. A *decoy* flies like a "
-    "head, and no UAV follows it."
+    "head, and no UAV follows it. The paper's 98.0 % is the mean of its table over f1 to f7; its J_m follows from the "
+    "rounds and redundant candidates that its text reports."
 )
 
 
@@ -132,7 +133,7 @@ def summary(short: bool = False) -> str:
     """The tables of README.md; ``short``: for README.md, with fewer detectors."""
     names, suites = (DETECTORS, "docs/suites.md") if short else (_list_detectors(), "../suites.md")
     about = _describe_suites().replace("SUITES", suites)
-    return "\n\n".join([about, _compare_suites(names), f"{_name_best()} {_PAPER}", _paper()])
+    return "\n\n".join([f"{about} {_name_best()}", _compare_suites(names), _PAPER, _paper()])
 
 
 PAGES = (
@@ -148,7 +149,7 @@ PAGES = (
     ("learned", "`learned`, and an observer trained by PPO"),
     ("purity", "purity of the clusterers, metric learning"),
     ("multiagent", "games of several agents"),
-    ("suites", "frozen suites: paper, controls, field and sensing"),
+    ("suites", "frozen suites: paper, controls, sensing, field and scale"),
     ("suites_cells", "every cell of the frozen suites"),
     ("literature", "experiments of the literature on leaders"),
     ("real_tracks", "recorded tracks with known leaders"),
@@ -163,7 +164,7 @@ def text() -> str:
         "All tables of these pages are made by `python benchmarks/tables.py` from the rows in `benchmarks/results/`; "
         "`benchmarks/README.md` lists the command of every file. The label of a row is the detector's full name with "
         "every argument that differs from its default. Intervals are 95 %: Wilson's for rates, the expanded "
-        "percentile bootstrap for means. Episodes of several cells that share a seed are one group, which widens both.",
+        "percentile bootstrap for means. Episodes with the same seed are one group, which widens both.",
         "## One table",
         summary(),
         "Destroying all UAVs in round 1 costs J_m < 2, less than any detector that needs a second round. So J_m alone "

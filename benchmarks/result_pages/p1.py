@@ -63,7 +63,7 @@ def text() -> str:
         "P1: detection rates",
         "One cluster, one window: how often the head is named, and no other UAV. The cells are those of the paper's "
         "table of detection rates (f1–f7, m = 2 to 50 followers). The paper gives 1,000 runs for each cell. Without a "
-        "decoy the head is the only UAV that no other UAV resembles; a decoy is a second one.",
+        "decoy the head is the only UAV that no other UAV resembles; a decoy is a second UAV of this kind.",
         overview(),
         *parts,
         "## Raw rows and commands",

@@ -31,7 +31,7 @@ def text() -> str:
         ]
     return page(
         "P2: rounds against strategy, M and N",
-        "The paper's studies of P2, beside its words. n differs between detectors and cells; it stands in each line. "
+        "The paper's studies of P2, beside its words. n differs between detectors and cells; each row gives it. "
         "A line *all* is the mean over the cells of a study that the detector has played.",
         *parts,
         "## Raw rows and commands",

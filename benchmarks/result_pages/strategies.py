@@ -68,8 +68,8 @@ def text() -> str:
         "Fourteen strategies of `benchmarks/follow_mixture_strategies.py`, M = 5, N = 82, with iid heads and with "
         "Gauss–Markov heads that have jitter. `follow-mixture` fits strategies of a few feature classes (velocities of "
         "the head, their squares and products). A strategy inside such a class is no test of what happens outside, so "
-        "the tables are apart. Rules and constants of the detector were chosen while first windows of all fourteen "
-        "strategies, of other seeds, were looked at: none of them is new to it.",
+        "the tables are apart. The detector was tuned while first windows of all fourteen strategies, with other "
+        "seeds, were looked at. So none of the strategies is new to it.",
         "*Exact* is the share of episodes in which round 1 names all heads and no other UAV. Seed 7077.",
         "## Outside the classes",
         games(OUTSIDE_CLASSES),

@@ -32,7 +32,7 @@ def text() -> str:
     return page(
         "Frozen suites",
         "[Frozen suites](../suites.md) are lists of environments with a version. All detectors met the same swarms, "
-        "each in a process of its own; M was not given. *Exact* is the share of episodes in which round 1 names all "
+        "each in a separate process; M was not given. *Exact* is the share of episodes in which round 1 names all "
         "heads and no other UAV. Seconds are the median of one answer; the rows were played on several days, on shared "
         "machines of different speed, so seconds are rough. "
         "[Another page](suites_cells.md) has the numbers of each cell.",
@@ -147,7 +147,7 @@ def _list_failures(suite: FrozenSuite) -> list[str]:
     lines = [(f"`{name}`", ", ".join(row["cell"] for row in own), why) for (name, why), own in sorted(found.items())]
     return [
         "A detector that fails in a cell has no rows there: *cells* counts the others, and the means are over them. "
-        "In the order of the table, a failed cell counts as not exact.",
+        "For the ranking, a failed cell counts as 0 % exact.",
         table(("detector", "failed in", "reason"), lines),
     ]
 

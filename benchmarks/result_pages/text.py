@@ -36,8 +36,8 @@ Row = Mapping[str, str]
 
 #: Why intervals of rates of 0 and 100 % are wider than those of rates nearby: see ``rate_interval``.
 SAME_SEEDS = (
-    "Episodes that share a seed are one group, so a rate of 0 % or 100 % has the interval of one episode for each "
-    "seed, which can be wider than the interval of a rate between them."
+    "Episodes with the same seed depend on each other and count as one group. At 0 % or 100 %, the interval uses the "
+    "number of seeds as n, so it can be wider than the interval of a rate in between."
 )
 _EXTREME_RATE = re.compile(r"\b(?:100|0)\.0 % \(")
 

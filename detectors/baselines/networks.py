@@ -84,8 +84,8 @@ class NetworkDetector(Detector):
     Args:
         max_lag: the largest delay in samples, at least 1; a quarter of the window at most.
         max_delay: the largest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
-        level: expected share of those UAVs that seem to follow but don't; in a window in which no UAV leads, the
-            probability that any is named.
+        level: false discovery rate of the followers: the expected share of them that follow no UAV. In a window in
+            which no UAV leads, the probability that any is named.
     """
 
     tags = Tags(most_uavs=10_000, least_steps=5, uses_positions=False)

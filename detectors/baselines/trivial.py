@@ -15,7 +15,7 @@ from usnet_env.window import Window
 
 
 class RandomDetector(Detector):
-    """Names ``count`` living UAVs at random; the scores are random numbers.
+    """Names living UAVs at random; the scores are random numbers.
 
     Args:
         count: the number of candidates per round, at least 1; all living UAVs if fewer are alive.

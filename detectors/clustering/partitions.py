@@ -29,7 +29,7 @@ class KMeans(Clusterer):
 
 
 class Spectral(Clusterer):
-    """Spectral clustering of the affinity after :func:`detectors.clustering.affinity.regularise_affinity`."""
+    """Spectral clustering of the regularised affinity."""
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn."""
@@ -126,7 +126,7 @@ class Hdbscan(Clusterer):
 
 
 class LeadVotes(Clusterer):
-    """Clusters of the UAVs that vote for the same leader: those of :class:`detectors.lagged.LaggedRegression`.
+    """Clusters of the UAVs that vote for the same leader, with the votes of ``lagged-regression``.
 
     Each UAV votes for the UAV whose past velocities explain its velocities best, by the adjusted R² of pairwise lagged
     regression. The UAVs with the most votes are the leaders, and each UAV joins the leader with the highest R².

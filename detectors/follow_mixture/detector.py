@@ -30,7 +30,7 @@ class FollowMixture(Detector):
     Args:
         clusters: an upper bound on the number of heads, or ``None``; the number is estimated.
         memory: the number of past velocities of a head that the strategy may use, at least 1.
-        max_lag: the longest delay of a follower that has a delay of its own, in samples; a quarter of the window at
+        max_lag: the longest individual delay of a follower, in samples; a quarter of the window at
             most.
         max_delay: the longest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
         policy: how candidates are chosen from the probabilities.

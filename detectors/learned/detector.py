@@ -34,7 +34,7 @@ class Learned(Detector):
     None of f1 to f7 is among the strategies of the training. The training uses the true heads of the simulated swarms;
     so the detector serves as a reference for what labels are worth.
 
-    Time and memory grow with N²: 0.07 s at N = 82, seconds and more than a gigabyte at N = 1,000.
+    Time and memory grow with N²: 0.2 s at N = 82, 15 s and more than a gigabyte at N = 1,000.
 
     Args:
         policy: how candidates are chosen. ``"cost"`` and ``"map"`` mean the same as in

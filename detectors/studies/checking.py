@@ -50,7 +50,7 @@ def check_detector(
 
     NAME is a detector's name, with or without arguments, or module:Class. The exit status is 1 if a check fails.
 
-    The detector is imported and tested in a process of its own, which it may end or stop without harm.
+    The detector is imported and tested in a separate process, which it may end or stop without harm.
     """
     reasons: dict[str, str] = {}
     for text in expected:

@@ -65,7 +65,7 @@ def test_a_leader_is_confirmed_by_followers_that_move_like_it_later(folder):
         assert sum(map(bool, leaders_by_window(found))) <= named
         assert sum(map(bool, leaders_by_window(found))) >= named - 1
         for window in found.windows:
-            assert len(window.leaders) + len(window.rejected) == 1
+            assert len(window.leaders) + len(window.not_confirmed) == 1
         assert leaders_by_window(find_leaders(tracks, Sure(head), confirm=False)) == [[tracks.ids[head]]] * 5
 
 

@@ -108,7 +108,7 @@ def test_the_titles_of_a_picture_fit_their_maps(tmp_path):
     tracks = read_tracks(write_csv(tmp_path / "tracks.csv", rows)).resample(0.1)
     maps = []
     found = find_leaders(tracks, Sure(2), on_window=lambda cut, answer, each: maps.append((cut, np.full(3, -1), each)))
-    assert all(window.rejected for window in found.windows)
+    assert all(window.not_confirmed for window in found.windows)
     figure = draw_leaders(found, maps, "tracks.csv")
     figure.draw_without_rendering()
     titles = [axes.title for axes in figure.axes] + [axes._left_title for axes in figure.axes]

@@ -87,7 +87,11 @@ def _rename_arguments(sentence: str) -> str:
     "--detector", default=_DETECTOR, show_default=True, metavar="NAME", help="Detector; see `usnet list detectors`."
 )
 @click.option("--window", type=WholeNumber(1, 10**6), default=100, show_default=True, help="Steps of a window.")
-@click.option("--stride", type=WholeNumber(1, 10**9), help="Steps between windows.  [default: those of a window]")
+@click.option(
+    "--stride",
+    type=WholeNumber(1, 10**9),
+    help="Steps from the start of a window to that of the next.  [default: --window]",
+)
 @click.option("--step", type=PositiveNumber(), help="Seconds of a step.  [default: chosen from the tracks]")
 @click.option("--max-gap", type=PositiveNumber(), help="Longest gap in seconds that is interpolated.")
 @click.option("--keep-spikes", is_flag=True, help="Keep single samples off the track, to which it jumps and back.")
@@ -247,7 +251,11 @@ def _tables(found: FoundLeaders) -> list[Table]:
             rows.append([*when, *_cells(leader)])
             when = ["", ""]
         if not window.leaders:
-            named = f"Not confirmed: {', '.join(map(str, window.rejected[:_MOST_NAMES]))}." if window.rejected else ""
+            named = (
+                f"Not confirmed: {', '.join(map(str, window.not_confirmed[:_MOST_NAMES]))}."
+                if window.not_confirmed
+                else ""
+            )
             rows.append([*when, "none found", "", "", named])
     over_file = []
     for leader in found.leaders:

@@ -43,7 +43,7 @@ Arguments for --set:
     metavar="ID",
     help="Environment; see `usnet list envs`.  [default: USNET/MultiCluster-v0]",
 )
-@click.option("--suite", metavar="NAME", help="Play all cells of a suite, isolated; see `usnet list suites`.")
+@click.option("--suite", metavar="NAME|FILE.yaml", help="Play all cells of a suite, isolated; see `usnet list suites`.")
 @click.option("--cell", "cells", multiple=True, metavar="NAME", help="Cell of the suite. May be repeated.")
 @click.option(
     "--detector",
@@ -87,9 +87,7 @@ Arguments for --set:
 @click.option(
     "--out", metavar="DIR", help="Folder for rows, summary and config; the same command resumes an interrupted run."
 )
-@click.option(
-    "--record", metavar="every=N|failures", help="Also write episode files to DIR/episodes, for `usnet replay`."
-)
+@click.option("--record", metavar="every=N|worst", help="Also write episode files to DIR/episodes, for `usnet replay`.")
 @click.option(
     "--trivial", is_flag=True, help="Also evaluate the trivial policies destroy-all, none, random and one-per-round."
 )
@@ -115,7 +113,7 @@ def evaluate(
 
     The workers are child processes, also a single one; with --isolate or --suite, each detector has its own process,
     and a single worker is the command itself. A detector that hangs or ends its process has failed; the other detectors
-    play to the end. With --backend serial and without isolation, it ends the command.
+    play to the end. With --backend serial and without isolation, such a detector ends the command.
     """
     env_kwargs, out = parse_pairs(settings), how["out"]
     if suite is not None and (env_id is not None or env_kwargs):

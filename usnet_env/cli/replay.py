@@ -257,9 +257,9 @@ def _compare_detectors(result: Results, labels: Sequence[str], metric: str | Non
 
 
 def check_record_option(wanted: str, out: str | None) -> None:
-    """Refuse a value of ``--record`` that is neither ``every=NUMBER`` nor ``failures``, or one without ``--out``."""
-    if wanted != "failures" and not _EVERY.match(wanted):
-        raise ArgumentError(f"--record must be every=NUMBER or failures, got {quote(wanted)}.")
+    """Refuse a value of ``--record`` that is neither ``every=NUMBER`` nor ``worst``, or one without ``--out``."""
+    if wanted != "worst" and not _EVERY.match(wanted):
+        raise ArgumentError(f"--record must be every=NUMBER or worst, got {quote(wanted)}.")
     if out is None:
         raise ArgumentError("--record must be given together with --out, got no --out.")
 
@@ -291,7 +291,7 @@ def record_episodes(
 
     Args:
         result: of the run.
-        wanted: ``"every=10"`` or ``"failures"``: the 20 worst episodes of each detector whose round 1 was not exact.
+        wanted: ``"every=10"`` or ``"worst"``: the 20 worst episodes of each detector whose round 1 was not exact.
         detectors: the detectors of the command; those of an earlier one are not recorded.
         env_kwargs: arguments of the environment.
         out: folder of the run.

@@ -159,13 +159,13 @@ class FieldArguments(OutputArguments, game.RoundArguments):
 
 @list_arguments(observation=OBSERVATION, info=INFO)
 class FieldEnv(UsnetEnv):
-    """P2 in the field: find all heads of a swarm that is another one in every episode.
+    """P2 in the field: find all heads; each episode has a different kind of swarm.
 
     ## Description
     The game is that of `USNET/MultiCluster-v0`. What flies is drawn for each episode: the follow strategy (one of the
     [field models](../field.md)), the mobility of the heads, the kinematics of all UAVs, the initial positions, the
     number of clusters, the decoys, bystanders and civil traffic, and the faults of the sensor.
-    N and T_ob are fixed. The agent is not told what was drawn. In some episodes no UAV leads: H_0 is empty, the right
+    N and T_ob are fixed. The agent doesn't know what was drawn. In some episodes no UAV leads: H_0 is empty, the right
     answer is the empty set, and the game ends after one round.
 
     `usnet_env.envs.field.DISTRIBUTION` is the distribution; any part of it can be fixed by an argument.

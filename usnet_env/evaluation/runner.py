@@ -74,7 +74,7 @@ def evaluate(
         memory_limit: largest memory in megabytes (10^6 bytes) that one answer, or one ``reset``, may allocate;
             ``None``: no limit. Linux only. With one of the two limits, episodes are played in worker processes, also
             if ``workers`` is 1, unless ``isolate`` is true.
-        isolate: play each detector in a process of its own that never holds an environment and receives windows only.
+        isolate: play each detector in a separate process that never holds an environment and receives windows only.
             All seeds then depend on a secret that is drawn for the run, and written to ``run.json`` and to the
             result's ``config`` when the run ends.
         secret: the secret of an earlier isolated run, to play its episodes again; ``None``: a new one.

@@ -78,7 +78,7 @@ class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArgumen
         "``None``: drawn for each episode",
     )
     max_cycles: int | None = Field(
-        None, description="largest number of steps, of which the game with an opening has one more than rounds"
+        None, description="largest number of steps; `usnet_evasion_v0` has one step more than rounds, the opening"
     )
 
     def make_rules(self, opening: int = 0) -> Rules:

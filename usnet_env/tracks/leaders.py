@@ -73,7 +73,7 @@ class DetectedWindow:
         start: time of the first instant as in the file.
         end: time of the last instant as in the file.
         leaders: the detector's candidates that are confirmed, the highest score first.
-        rejected: ids of the candidates that are not confirmed.
+        not_confirmed: ids of the candidates that are not confirmed.
         links: the followers of the leaders, each with the id that it follows directly and its delay.
         left_out: ids that are seen in too few steps, so that the detector did not get them.
     """
@@ -81,7 +81,7 @@ class DetectedWindow:
     start: float | int | str
     end: float | int | str
     leaders: tuple[Leader, ...]
-    rejected: tuple[str | int, ...] = ()
+    not_confirmed: tuple[str | int, ...] = ()
     links: tuple[Link, ...] = ()
     left_out: tuple[str | int, ...] = ()
 
@@ -91,7 +91,7 @@ class DetectedWindow:
             "start": self.start,
             "end": self.end,
             "leaders": [leader.as_dict() for leader in self.leaders],
-            "not_confirmed": list(self.rejected),
+            "not_confirmed": list(self.not_confirmed),
             "links": [link.as_dict() for link in self.links],
             "left_out": list(self.left_out),
         }
@@ -133,7 +133,7 @@ class FoundLeaders:
                         "score": leader and leader.score,
                         "followers": [] if leader is None else list(leader.followers),
                         "reason": leader and leader.reason,
-                        "not_confirmed": list(each.rejected),
+                        "not_confirmed": list(each.not_confirmed),
                         "left_out": list(each.left_out),
                     }
                 )

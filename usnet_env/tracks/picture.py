@@ -126,9 +126,9 @@ def _title_map(window: DetectedWindow, date: str) -> str:
     """The times of a window and, in a second line, its candidates that are not confirmed."""
     day = date or str(window.start).partition("T")[0]
     title = f"{_format_time(window.start, date)} to {_format_time(window.end, day)}"
-    if window.rejected:
-        named = f"not confirmed: {', '.join(map(str, window.rejected[:_MOST_REJECTED]))}"
-        more = "" if len(window.rejected) <= _MOST_REJECTED else ", …"
+    if window.not_confirmed:
+        named = f"not confirmed: {', '.join(map(str, window.not_confirmed[:_MOST_REJECTED]))}"
+        more = "" if len(window.not_confirmed) <= _MOST_REJECTED else ", …"
         title += f"\n{named if len(named) <= _LONGEST_TITLE else named[: _LONGEST_TITLE - 1] + '…'}{more}"
     return title
 
