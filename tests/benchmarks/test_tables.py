@@ -30,7 +30,7 @@ def test_readme_has_at_most_eight_detectors_with_trivial_policies_and_the_paper_
     for label in (*labels, "random`"):
         assert any(label in line for line in lines), label
     assert [line.split("|")[1].strip() for line in paper.splitlines()[2:]] == [
-        "in the paper's words",
+        "the paper",
         "`gassl` and `mc-gassl`, as printed",
     ]
 
