@@ -43,6 +43,11 @@ class ArgumentError(ValueError):
     """An argument is invalid; the message is one sentence with its name, its value and what it takes."""
 
 
+def format_count(number: int, noun: str) -> str:
+    """Format a number with its noun: ``1 head``, ``2 heads``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def quote(value: object) -> str:
     """Format ``value`` for an error message: its ``repr`` on one line of at most 80 characters.
 

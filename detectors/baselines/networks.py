@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from typing import Annotated, ClassVar
@@ -58,11 +58,13 @@ class Pairs:
         lead: ``(n, n)``, by how much the evidence that i follows j exceeds that for the reverse; about 0 where neither
             leads.
         delay: ``(n, n)`` steps after which i follows j, or ``None`` if it isn't measured.
+        what: what followers do after this delay, in words.
     """
 
     strength: Floats
     lead: Floats
     delay: Indices | None = None
+    what: str = "who follow"
 
 
 class NetworkDetector(Detector):
@@ -142,7 +144,7 @@ class NetworkDetector(Detector):
         ]
         lead = np.where(related, pairs.lead, -np.inf)
         threshold = _find_threshold(lead[rows].max(axis=1), maxima, self.level)
-        return _describe(window, living, Pairs(pairs.strength, lead, pairs.delay), threshold)
+        return _describe(window, living, replace(pairs, lead=lead), threshold)
 
     def _relate(self, flight: Flight, pairs: Pairs, lags: int, count: int) -> Mask:
         half = np.arange(len(pairs.strength)) % 2 == 0
@@ -246,17 +248,17 @@ def _describe(window: Window, living: Indices, pairs: Pairs, threshold: float) -
             "delay": widen(delay, fill=-1),
             "threshold": threshold,
             "heads": living[heads],
-            "reasons": [_explain(int(head), leader, root, delay, window.step) for head in heads],
+            "reasons": [_explain(int(head), leader, root, delay, window.step, pairs.what) for head in heads],
         },
     )
 
 
-def _explain(head: int, leader: Indices, root: Indices, delay: Indices, step: float | None) -> str:
+def _explain(head: int, leader: Indices, root: Indices, delay: Indices, step: float | None, what: str) -> str:
     direct, led = leader == head, (root == head) & (leader >= 0)
     text = f"Leads {int(direct.sum())} directly"
     if (relayed := int((led & ~direct).sum())) > 0:
         text += f" and {relayed} through others"
     if (known := delay[direct & (delay > 0)]).size:
         late = float(np.median(known))
-        text += f", who follow after {late * step:g} s" if step is not None else f", who follow after {late:g} steps"
+        text += f", {what} after {late * step:g} s" if step is not None else f", {what} after {late:g} steps"
     return f"{text}; no UAV leads it."

@@ -51,7 +51,8 @@ class Mflica(NetworkDetector):
         lead, cost, delay = warp_pairs(np.ascontiguousarray(values.swapaxes(0, 1)), flight.seen.T.copy(), lags)
         spread = (centre_columns(values, flight.seen) ** 2).sum(axis=2).mean(axis=0)
         total = spread[:, None] + spread
-        return Pairs(1.0 - cost / np.where(total > 0, total, 1.0), lead, np.maximum(delay, 1))
+        match = f"whose {'places' if self.series == 'position' else 'velocities'} match its earlier ones"
+        return Pairs(1.0 - cost / np.where(total > 0, total, 1.0), lead, np.maximum(delay, 1), match)
 
 
 class Flica(Mflica):

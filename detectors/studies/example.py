@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import usnet_env.envs  # noqa: F401  # registers the environments
+from usnet_env.config import format_count
 from usnet_env.drawing import (
     HIT,
     MISSED,
@@ -22,7 +23,6 @@ from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.evaluation.report import make_panels
 from usnet_env.plugins import make_detector
 from usnet_env.replay import EpisodeRecord, record_episode
-from usnet_env.replay.story import format_count
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -40,7 +40,7 @@ def test_the_leader_of_a_flock_is_found_with_its_followers(folder):
         assert leader.reason
     (leader,) = found.leaders
     assert (leader.id, len(leader.followers)) == ("bird-0", 11)
-    assert "in 5 of the 5 windows" in leader.reason
+    assert "in 5 of 5 windows" in leader.reason
 
 
 def test_groups_that_merge_are_followed(folder):
@@ -93,7 +93,7 @@ def test_a_group_keeps_its_number_when_another_leads_it(folder):
     found = find_leaders(read_tracks(folder / "flock.csv"), Rotates(), confirm=False)
     assert {leader.group for leader in found.leaders} == {1}
     assert [leader.id for leader in found.leaders] == ["bird-0", "bird-1"]
-    assert "3 of the 5 windows" in found.leaders[0].reason
+    assert "3 of 5 windows" in found.leaders[0].reason
     assert found.leaders[0].probability is None
 
 
@@ -242,11 +242,11 @@ def test_a_leader_that_chance_may_have_made_is_called_so(folder):
     tracks = read_tracks(folder / "flock.csv").resample(0.5)
     (once,) = find_leaders(tracks, Once([1])).leaders
     assert (
-        once.reason == "Leads group 1 in 1 of the 5 windows. By chance, a group without a leader has as many with "
+        once.reason == "Leads group 1 in 1 of 5 windows. By chance, a group without a leader has as many with "
         "probability 0.23."
     )
     (always,) = find_leaders(tracks, Once(range(5))).leaders
-    assert always.reason == "Leads group 1 in 5 of the 5 windows."
+    assert always.reason == "Leads group 1 in 5 of 5 windows."
 
 
 def test_a_recording_shows_what_was_found_and_no_truth(run, folder, tmp_path):
@@ -278,7 +278,7 @@ def test_warnings_go_to_standard_error(run, folder, tmp_path):
     status, out, err = run("detect", tmp_path / "gaps.csv", *QUICK, "--json")
     assert status == 0
     json.loads(out)
-    assert err.startswith("usnet: warning: 1 gaps")
+    assert err.startswith("usnet: warning: 1 gap is")
 
 
 @pytest.mark.parametrize(

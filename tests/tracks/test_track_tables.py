@@ -109,7 +109,7 @@ def test_the_titles_of_a_picture_fit_their_maps(tmp_path):
     maps = []
     found = find_leaders(tracks, Sure(2), on_window=lambda cut, answer, each: maps.append((cut, np.full(3, -1), each)))
     assert all(window.not_confirmed for window in found.windows)
-    figure = draw_leaders(found, maps, "tracks.csv")
+    figure = draw_leaders(found, maps, "tracks.csv", np.zeros(3))
     figure.draw_without_rendering()
     titles = [axes.title for axes in figure.axes] + [axes._left_title for axes in figure.axes]
     boxes = {each.get_text(): each.get_window_extent() for each in titles if " to 09:" in each.get_text()}

@@ -96,7 +96,7 @@ def test_windows_overlap_by_the_stride_and_leave_out_where_too_few_are_seen():
     even = dense(wandering(), keep=keep).resample(0.5)
     starts = [cut.start for cut in even.windows(50, 25)]
     assert starts == [12.5 * k for k in (0, 1, 2, 7, 8, 9, 10, 11, 12, 13)]  # 75 to 174 see one id in most steps
-    with pytest.raises(ArgumentError, match=r"^length must be at most the 399 steps"):
+    with pytest.raises(ArgumentError, match=r"^length must be at most 399, the number of steps"):
         even.windows(500)
 
 

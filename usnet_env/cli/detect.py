@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
@@ -39,13 +39,16 @@ _OPTIONS = {  # patterns of arguments in errors, and the options that set them
     r"^step must": "--step must",
     r"^columns must name the column (\w+)": r"--column \1=NAME must name the column \1",
     r"^columns must": "--column must",
+    r"^time_unit must be None": "--time-unit must be left out",
     r"^time_unit must": "--time-unit must",
+    r"^max_gap must": "--max-gap must",
+    r"^encoding must": "--encoding must",
+    r"^out must": "--out must",
+    r"keep_spikes=True ": "--keep-spikes ",
     r"^max_bytes must": "--max-bytes must",
     r"missing='skip'": "--skip-missing is given",
     r"encoding= ": "--encoding ",
     r"time_unit= ": "--time-unit ",
-    r"keep_spikes= ": "--keep-spikes ",
-    r"shorter step= ": "shorter --step ",
 }
 
 _EXAMPLES = """
@@ -136,9 +139,12 @@ def detect(
     from usnet_env.files import as_path
     from usnet_env.plugins import make_detector
     from usnet_env.tracks import find_leaders, read_tracks
+    from usnet_env.tracks.confirming import LEAST_STEPS
     from usnet_env.tracks.windows import count_windows
 
     folder = None if out is None else as_path("out", out)
+    if folder is not None:
+        _reserve(folder)
     player = make_detector(detector)
     with progress_bar("rows") as progress:
         read = read_tracks(
@@ -161,14 +167,17 @@ def detect(
     rest = even.duration - even.step * ((count - 1) * stride + window) if count and even.step else 0.0
     if even.step and rest >= even.step / 2:
         chosen.append(f"The last {rest:.6g} s are in no window.")
+    if window < LEAST_STEPS and not unconfirmed:
+        chosen.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
     if record:
         _check_record_size(even, count, window)
     kept: list[Kept] = []
-    maps, done = _Maps(), 0
+    maps, done, groups_given = _Maps(), 0, unconfirmed
     with progress_bar("windows") as progress:
 
         def keep(cut: TrackWindow, detection: Detection, found: DetectedWindow) -> None:
-            nonlocal done
+            nonlocal done, groups_given
+            groups_given |= detection.leader is not None or detection.clusters is not None
             if record:
                 kept.append((cut, _without_attention(detection), found))
             if folder:
@@ -179,6 +188,8 @@ def detect(
         found = find_leaders(
             even, player, length=window, stride=stride, seed=seed, confirm=not unconfirmed, on_window=keep
         )
+    if not groups_given:
+        print_message("the detector names no followers, so no leader is confirmed; --unconfirmed lists its candidates.")
     if as_json:
         click.echo(json.dumps(found.as_dict(), indent=2, allow_nan=False))
     else:
@@ -186,9 +197,29 @@ def detect(
             click.echo(_rename_arguments(sentence))
         show(*_tables(found))
     if folder is not None:
-        _write_all(folder, found, maps.choose(), f"{', '.join(Path(each).name for each in tracks)}")
+        for name in ("picture.png", "episode.npz", "replay.rrd"):  # of an earlier run, which this one may not replace
+            (folder / name).unlink(missing_ok=True)
+        _write_all(folder, found, maps.choose(), even, ", ".join(Path(each).name for each in tracks))
         if record:
             _write_record(folder, even, kept, found, [Path(each).name for each in tracks], window, seed)
+
+
+def _reserve(folder: Path) -> None:
+    """Keep the folder of the results for this command, before the work begins.
+
+    Raises:
+        ArgumentError: another command writes to it, or it can't be written.
+    """
+    from usnet_env.files import FileLock
+
+    try:
+        lock = FileLock(folder / "leaders.json")
+    except OSError as error:
+        reason = error.strerror or error
+        raise ArgumentError(
+            f"--out must be a folder that can be written, got {quote(str(folder))}: {reason}."
+        ) from None
+    click.get_current_context().call_on_close(lock.release)
 
 
 def _parse_columns(words: Sequence[str]) -> dict[str, str]:
@@ -293,29 +324,29 @@ def _make_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[Any
     return table
 
 
-def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Map], title: str) -> None:
+def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Map], even: Tracks, title: str) -> None:
     """Write the tables, the JSON and the picture; a file whose extra is not installed is left out with a message."""
     from usnet_env.drawing import MissingExtraError, write_figure
     from usnet_env.files import atomic_write
     from usnet_env.tracks.picture import draw_leaders
+    from usnet_env.tracks.tables import write_tables
 
-    rows = found.rows()
-    over_file = [each.as_dict() for each in found.leaders]
-    for name, table, columns in (
-        ("windows", rows, ()),
-        ("leaders", over_file, ("id", "probability", "followers", "reason", "group", "score", "share")),
-        ("links", found.link_rows(), ("start", "end", "follower", "leader", "head", "delay")),
-    ):
-        _write_table(folder / name, table, columns)
+    write_tables(found, folder, even.ids)
     with atomic_write(folder / "leaders.json") as aside:
         aside.write_text(json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    origin, written = even.origin if even.frame == "metres" else np.zeros(3), "Tables and JSON"
     try:
-        figure = draw_leaders(found, [(cut, _leaders_of(cut, window), window) for cut, window in maps], title)
+        figure = draw_leaders(found, [(cut, _leaders_of(cut, window), window) for cut, window in maps], title, origin)
     except MissingExtraError as missing:
         print_message(f"the picture is left out. {missing}")
     else:
-        write_figure(figure, folder / "picture.png")
-    click.echo(f"Tables, JSON and picture are in {folder}.", err=True)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            write_figure(figure, folder / "picture.png")
+        for warning in caught:
+            print_message(f"warning: {warning.message}")
+        written = "Tables, JSON and picture"
+    click.echo(f"{written} are in {folder}.", err=True)
 
 
 def _leaders_of(cut: TrackWindow, window: DetectedWindow) -> Any:
@@ -327,26 +358,6 @@ def _leaders_of(cut: TrackWindow, window: DetectedWindow) -> Any:
     for each in window.leaders:
         leader[place[each.id]] = place[each.id]
     return leader
-
-
-def _write_table(path: Path, rows: Sequence[dict[str, Any]], columns_of_none: Sequence[str]) -> None:
-    """Write rows as CSV, and as Parquet if pyarrow is installed; in CSV, lists are joined by semicolons."""
-    from usnet_env.files import atomic_write
-
-    names = list(rows[0]) if rows else list(columns_of_none)
-    with atomic_write(path.with_suffix(".csv")) as aside, aside.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, names)
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({k: ";".join(map(str, v)) if isinstance(v, list) else v for k, v in row.items()})
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        return
-    columns = {name: [row[name] for row in rows] for name in names}
-    with atomic_write(path.with_suffix(".parquet")) as aside:
-        pyarrow.parquet.write_table(pyarrow.table(columns), aside)
 
 
 def _check_record_size(even: Tracks, count: int, window: int) -> None:

@@ -13,6 +13,7 @@ from usnet_env.drawing.maps import (
     MISSED,
     NO_CLUSTER_COLOR,
     REDUNDANT,
+    TRACK_WORDS,
     Limits,
     MissingExtraError,
     cluster_colors,
@@ -24,7 +25,7 @@ from usnet_env.drawing.maps import (
     new_figure,
     round_marks,
 )
-from usnet_env.drawing.style import COLORS, FORMATS, MARKERS, caption_figure, style_axes, write_figure
+from usnet_env.drawing.style import COLORS, FORMATS, MARKERS, caption_figure, escape_math, style_axes, write_figure
 
 __all__ = [
     "CLUSTER_COLORS",
@@ -35,6 +36,7 @@ __all__ = [
     "MISSED",
     "NO_CLUSTER_COLOR",
     "REDUNDANT",
+    "TRACK_WORDS",
     "EpisodeFrames",
     "Limits",
     "MissingExtraError",
@@ -44,6 +46,7 @@ __all__ = [
     "describe_frame",
     "draw_legend",
     "draw_round",
+    "escape_math",
     "last_seen_position",
     "limits_around",
     "new_figure",

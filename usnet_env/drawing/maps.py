@@ -46,6 +46,11 @@ HIT, REDUNDANT, MISSED = "#009E73", "#D55E00", "#000000"  # their shapes differ 
 HEAD_MARK, FOLLOWER_MARK, LINK_MARK = "head", "follower (colour = cluster)", "link from follower to head"
 DECOY_MARK, DESTROYED_MARK = "decoy: has no followers", "destroyed earlier"
 HIT_MARK, REDUNDANT_MARK, MISSED_MARK = "candidate: hit", "candidate: redundant", "head, not a candidate"
+TRACK_WORDS = {  # for these marks, in recorded tracks
+    HEAD_MARK: "leader",
+    FOLLOWER_MARK: "other (colour = leader)",
+    LINK_MARK: "link from follower to leader",
+}
 _DASHES = (0, (2, 1.2))
 _MARKERS = "o^sD"
 _CLUSTERS_PER_MARKER = 9  # a second sign beside the colour: clusters with the same colour have other markers

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["COLORS", "FORMATS", "MARKERS", "caption_figure", "style_axes", "write_figure"]
+__all__ = ["COLORS", "FORMATS", "MARKERS", "caption_figure", "escape_math", "style_axes", "write_figure"]
 
 #: The colours of Okabe and Ito, which colour-blind readers can distinguish, without their yellow. A series also has a
 #: marker of its own, so that figures can be read without colours.
@@ -27,6 +29,11 @@ _SAVED: dict[str, dict[str, Any]] = {  # without the date and the versions, so t
 }
 FORMATS = tuple(_SAVED)
 _SIGNS_AN_INCH = 12.5  # of a caption
+
+
+def escape_math(text: str) -> str:
+    """Text that matplotlib shows as it is: a dollar sign begins no formula."""
+    return text.replace("$", r"\$")
 
 
 def style_axes(axes: Axes) -> None:
@@ -43,6 +50,21 @@ def caption_figure(figure: Figure, title: str, caption: str) -> None:
     """Write a title above a figure, and below it a caption: what is shown, n, and the meaning of intervals."""
     width = int(figure.get_figwidth() * _SIGNS_AN_INCH)
     figure.suptitle(f"{title}\n{fill(caption, width)}", x=0.01, ha="left", fontsize=10.5)
+
+
+@contextmanager
+def _name_missing_glyphs() -> Iterator[None]:
+    """Replace matplotlib's warnings of missing glyphs, one for each, by one sentence."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    glyphs = [each for each in caught if "missing from font" in str(each.message)]
+    for each in caught:
+        if each not in glyphs:
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+    if glyphs:
+        text = "The fonts of this machine lack some characters of the figure; it shows boxes in their place."
+        warnings.warn(text, UserWarning, stacklevel=2)
 
 
 def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
@@ -67,7 +89,7 @@ def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence
     files = []
     for kind in formats:
         file = as_path("path", path).with_suffix(f".{kind}")
-        with atomic_write(file) as aside, rc_context({"pdf.fonttype": 42}):  # publishers refuse Type 3
-            figure.savefig(aside, format=kind, **_SAVED[kind])
+        with atomic_write(file) as aside, rc_context({"pdf.fonttype": 42}), _name_missing_glyphs():
+            figure.savefig(aside, format=kind, **_SAVED[kind])  # fonttype: publishers refuse Type 3
         files.append(file)
     return files

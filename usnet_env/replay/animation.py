@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, format_count, quote
 from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, new_figure
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.story import describe_ending, describe_remerge, describe_verdict, format_count, name_round
+from usnet_env.replay.story import describe_ending, describe_remerge, describe_verdict, name_round
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

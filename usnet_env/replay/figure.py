@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, format_count, quote
 from usnet_env.drawing import (
     HIT,
     MISSED,
     REDUNDANT,
+    TRACK_WORDS,
     dashed_ring,
     draw_legend,
     draw_round,
@@ -28,7 +29,6 @@ from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.story import (
     describe_outcome,
     describe_round,
-    format_count,
     name_game,
     name_round,
     name_uav,
@@ -83,11 +83,13 @@ def _draw_scores(axes: Axes, record: EpisodeRecord, number: int) -> None:
     rotation = 0 if len(bars) <= _BARS_WITH_LEVEL_NUMBERS else 90
     axes.set_xticks(rank, [name_uav(record, i).removeprefix("UAV ") for i in bars], fontsize=7.5, rotation=rotation)
     axes.tick_params(axis="y", labelsize=8, colors="#555555")
+    axes.yaxis.set_major_formatter("{x:.3g}")  # a common exponent above the axis would push the title away
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     living = int(record.alive[r].sum())
-    shown = f"{len(bars)} of {living} UAVs" if len(bars) < living else "all living UAVs"
-    axes.set_title(f"Scores: {shown}, highest first, with the UAV's number", fontsize=9.5, loc="left")
+    noun, tick = ("living UAVs", "UAV's number") if record.labelled else ("ids", "id")
+    shown = f"{len(bars)} of {living}" if len(bars) < living else "all"
+    axes.set_title(f"Scores: {shown} {noun}, highest first, with the {tick}", fontsize=9.5, loc="left")
 
 
 def draw_episode(record: EpisodeRecord) -> Figure:
@@ -135,7 +137,11 @@ def draw_episode(record: EpisodeRecord) -> Figure:
     figure.text(0.5 / width, 1 - below, ending, fontsize=10.5, weight="bold", va="top")
 
     places = [last_seen_position(record.position[n - 1], record.seen[n - 1]) for n in panels]
-    limits = [limits_around(place) for place in places]
+    shown = [
+        place if record.labelled else record.position[n - 1][record.seen[n - 1]]
+        for place, n in zip(places, panels, strict=True)
+    ]
+    limits = [limits_around(place) for place in shown]
     half = max(each[2] for each in limits)
     marks: set[str] = set()
     for place, number in enumerate(panels):
@@ -144,7 +150,7 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         top = header + place // columns * _CELL + 0.35
         axes = figure.add_axes((left / width, 1 - (top + _MAP) / total, _MAP / width, _MAP / total))
         head = record.head if record.labelled else record.candidates[r]
-        candidates = record.candidates[r] & record.labelled
+        candidates = record.candidates[r] if record.labelled else None
         truth = (record.alive[r], head, record.leader[r], record.decoy)
         gone = record.last_position(number)
         draw_round(
@@ -161,7 +167,8 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         bottom = top + _MAP + 0.7 + _SCORES
         scores = figure.add_axes((left / width, 1 - bottom / total, _MAP / width, _SCORES / total))
         _draw_scores(scores, record, number)
-    draw_legend(beside, {mark: mark for mark in present if mark in marks})
+    words = {} if record.labelled else TRACK_WORDS
+    draw_legend(beside, {mark: words.get(mark, mark) for mark in present if mark in marks})
     return figure
 
 

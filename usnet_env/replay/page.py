@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from usnet_env.config import format_count
 from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.animation import Painter, name_answer, reduce_colors, scenes
 from usnet_env.replay.episode import EpisodeRecord, check_record
@@ -22,7 +23,6 @@ from usnet_env.replay.story import (
     describe_outcome,
     describe_round,
     explain_uav,
-    format_count,
     mark_words,
     name_game,
     name_round,

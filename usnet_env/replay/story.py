@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.config import format_count
 from usnet_env.replay.episode import EpisodeRecord
 
 __all__ = [
@@ -24,7 +25,6 @@ __all__ = [
     "explain_comparison",
     "explain_replay",
     "explain_uav",
-    "format_count",
     "mark_words",
     "name_game",
     "name_round",
@@ -39,11 +39,6 @@ HIT, REDUNDANT, MISSED, OTHER, LEADER = "hit", "redundant", "missed", "other", "
 
 _MOST_LISTED = 30  # rows of the table of a round's candidates
 _FEWEST_SCORES, _MOST_SCORES, _UNMARKED = 12, 40, 5
-
-
-def format_count(number: int, noun: str) -> str:
-    """Format a number with its noun: ``1 head``, ``2 heads``."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def name_uav(record: EpisodeRecord, uav: int) -> str:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Mask
 from usnet_env.window import Window
 
-__all__ = ["LEVEL", "confirm_lead", "confirm_leaders", "find_followers"]
+__all__ = ["LEAST_STEPS", "LEVEL", "confirm_lead", "confirm_leaders", "find_followers"]
 
 _LAGS = 4  # steps; the step of resampled tracks puts delays at 1 to 4 of them
 _BLOCKS = 8
-_LEAST_STEPS = 2 * _BLOCKS
+LEAST_STEPS = 2 * _BLOCKS
 LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leader
 _LEVEL_OUTSIDE = 0.5
 _NEAREST, _SHIFTS = 5, 6
@@ -52,7 +52,7 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
         Whether the lead is confirmed; false without followers, and true in a window of fewer than 16 steps, which is
         too short for the test.
     """
-    if not followers or window.observation_steps < _LEAST_STEPS:
+    if not followers or window.observation_steps < LEAST_STEPS:
         return bool(followers)
     seen = window.velocity_seen[:, followers]
     count = seen.sum(axis=1)
@@ -82,7 +82,7 @@ def find_followers(
         ``(c,)`` bool; false in a window of fewer than 32 steps.
     """
     steps, follows, uavs = window.observation_steps, np.zeros(len(leaders), bool), np.asarray(leaders, np.int64)
-    if steps < 2 * _LEAST_STEPS or not len(uavs):
+    if steps < 2 * LEAST_STEPS or not len(uavs):
         return follows
     for half in (slice(0, steps // 2), slice(steps // 2, steps)):
         velocity, seen = window.velocity[half], window.velocity_seen[half]

@@ -120,13 +120,11 @@ def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> list[Finding]
     found = []
     rate = np.flatnonzero(np.isfinite(typical) & (np.abs(typical - usual) > 0.01 * usual))
     if len(rate):
-        found.append(
-            Finding(
-                "clocks",
-                f"{_count(rate)} sampled at another rate than every {usual:g} s: {_name(tracks, rate)}.",
-                len(rate),
-            )
-        )
+        sentence = f"{_count(rate)} sampled at another rate than every {usual:g} s: {_name(tracks, rate)}."
+        if 2 * len(rate) > np.isfinite(typical).sum():  # no rate is the usual one
+            least, most = np.nanmin(typical), np.nanmax(typical)
+            sentence = f"The ids are sampled at different rates, every {least:.3g} to {most:.3g} s."
+        found.append(Finding("clocks", sentence, len(rate)))
     filled = np.flatnonzero(np.diff(tracks.offsets) > 0)
     first, last = tracks.time[tracks.offsets[filled]], tracks.time[tracks.offsets[filled + 1] - 1]
     if len(filled) > 1:
@@ -168,8 +166,9 @@ def _find_gaps(tracks: Tracks, interval: Floats, inner: Mask, typical: Floats) -
     return [
         Finding(
             "gaps",
-            f"{len(gaps)} gaps are longer than {_GAP:g} typical intervals; the longest takes {interval[longest]:g} s, "
-            f"after {tracks.file_time(tracks.time[longest])} (id {tracks.ids[_owner(tracks, longest)]}).",
+            f"{'1 gap is' if len(gaps) == 1 else f'{len(gaps)} gaps are'} longer than {_GAP:g} typical intervals; the "
+            f"longest takes {interval[longest]:g} s, after {tracks.file_time(tracks.time[longest])} "
+            f"(id {tracks.ids[_owner(tracks, longest)]}).",
             len(gaps),
         )
     ]
@@ -195,9 +194,8 @@ def _describe_jumps(tracks: Tracks, jumps: Jumps) -> list[Finding]:
         found.append(
             Finding(
                 "spikes",
-                f"{who}: the steps to it and from it are {fast}, the way past it is not; the first is at "
-                f"{tracks.file_time(tracks.time[first])} (id {tracks.ids[_owner(tracks, first)]}). Spikes are left out "
-                "unless keep_spikes= is given.",
+                f"{who}: the steps to it and from it are {fast}, the step that skips it is not; the first is at "
+                f"{tracks.file_time(tracks.time[first])} (id {tracks.ids[_owner(tracks, first)]}).",
                 count,
             )
         )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.special import bdtrc
 
-from usnet_env.config import ArgumentError, quote, whole_number
+from usnet_env.config import ArgumentError, format_count, quote, whole_number
 from usnet_env.detection import Detection, read_tags
 from usnet_env.objectives import find_roots
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
@@ -169,7 +169,7 @@ def find_leaders(
         seed: seeds the detector.
         confirm: whether to leave out candidates whose followers don't move like them later, or that follow another id
             in half of the window, by the tests of :mod:`usnet_env.tracks.confirming`; their probability becomes 0.
-            Candidates of a detector that says nothing about followers are never left out.
+            So no candidate of a detector that says nothing about followers is confirmed.
         on_window: called with each window, the detector's answer and the leaders.
 
     Returns:
@@ -196,7 +196,7 @@ def find_leaders(
         heads = heads[np.argsort(-detection.scores[heads], kind="stable")]
         followers = [_followers(detection, int(head)) for head in heads]
         rejected = heads[:0]
-        if confirm and (detection.leader is not None or detection.clusters is not None):
+        if confirm:
             sure = confirm_leaders(cut.window, heads, followers)
             rejected, heads = heads[~sure], heads[sure]
             followers = [led for led, kept in zip(followers, sure, strict=True) if kept]
@@ -287,7 +287,8 @@ def _reasons(detection: Detection, heads: NDArray[np.intp], followers: list[list
     ranks = {int(i): rank for rank, i in enumerate(np.argsort(-detection.scores, kind="stable"), start=1)}
     return [
         own.get(int(head))
-        or f"Has score {detection.scores[head]:.3g}, rank {ranks[int(head)]} of {uavs}, and {len(led)} followers."
+        or f"Has score {detection.scores[head]:.3g}, rank {ranks[int(head)]} of {uavs}, and "
+        f"{format_count(len(led), 'follower')}."
         for head, led in zip(heads, followers, strict=True)
     ]
 
@@ -371,7 +372,7 @@ class _Summary:
         for (group, head), windows in sorted(self._windows.items(), key=lambda item: (-len(item[1]), item[0])):
             counts = self._followers[group, head]
             behind = sorted(row for row, count in counts.items() if count >= len(windows) / 2)
-            reason = f"Leads group {group} in {len(windows)} of the {self._count} windows."
+            reason = f"Leads group {group} in {len(windows)} of {format_count(self._count, 'window')}."
             chance = _chance_of_windows(len(windows), int(self._seen[head])) if self._confirm else 0.0
             if chance > _UNLIKELY:
                 reason += f" By chance, a group without a leader has as many with probability {chance:.2g}."

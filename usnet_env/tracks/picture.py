@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Floats
 from usnet_env.drawing import (
     CLUSTER_COLORS,
+    TRACK_WORDS,
     Limits,
     draw_legend,
     draw_round,
+    escape_math,
     last_seen_position,
     new_figure,
     round_marks,
@@ -37,13 +40,14 @@ _LONGEST_TITLE = 40  # characters of a line
 Map = tuple[TrackWindow, NDArray[np.int64], DetectedWindow]
 
 
-def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str) -> Figure:
+def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str, origin: Floats) -> Figure:
     """Draw up to six windows as maps from above, and below them the windows in which each id leads.
 
     Args:
         found: the leaders.
         maps: the windows to draw.
         title: what the tracks are.
+        origin: ``(3,)`` metres, what is added to the positions of the tracks.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -60,13 +64,13 @@ def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str) -> Figure
     date = _find_date(found)
     day = f" {date} (UTC)," if date else ""
     about = f"{title}:{day} {shown}by {found.detector}. Stars are leaders, lines connect followers to them."
-    figure.text(0.5 / width, 1 - 0.65 / height, about, fontsize=10, va="top", color="#333333")
+    figure.text(0.5 / width, 1 - 0.65 / height, escape_math(about), fontsize=10, va="top", color="#333333")
     marks: dict[str, str] = {}
     beside: Axes | None = None
     for k, (cut, leader, window) in enumerate(maps):
         left, top = 0.7 + k % columns * (_MAP + _GAP), _HEADER + k // columns * (_MAP + _GAP + _TITLES)
         axes = figure.add_axes((left / width, 1 - (top + _MAP) / height, _MAP / width, _MAP / height))
-        marks |= _draw_map(axes, cut, leader, window, date)
+        marks |= _draw_map(axes, cut, leader, window, date, origin)
         if k % columns:
             axes.set_ylabel("")
         if k == columns - 1:
@@ -80,30 +84,25 @@ def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str) -> Figure
 
 
 def _draw_map(
-    axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: DetectedWindow, date: str
+    axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: DetectedWindow, date: str, origin: Floats
 ) -> dict[str, str]:
     """Draw one window; returns the marks that it shows, for the legend."""
     uavs = len(cut.ids)
     leaders = {each.id for each in window.leaders}
     head = np.array([each in leaders for each in cut.ids])
     none = np.zeros(uavs, bool)
-    position = cut.window.position + np.asarray(cut.origin, np.float32)
+    position: Any = cut.window.position + (cut.origin + origin)  # in float64: coordinates may be large
     draw_round(
         position, cut.window.seen, cut.window.alive, head, leader, none,
-        axes=axes, title=_title_map(window, date), legend=False, limits=_limits(position[cut.window.seen]),
+        axes=axes, title=escape_math(_title_map(window, date)), legend=False, limits=_limits(position[cut.window.seen]),
     )  # fmt: skip
     place = last_seen_position(position, cut.window.seen)
     names = {each: i for i, each in enumerate(cut.ids)}
     for each in window.leaders[:_MOST_NAMES]:
         style: Any = {"textcoords": "offset points", "fontsize": 8, "weight": "bold", "zorder": 7}
-        axes.annotate(str(each.id), place[names[each.id], :2].tolist(), xytext=(7, 7), **style)
+        axes.annotate(escape_math(str(each.id)), place[names[each.id], :2].tolist(), xytext=(7, 7), **style)
     present = round_marks(place, cut.window.alive, head, leader, none)
-    words = {
-        "head": "leader",
-        "follower (colour = cluster)": "other (colour = leader)",
-        "link from follower to head": "link from follower to leader",
-    }
-    return {mark: words.get(mark, mark) for mark, who in present.items() if who.any()}
+    return {mark: TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
 
 
 def _find_date(found: FoundLeaders) -> str:
@@ -114,9 +113,9 @@ def _find_date(found: FoundLeaders) -> str:
 
 
 def _format_time(time: float | int | str, date: str) -> str:
-    """A time of the file, short enough for an axis: up to 8 digits, or a timestamp without ``date`` and final zeros."""
+    """A time of the file, for an axis: up to 12 digits, or a timestamp without ``date`` and final zeros."""
     if not isinstance(time, str):
-        return f"{time:.8g}" if isinstance(time, float) else str(time)
+        return f"{time:.12g}" if isinstance(time, float) else str(time)
     day, _, clock = time.removesuffix("Z").partition("T")
     clock = clock.rstrip("0").removesuffix(".") if "." in clock else clock
     return clock if day == date else f"{day} {clock}"
@@ -133,7 +132,7 @@ def _title_map(window: DetectedWindow, date: str) -> str:
     return title
 
 
-def _limits(place: NDArray[np.float32]) -> Limits:
+def _limits(place: NDArray[Any]) -> Limits:
     """The square around positions ``(n, 3)``; unlike a swarm, recorded tracks may be smaller than a metre."""
     low, high = place[:, :2].min(axis=0), place[:, :2].max(axis=0)
     x, y = ((low + high) / 2).tolist()
@@ -151,7 +150,7 @@ def _draw_times(axes: Axes, found: FoundLeaders, date: str) -> None:
         ]
         color = CLUSTER_COLORS[(each.group - 1) % len(CLUSTER_COLORS)]
         axes.barh([row] * len(led), [1.0] * len(led), left=led, height=0.7, color=color)
-    axes.set_yticks(range(len(bars)), [str(each.id) for each in bars], fontsize=8)
+    axes.set_yticks(range(len(bars)), [escape_math(str(each.id)) for each in bars], fontsize=8)
     axes.set_ylim(max(len(bars), 1) - 0.5, -0.5)
     count = len(found.windows)
     longest = max(len(_format_time(window.start, date)) for window in found.windows)

@@ -195,6 +195,7 @@ class Tracks:
         if not isinstance(keep_spikes, bool):
             raise ArgumentError(f"keep_spikes must be True or False, got {quote(keep_spikes)}.")
         tracks = self if keep_spikes else leave_out_spikes(self)
+        spikes = self.samples - tracks.samples
         if step is None:
             choice = choose_step(tracks)
             step, why = choice.step, choice.reasons
@@ -202,6 +203,9 @@ class Tracks:
             step = real_number("step", step, _SHORTEST_STEP, _LONGEST_STEP)
             why = (f"The step of {step:g} s was given.",)
         grid = resample_positions(tracks, step, max_gap)
+        if spikes:
+            left_out = "1 spike was" if spikes == 1 else f"{spikes} spikes were"
+            why = (*why, f"{left_out} left out, unless keep_spikes=True is given.")
         return replace(
             self,
             offsets=grid.offsets,

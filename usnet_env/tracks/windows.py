@@ -64,8 +64,8 @@ def cut_windows(tracks: Tracks, length: int, stride: int, least_steps: int) -> I
     count = count_windows(tracks, length, stride)
     if not count:
         raise ArgumentError(
-            f"length must be at most the {round(tracks.duration / tracks.step)} steps of {tracks.step:g} s that the "
-            f"tracks last, got {quote(length)}; a shorter step= gives more steps."
+            f"length must be at most {round(tracks.duration / tracks.step)}, the number of steps of {tracks.step:g} s "
+            f"in the tracks, got {quote(length)}."
         )
     number = np.round(tracks.time / tracks.step).astype(np.int64)
     known = np.unique(number)
