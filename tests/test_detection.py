@@ -68,11 +68,15 @@ def test_only_candidates_and_scores_are_needed():
         ("attention", np.full((N, N), np.nan)),
         ("extras", [1, 2]),
         ("extras", None),
+        ("probability", [0, 0.5, 1, 1.5]),
+        ("probability", [0, 0.5, 1, np.nan]),
+        ("probability", [0.5]),
+        ("probability", "none"),
     ],
 )
 def test_a_bad_part_is_refused_in_one_sentence_that_names_it(name, value):
     with pytest.raises(ArgumentError, match=rf"^{name} must .*, got .*\.$") as caught:
-        Detection(**parts(**{name: value}))
+        Detection(**parts(**({"extras": {name: value}} if name == "probability" else {name: value})))
     assert "\n" not in str(caught.value)
 
 

@@ -45,10 +45,10 @@ class Detection:
         clusters: ``(N,)`` int64, a cluster label for each UAV (-1: no cluster), or ``None``.
         leader: ``(N,)`` int64, the UAV that each UAV follows, its head or a relay (-1: none), or ``None``.
         attention: ``(N, N)`` float64; row i has the attention weights of UAV i on all UAVs, or ``None``.
-        extras: further results by name; head probabilities have the name ``"probability"``.
+        extras: further results by name; ``"probability"``, ``(N,)`` from 0 to 1, is that of being a head.
 
     Raises:
-        ArgumentError: an array has another shape, values that are not finite, or indices out of range.
+        ArgumentError: an array has another shape, values that are not finite, or indices or probabilities out of range.
     """
 
     candidates: Mask
@@ -74,6 +74,10 @@ class Detection:
         if not isinstance(self.extras, Mapping):
             raise ArgumentError(f"extras must be a mapping of names to values, got {quote(self.extras)}.")
         put(self, "extras", dict(self.extras))
+        if (given := self.extras.get("probability")) is not None:
+            probability = frozen_array("probability", given, np.float64, (uavs,))
+            if not ((probability >= 0) & (probability <= 1)).all():
+                raise ArgumentError(f"probability must hold numbers from 0 to 1, got {quote(probability)}.")
 
 
 def read_tags(detector: Any) -> Tags:

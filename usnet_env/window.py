@@ -43,8 +43,8 @@ def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | No
     takes = "(" + ", ".join("any" if length is None else str(length) for length in shape) + ")"
     try:
         array = np.asarray(value)
-    except Exception:  # a foreign class may raise anything when it is converted
-        raise ArgumentError(f"{name} must be an array of shape {takes}, got {quote(value)}.") from None
+    except Exception as error:  # a foreign class may raise anything when it is converted
+        raise ArgumentError(f"{name} must be an array of shape {takes}, got {quote(value)}: {quote(error)}.") from None
     if array.ndim != len(shape) or any(
         want is not None and want != has for want, has in zip(shape, array.shape, strict=True)
     ):

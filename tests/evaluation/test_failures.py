@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from sample_detectors import AllAlive, FailingWithOne
+from sample_detectors import AllAlive, Failing, FailingWithOne
 
 from usnet_env import ArgumentError, Detection, Window, evaluate, make_detector
-from usnet_env.evaluation import EvaluationError
+from usnet_env.evaluation import EvaluationError, EvaluationResult
 
 MULTI = "USNET/MultiCluster-v0"
 SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
@@ -95,3 +96,53 @@ def test_a_detector_that_gets_an_observation_says_how_to_make_a_window_of_it(nam
     with pytest.raises(ArgumentError, match=r"^window must be a usnet_env\.Window, .* Window\.from_observation\("):
         detector.detect(observation)
     assert len(detector.detect(Window.from_observation(observation)).candidates) == 20
+
+
+def play_with_a_failure(folder, **how):
+    with pytest.raises(EvaluationError) as failed:
+        evaluate(MULTI, ["none", "random", Failing()], episodes=6, env_kwargs=SMALL, out=folder, **how)
+    return failed.value
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+def test_a_folder_is_loaded_without_the_episodes_that_a_failed_detector_survived(tmp_path, isolate):
+    error = play_with_a_failure(tmp_path, isolate=isolate)
+    loaded = EvaluationResult.load(tmp_path)
+    assert loaded.summary == error.result.summary == json.loads((tmp_path / "summary.json").read_text())
+    assert [entry["detector"] for entry in loaded.summary] == ["none", "random"]
+    assert list(loaded.rows) == list(error.result.rows)
+    assert dict(loaded.failures) == dict(error.failures) == dict(error.result.failures)
+    assert "Failing" not in loaded.conclusion()
+    assert "1 failed" in repr(loaded)
+    assert "nothing to divide by" in loaded._repr_html_()
+    assert "Failing" in (tmp_path / "episodes.csv").read_text()  # what it played is kept
+
+
+class Mended(AllAlive):
+    """Another detector under the label of :class:`Failing`."""
+
+
+def test_a_detector_that_has_failed_may_come_back_with_other_code(tmp_path):
+    play_with_a_failure(tmp_path)
+    others = [row for row in EvaluationResult.load(tmp_path).rows if row["detector"] != "Failing"]
+    result = evaluate(
+        MULTI, {"none": "none", "random": "random", "Failing": Mended()}, episodes=6, env_kwargs=SMALL, out=tmp_path
+    )
+    assert [row for row in result.rows if row["detector"] != "Failing"] == others
+    assert not result.failures
+    loaded = EvaluationResult.load(tmp_path)
+    assert loaded.summary == result.summary
+    own = [row["episode"] for row in loaded.rows if row["detector"] == "Failing"]
+    assert own == list(range(6))
+    assert np.isclose(loaded["Failing"]["redundancy"]["mean"], (20 - 3) / 20)
+    with pytest.raises(ArgumentError, match=r"^out must be a new folder .* in which detector 'random'"):
+        evaluate(MULTI, {"random": Mended()}, episodes=6, env_kwargs=SMALL, out=tmp_path)
+
+
+def test_a_detector_that_failed_by_accident_plays_the_rest_when_it_is_asked_again(tmp_path):
+    play_with_a_failure(tmp_path)
+    (tmp_path / "episodes.csv").write_bytes((tmp_path / "episodes.csv").read_bytes().replace(b"\n", b"\r\n"))
+    assert EvaluationResult.load(tmp_path).failures
+    result = evaluate(MULTI, ["none"], episodes=6, env_kwargs=SMALL, out=tmp_path)
+    assert [entry["detector"] for entry in result.summary] == ["none", "random"]
+    assert list(result.failures) == ["Failing"]

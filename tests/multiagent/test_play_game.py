@@ -6,6 +6,7 @@ from gymnasium import spaces
 from small_games import SMALL, drawn, small
 
 from usnet_env import ArgumentError, Detection, make_detector
+from usnet_env.evaluation import evaluate_games
 from usnet_env.multiagent import usnet_evasion_v0, usnet_observers_v0
 from usnet_env.multiagent.play import play_game
 from usnet_env.multiagent.policies import (
@@ -303,3 +304,8 @@ def test_actions_that_cannot_be_numbered_are_refused():
     env.reset(seed=0)
     with pytest.raises(ArgumentError, match="actions must map agents to actions"):
         env.step(None)
+
+
+def test_a_detector_is_refused_for_an_agent_without_windows():
+    with pytest.raises(ArgumentError, match=r"^policies must hold no detector for head_0, .*, got .*random.*\.$"):
+        evaluate_games("usnet_evasion_v0", {"a": {"observer": "random", "head": "random"}}, episodes=1)

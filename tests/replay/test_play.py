@@ -149,6 +149,6 @@ def test_the_mind_of_the_detector_is_recorded():
     flat = features.reshape(16, -1)
     spread = np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)[:2]
     np.testing.assert_allclose(np.linalg.norm(record.features[1], axis=0), spread, rtol=1e-5)
-    odd = {"probability": "none", "features": np.ones(3), "attention_heads": np.ones(3)}
+    odd = {"features": np.ones(3), "attention_heads": np.ones(3)}
     bare = record_episode(multi(), Scripted(heads, extras=odd), 0, 7)
     assert bare.probability is bare.features is bare.attention_heads is bare.reasons is None

@@ -15,7 +15,7 @@ from pydantic import Field
 from usnet_env.config import ArgumentError, Config
 from usnet_env.evaluation.errors import EvaluationError, not_started
 from usnet_env.evaluation.parts import send
-from usnet_env.evaluation.result import EvaluationResult, summarise
+from usnet_env.evaluation.result import EvaluationResult, leave_out_failed, summarise
 from usnet_env.evaluation.schedule import Schedule, Seeds
 from usnet_env.evaluation.store import COLUMNS, RunStore
 from usnet_env.evaluation.table import Columns
@@ -182,21 +182,25 @@ def play_run(
                     show(schedule.finished, schedule.done.size)
         finally:
             schedule.save_rest()
-            if store is not None and seeds.secret is not None and schedule.uses_secret:
-                store.add_secret(seeds.secret)
-        failures = {labels[number]: error for number, error in schedule.failures.items()}
-        table = schedule.table.take(schedule.order(schedule.table))
-        table = table.take(np.flatnonzero([label not in failures for label in table.column("detector")]))
+            failures = {labels[number]: error for number, error in schedule.failures.items()}
+            failed = {label: str(error) for label, error in failures.items()}
+            if store is not None:
+                if seeds.secret is not None and schedule.uses_secret:
+                    store.add_secret(seeds.secret)
+                store.note_failures(failed, [labels[n] for n in np.flatnonzero(schedule.done.all(axis=1))])
+                failed = store.failures | failed
+        table = leave_out_failed(schedule.table.take(schedule.order(schedule.table)), failed)
         if store is None or schedule.uses_secret:
             secret = {} if seeds.secret is None else {"secret": seeds.secret}
         else:
             secret = store.describe_secret()
-        result = EvaluationResult(table, summarise(table), dict(config) | secret)
+        more = secret | ({"failures": failed} if failed else {})
+        result = EvaluationResult(table, summarise(table), dict(config) | more)
+        if store is not None and table:
+            store.finish(schedule.order, result.summary)
         if failures:
             failure = EvaluationError(" ".join(map(str, failures.values())))
             failure.result = result if table else None
-            failure.failures = {label: str(error) for label, error in failures.items()}
+            failure.failures = {label: failed[label] for label in failures}
             raise failure from next(iter(failures.values())).__cause__
-        if store is not None:
-            store.finish(schedule.order, result.summary)
     return result

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from os import PathLike
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.config import ArgumentError, format_count, quote, unknown_name
 from usnet_env.evaluation import statistics, tables
 from usnet_env.evaluation.errors import UnknownLabelError
 from usnet_env.evaluation.identity import differing_keys
@@ -174,6 +175,8 @@ class EvaluationResult(Results):
     def load(cls, folder: str | PathLike[str]) -> EvaluationResult:
         """Read the folder of a run; of a run that is not finished, the rows that there are.
 
+        The rows of detectors that have failed are left out; :attr:`failures` says why.
+
         Raises:
             ArgumentError: it is no folder of a run, or a file in it is broken.
         """
@@ -181,15 +184,23 @@ class EvaluationResult(Results):
         config = dict(description["config"])
         order = {label: place for place, label in enumerate(config["detectors"])}
         labels = np.array([order.get(label, len(order)) for label in table.column("detector")], np.int64)
-        table = table.take(np.lexsort((table.column("episode"), labels)))
-        return cls(table, summarise(table), config | last_secret(description))
+        failures = description.get("failures", {})
+        table = leave_out_failed(table.take(np.lexsort((table.column("episode"), labels))), failures)
+        more = last_secret(description) | ({"failures": failures} if failures else {})
+        return cls(table, summarise(table), config | more)
+
+    @property
+    def failures(self) -> Mapping[str, str]:
+        """Why detectors have no rows, by label: they failed in an episode."""
+        return dict(self.config.get("failures", {}))
 
     def __repr__(self) -> str:
         return f"<EvaluationResult of {self._title()}>"
 
     def _repr_html_(self) -> str:
         """The ranking, for a notebook."""
-        return tables.html_table(self.summary, self._title())
+        failed = "".join(f"<p>{escape(why)}</p>" for why in self.failures.values())
+        return tables.html_table(self.summary, self._title()) + failed
 
     def list_results(self) -> list[EvaluationResult]:
         """This result alone."""
@@ -197,10 +208,10 @@ class EvaluationResult(Results):
 
     def _title(self) -> str:
         episodes = sorted({entry["episodes"] for entry in self.summary}) or [0]
-        played = f"{episodes[0]}" if len(episodes) == 1 else f"{episodes[0]} to {episodes[-1]}"
-        plural = "" if episodes == [1] else "s"
-        count = len(self.summary)
-        return f"{self.config['env']}: {count} detector{'' if count == 1 else 's'}, {played} episode{plural} each"
+        most = format_count(episodes[-1], "episode")
+        played = most if len(episodes) == 1 else f"{episodes[0]} to {most}"
+        failed = f"; {len(self.failures)} failed" if self.failures else ""
+        return f"{self.config['env']}: {format_count(len(self.summary), 'detector')}, {played} each{failed}"
 
     def __getitem__(self, detector: str) -> dict[str, Any]:
         """Return the metrics of the detector with this label.
@@ -328,6 +339,11 @@ class EvaluationResult(Results):
         if metric == "J":
             return tables.objective_name(self.summary) == "J_m"
         return metric in LOWER_IS_BETTER or metric.startswith("price")
+
+
+def leave_out_failed(table: RowTable, failed: Collection[str]) -> RowTable:
+    """The rows without those of detectors that have failed, which played the episodes that they survived only."""
+    return table.take(np.flatnonzero(~np.isin(table.column("detector"), list(failed)))) if failed else table
 
 
 def _pair(

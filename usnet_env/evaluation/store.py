@@ -6,7 +6,7 @@ import io
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -75,6 +75,7 @@ class RowFile:
         self._digits = digits
         self._file: io.FileIO | None = None
         self._end = 0
+        self._stale = False  # whether the file holds rows that the table does not
         self._synced = time.monotonic()
         with ExitStack() as stack:
             if lock is None:
@@ -120,6 +121,12 @@ class RowFile:
         self.table = self.table.take(places)
         self._replace()
 
+    def leave_out(self, places: NDArray[np.bool_]) -> None:
+        """Leave out the rows at these ``places`` ``(R,)``; the file holds them until the next row is appended."""
+        if places.any():
+            self.table = self.table.take(np.flatnonzero(~places))
+            self._stale = True
+
     def close(self) -> None:
         """Close the file and release its lock."""
         if self._file is not None:
@@ -136,7 +143,7 @@ class RowFile:
                 known = lines.readline() == ",".join(self.table.columns) + "\n"
         except FileNotFoundError:
             known = False
-        if not known:
+        if self._stale or not known:
             self._replace()
         file = io.FileIO(self.path, "r+")
         self._end = _whole_lines(file)
@@ -155,6 +162,7 @@ class RowFile:
                 file.write(self.table.format_csv(first, first + _ROWS_AT_ONCE, self._digits))
             file.flush()
             os.fsync(file.fileno())
+        self._stale = False
 
     def _write(self, file: io.FileIO, data: bytes) -> None:
         """Write at the end of the file, all of it or nothing."""
@@ -200,7 +208,8 @@ def _whole_lines(file: io.FileIO) -> int:
 class RunStore:
     """The folder of one run.
 
-    More detectors, and more episodes, may join the run of a folder; every other argument must be the same.
+    More detectors, and more episodes, may join the run of a folder; every other argument must be the same. A detector
+    that has failed may come back with other code or arguments: then its rows are played again.
 
     Args:
         folder: the folder; it is created if it does not exist.
@@ -234,6 +243,7 @@ class RunStore:
                     f"out must be a new folder or the folder of a run, got {str(folder)!r} with rows but no {RUN}."
                 )
             self._rows = stack.enter_context(RowFile(folder / EPISODES, columns, self._lock))
+            self._rows.leave_out(np.isin(self.table.column("detector"), _find_changed(self._description, config)))
             _check_once(self.table, folder)
             self._opened = stack.pop_all()
 
@@ -264,6 +274,22 @@ class RunStore:
         if self._description:
             secrets = dict.fromkeys([*self._description.get("secrets", []), secret])
             self._describe(self._description | {"secrets": list(secrets)})
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """Why detectors have failed, by label; those that have not played all episodes since."""
+        return dict(self._description.get("failures", {}))
+
+    def note_failures(self, failures: Mapping[str, str], complete: Collection[str]) -> None:
+        """Write to ``run.json`` which detectors have failed, so that their rows are never taken for all of theirs.
+
+        Args:
+            failures: of this part of the run, by label.
+            complete: the labels that have played all episodes by now.
+        """
+        known = {label: why for label, why in self.failures.items() if label not in complete} | dict(failures)
+        if self._description and known != self.failures:
+            self._describe(self._description | {"failures": known})
 
     def describe_secret(self) -> dict[str, Any]:
         """The last secret of an isolated run."""
@@ -297,7 +323,7 @@ def load_run(folder: Path) -> tuple[dict[str, Any], RowTable]:
     description = _read_description(folder)
     try:
         with (folder / EPISODES).open(encoding="utf-8", newline="") as file:
-            names = file.readline().rstrip("\n").split(",")
+            names = file.readline().rstrip("\r\n").split(",")
     except FileNotFoundError:
         names = []
     columns = {**COLUMNS, **dict.fromkeys([name for name in names if name not in COLUMNS], "float")}
@@ -331,14 +357,16 @@ def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -
         ArgumentError: the run has other arguments, or was made by another version.
     """
     there: dict[str, Any] = description["config"]
-    identities, joining = (dict(zip(each["detectors"], each["identities"], strict=True)) for each in (there, asked))
+    identities, joining = _read_identities(there), _read_identities(asked)
+    failed = description.get("failures", {})
     different = sorted(
         name for name in there.keys() | asked.keys() if name not in JOINING and there.get(name) != asked.get(name)
     )
     others = [
-        f"in which detector {label!r} {describe_difference(identities[label], identity)}"
+        f"in which detector {label!r} "
+        f"{describe_difference(identities[label], identity).removesuffix(f' of detector {label!r}')}"
         for label, identity in joining.items()
-        if identities.get(label, identity) != identity
+        if identities.get(label, identity) != identity and label not in failed
     ]
     if different == ["code"]:
         others.insert(0, f"with other code of {' and '.join(differing_keys(there.get('code'), asked.get('code')))}")
@@ -359,6 +387,19 @@ def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -
     together = identities | joining
     joined = {"detectors": list(together), "identities": list(together.values()), "episodes": asked["episodes"]}
     return there | joined
+
+
+def _read_identities(config: Mapping[str, Any]) -> dict[str, Any]:
+    """What each detector of a run is, by label."""
+    return dict(zip(config["detectors"], config["identities"], strict=True))
+
+
+def _find_changed(description: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
+    """Labels of detectors that have failed in the run of a folder, and that are others now."""
+    if not description:
+        return []
+    there, now = _read_identities(description["config"]), _read_identities(json.loads(json.dumps(asked)))
+    return [label for label in description.get("failures", {}) if now.get(label, there[label]) != there[label]]
 
 
 def _check_once(table: RowTable, folder: Path) -> None:

@@ -256,6 +256,8 @@ def conclude(summary: Summary) -> str:
 
     Others are not separated from it if their 95 % interval of J overlaps its interval. In recorded tracks it is F1.
     """
+    if not summary:
+        return "No detector has played all episodes."
     first, *others = rank(summary)
     column, objective, sign = _first_metric(summary)
     best = first["metrics"][column]

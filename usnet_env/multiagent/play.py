@@ -13,6 +13,7 @@ import numpy as np
 
 from usnet_env.config import ArgumentError, plain_text, quote, whole_number
 from usnet_env.multiagent.base import RoundRecord, UsnetParallelEnv
+from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.plugins import detector_label
 from usnet_env.provenance import versions
 
@@ -78,6 +79,9 @@ def choose_policies(env: UsnetParallelEnv, policies: Any) -> dict[str, PolicyLik
             )
         if not all(callable(getattr(policy, method, None)) for method in ("reset", "act")):
             raise ArgumentError(f"policies must have the methods reset and act, got {quote(policy)} for {agent}.")
+        if isinstance(policy, DetectorObserver) and agent_role(agent) != "observer":
+            label = detector_label(policy.detector)
+            raise ArgumentError(f"policies must hold no detector for {agent}, which gets no window, got {label}.")
         chosen[agent] = policy
     return chosen
 

@@ -33,6 +33,7 @@ from usnet_env.swarm.field_follow import (
     UnequalDelays,
 )
 from usnet_env.swarm.flock_follow import Couzin, Informed, Predator, Shepherd, Vicsek
+from usnet_env.swarm.results import read_directions
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy
 from usnet_env.swarm.trajectory import TrajectoryBatch
 
@@ -194,13 +195,7 @@ class FollowFunction(FollowStrategy):
 
     def direction(self, inputs: FollowInputs) -> Singles:
         """Call the function and check its result."""
-        direction = np.asarray(self.function(inputs), np.float32)
-        shape = (len(inputs.own_position), 3)
-        if direction.shape != shape:
-            raise ArgumentError(f"follow function must return an array of shape {shape}, got {direction.shape}.")
-        if not np.isfinite(direction).all():
-            raise ArgumentError("follow function must return finite numbers, got NaN or infinity.")
-        return direction
+        return read_directions("follow", self.function(inputs), (len(inputs.own_position), 3))
 
 
 def check_strategy(strategy: Any, subject: str = "strategy") -> FollowStrategy:

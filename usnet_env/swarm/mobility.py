@@ -17,6 +17,7 @@ from usnet_env.config import ArgumentError, plain_text, quote
 from usnet_env.registry import Registry
 from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import ARENA
+from usnet_env.swarm.results import read_directions
 
 __all__ = ["MOBILITIES", "CompiledMobility", "Mobility", "mobilities", "mobility", "register_mobility"]
 
@@ -116,13 +117,7 @@ class MobilityFunction(Mobility):
 
     def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Call the function and check its result."""
-        directions = np.asarray(self.function(rng, position, steps, state), np.float32)
-        shape = (steps, len(position), 3)
-        if directions.shape != shape:
-            raise ArgumentError(f"mobility function must return an array of shape {shape}, got {directions.shape}.")
-        if not np.isfinite(directions).all():
-            raise ArgumentError("mobility function must return finite numbers, got NaN or infinity.")
-        return directions
+        return read_directions("mobility", self.function(rng, position, steps, state), (steps, len(position), 3))
 
 
 def _check_mobility(model: Any, subject: str = "model") -> Mobility:
