@@ -10,7 +10,17 @@ import numpy as np
 from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError, quote, unknown_name
 
-__all__ = ["ROLES", "check_mapping", "choose_columns", "find_marks", "is_movebank", "read_marks"]
+__all__ = [
+    "OPTIONAL",
+    "ROLES",
+    "check_mapping",
+    "check_names",
+    "choose_columns",
+    "find_marks",
+    "is_movebank",
+    "keep_fixed",
+    "read_marks",
+]
 
 #: The roles of columns, with the names that are guessed, the preferred one first.
 ROLES: dict[str, tuple[str, ...]] = {
@@ -34,6 +44,9 @@ ROLES: dict[str, tuple[str, ...]] = {
     "vz": ("vz", "v_z", "vel_z", "velocity_z"),
     "leader": ("leader", "leader_id", "head", "follows"),
 }  # fmt: skip
+#: The roles that tracks can be without.
+OPTIONAL = ("z", "vx", "vy", "vz", "leader")
+_PAIRS = (("x", "y"), ("lon", "lat"))
 _OUTLIERS = ("algorithm_marked_outlier", "import_marked_outlier", "manually_marked_outlier")
 _MOVEBANK = {"individual_local_identifier", "tag_local_identifier", *_OUTLIERS}  # one of these is in each of its files
 _TRUE, _FALSE = {"true", "t", "yes", "1", "1.0"}, {"false", "f", "no", "0", "0.0"}
@@ -41,31 +54,65 @@ _NUMBER_SIGNS = set("0123456789.+-eE \t")
 
 
 def check_mapping(columns: Any) -> dict[str, str]:
-    """Check the argument ``columns``, which maps roles to names of columns.
+    """Check the argument ``columns``, which maps roles to names of columns; ``""`` leaves a role out.
 
     Raises:
-        ArgumentError: it is no mapping of known roles to texts.
+        ArgumentError: it is no mapping of known roles to texts, or gives two roles one column.
     """
     if columns is None:
         return {}
     if not isinstance(columns, Mapping) or not all(isinstance(each, str) for each in columns.values()):
         raise ArgumentError(f"columns must map roles to names of columns, got {quote(columns)}.")
-    for role in columns:
+    role_of: dict[str, str] = {}
+    for role, name in columns.items():
         if role not in ROLES:
             raise unknown_name("columns", role, ROLES)
+        if name and role_of.setdefault(name, role) != role:
+            raise ArgumentError(
+                f"columns must give each role a column of its own, got {quote(name)} for {role_of[name]} and {role}."
+            )
     return dict(columns)
 
 
-def choose_columns(
-    header: Sequence[str], mapping: Mapping[str, str], where: str, needs_id: bool = True
-) -> dict[str, str]:
+def check_names(header: Sequence[str], mapping: Mapping[str, str], where: str) -> dict[str, str]:
+    """The columns that the caller has mapped, by role, without the roles that are left out.
+
+    Raises:
+        ArgumentError: a column is not in the file.
+    """
+    for role, name in mapping.items():
+        if name and name not in header:
+            raise ArgumentError(
+                f"columns must name a column of {where} for {role}, got {quote(name)}; it has {_list(header)}."
+            )
+    return {role: name for role, name in mapping.items() if name}
+
+
+def keep_fixed(names: Mapping[str, str], mapping: Mapping[str, str], where: str) -> dict[str, str]:
+    """The columns of a format in which each has its role, without those that the caller leaves out.
+
+    Args:
+        names: the names of the columns by role.
+        mapping: roles that the caller has given.
+        where: the file, for messages.
+
+    Raises:
+        ArgumentError: the caller gives a role another column, or leaves out a role that the tracks need.
+    """
+    for role, name in mapping.items():
+        if name != names.get(role, "") and (name or role not in OPTIONAL):
+            have = ", ".join(f"{each} = {column}" for each, column in names.items())
+            raise ArgumentError(f"columns must fit those of {where} ({have}), got {quote(name)} for {role}.")
+    return {role: name for role, name in names.items() if mapping.get(role, name)}
+
+
+def choose_columns(header: Sequence[str], mapping: Mapping[str, str], where: str) -> dict[str, str]:
     """Choose the column of each role.
 
     Args:
         header: the names of the columns.
         mapping: roles that the caller has given.
         where: the file, for messages.
-        needs_id: whether the file must have a column of ids.
 
     Returns:
         The name of the column by role. There are either ``x`` and ``y`` or ``lon`` and ``lat``, and ``t`` or ``frame``.
@@ -75,31 +122,21 @@ def choose_columns(
     """
     if header and all(name.strip() and set(name.strip()) <= _NUMBER_SIGNS for name in header):
         raise ArgumentError(f"path must name its columns in row 1, got {where}, whose row 1 is {quote(list(header))}.")
-    found = dict(mapping)
-    for role, name in mapping.items():
-        if name not in header:
-            raise ArgumentError(
-                f"columns must name a column of {where} for {role}, got {quote(name)}; it has {_list(header)}."
-            )
+    given = check_names(header, mapping, where)
+    found = dict(given)
     plain = {_normalise(name): name for name in reversed(header)}
     for role, names in ROLES.items():
         guess = next((plain[name] for name in map(_normalise, names) if name in plain), None)
-        if role not in found and guess is not None and guess not in found.values():
+        if role not in mapping and guess is not None and guess not in found.values():
             found[role] = guess
+    pair = _choose_pair(found, given)
+    unused = {*_PAIRS[0], *_PAIRS[1]} - {*pair}
     if "t" in found and "frame" in found:
-        del found["t" if "frame" in mapping and "t" not in mapping else "frame"]
-    planar, geographic = {"x", "y"} <= found.keys(), {"lon", "lat"} <= found.keys()
-    if planar and geographic:  # a file with both: what the caller has mapped, otherwise degrees, which name their datum
-        dropped = ("lon", "lat") if {"x", "y"} & mapping.keys() else ("x", "y")
-        found = {role: name for role, name in found.items() if role not in dropped}
-    wanted = ["id"] if needs_id else []
-    for role in (*wanted, *(() if planar or geographic else ("x", "y"))):
-        if role not in found:
-            raise _missing(role, where, header)
-    if "t" not in found and "frame" not in found:
-        raise _missing("t", where, header)
-    if not planar or geographic:
-        found = {role: name for role, name in found.items() if role not in ("x", "y")}
+        unused.add("t" if "frame" in given and "t" not in given else "frame")
+    found = {role: name for role, name in found.items() if role not in unused}
+    for role in ("id", *pair, "t"):
+        if role not in found and not (role == "t" and "frame" in found):
+            raise _missing(role, where, header, given)
     for role, name in found.items():
         if header.count(name) > 1:
             raise ArgumentError(
@@ -107,6 +144,14 @@ def choose_columns(
                 f"{role}."
             )
     return found
+
+
+def _choose_pair(found: Mapping[str, str], given: Mapping[str, str]) -> tuple[str, str]:
+    """The coordinates to read: those that the caller has given, or degrees, which name their datum, or x and y."""
+    planar, geographic = _PAIRS
+    if {*planar} & given.keys():
+        return planar
+    return geographic if {*geographic} & given.keys() or {*geographic} <= found.keys() else planar
 
 
 def is_movebank(header: Iterable[str]) -> bool:
@@ -148,6 +193,11 @@ def _list(header: Iterable[str]) -> str:
     return quote(list(header))
 
 
-def _missing(role: str, where: str, header: Sequence[str]) -> ArgumentError:
+def _missing(role: str, where: str, header: Sequence[str], given: Mapping[str, str]) -> ArgumentError:
     takes = "x and y, or lon and lat" if role in ("x", "y") else "t or frame" if role == "t" else role
-    return ArgumentError(f"columns must name the column {role} of {where} ({takes}), which is none of {_list(header)}.")
+    free = [name for name in header if name not in given.values()]
+    why = f", because {', '.join(f'{quote(name)} is given to {each}' for each, name in given.items())}"
+    return ArgumentError(
+        f"columns must name the column {role} of {where} ({takes}), which is none of {_list(free)}"
+        f"{why if len(free) < len(header) else ''}."
+    )
