@@ -14,12 +14,13 @@ from typing import IO, Any
 
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["expanded_limit", "is_zip", "open_expanded", "read_lines"]
+__all__ = ["expanded_limit", "find_suffix", "is_zip", "open_expanded", "read_lines"]
 
 SMALL_BYTES, LARGEST_RATIO = 2**28, 20  # without max_bytes: 256 MiB, or this multiple of the file's size
 _LONGEST_ROW = 2**20  # bytes
 _GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
 _TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".gpx")
+_DAMAGES = (EOFError, zlib.error, gzip.BadGzipFile, zipfile.BadZipFile, NotImplementedError, RuntimeError)
 _WIDE = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}
 
 
@@ -75,21 +76,48 @@ def open_expanded(path: Path, max_bytes: int | None) -> Iterator[IO[bytes]]:
                     yield io.BufferedReader(_Limited(expanded, path, most), 2**16)
             elif magic == _ZIP:
                 with zipfile.ZipFile(file) as archive:
-                    members = [each for each in archive.namelist() if each.lower().endswith(_TEXT_SUFFIXES)]
-                    if len(members) != 1:
-                        raise ArgumentError(
-                            f"path must be a zip archive with one file of {', '.join(_TEXT_SUFFIXES)}, got "
-                            f"{quote(str(path))} with {quote(archive.namelist())}."
-                        )
-                    if archive.getinfo(members[0]).file_size > most:  # if this number is wrong, _Limited notices
+                    member = _find_member(archive, path)
+                    if archive.getinfo(member).file_size > most:  # if this number is wrong, _Limited notices
                         raise _too_large(path, most)
-                    with archive.open(members[0]) as expanded:
+                    with archive.open(member) as expanded:
                         yield io.BufferedReader(_Limited(expanded, path, most), 2**16)
             else:
                 yield file
-    except (EOFError, zlib.error, gzip.BadGzipFile, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
-        why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise ArgumentError(f"path must be an intact file, got {quote(str(path))}, not readable: {why}.") from None
+    except _DAMAGES as error:
+        raise _damaged(path, error) from None
+
+
+def find_suffix(path: Path) -> str:
+    """The suffix of a file, or of the text file in a gzip or zip archive, in small letters.
+
+    Raises:
+        ArgumentError: the zip archive is damaged, or holds no text file or several.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".zip" and is_zip(path):
+        try:
+            with zipfile.ZipFile(path) as archive:
+                return Path(_find_member(archive, path)).suffix.lower()
+        except _DAMAGES as error:
+            raise _damaged(path, error) from None
+    return Path(path.stem).suffix.lower() if suffix == ".gz" else suffix
+
+
+def _find_member(archive: zipfile.ZipFile, path: Path) -> str:
+    """The one text file in a zip archive; the copies that a Mac adds, which hold no text, are left out."""
+    names = [each for each in archive.namelist() if each.lower().endswith(_TEXT_SUFFIXES)]
+    texts = [each for each in names if not each.startswith("__MACOSX/")]
+    if len(texts) != 1:
+        raise ArgumentError(
+            f"path must be a zip archive with one file of {', '.join(_TEXT_SUFFIXES)}, got {quote(str(path))} with "
+            f"{quote(archive.namelist())}."
+        )
+    return texts[0]
+
+
+def _damaged(path: Path, error: Exception) -> ArgumentError:
+    why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+    return ArgumentError(f"path must be an intact file, got {quote(str(path))}, not readable: {why}.")
 
 
 def read_lines(file: IO[bytes], path: Path, encoding: str) -> Iterator[str]:
