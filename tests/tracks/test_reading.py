@@ -193,6 +193,12 @@ def test_ulog_files_are_one_track_each(tmp_path):
     place = read.position + read.origin
     np.testing.assert_allclose(place[:4], [[2, k, 10 + k] for k in range(4)], atol=1e-5)
     np.testing.assert_allclose(place[4:, 1], np.arange(4) + 50, atol=1e-5)
+    (tmp_path / "later").mkdir()
+    same = [tmp_path / "first.ulg", write_ulog(tmp_path / "later" / "first.ulg", 80.0)]
+    folder = tmp_path.name
+    assert read_tracks(same).ids == (f"first ({folder}/first.ulg)", "first (later/first.ulg)")
+    assert read_tracks(same, columns={"z": ""}).dimensions == 2
+    assert "columns must fit those of" in refusal(same, columns={"x": "north"})
     assert "at least 2 ids" in refusal(tmp_path / "first.ulg")
     (tmp_path / "cut.ulg").write_bytes(b"ULog")
     assert "intact ULog" in refusal(tmp_path / "cut.ulg")

@@ -1,24 +1,24 @@
-"""Read blocks of rows from CSV, Parquet, NPZ, GPX and ULog files; every format gives the same roles."""
+"""Read blocks of rows from CSV, Parquet and ULog files; every format gives the same roles."""
 
 from __future__ import annotations
 
 import csv
 import os
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, how_to_install, quote
-from usnet_env.tracks.columns import choose_columns, find_marks, is_movebank
+from usnet_env.tracks.columns import choose_columns, find_marks, is_movebank, keep_fixed
+from usnet_env.tracks.labels import Labels, to_text
 from usnet_env.tracks.opening import expanded_limit, open_expanded, read_lines
 
-__all__ = ["Block", "ReadOptions", "missing_package", "read_csv", "read_npz", "read_parquet", "read_ulog"]
+__all__ = ["Block", "ReadOptions", "damaged_file", "missing_package", "read_csv", "read_parquet", "read_ulog"]
 
 _ROWS = 50_000  # rows of a block: some megabytes
 _DELIMITERS = ",;\t|"
@@ -29,7 +29,7 @@ class ReadOptions:
     """What the caller of ``read_tracks`` has chosen.
 
     Args:
-        columns: names of columns by role.
+        columns: names of columns by role; ``""`` leaves one out.
         encoding: of text files.
         max_bytes: the most bytes that a compressed file may expand to, or ``None``.
     """
@@ -44,17 +44,28 @@ class Block:
     """Some rows of a file.
 
     Args:
-        values: the values by role, as texts or as an array, and by the names of Movebank's marks of outliers; a file
-            without ids has no ``"id"``.
+        values: the values by role, ``(rows,)`` each, and by the names of Movebank's marks of outliers.
         names: the name of the column by role, for messages.
-        first_row: number of the first row in the file; that of the column names is 1.
+        rows: ``(rows,)`` int64, the number of each row in the file; that of the column names is 1.
+        unit: what is numbered, for messages.
         movebank: whether the file has the columns of Movebank.
+        own_ids: whether an id means nothing in another file, as the name of a track in a GPX file.
     """
 
-    values: Mapping[str, Sequence[Any] | NDArray[Any]]
+    values: Mapping[str, Labels | Sequence[Any] | NDArray[Any]]
     names: Mapping[str, str]
-    first_row: int
+    rows: Indices
+    unit: str = "row"
     movebank: bool = False
+    own_ids: bool = False
+
+    def take(self, rows: Indices) -> Block:
+        """Only some of the rows, which are counted from 0."""
+        values = {
+            role: each[rows] if isinstance(each, np.ndarray | Labels) else [each[k] for k in rows.tolist()]
+            for role, each in self.values.items()
+        }
+        return replace(self, values=values, rows=self.rows[rows])
 
 
 def missing_package(what: str, package: str) -> ArgumentError:
@@ -64,7 +75,8 @@ def missing_package(what: str, package: str) -> ArgumentError:
     )
 
 
-def _damaged(path: Path, kind: str, error: Exception) -> ArgumentError:
+def damaged_file(path: Path, kind: str, error: Exception) -> ArgumentError:
+    """The error for a file that its package can't read."""
     why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
     return ArgumentError(f"path must be an intact {kind} file, got {quote(os.fspath(path))}, not readable: {why}.")
 
@@ -86,29 +98,41 @@ def read_csv(path: Path, options: ReadOptions) -> Iterator[Block]:
         found = choose_columns(header, options.columns, where)
         places = {role: header.index(name) for role, name in (found | find_marks(header)).items()}
         movebank = is_movebank(header)
-        rows = csv.reader(lines, delimiter=delimiter)
-        row = 2
+        reader = csv.reader(lines, delimiter=delimiter)
         try:
-            while block := list(islice(rows, _ROWS)):
-                count = len(block)
-                if any(len(cells) != len(header) for cells in block):
-                    block = _check_lengths(block, len(header), where, row)
-                yield Block({role: [cells[k] for cells in block] for role, k in places.items()}, found, row, movebank)
-                row += count
+            while (block := _read_rows(reader, len(header), where))[0]:
+                rows, numbers = block
+                values = {role: [cells[k] for cells in rows] for role, k in places.items()}
+                yield Block(values, found, np.array(numbers, np.int64), movebank=movebank)
         except csv.Error as error:
             raise ArgumentError(
-                f"path must be an intact CSV file, got {where}, not readable after row {row}: {error}."
+                f"path must be an intact CSV file, got {where}, not readable after row {reader.line_num + 1}: {error}."
             ) from None
 
 
-def _check_lengths(block: list[list[str]], cells: int, where: str, row: int) -> list[list[str]]:
-    """Leave out empty rows, and refuse others that don't have ``cells`` cells."""
-    for number, each in enumerate(block, start=row):
-        if each and len(each) != cells:
+def _read_rows(reader: Any, cells: int, where: str) -> tuple[list[list[str]], list[int]]:
+    """The next rows of a ``csv.reader`` after the column names, and the number of the line in which each begins.
+
+    Empty rows are left out. At the end of the file, there are no more rows.
+
+    Raises:
+        ArgumentError: a row has another number of cells than the column names have.
+    """
+    rows: list[list[str]] = []
+    numbers: list[int] = []
+    line = reader.line_num + 2
+    for row in reader:
+        if len(row) == cells:
+            rows.append(row)
+            numbers.append(line)
+            if len(rows) == _ROWS:
+                break
+        elif row:
             raise ArgumentError(
-                f"path must have {cells} cells in every row, as in row 1, got {where} with {len(each)} in row {number}."
+                f"path must have {cells} cells in every row, as in row 1, got {where} with {len(row)} in row {line}."
             )
-    return [each for each in block if each]
+        line = reader.line_num + 2
+    return rows, numbers
 
 
 def read_parquet(path: Path, options: ReadOptions) -> Iterator[Block]:
@@ -122,34 +146,79 @@ def read_parquet(path: Path, options: ReadOptions) -> Iterator[Block]:
         import pyarrow.parquet
     except ImportError:
         raise missing_package("Parquet", "pyarrow") from None
+    where = quote(os.fspath(path))
     try:
-        file = pyarrow.parquet.ParquetFile(path)
+        with pyarrow.parquet.ParquetFile(path) as file:
+            metadata, schema = file.metadata, file.schema_arrow
     except (pyarrow.ArrowException, OSError) as error:
-        raise _damaged(path, "Parquet", error) from None
-    with file:
-        header = file.schema_arrow.names
-        found = choose_columns(header, options.columns, quote(os.fspath(path)))
-        read, movebank = found | find_marks(header), is_movebank(header)
-        most, needed = expanded_limit(path, options.max_bytes), 8 * file.metadata.num_rows * len(read)
-        if needed > most:
+        raise damaged_file(path, "Parquet", error) from None
+    found = choose_columns(schema.names, options.columns, where)
+    read, movebank = found | find_marks(schema.names), is_movebank(schema.names)
+    names = list(dict.fromkeys(read.values()))
+    texts = [name for name in names if _is_text(schema.field(name).type)]
+    for role, name in read.items():
+        if pyarrow.types.is_nested(schema.field(name).type):
+            kind = schema.field(name).type
             raise ArgumentError(
-                f"max_bytes must be at least the {needed} bytes that {quote(os.fspath(path))} expands to, got {most}."
+                f"{role} must be a number or text in every row of {where}, got {kind} in {quote(name)}."
             )
-        row = 2
-        try:
-            for batch in file.iter_batches(_ROWS, columns=list(dict.fromkeys(read.values()))):
+    needed, most = _count_bytes(metadata, schema, names), expanded_limit(path, options.max_bytes)
+    if needed > most:
+        raise ArgumentError(f"max_bytes must be at least the {needed} bytes that {where} expands to, got {most}.")
+    try:
+        # Texts are read as dictionaries: a long one that stands in every row is held once.
+        with pyarrow.parquet.ParquetFile(path, metadata=metadata, read_dictionary=texts) as file:
+            row = 2
+            for batch in file.iter_batches(_ROWS, columns=names):
                 values = {role: _from_arrow(batch.column(name)) for role, name in read.items()}
-                yield Block(values, found, row, movebank)
+                yield Block(values, found, np.arange(row, row + batch.num_rows), movebank=movebank)
                 row += batch.num_rows
-        except (pyarrow.ArrowException, OSError) as error:
-            raise _damaged(path, "Parquet", error) from None
+    except (pyarrow.ArrowException, OSError) as error:
+        raise damaged_file(path, "Parquet", error) from None
+
+
+def _is_text(kind: Any) -> bool:
+    """Whether cells of an Arrow type are texts or bytes of any length."""
+    import pyarrow
+
+    types = pyarrow.types
+    return any(
+        check(kind)
+        for check in (
+            types.is_string,
+            types.is_large_string,
+            types.is_string_view,
+            types.is_binary,
+            types.is_large_binary,
+            types.is_binary_view,
+        )
+    )
+
+
+def _count_bytes(metadata: Any, schema: Any, names: Sequence[str]) -> int:
+    """The bytes that some columns of a Parquet file expand to: 8 or more for each cell, or their pages."""
+
+    def width(kind: Any) -> int:
+        try:
+            return max(8, kind.bit_width // 8)
+        except ValueError:  # of any length: the number of a text, which stands once in the pages
+            return 8
+
+    cells = metadata.num_rows * sum(width(schema.field(name).type) for name in names)
+    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+    pages = [group.column(k) for group in groups for k in range(group.num_columns)]
+    return max(cells, sum(each.total_uncompressed_size for each in pages if each.path_in_schema in names))
 
 
 def _from_arrow(column: Any) -> Any:
-    """A column as an array of numbers or times (missing values NaN or NaT), or as a list of texts and whole numbers."""
+    """A column as an array of numbers or times (missing values NaN or NaT), as labels, or as a list of other values."""
     import pyarrow
 
     kind = column.type
+    if pyarrow.types.is_dictionary(kind) and _is_text(kind.value_type):
+        used, index = np.unique(column.indices.fill_null(-1).to_numpy(zero_copy_only=False), return_inverse=True)
+        names = column.dictionary.take(pyarrow.array(used, mask=used < 0)).to_pylist()
+        return Labels(index.astype(np.int64), ["" if each is None else to_text(each) for each in names])
     if pyarrow.types.is_dictionary(kind):
         column = column.dictionary_decode()
         kind = column.type
@@ -159,66 +228,7 @@ def _from_arrow(column: Any) -> Any:
         )
     if pyarrow.types.is_floating(kind) or (pyarrow.types.is_integer(kind) and not column.null_count):
         return column.to_numpy(zero_copy_only=False)
-    return ["" if each is None else each for each in column.to_pylist()]
-
-
-def read_npz(path: Path, options: ReadOptions) -> Iterator[Block]:
-    """Read an NPZ file: 1-D arrays of one length by role, or ``position`` ``(T, N, 2 or 3)``.
-
-    With ``position`` there may be ``t`` ``(T,)`` (otherwise the numbers of the instants count), ``id`` ``(N,)`` and
-    ``seen`` ``(T, N)``; NaN is unseen as well.
-
-    Raises:
-        ArgumentError: the file is damaged, needs too much memory, lacks an array, or shapes differ.
-    """
-    where = quote(os.fspath(path))
-    try:
-        with zipfile.ZipFile(path) as archive:
-            needed, most = sum(each.file_size for each in archive.infolist()), expanded_limit(path, options.max_bytes)
-        if needed > most:
-            raise ArgumentError(f"max_bytes must be at least the {needed} bytes that {where} expands to, got {most}.")
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except ArgumentError:
-        raise
-    except Exception as error:  # a damaged header makes NumPy raise whatever Python's own tokenizer raises
-        raise _damaged(path, "NPZ", error) from None
-    if "position" in arrays and arrays["position"].ndim == 3:
-        yield _unfold(arrays, where)
-        return
-    found = choose_columns(list(arrays), options.columns, where)
-    read = found | find_marks(list(arrays))
-    lengths = {name: arrays[name].shape for name in read.values()}
-    if any(len(shape) != 1 or shape != lengths[found["id"]] for shape in lengths.values()):
-        raise ArgumentError(f"path must hold 1-D arrays of one length, got {where} with the shapes {quote(lengths)}.")
-    yield Block({role: _plain(arrays[name]) for role, name in read.items()}, found, 2, is_movebank(list(arrays)))
-
-
-def _plain(array: NDArray[Any]) -> Any:
-    return array if array.dtype.kind in "fiuM" else array.tolist()
-
-
-def _unfold(arrays: Mapping[str, NDArray[Any]], where: str) -> Block:
-    """The rows of ``position`` ``(T, N, 2 or 3)``, id by id."""
-    position = arrays["position"]
-    instants, uavs, axes = position.shape
-    time, ids = arrays.get("t", arrays.get("time")), arrays.get("id", arrays.get("ids"))
-    shapes = {"t": (time, (instants,)), "id": (ids, (uavs,)), "seen": (arrays.get("seen"), (instants, uavs))}
-    for name, (array, shape) in shapes.items():
-        if array is not None and array.shape != shape:
-            raise ArgumentError(f"{name} must have shape {shape} in {where}, got {array.shape}.")
-    if axes not in (2, 3) or position.dtype.kind not in "fiu":
-        raise ArgumentError(
-            f"position must have shape (any, any, 2 or 3) and hold numbers in {where}, got {quote(position)}."
-        )
-    seen = np.isfinite(position).all(axis=2) & (True if arrays.get("seen") is None else arrays["seen"].astype(bool))
-    when, who = np.nonzero(seen.T)[::-1]
-    values: dict[str, Any] = {
-        "id": [(_plain(ids)[i] if ids is not None else int(i)) for i in who],
-        "t" if time is not None else "frame": when if time is None else time[when],
-        **{axis: position[when, who, k] for k, axis in enumerate("xyz"[:axes])},
-    }
-    return Block(values, {role: role for role in values}, 2)
+    return ["" if each is None else to_text(each) for each in column.to_pylist()]
 
 
 def read_ulog(path: Path, options: ReadOptions) -> Iterator[Block]:
@@ -246,7 +256,7 @@ def read_ulog(path: Path, options: ReadOptions) -> Iterator[Block]:
         with path.open("rb") as file:
             log = pyulog.ULog(file, list(topics))
     except Exception as error:  # pyulog raises many kinds for damaged files
-        raise _damaged(path, "ULog", error) from None
+        raise damaged_file(path, "ULog", error) from None
     found = {each.name: each.data for each in reversed(log.data_list)}
     topic = next((name for name in topics if name in found), None)
     if topic is None:
@@ -256,4 +266,9 @@ def read_ulog(path: Path, options: ReadOptions) -> Iterator[Block]:
     for role in {"z", "vz"} & values.keys() if topic == "vehicle_local_position" else ():
         values[role] = -values[role]
     values["t"] = np.asarray(data["timestamp"], np.float64) / 1e6
-    yield Block(values, {role: f"{topic}.{names.get(role, 'timestamp')}" for role in values}, 2)
+    rows = len(values["t"])
+    values["id"] = Labels(np.zeros(rows, np.int64), [path.stem])
+    own = {role: f"{topic}.{names.get(role, 'timestamp')}" for role in values} | {"id": "name of the file"}
+    found = keep_fixed(own, options.columns, quote(os.fspath(path)))
+    values = {role: values[role] for role in found}
+    yield Block(values, found, np.arange(1, rows + 1), "sample", own_ids=True)

@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
+import numpy as np
+
 from usnet_env.config import ArgumentError, quote
+from usnet_env.tracks.columns import keep_fixed
 from usnet_env.tracks.formats import Block, ReadOptions
 from usnet_env.tracks.opening import open_expanded
 
@@ -41,7 +44,7 @@ class _Points:
             self._tracks += 1
             self._name = ""
         elif kind == "trkpt":
-            self._point = {"lon": attributes.get("lon", ""), "lat": attributes.get("lat", ""), "z": "0", "t": ""}
+            self._point = {"lon": attributes.get("lon", ""), "lat": attributes.get("lat", ""), "z": "", "t": ""}
 
     def text(self, part: str) -> None:
         if sum(map(len, self._text)) < _LONGEST_TEXT:
@@ -83,4 +86,6 @@ def read_gpx(path: Path, options: ReadOptions) -> Iterator[Block]:
     if not points.values["id"]:
         raise ArgumentError(f"path must be a GPX file with track points, got {quote(os.fspath(path))} without any.")
     names = {"id": "name", "lon": "lon", "lat": "lat", "z": "ele", "t": "time"}
-    yield Block(points.values, names, 1)
+    found = keep_fixed(names, options.columns, quote(os.fspath(path)))
+    values = {role: points.values[role] for role in found}
+    yield Block(values, found, np.arange(1, len(values["id"]) + 1), "point", own_ids=True)

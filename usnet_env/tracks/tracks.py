@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from typing import Any
@@ -65,7 +65,7 @@ class Tracks:
         velocity: ``(S, 3)`` float64, the velocities in the file, or ``None``. They are compared with the positions in
             :meth:`report` and are not used for anything else.
         leader: ``(S,)`` int64, index of the id that each id follows at that time (-1: none), or ``None`` if the file
-            has no column of leaders.
+            has no column of leaders, or if none of the leaders in it has a track.
         clock: how seconds are written as times of the file.
         frame: what the positions are, in words.
         notes: what the reader decided or found, a sentence each.
@@ -259,6 +259,10 @@ def _read_ids(name: str, value: Any, samples: int) -> list[str | int]:
     return plain
 
 
+def _name_samples(one: int, other: int) -> str:
+    return f"samples {min(one, other)} and {max(one, other)}"
+
+
 def assemble(
     ids: tuple[str | int, ...],
     codes: NDArray[np.integer[Any]],
@@ -270,6 +274,7 @@ def assemble(
     frame: str,
     notes: tuple[str, ...],
     origin: Floats | None = None,
+    name_places: Callable[[int, int], str] = _name_samples,
 ) -> Tracks:
     """Sort samples by id and time, and move the origin of time and space to the first sample and the middle.
 
@@ -285,6 +290,7 @@ def assemble(
         frame: what the positions are, in words.
         notes: what the reader found.
         origin: ``(3,)`` coordinates of the origin, if the positions are already relative to it.
+        name_places: names where two samples stand, which are counted in the order of the file.
 
     Raises:
         ArgumentError: two samples of an id have one time and different places; the sentence names their rows.
@@ -310,11 +316,10 @@ def assemble(
         differ = (places[doubled] != places[doubled + 1]).any(axis=1)
         if differ.any():
             k = int(doubled[np.flatnonzero(differ)[0]])
-            one, other = sorted((int(rows[k]) + 2, int(rows[k + 1]) + 2))
             moment = clock.file_time(float(time[k]))
             raise ArgumentError(
                 f"time must differ between the samples of an id, got {quote(moment)} with two places for id "
-                f"{quote(ids[int(codes[k])])} in rows {one} and {other}."
+                f"{quote(ids[int(codes[k])])} in {name_places(int(rows[k]), int(rows[k + 1]))}."
             )
         notes = (
             *notes,

@@ -1,0 +1,117 @@
+"""Ids and leaders of files: one type over all files, numbers that pandas has changed, and tracks of one name."""
+
+import numpy as np
+import pytest
+from track_files import HEADER, rows_of, straight, write_csv
+
+from usnet_env import ArgumentError, evaluate
+from usnet_env.tracks import read_tracks
+
+pyarrow = pytest.importorskip("pyarrow")
+parquet = pytest.importorskip("pyarrow.parquet")
+ROWS = rows_of(straight())
+
+
+def write_parquet(path, **columns):
+    values = {name: [row[k] for row in ROWS] for k, name in enumerate(HEADER)} | columns
+    parquet.write_table(pyarrow.table(values), path)
+    return path
+
+
+def number(rows, of="abc"):
+    return [of.index(row[0]) for row in rows]
+
+
+def led(tracks):
+    """The leader of each id at its first sample, as indices."""
+    return tracks.leader[tracks.offsets[:-1]].tolist()
+
+
+@pytest.mark.parametrize(
+    ("ids", "leaders"),
+    [
+        (["0", "1", "2"], ["", "0.0", "0.0"]),
+        (["0.0", "1.0", "2.0"], ["", "0", "0"]),
+        (["007", "8", "9"], ["", "7", "7.00"]),
+        (["1", "1.0", "9"], ["", "1", "1"]),
+    ],
+)
+def test_leaders_are_the_same_text_or_an_equal_number(tmp_path, ids, leaders):
+    rows = [[ids[k], *row[1:], leaders[k]] for k, row in zip(number(ROWS), ROWS, strict=True)]
+    assert led(read_tracks(write_csv(tmp_path / "tracks.csv", rows, [*HEADER, "leader"]))) == [-1, 0, 0]
+
+
+@pytest.mark.parametrize("kind", ["int64", "string", "double"])
+@pytest.mark.parametrize("leader", ["int64", "string", "double"])
+def test_leaders_of_parquet_may_have_another_type(tmp_path, kind, leader):
+    ids = pyarrow.array(number(ROWS)).cast(kind)
+    leaders = pyarrow.array([0 if k else None for k in number(ROWS)]).cast(leader)
+    assert led(read_tracks(write_parquet(tmp_path / "tracks.parquet", id=ids, leader=leaders))) == [-1, 0, 0]
+
+
+def test_a_number_that_equals_two_ids_is_none_of_them(tmp_path):
+    ids = ["01", "1", "b"]
+    rows = [[ids[k], *row[1:], "1.0" if k == 2 else "b"] for k, row in zip(number(ROWS), ROWS, strict=True)]
+    assert led(read_tracks(write_csv(tmp_path / "tracks.csv", rows, [*HEADER, "leader"]))) == [2, 2, -1]
+
+
+def test_leaders_of_which_none_has_a_track_are_not_scored(tmp_path):
+    rows = [[*row, "A" if row[0] != "a" else ""] for row in rows_of(straight(steps=60))]
+    path = write_csv(tmp_path / "tracks.csv", rows, [*HEADER, "leader"])
+    read = read_tracks(path)
+    assert read.leader is None
+    assert "Leaders without a track: 1 (A)." in read.notes
+    assert "No leader in column leader has a track: it is not known who leads." in read.notes
+    with pytest.raises(ArgumentError, match=r"^env must know the leaders"):
+        evaluate("USNET/Tracks-v0", "none", episodes=1, env_kwargs={"path": str(path), "window": 10})
+
+
+def test_ids_of_files_with_several_types_are_texts(run, tmp_path):
+    numbers = write_parquet(tmp_path / "numbers.parquet", id=number(ROWS))
+    assert read_tracks(numbers).ids == (0, 1, 2)
+    later = [[str(k), row[1] + 10, *row[2:]] for k, row in zip(number(ROWS), ROWS, strict=True)]
+    texts = write_csv(tmp_path / "texts.csv", [*later, ["x", 0, 1, 2], ["x", 1, 2, 3]])
+    assert read_tracks([numbers, texts]).ids == ("0", "1", "2", "x")
+    halves = write_parquet(tmp_path / "halves.parquet", id=[k + 0.5 * (k == 1) for k in number(ROWS)])
+    assert read_tracks(halves).ids == ("0", "1.5", "2")
+    words = ("--detector", "lagged-correlation", "--window", "5", "--out", tmp_path / "out")
+    assert run("detect", numbers, texts, *words)[0] == 0
+    assert (tmp_path / "out" / "windows.parquet").exists()
+
+
+@pytest.mark.parametrize(
+    ("ids", "expected"),
+    [([3, 4, 5], (3, 4, 5)), ([b"a", b"b", b"c"], ("a", "b", "c")), ([0.0, 1.0, 2.0], (0, 1, 2))],
+)
+def test_ids_of_npz_and_parquet_keep_their_types(tmp_path, ids, expected):
+    np.savez(tmp_path / "dense.npz", position=straight()[..., :2], id=np.array(ids))
+    assert read_tracks(tmp_path / "dense.npz").ids == expected
+    each = [ids[k] for k in number(ROWS)]
+    np.savez(tmp_path / "long.npz", **{n: np.array([r[k] for r in ROWS]) for k, n in enumerate(HEADER)} | {"id": each})
+    assert read_tracks(tmp_path / "long.npz").ids == expected
+    assert read_tracks(write_parquet(tmp_path / "tracks.parquet", id=each)).ids == expected
+
+
+def write_gpx(path, north, *names):
+    points = "".join(
+        f'<trkpt lat="{50 + north * 1e-4}" lon="{10 + 1e-5 * k}"><time>2024-05-01T00:00:0{k}Z</time></trkpt>'
+        for k in range(4)
+    )
+    tracks = [f"<trk>{f'<name>{name}</name>' if name else ''}<trkseg>{points}</trkseg></trk>" for name in names]
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"<gpx>{''.join(tracks)}</gpx>")
+    return path
+
+
+def test_tracks_of_one_name_in_several_gpx_files_are_several_ids(tmp_path):
+    logs = [write_gpx(tmp_path / f"log{k}.gpx", k, "ACTIVE LOG", *["Rex"][:k]) for k in range(2)]
+    assert read_tracks(logs).ids == ("ACTIVE LOG (log0.gpx)", "ACTIVE LOG (log1.gpx)", "Rex")
+    folders = [write_gpx(tmp_path / str(k) / "track.gpx", k, "") for k in range(2)]
+    assert read_tracks(folders).ids == ("track-1 (0/track.gpx)", "track-1 (1/track.gpx)")
+    assert read_tracks([logs[1], logs[1]]).ids == ("ACTIVE LOG", "Rex")
+
+
+def test_a_csv_file_continues_the_tracks_of_another(tmp_path):
+    parts = [write_csv(tmp_path / f"{k}.csv", ROWS[30 * k : 30 * k + 30]) for k in range(2)]
+    read = read_tracks(parts)
+    assert (read.ids, read.samples) == (("a", "b", "c"), 60)
