@@ -44,8 +44,8 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
     A file of recorded tracks is resampled and cut into windows. An episode is one window and has one round: the agent
     names its candidates for the heads, and nothing that it names changes the recording. The truth is the file's column
     `leader`, the id that each id follows directly; an id follows the one that it has in most samples of the window. A
-    head leads at least one other id and follows none. Without such a column the truth is unknown: the environment can
-    be played, but `evaluate` refuses it.
+    head leads at least one other id and follows none. Without such a column, or if none of the leaders in it has a
+    track, the truth is unknown: the environment can be played, but `evaluate` refuses it.
 
     ## Action Space
     `MultiBinary(N)`, N = the ids of the file: 1 for every candidate.
@@ -141,7 +141,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     @property
     def labelled(self) -> bool:
-        """Whether the file says who leads, so that answers can be scored."""
+        """Whether the file says which ids lead, so that answers can be scored."""
         return self.tracks.leader is not None
 
     @property
