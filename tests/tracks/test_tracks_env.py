@@ -78,7 +78,7 @@ def test_tracks_without_leaders_can_be_played_but_not_scored(tmp_path):
     env = make(str(tmp_path / "plain.csv"))
     env.reset()
     assert env.step(np.zeros(14, np.int8))[2]
-    with pytest.raises(ArgumentError, match=r"^env must know the leaders .* without a column 'leader'\.$"):
+    with pytest.raises(ArgumentError, match=r"^env must know .* without a column 'leader' that names their ids\.$"):
         evaluate("USNET/Tracks-v0", "none", episodes=1, env_kwargs={"path": str(tmp_path / "plain.csv")})
 
 

@@ -98,7 +98,13 @@ def _rename_arguments(sentence: str) -> str:
 @click.option("--step", type=PositiveNumber(), help="Seconds of a step.  [default: chosen from the tracks]")
 @click.option("--max-gap", type=PositiveNumber(), help="Longest gap in seconds that is interpolated.")
 @click.option("--keep-spikes", is_flag=True, help="Keep single samples off the track, to which it jumps and back.")
-@click.option("--column", "columns", multiple=True, metavar="ROLE=NAME", help="Name of a column. May be repeated.")
+@click.option(
+    "--column",
+    "columns",
+    multiple=True,
+    metavar="ROLE=NAME",
+    help="Name of a column; without NAME, the role is left out. May be repeated.",
+)
 @click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: 1]")
 @click.option("--skip-missing", is_flag=True, help="Skip rows without a time, place or id.")
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
@@ -227,7 +233,7 @@ def _parse_columns(words: Sequence[str]) -> dict[str, str]:
     mapping: dict[str, str] = {}
     for word in words:
         role, equals, name = word.partition("=")
-        if not equals or not name or role in mapping:
+        if not equals or role in mapping:
             raise ArgumentError(f"--column must be written role=name, with each role once, got {quote(word)}.")
         mapping[role.strip()] = name
     return mapping
@@ -328,8 +334,8 @@ def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Map], even: Tra
     """Write the tables, the JSON and the picture; a file whose extra is not installed is left out with a message."""
     from usnet_env.drawing import MissingExtraError, write_figure
     from usnet_env.files import atomic_write
+    from usnet_env.tracks.leader_tables import write_tables
     from usnet_env.tracks.picture import draw_leaders
-    from usnet_env.tracks.tables import write_tables
 
     write_tables(found, folder, even.ids)
     with atomic_write(folder / "leaders.json") as aside:

@@ -111,7 +111,10 @@ def evaluate(
         else:
             environment = _check_environment(env, arguments, place)
         if not getattr(environment.unwrapped, "labelled", True):
-            raise ArgumentError("env must know the leaders to score detectors, got tracks without a column 'leader'.")
+            raise ArgumentError(
+                "env must know the leaders to score detectors, got tracks without a column 'leader' that names their "
+                "ids."
+            )
         config = _make_config(environment, arguments, detectors, run)
         worker = Worker(str(env), arguments, detectors, isolation, environment)
         more = dict.fromkeys(TRACK_METRICS if hasattr(environment.unwrapped, "score_answer") else (), "float | None")
