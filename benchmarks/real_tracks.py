@@ -38,6 +38,7 @@ DETECTORS = (
     "factions",
     "follow-mixture",
     "follow-mixture(policy='map')",
+    "follow-mixture(policy='map', least_share=0.2)",
     "learned",
     "learned(policy='map')",
 )

@@ -29,8 +29,8 @@ from running import play_games
 from detectors.follow_mixture import FollowMixture, delays, detector, evidence, fit, motion, pooling
 from detectors.follow_mixture.features import LEVELS
 from detectors.follow_mixture.motion import lagged
-from detectors.follow_mixture.train import CalibrationTraining, draw_window
-from detectors.random_swarms import draw_calibration_swarm
+from detectors.follow_mixture.train import CalibrationTraining
+from detectors.random_swarms import draw_calibration_swarm, draw_calibration_window
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.evaluation import load_suite
@@ -169,7 +169,7 @@ def draw_game(tier: str, name: str, number: int, random: int, seed: int) -> Game
     """The first window of one game of a cell, or of a random swarm."""
     if tier in ("random", "drift"):
         rng = np.random.default_rng((seed, number))
-        window, head = draw_window(draw_swarm(rng), rng)
+        window, head = draw_calibration_window(draw_swarm(rng), rng)
         if tier == "drift":
             flown = np.arange(len(window.position), dtype=np.float32)[:, None, None] * WIND
             window = replace(window, position=window.position + flown, velocity=window.velocity + WIND)

@@ -39,7 +39,7 @@ class Hierarchy:
     relays: Floats
 
 
-def compare_delays(velocity: Floats, past: Floats, longest: int) -> tuple[Floats, Floats]:
+def compare_delays(velocity: Floats, past: Floats, longest: int, least: float = 0.0) -> tuple[Floats, Floats]:
     """Compare all ordered pairs of k tracks: track i follows track j with a law of its own.
 
     The law has the last L velocities, or a single one of up to ``longest`` steps ago. Two UAVs that turn alike by
@@ -50,6 +50,7 @@ def compare_delays(velocity: Floats, past: Floats, longest: int) -> tuple[Floats
         velocity: ``(k, T, a)``.
         past: ``(k, T - L, L, a)``.
         longest: the longest delay in samples; a quarter of the steps at most.
+        least: the least share of a UAV's innovations that its leader explains, if it is more than a third.
 
     Returns:
         ``(k, k)`` log-odds that i follows j, -inf on the diagonal; ``(k, k)`` the evidence.
@@ -58,9 +59,8 @@ def compare_delays(velocity: Floats, past: Floats, longest: int) -> tuple[Floats
     longest = max(lags, min(longest, velocity.shape[1] // 4))
 
     def ask(candidates: Floats, lags: int, classes: tuple[str, ...]) -> Floats:
-        alone = make_targets(velocity, every, lags)
-        found = screen(alone, candidates, classes, every).max(axis=0, initial=0.0)
-        return np.asarray(found + 0.5 * alone.axes * alone.rows[:count, None] * np.log1p(-_RELAY))
+        alone = make_targets(velocity, every, lags, max(_RELAY, least))
+        return np.asarray(screen(alone, candidates, classes, every).max(axis=0))
 
     evidence = ask(past, lags, LEVELS[0])
     if longest > lags:
@@ -104,7 +104,7 @@ def ask_delays(
     mean, before = np.zeros((len(size), *velocity.shape[1:])), np.zeros((len(size), *past.shape[1:]))
     np.add.at(mean, node, velocity[uavs] / size[node, None, None])
     np.add.at(before, node, past[uavs] / size[node, None, None, None])
-    odds, _ = compare_delays(mean, before, longest)
+    odds, _ = compare_delays(mean, before, longest, targets.least)
     row, column = np.nonzero((odds > 0) & (names < groups)[:, None] & (size == 1))
     group, uav = names[row], uavs[first[column]]
     better = (targets.label[uav] != group) & (odds[row, column] > gain[group])
@@ -112,21 +112,23 @@ def ask_delays(
 
 
 def find_hierarchy(
-    velocity: Floats, past: Floats, leads: Indices, single: Indices, leader: Indices, gain: Floats, longest: int
+    targets: Targets, velocity: Floats, past: Floats, leads: Indices, head: Indices, gained: Floats, longest: int
 ) -> Hierarchy:
     """Find the direct leaders of UAVs that lead, and of single UAVs.
 
     Args:
+        targets: the groups.
         velocity: ``(n, T, a)``.
         past: ``(n, R, L, a)``.
         leads: the UAVs that lead.
-        single: the UAVs by themselves that are asked.
-        leader: ``(n,)`` the UAV that each was assigned to, -1 for none.
-        gain: ``(n,)`` the evidence for this.
+        head: ``(C,)`` the UAV that each group was assigned to, -1 for none.
+        gained: ``(C,)`` the evidence for this.
         longest: see :func:`compare_delays`.
     """
+    single = np.flatnonzero(np.isin(targets.label, sample_single_uavs(targets)))
+    leader, gain = head[targets.label], gained[targets.label]
     asked = np.union1d(leads, single)
-    odds, evidence = compare_delays(velocity[asked], past[asked], longest)
+    odds, evidence = compare_delays(velocity[asked], past[asked], longest, targets.least)
     led = np.flatnonzero(np.isin(asked, single) & (leader[asked] >= 0))
     place = np.searchsorted(asked, leader[asked[led]])
     for values in (odds, evidence):
@@ -139,7 +141,7 @@ def find_hierarchy(
     may = below[:, None] | (top != itself[:, None])  # no UAV follows one that follows it
     follows = np.where(may, odds, -np.inf).max(axis=1, initial=-np.inf)
 
-    leader, gain, relays = leader.copy(), gain.copy(), np.full((2, len(leader)), -np.inf)
+    relays = np.full((2, len(leader)), -np.inf)
     leader[asked[np.isin(asked, [*single, *leader]) | np.isin(itself, direct)]] = -1  # also of heads in a group
     leader[asked[below]], gain[asked[below]] = asked[direct[below]], evidence[below, direct[below]]
     relays[0, asked[leading]] = follows[leading]

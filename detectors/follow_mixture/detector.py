@@ -30,9 +30,11 @@ class FollowMixture(Detector):
     Args:
         clusters: an upper bound on the number of heads, or ``None``; the number is estimated.
         memory: the number of past velocities of a head that the strategy may use, at least 1.
-        max_lag: the longest individual delay of a follower, in samples; a quarter of the window at
-            most.
+        max_lag: the longest individual delay of a follower, in samples; a quarter of the window at most.
         max_delay: the longest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
+        least_share: the least share of the innovations of a group, which its own past does not predict, that its head
+            explains. With 0.2, UAVs in formation about a virtual point, or in a herd with a shepherd, have no head,
+            and heads behind noise, or that lead for a part of the time, are missed.
         policy: how candidates are chosen from the probabilities.
 
             * ``"cost"`` (default) minimises the expected J_m (J_s for ``objective="P1"``). A missed head costs another
@@ -56,6 +58,7 @@ class FollowMixture(Detector):
     memory: Annotated[int, Field(ge=1, le=64)] = 4
     max_lag: Lags = 12
     max_delay: Seconds | None = None
+    least_share: Annotated[float, Field(ge=0, lt=1)] = 0.0
     policy: Literal["cost", "map"] = "cost"
     objective: Literal["P1", "P2"] = "P2"
     shot_budget: Count | None = None
@@ -88,7 +91,9 @@ class FollowMixture(Detector):
         most = 1 if arguments.objective == "P1" else arguments.clusters
         motion = read_motion(window, living)
         longest = count_lags(window, arguments.max_lag, arguments.max_delay)
-        found = None if motion is None else fit_motion(motion, arguments.memory, longest, most, rng)
+        found = (
+            None if motion is None else fit_motion(motion, arguments.memory, longest, most, arguments.least_share, rng)
+        )
         probability, gain = np.zeros(window.uavs), np.zeros(window.uavs)
         leader, root, clusters, group = np.full((4, window.uavs), -1, np.int64)
         extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "reasons": [], "nats": 0.0}

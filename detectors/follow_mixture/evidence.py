@@ -45,6 +45,7 @@ class Targets:
         own: ``(C + n, R, z)`` orthonormal columns that span Z.
         weight: ``(C + n, R)`` weight of each row, in units of which e and Z are.
         rows: ``(C + n,)`` effective number of rows: R - z, less if a few rows hold most of |e|² or if e is not white.
+        least: the least share of |e|² that a leader explains.
     """
 
     label: Indices
@@ -52,6 +53,7 @@ class Targets:
     own: Floats
     weight: Floats
     rows: Floats
+    least: float = 0.0
 
     @property
     def sizes(self) -> Indices:
@@ -72,6 +74,10 @@ class Targets:
     def energy(self) -> Floats:
         """``(C + n,)`` |e|², and the energy of rounding, which no candidate explains."""
         return np.asarray((self.innovation**2).sum(axis=(1, 2)) + self.grain)
+
+    def price(self, target: Indices) -> Floats:
+        """Log-likelihood ``(k,)`` that a leader gains which explains no more than the least share."""
+        return np.asarray(-0.5 * self.axes * self.rows[target] * np.log1p(-self.least))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,13 +115,14 @@ class Statistics:
         return int(self.gram.shape[1])
 
 
-def make_targets(velocity: Floats, label: Indices, lags: int) -> Targets:
+def make_targets(velocity: Floats, label: Indices, lags: int, least: float = 0.0) -> Targets:
     """Compute the innovations of the groups.
 
     Args:
         velocity: ``(n, T, a)``.
         label: ``(n,)`` the group of each UAV.
         lags: L; the rows are the steps from L on.
+        least: the least share of the innovations that a leader explains.
     """
     _, steps, axes = velocity.shape
     rows = steps - lags
@@ -141,7 +148,7 @@ def make_targets(velocity: Floats, label: Indices, lags: int) -> Targets:
         own[part] = whiten(known * weight[part][:, :, None])
         innovation[part] = _residuals(own[part], mean[part, lags:] * weight[part][:, :, None])
     share = np.minimum(_steadiness(innovation), _whiteness(innovation))
-    return Targets(label, innovation, own, weight, np.minimum(rows * share, rows - width))
+    return Targets(label, innovation, own, weight, np.minimum(rows * share, rows - width), least)
 
 
 def _steadiness(innovation: Floats) -> Floats:
@@ -202,7 +209,7 @@ def screen(
         only: ``(n,)`` the single group of which each UAV is a candidate, -1 or ``None``: of all. Others: no evidence.
     """
     weight = targets.weight[groups]
-    rows = targets.rows[groups, None]
+    rows, price = targets.rows[groups, None], targets.price(groups)[:, None]
     power = targets.energy[groups][:, None]
     # Single precision is enough to order the candidates, and this is most of the work in a large swarm.
     flat, plain, own = (
@@ -229,7 +236,7 @@ def screen(
                 share /= power[some]
             else:
                 share = _explain_roughly(whiten(found).astype(np.float32), plain[:, some]) / rough[some]
-            gained = bayes_factor(share, rows[some], found.shape[2], targets.axes)
+            gained = bayes_factor(share, rows[some], found.shape[2], targets.axes) - price[some]
             evidence[number, some[:, None], part] = np.where(valid[some], gained, 0.0)
     return evidence
 
@@ -355,7 +362,8 @@ def own_evidence(targets: Targets, pairs: Pairs, statistics: Statistics) -> Floa
     """``(P,)``: log Bayes factor of each pair with a law of its own."""
     solved = np.linalg.solve(statistics.gram, statistics.moment)
     share = (statistics.moment * solved).sum(axis=(1, 2)) / targets.energy[pairs.target]
-    return bayes_factor(share, targets.rows[pairs.target], statistics.width, targets.axes)
+    factor = bayes_factor(share, targets.rows[pairs.target], statistics.width, targets.axes)
+    return factor - targets.price(pairs.target)
 
 
 def fit_law(statistics: Statistics, used: Indices, variance: Floats) -> Floats:
@@ -373,4 +381,5 @@ def gain_by_law(targets: Targets, pairs: Pairs, statistics: Statistics, law: Flo
     power, rows = targets.energy[pairs.target], targets.rows[pairs.target]
     left = power + (law * (statistics.gram @ law - 2.0 * statistics.moment)).sum(axis=(1, 2))
     left, axes = np.maximum(left, targets.grain), targets.axes
-    return -0.5 * axes * rows * np.log(left / power), left / (axes * np.maximum(rows, 1.0))
+    gain = -0.5 * axes * rows * np.log(left / power) - targets.price(pairs.target)
+    return gain, left / (axes * np.maximum(rows, 1.0))

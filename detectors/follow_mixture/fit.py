@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from detectors.follow_mixture.assignment import Assignment, assign_groups
-from detectors.follow_mixture.delays import ask_delays, find_hierarchy, sample_single_uavs
+from detectors.follow_mixture.delays import ask_delays, find_hierarchy
 from detectors.follow_mixture.evidence import (
     RARE,
     Pairs,
@@ -122,7 +122,9 @@ class _Search:
         return gain
 
 
-def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: np.random.Generator) -> Fit | None:
+def fit_motion(
+    motion: Motion, lags: int, longest: int, most: int | None, least: float, rng: np.random.Generator
+) -> Fit | None:
     """Fit one window.
 
     Args:
@@ -130,6 +132,7 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
         lags: the number of past velocities of a head that a law may use; fewer in short windows.
         longest: the longest delay of a follower by itself, in samples; a quarter of the window at most.
         most: the largest number of heads, or ``None``.
+        least: the least share of a UAV's innovations that its leader explains.
         rng: draws the UAVs that are grouped together in a large swarm.
 
     Returns:
@@ -138,7 +141,7 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
     velocity = motion.velocity
     lags = min(lags, velocity.shape[1] // 2)
     spectra = fit_spectra(velocity, motion.unit)
-    targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
+    targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags, least)
     past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
     several, only = np.flatnonzero(targets.sizes > 1), limit_candidates(label, rng)
     more: MorePairs | None = None  # at first no single UAV follows, as heads and decoys do not
@@ -167,8 +170,7 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
         return None
     leads = np.union1d(found.assignment.heads, np.flatnonzero(log_odds > 0))
     behind, gain = pick(pairs, search.chosen(found.assignment)), search.gain(found)
-    single = np.flatnonzero(np.isin(label, sample_single_uavs(targets)))
-    order = find_hierarchy(velocity, past, leads, single, found.assignment.head[label], gain[label], longest)
+    order = find_hierarchy(targets, velocity, past, leads, found.assignment.head, gain, longest)
     heads, count = np.unique(order.root, return_counts=True)
     heads = heads[(count > 1) & np.isin(heads, order.root[found.assignment.heads])]
     follows = np.isin(order.root, heads) & (order.leader >= 0)
@@ -275,7 +277,6 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
     sizes, uavs = targets.sizes, len(targets.label)
     alone = sizes[targets.label] == 1
     singles, pool, follows = _weigh_single_uavs(search, found)
-
     several = sizes > 1
     head = np.where(several, found.assignment.head, -1)
     groups = np.bincount(head[head >= 0], minlength=uavs)
@@ -285,8 +286,9 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
     prior = np.where(alone, 0.0, np.log(together / sizes[targets.label]))
     row = np.cumsum(several) - 1
     logit = np.tile(np.append(prior, np.log(RARE * np.exp(prior).sum())), (several.sum(), 1))
-    some = several[pairs.group]  # pairs that were not chosen have no evidence
-    logit[row[pairs.group[some]], pairs.uav[some]] += found.evidence[some] + paid[some]
+    least, some = targets.price(np.arange(len(sizes))), several[pairs.group]
+    logit[:, :uavs] -= least[several, None]  # UAVs that were not chosen explain nothing
+    logit[row[pairs.group[some]], pairs.uav[some]] += found.evidence[some] + least[pairs.group[some]] + paid[some]
     share = np.exp(logit - logsumexp(logit, axis=1, keepdims=True))[:, :uavs]
     stays = np.log1p(-np.minimum(share, 1.0 - _NOTHING)).sum(axis=0)  # log probability of leading no group of several
     stays -= np.logaddexp(pool, 0.0)

@@ -24,14 +24,12 @@ from scipy.special import expit
 from detectors.follow_mixture.calibration import MOST_ODDS, Calibration
 from detectors.follow_mixture.fit import fit_motion
 from detectors.follow_mixture.motion import read_motion
-from detectors.random_swarms import draw_calibration_swarm, observe
-from usnet_env.arrays import Floats, Mask
+from detectors.random_swarms import draw_calibration_swarm, draw_calibration_window
+from usnet_env.arrays import Floats
 from usnet_env.config import Config
 from usnet_env.evaluation.store import write_text
 from usnet_env.evaluation.suite import Game, Place, Suite, list_games
 from usnet_env.provenance import versions
-from usnet_env.swarm import SwarmConfig
-from usnet_env.window import Window
 
 _BIN = 0.25  # width of a bin of log-odds
 _BINS = int(2 * MOST_ODDS / _BIN) + 1
@@ -88,31 +86,16 @@ class Row(Draws):
     log_odds: str
 
 
-def draw_window(config: SwarmConfig, rng: np.random.Generator) -> tuple[Window, Mask]:
-    """Draw a window of a swarm; in 20 % of the cases some UAVs were destroyed before.
-
-    Returns:
-        The window; ``(N,)`` bool, the living heads.
-    """
-
-    def lose(head: Mask) -> Mask:
-        chance = np.where(head[0], rng.uniform(0.0, 1.0), rng.uniform(0.0, 0.1))  # earlier rounds hit heads
-        return np.asarray(rng.random((1, config.uavs)) < chance)
-
-    window, state = observe(config, rng, 0.2, lose)
-    return window, state.head[0] & state.alive[0] & (config.follow != "none")
-
-
 def play(games: Sequence[Game[Draws]]) -> list[Row]:
     """Draw swarms, fit them, and count heads and other UAVs by uncalibrated log-odds."""
     rows = []
     for draws, swarm in games:
         rng = np.random.default_rng([draws.seed, swarm])
         config = draw_calibration_swarm(draws.most_uavs, draws.most_clusters, rng)
-        window, leads = draw_window(config, rng)
+        window, leads = draw_calibration_window(config, rng)
         living = np.flatnonzero(window.alive)
         head, motion = leads[living], read_motion(window, living)
-        found = None if motion is None else fit_motion(motion, *_DEFAULTS, None, rng)
+        found = None if motion is None else fit_motion(motion, *_DEFAULTS, None, 0.0, rng)
         counts, exact = "", not head.any()
         if found is not None:
             place = np.rint((np.clip(found.log_odds, -MOST_ODDS, MOST_ODDS) + MOST_ODDS) / _BIN).astype(np.int64)

@@ -195,6 +195,23 @@ def test_followers_with_delays_of_their_own_lead_to_their_head():
     assert np.mean(right) > 0.85
 
 
+def test_a_head_must_explain_the_least_share_of_what_its_followers_do():
+    """UAVs in formation about a virtual point predict each other a little, and no one of them leads."""
+    for follow in ("reference", "f2"):
+        named, kept = 0, 0
+        for seed in range(4):
+            window, truth = swarm_window(seed, follow=follow, **SMOOTH)
+            named += np.array_equal(answer(window, policy="map").candidates, truth.head)
+            kept += np.array_equal(answer(window, policy="map", least_share=0.2).candidates, truth.head)
+        assert kept == 4
+        assert named == (0 if follow == "reference" else 4)
+    for seed in (0, 2):  # the price: heads that lead for a part of the time are missed
+        window, truth = swarm_window(seed, follow="part_time", **SMOOTH)
+        hits = [answer(window, policy="map", least_share=least).candidates[truth.head].sum() for least in (0.0, 0.2)]
+        assert hits[0] > hits[1]
+    assert (answer(window, least_share=0.0).scores == answer(window).scores).all()
+
+
 def test_the_longest_delay_is_given_in_samples_or_in_seconds():
     velocity = np.random.default_rng(3).normal(size=(100, 12, 3))
     velocity[9:, 1:5] = velocity[:-9, :1] + 0.1 * velocity[9:, 1:5]  # all move alike, nine samples after UAV 0
@@ -321,6 +338,7 @@ def test_the_constructor_only_stores():
         ("memory", 0),
         ("max_lag", 0),
         ("max_delay", 0.0),
+        ("least_share", 1.0),
         ("policy", "best"),
         ("objective", "P3"),
         ("shot_budget", 0),
