@@ -12,6 +12,8 @@ from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.window import frozen_array
 
+_ROUNDING = 1e-6  # probabilities in single precision may exceed 1 by so much
+
 
 @dataclass(frozen=True)
 class Tags:
@@ -76,7 +78,7 @@ class Detection:
         put(self, "extras", dict(self.extras))
         if (given := self.extras.get("probability")) is not None:
             probability = frozen_array("probability", given, np.float64, (uavs,))
-            if not ((probability >= 0) & (probability <= 1)).all():
+            if not ((probability >= -_ROUNDING) & (probability <= 1 + _ROUNDING)).all():
                 raise ArgumentError(f"probability must hold numbers from 0 to 1, got {quote(probability)}.")
 
 

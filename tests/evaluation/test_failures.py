@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sample_detectors import AllAlive, Failing, FailingWithOne
+from sample_detectors import AllAlive, Failing, FailingWithOne, interrupt
 
 from usnet_env import ArgumentError, Detection, Window, evaluate, make_detector
 from usnet_env.evaluation import EvaluationError, EvaluationResult
+from usnet_env.evaluation.store import RunStore
 
 MULTI = "USNET/MultiCluster-v0"
 SMALL = {"clusters": 3, "uavs": 20, "observation_steps": 20, "max_rounds": 5}
@@ -146,3 +147,48 @@ def test_a_detector_that_failed_by_accident_plays_the_rest_when_it_is_asked_agai
     result = evaluate(MULTI, ["none"], episodes=6, env_kwargs=SMALL, out=tmp_path)
     assert [entry["detector"] for entry in result.summary] == ["none", "random"]
     assert list(result.failures) == ["Failing"]
+
+
+def test_a_detector_that_fails_before_its_first_row_leaves_the_folder_usable(tmp_path):
+    evaluate(MULTI, ["none"], episodes=2, env_kwargs=SMALL, out=tmp_path)
+    with pytest.raises(EvaluationError):
+        evaluate(MULTI, ["none", FailingWithOne()], episodes=2, env_kwargs=SMALL, out=tmp_path)
+    result = evaluate(MULTI, ["none"], episodes=2, env_kwargs=SMALL, out=tmp_path)
+    assert [entry["detector"] for entry in result.summary] == ["none"]
+    assert list(result.failures) == ["FailingWithOne"]
+
+
+def test_rows_of_the_old_code_are_gone_before_the_new_code_is_described(tmp_path, monkeypatch):
+    """A kill between the two writes leaves a folder in which the detector still has failed."""
+    play_with_a_failure(tmp_path)
+    mended = {"none": "none", "random": "random", "Failing": Mended()}
+    with monkeypatch.context() as killed:
+        killed.setattr(RunStore, "_describe", lambda *_: interrupt())
+        with pytest.raises(KeyboardInterrupt):
+            evaluate(MULTI, mended, episodes=6, env_kwargs=SMALL, out=tmp_path)
+    assert EvaluationResult.load(tmp_path).failures
+    result = evaluate(MULTI, mended, episodes=6, env_kwargs=SMALL, out=tmp_path)
+    assert np.isclose(result["Failing"]["redundancy"]["mean"], (20 - 3) / 20)
+
+
+def test_a_failure_is_kept_while_the_others_still_play(tmp_path):
+    seen = []
+
+    class Watching(AllAlive):
+        def reset(self, seed=None):
+            if (tmp_path / "run.json").exists():
+                seen.append("failures" in json.loads((tmp_path / "run.json").read_text()))
+
+    with pytest.raises(EvaluationError):
+        evaluate(MULTI, {"a": Failing(), "b": Watching()}, episodes=6, env_kwargs=SMALL, out=tmp_path)
+    assert seen[-1]
+
+
+def test_results_with_failures_can_be_merged(tmp_path):
+    ours = play_with_a_failure(tmp_path).result
+    other = evaluate(MULTI, {"Failing": Mended()}, episodes=6, env_kwargs=SMALL)
+    for joined in (ours.merge(other), other.merge(ours)):
+        assert {entry["detector"] for entry in joined.summary} == {"none", "random", "Failing"}
+        assert not joined.failures
+    more = evaluate(MULTI, "destroy-all", episodes=6, env_kwargs=SMALL)
+    assert list(ours.merge(more).failures) == ["Failing"]

@@ -163,6 +163,39 @@ def test_failures_stay_until_the_detector_has_played(path, tmp_path):
     assert left["other"].keys() == {"y"}
 
 
+class InEpisode(Sometimes):
+    """Fails in one of its episodes."""
+
+    def __init__(self, episode):
+        self.episode, self.begun = episode, 0
+
+    def reset(self, seed=None):
+        self.begun += 1
+
+    def detect(self, window):
+        self.fails = self.begun == self.episode
+        return super().detect(window)
+
+
+def test_a_cell_in_which_all_fail_is_missing_for_all_of_them_when_it_is_played_and_when_it_is_read(path, tmp_path):
+    """Its first episode is in the folder, and doesn't count."""
+    out = tmp_path / "run"
+    evaluate_suite(path, {"x": InEpisode(9)}, isolate=False, out=out, cells=["other"])
+    played = evaluate_suite(path, {"x": InEpisode(2)}, isolate=False, out=out, cells=["plain"])
+    assert played.failures.keys() == {"plain"}
+    assert played.summary == []
+    read = SuiteResult.load(out, path)
+    assert read.failures == played.failures
+    assert read.summary == []  # it has no result in the cell in which it failed
+    assert [line.split("|")[1:3] for line in read.to_markdown().splitlines()[2:]] == [
+        [" plain ", " – "],
+        [" other ", " 0 (0–66) % "],
+        [" all cells ", " – "],
+    ]
+    (out / "failures.yaml").unlink()
+    assert SuiteResult.load(out, path).failures == played.failures
+
+
 def test_detectors_are_compared_over_cells_by_groups_of_a_swarm(path):
     played = evaluate_suite(path, ["destroy-all", "none", "one-per-round"], isolate=False, episodes=3)
     found = played.compare("destroy-all", "one-per-round")

@@ -184,6 +184,8 @@ def test_bad_registrations_are_refused(registry, name, strategy, arguments, sent
         (lambda inputs: np.full((len(inputs.own_position), 3), np.nan), "must return finite numbers"),
         (lambda inputs: np.full((len(inputs.own_position), 3), 1j), "must return an array of real numbers"),
         (lambda inputs: "north", "follow function must return an array of real numbers, got 'north'"),
+        (lambda inputs: [[1.0], [1.0, 2.0]], "must return an array of real numbers"),
+        (lambda inputs: np.full((len(inputs.own_position), 3), 1e300), "must return finite numbers"),
     ],
 )
 def test_a_function_with_a_bad_answer_is_told_so(registry, function, sentence):

@@ -64,7 +64,7 @@ def _name_missing_glyphs() -> Iterator[None]:
             warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
     if glyphs:
         text = "The fonts of this machine lack some characters of the figure; it shows boxes in their place."
-        warnings.warn(text, UserWarning, stacklevel=2)
+        warnings.warn(text, UserWarning, stacklevel=4)
 
 
 def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:

@@ -187,7 +187,7 @@ def play_run(
             if store is not None:
                 if seeds.secret is not None and schedule.uses_secret:
                     store.add_secret(seeds.secret)
-                store.note_failures(failed, [labels[n] for n in np.flatnonzero(schedule.done.all(axis=1))])
+                store.note_failures({}, [labels[n] for n in np.flatnonzero(schedule.done.all(axis=1))])
                 failed = store.failures | failed
         table = leave_out_failed(schedule.table.take(schedule.order(schedule.table)), failed)
         if store is None or schedule.uses_secret:

@@ -276,9 +276,15 @@ class SuiteResult(Results):
             raise ArgumentError(f"folder must hold runs of {of}, got {quote(str(root))}.")
         if chosen is None and (chosen := _find_suite(results)):
             results = {name: results[name] for name in chosen.cells if name in results}
-        failures = _read_failures(root)
-        order = list(chosen.cells if chosen else failures)
-        return cls(chosen, results, {cell: failures[cell] for cell in order if cell in failures})
+        known = _read_failures(root)
+        failures = {}
+        for cell in chosen.cells if chosen else dict.fromkeys([*results, *known]):
+            run = results.get(cell)
+            played = set() if run is None else set(run)
+            own = {label: why for label, why in known.get(cell, {}).items() if label not in played}
+            if own := own | ({} if run is None else run.failures):
+                failures[cell] = own
+        return cls(chosen, {name: run for name, run in results.items() if run.summary}, failures)
 
     @property
     def label(self) -> str:
@@ -297,6 +303,12 @@ class SuiteResult(Results):
         """The result of each cell."""
         return list(self.results.values())
 
+    @property
+    def _cells(self) -> list[str]:
+        """The cells that were played, those in which all detectors failed included."""
+        order = self.suite.cells if self.suite else [*self.results, *self.failures]
+        return [name for name in dict.fromkeys(order) if name in self.results or name in self.failures]
+
     @cached_property
     def detectors(self) -> list[str]:
         """The labels of all detectors."""
@@ -308,8 +320,10 @@ class SuiteResult(Results):
         Raises:
             ArgumentError: there is no such metric, or no result of such a cell.
         """
+        if name not in self._cells:
+            raise unknown_name("name", name, self._cells)
         if name not in self.results:
-            raise unknown_name("name", name, self.results)
+            return None
         self.results[name].check_metric(metric)
         for entry in self.results[name].summary:
             if entry["detector"] == detector and metric in entry["metrics"]:
@@ -322,7 +336,7 @@ class SuiteResult(Results):
 
         It has the form of ``EvaluationResult.summary``. Cells with the same number of episodes have the same weight.
         """
-        complete = [each for each in self.detectors if all(self.cell(name, each, "J") for name in self.results)]
+        complete = [each for each in self.detectors if all(self.cell(name, each, "J") for name in self._cells)]
         pooled = RowTable(COLUMNS, (row for result in self.results.values() for row in result.rows))
         return [entry for entry in summarise(pooled) if entry["detector"] in complete]
 
@@ -353,7 +367,7 @@ class SuiteResult(Results):
         def show(value: Interval | None) -> str:
             return "–" if value is None else format_interval(value, form, scale, short=True) + unit
 
-        lines = [[name, *(show(self.cell(name, each, metric)) for each in self.detectors)] for name in self.results]
+        lines = [[name, *(show(self.cell(name, each, metric)) for each in self.detectors)] for name in self._cells]
         means = {
             entry["detector"]: Interval(**entry["metrics"][metric])
             for entry in self.summary

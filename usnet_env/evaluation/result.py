@@ -190,7 +190,7 @@ class EvaluationResult(Results):
         return cls(table, summarise(table), config | more)
 
     @property
-    def failures(self) -> Mapping[str, str]:
+    def failures(self) -> dict[str, str]:
         """Why detectors have no rows, by label: they failed in an episode."""
         return dict(self.config.get("failures", {}))
 
@@ -301,7 +301,7 @@ class EvaluationResult(Results):
         if shared := sorted(own & theirs):
             raise ArgumentError(f"other must have other labels than this result, got {quote(shared[0])} in both.")
         ours, added = (
-            {key: value for key, value in each.config.items() if key not in (*JOINING, "isolate", "secret")}
+            {key: value for key, value in each.config.items() if key not in (*JOINING, "isolate", "secret", "failures")}
             for each in (self, other)
         )
         if different := differing_keys(ours, added):
@@ -316,8 +316,10 @@ class EvaluationResult(Results):
                 )
         rows = RowTable(self.rows.columns, [*self.rows, *other.rows])
         joined = {key: [*self.config.get(key, []), *other.config.get(key, [])] for key in ("detectors", "identities")}
+        failures = {label: why for label, why in (other.failures | self.failures).items() if label not in own | theirs}
         episodes = max(each.config.get("episodes", 0) for each in (self, other))
-        return EvaluationResult(rows, summarise(rows), {**self.config, **joined, "episodes": episodes})
+        config = {**self.config, **joined, "episodes": episodes, "failures": failures}
+        return EvaluationResult(rows, summarise(rows), config)
 
     def check_metric(self, metric: str) -> None:
         """Refuse a metric that the rows do not have.

@@ -136,7 +136,10 @@ class Schedule:
         self._unprepared.discard(task.contestant)
         if outcome.error is not None:
             failure = as_failure(self._labels[task.contestant], task.episode, outcome.error)
-            self.failures.setdefault(task.contestant, failure)
+            if task.contestant not in self.failures:
+                self.failures[task.contestant] = failure
+                if self._store is not None:
+                    self._store.note_failures({self._labels[task.contestant]: str(failure)})
         if row is not None:
             self.done[task.contestant, task.episode] = True
             self.finished += 1

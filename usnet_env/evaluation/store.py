@@ -99,6 +99,7 @@ class RowFile:
                 part of these rows.
         """
         self._lock.check()
+        self.drop_left_out()
         self._file = self._file or self._open()
         first = len(self.table)
         try:
@@ -122,10 +123,15 @@ class RowFile:
         self._replace()
 
     def leave_out(self, places: NDArray[np.bool_]) -> None:
-        """Leave out the rows at these ``places`` ``(R,)``; the file holds them until the next row is appended."""
+        """Leave out the rows at these ``places`` ``(R,)``; the file holds them until :meth:`drop_left_out`."""
         if places.any():
             self.table = self.table.take(np.flatnonzero(~places))
             self._stale = True
+
+    def drop_left_out(self) -> None:
+        """Write the file without the rows that were left out, if there are any."""
+        if self._stale:
+            self._replace()
 
     def close(self) -> None:
         """Close the file and release its lock."""
@@ -143,7 +149,7 @@ class RowFile:
                 known = lines.readline() == ",".join(self.table.columns) + "\n"
         except FileNotFoundError:
             known = False
-        if self._stale or not known:
+        if not known:
             self._replace()
         file = io.FileIO(self.path, "r+")
         self._end = _whole_lines(file)
@@ -221,6 +227,7 @@ class RunStore:
 
     Attributes:
         config: the arguments, with the detectors and the episodes that the folder has.
+        failures: why detectors have failed, by label; those that have not played all episodes since.
 
     Raises:
         ArgumentError: the folder holds a different run, files that are not a run, or a run that another process plays.
@@ -230,6 +237,7 @@ class RunStore:
         self.folder = folder
         self.config: dict[str, Any] = json.loads(json.dumps(config))
         self._description: dict[str, Any] = {}  # what run.json holds
+        self.failures: dict[str, str] = {}
         if folder.exists() and not folder.is_dir():
             raise ArgumentError(f"out must be a folder, got the file {str(folder)!r}.")
         with ExitStack() as stack:
@@ -237,6 +245,7 @@ class RunStore:
             self._lock.remove_unfinished("")
             if (folder / RUN).exists():
                 self._description = _read_description(folder)
+                self.failures = dict(self._description.get("failures", {}))
                 self.config = _join(folder, self._description, self.config)
             elif (folder / EPISODES).exists():
                 raise ArgumentError(
@@ -264,6 +273,7 @@ class RunStore:
         Raises:
             ArgumentError: the folder was removed during the run, or it cannot be written.
         """
+        self._rows.drop_left_out()  # before their detector is described as another one
         if self._description.get("config") != self.config:  # only now: a run that is refused leaves nothing
             self._describe({"versions": versions(), "machine": machine(), **self._description, "config": self.config})
             (self.folder / SUMMARY).unlink(missing_ok=True)  # of the run before others joined it
@@ -275,21 +285,18 @@ class RunStore:
             secrets = dict.fromkeys([*self._description.get("secrets", []), secret])
             self._describe(self._description | {"secrets": list(secrets)})
 
-    @property
-    def failures(self) -> dict[str, str]:
-        """Why detectors have failed, by label; those that have not played all episodes since."""
-        return dict(self._description.get("failures", {}))
-
-    def note_failures(self, failures: Mapping[str, str], complete: Collection[str]) -> None:
+    def note_failures(self, failures: Mapping[str, str], complete: Collection[str] = ()) -> None:
         """Write to ``run.json`` which detectors have failed, so that their rows are never taken for all of theirs.
 
         Args:
-            failures: of this part of the run, by label.
+            failures: new ones, by label.
             complete: the labels that have played all episodes by now.
         """
         known = {label: why for label, why in self.failures.items() if label not in complete} | dict(failures)
-        if self._description and known != self.failures:
-            self._describe(self._description | {"failures": known})
+        if known != self.failures:
+            self.failures = known
+            if self._description:
+                self._describe(self._description)
 
     def describe_secret(self) -> dict[str, Any]:
         """The last secret of an isolated run."""
@@ -297,8 +304,9 @@ class RunStore:
 
     def _describe(self, description: dict[str, Any]) -> None:
         self._lock.check()
-        write_text(self.folder / RUN, json.dumps(description, indent=2) + "\n")
-        self._description = description
+        failures = {"failures": self.failures} if self.failures else {}
+        self._description = {name: value for name, value in description.items() if name != "failures"} | failures
+        write_text(self.folder / RUN, json.dumps(self._description, indent=2) + "\n")
 
     def finish(self, order: Order, summary: Sequence[Mapping[str, Any]]) -> None:
         """Sort the rows of a finished run, and write its summary.
@@ -399,7 +407,7 @@ def _find_changed(description: Mapping[str, Any], asked: Mapping[str, Any]) -> l
     if not description:
         return []
     there, now = _read_identities(description["config"]), _read_identities(json.loads(json.dumps(asked)))
-    return [label for label in description.get("failures", {}) if now.get(label, there[label]) != there[label]]
+    return [label for label in description.get("failures", {}) if now.get(label, there.get(label)) != there.get(label)]
 
 
 def _check_once(table: RowTable, folder: Path) -> None:

@@ -18,6 +18,7 @@ from usnet_env.drawing import (
     dashed_ring,
     draw_legend,
     draw_round,
+    escape_math,
     last_seen_position,
     limits_around,
     new_figure,
@@ -81,7 +82,9 @@ def _draw_scores(axes: Axes, record: EpisodeRecord, number: int) -> None:
         axes.set_ylim(0, 1)
         axes.text(0.5, 0.6, "All scores are 0.", transform=axes.transAxes, ha="center", color="#555555")
     rotation = 0 if len(bars) <= _BARS_WITH_LEVEL_NUMBERS else 90
-    axes.set_xticks(rank, [name_uav(record, i).removeprefix("UAV ") for i in bars], fontsize=7.5, rotation=rotation)
+    axes.set_xticks(
+        rank, [escape_math(name_uav(record, i).removeprefix("UAV ")) for i in bars], fontsize=7.5, rotation=rotation
+    )
     axes.tick_params(axis="y", labelsize=8, colors="#555555")
     axes.yaxis.set_major_formatter("{x:.3g}")  # a common exponent above the axis would push the title away
     for side in ("top", "right"):
@@ -134,7 +137,7 @@ def draw_episode(record: EpisodeRecord) -> Figure:
     figure.text(0.5 / width, 1 - 0.25 / total, "Who leads this swarm?", fontsize=17, weight="bold", va="top")
     figure.text(0.5 / width, 1 - 0.65 / total, about, fontsize=10, va="top", color="#333333")
     below = (0.95 + _LINE * about.count("\n")) / total
-    figure.text(0.5 / width, 1 - below, ending, fontsize=10.5, weight="bold", va="top")
+    figure.text(0.5 / width, 1 - below, escape_math(ending), fontsize=10.5, weight="bold", va="top")
 
     places = [last_seen_position(record.position[n - 1], record.seen[n - 1]) for n in panels]
     shown = [
@@ -153,9 +156,10 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         candidates = record.candidates[r] if record.labelled else None
         truth = (record.alive[r], head, record.leader[r], record.decoy)
         gone = record.last_position(number)
+        title = escape_math(f"{part} {number}: {describe_round(record, number)}")
         draw_round(
             record.position[r], record.seen[r], *truth, candidates,
-            destroyed_at=gone, axes=axes, title=f"{part} {number}: {describe_round(record, number)}", legend=False,
+            destroyed_at=gone, axes=axes, title=title, legend=False,
             limits=(*limits[place][:2], half),
         )  # fmt: skip
         if place % columns:

@@ -21,12 +21,16 @@ def read_directions(function: str, value: Any, shape: tuple[int, ...]) -> Single
     Raises:
         ArgumentError: another shape, or values that are not finite real numbers.
     """
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except ValueError:  # a ragged list
+        array = np.empty(0, object)
     if array.dtype.kind not in "biuf":
         raise ArgumentError(f"{function} function must return an array of real numbers, got {quote(value)}.")
     if array.shape != shape:
         raise ArgumentError(f"{function} function must return an array of shape {shape}, got {array.shape}.")
-    directions = array.astype(np.float32)
+    with np.errstate(over="ignore"):  # refused below
+        directions = array.astype(np.float32)
     if not np.isfinite(directions).all():
         raise ArgumentError(f"{function} function must return finite numbers, got NaN or infinity.")
     return directions
