@@ -79,6 +79,18 @@ def test_ids_of_files_with_several_types_are_texts(run, tmp_path):
     assert (tmp_path / "out" / "windows.parquet").exists()
 
 
+def test_ids_beyond_int64_are_texts_in_the_tables(run, tmp_path):
+    least = 2**63 - 1  # of the three ids, one fits into int64
+    ids = pyarrow.array([least + k for k in number(ROWS)], "uint64")
+    path = write_parquet(tmp_path / "tracks.parquet", id=ids)
+    assert read_tracks(path).ids == (least, least + 1, least + 2)
+    words = ("--detector", "lagged-correlation", "--window", "10", "--unconfirmed", "--out", tmp_path / "out")
+    assert run("detect", path, *words)[0] == 0
+    leaders = parquet.read_table(tmp_path / "out" / "leaders.parquet").to_pylist()
+    assert leaders
+    assert {name for row in leaders for name in (row["id"], *row["followers"])} <= {str(least + k) for k in range(3)}
+
+
 @pytest.mark.parametrize(
     ("ids", "expected"),
     [([3, 4, 5], (3, 4, 5)), ([b"a", b"b", b"c"], ("a", "b", "c")), ([0.0, 1.0, 2.0], (0, 1, 2))],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from usnet_env.tracks.leaders import FoundLeaders
 __all__ = ["write_tables"]
 
 _ID, _TIME = "id", "time"  # types that depend on the tracks
+_LARGEST = 2**63  # of int64, exclusive
 #: The columns of each table and their types; in brackets: a list.
 _TABLES: dict[str, dict[str, str]] = {
     "windows": {
@@ -66,10 +67,12 @@ def write_tables(found: FoundLeaders, folder: Path, ids: Sequence[str | int]) ->
         _write_parquet(folder / f"{name}.parquet", rows[name], columns, types)
 
 
-def _name_type(values: Iterable[object]) -> str:
-    """The type of a column with these values."""
+def _name_type(values: Sequence[str | int | float]) -> str:
+    """The type of a column with these values; whole numbers are texts if one of them doesn't fit into int64."""
     kinds = {type(value) for value in values}
-    return "int64" if kinds <= {int} else "double" if kinds <= {int, float} else "string"
+    if kinds <= {int}:
+        return "int64" if all(-_LARGEST <= int(value) < _LARGEST for value in values) else "string"
+    return "double" if kinds <= {int, float} else "string"
 
 
 def _write_csv(path: Path, rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> None:
@@ -93,6 +96,12 @@ def _write_parquet(path: Path, rows: Sequence[dict[str, Any]], columns: dict[str
             return pa.list_(make_type(text[1:-1]))
         return pa.type_for_alias(types.get(text, text))
 
+    def convert(value: Any, kind: Any) -> Any:
+        if isinstance(value, list):
+            return [convert(each, kind.value_type) for each in value]
+        return str(value) if kind == pa.string() and value is not None else value
+
     schema = pa.schema([(name, make_type(text)) for name, text in columns.items()])
+    values = [{name: convert(value, schema.field(name).type) for name, value in row.items()} for row in rows]
     with atomic_write(path) as aside:
-        pa.parquet.write_table(pa.Table.from_pylist(list(rows), schema), aside)
+        pa.parquet.write_table(pa.Table.from_pylist(values, schema), aside)
