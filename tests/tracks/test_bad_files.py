@@ -29,6 +29,14 @@ def parquet_of(name="tracks.parquet", cut=0, **columns):
     return name, write
 
 
+def write_marked_twice(path):
+    """A Parquet file with two columns of one name, which marks outliers."""
+    columns = [list(column) for column in zip(*rows_of(straight()), strict=True)]
+    marks = [["false"] * len(columns[0])] * 2
+    names = ["id", "t", "x", "y", *["manually_marked_outlier"] * 2]
+    parquet.write_table(pyarrow.Table.from_arrays([pyarrow.array(each) for each in columns + marks], names), path)
+
+
 def write_bomb(path):
     """A zip of a megabyte that expands to 400 MiB."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("tracks.csv", "w") as file:
@@ -42,6 +50,14 @@ BAD = {
     "a missing column of Parquet": (parquet_of(y=None), "column y of"),
     "a column twice": (csv_of(head="id,t,x,x"), "columns must name the column y"),
     "a column of coordinates twice": (csv_of(head="id,t,x,x,y", lines=["a,0,1,1,2"]), "2 columns 'x' for x"),
+    "a column of marks twice": (
+        csv_of(head="id,t,x,y,visible,visible,tag-local-identifier", lines=[f"{line},true,false,1" for line in LINES]),
+        "2 columns 'visible' for visible",
+    ),
+    "a column of marks twice in Parquet": (
+        ("tracks.parquet", write_marked_twice),
+        "2 columns 'manually_marked_outlier' for manually_marked_outlier",
+    ),
     "NaN": (csv_of("a,99,nan,1"), "row 62 of column 'x'"),
     "no value in Parquet": (parquet_of(x=[None] * 60), "row 2 of column 'x'"),
     "one id": (csv_of(lines=[line for line in LINES if line[0] == "a"]), "with 'a' in column 'id'"),

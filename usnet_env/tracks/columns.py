@@ -15,6 +15,7 @@ __all__ = [
     "ROLES",
     "check_mapping",
     "check_names",
+    "check_once",
     "choose_columns",
     "find_marks",
     "is_movebank",
@@ -137,13 +138,26 @@ def choose_columns(header: Sequence[str], mapping: Mapping[str, str], where: str
     for role in ("id", *pair, "t"):
         if role not in found and not (role == "t" and "frame" in found):
             raise _missing(role, where, header, given)
-    for role, name in found.items():
+    return found
+
+
+def check_once(header: Sequence[str], names: Mapping[str, str], where: str) -> None:
+    """Check that no other column has the name of one that is read.
+
+    Args:
+        header: the names of the columns.
+        names: those of the columns that are read, by role or mark.
+        where: the file, for messages.
+
+    Raises:
+        ArgumentError: a name stands twice or more in the header.
+    """
+    for role, name in names.items():
         if header.count(name) > 1:
             raise ArgumentError(
                 f"path must name each column once, got {where} with {header.count(name)} columns {quote(name)} for "
                 f"{role}."
             )
-    return found
 
 
 def _choose_pair(found: Mapping[str, str], given: Mapping[str, str]) -> tuple[str, str]:

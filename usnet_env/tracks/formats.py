@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, how_to_install, quote
-from usnet_env.tracks.columns import choose_columns, find_marks, is_movebank, keep_fixed
+from usnet_env.tracks.columns import check_once, choose_columns, find_marks, is_movebank, keep_fixed
 from usnet_env.tracks.labels import Labels, to_text
 from usnet_env.tracks.opening import expanded_limit, open_expanded, read_lines
 
@@ -96,7 +96,9 @@ def read_csv(path: Path, options: ReadOptions) -> Iterator[Block]:
         delimiter = max(_DELIMITERS, key=first.count)
         header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter))]
         found = choose_columns(header, options.columns, where)
-        places = {role: header.index(name) for role, name in (found | find_marks(header)).items()}
+        read = found | find_marks(header)
+        check_once(header, read, where)
+        places = {role: header.index(name) for role, name in read.items()}
         movebank = is_movebank(header)
         reader = csv.reader(lines, delimiter=delimiter)
         try:
@@ -154,6 +156,7 @@ def read_parquet(path: Path, options: ReadOptions) -> Iterator[Block]:
         raise damaged_file(path, "Parquet", error) from None
     found = choose_columns(schema.names, options.columns, where)
     read, movebank = found | find_marks(schema.names), is_movebank(schema.names)
+    check_once(schema.names, read, where)
     names = list(dict.fromkeys(read.values()))
     texts = [name for name in names if _is_text(schema.field(name).type)]
     for role, name in read.items():
