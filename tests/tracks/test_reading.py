@@ -169,6 +169,18 @@ def test_gpx_without_entities(tmp_path):
     assert "track points" in refusal(tmp_path / "none.gpx")
 
 
+@pytest.mark.parametrize(
+    ("encoding", "why"),
+    [("foo", "unknown encoding: foo"), ("big5", "multi-byte encodings are not supported"), ("rot13", "'rot13' is not")],
+)
+def test_gpx_in_an_encoding_that_is_not_read(tmp_path, encoding, why):
+    path = tmp_path / "tracks.gpx"
+    path.write_text(f'<?xml version="1.0" encoding="{encoding}"?><gpx></gpx>')
+    sentence = refusal(path)
+    assert sentence.startswith("path must be an intact GPX file, got")
+    assert f"not readable: {why}" in sentence
+
+
 def write_ulog(path, north):
     """A ULog file with four samples of ``vehicle_local_position``, 0.5 s apart: north, east 2 m, up 10 m."""
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from usnet_env.config import ArgumentError, quote
 from usnet_env.tracks.columns import keep_fixed
-from usnet_env.tracks.formats import Block, ReadOptions
+from usnet_env.tracks.formats import Block, ReadOptions, damaged_file
 from usnet_env.tracks.opening import open_expanded
 
 __all__ = ["read_gpx"]
@@ -68,7 +68,7 @@ def read_gpx(path: Path, options: ReadOptions) -> Iterator[Block]:
     """Read the track points of a GPX file; the ids are the tracks' names, or the file's name with a number.
 
     Raises:
-        ArgumentError: the file is damaged, declares a document type, or holds no track points.
+        ArgumentError: the file is damaged or in another encoding, declares a document type, or holds no track points.
     """
     points = _Points(path)
     parser = expat.ParserCreate()
@@ -79,10 +79,10 @@ def read_gpx(path: Path, options: ReadOptions) -> Iterator[Block]:
     try:
         with open_expanded(path, options.max_bytes) as file:
             parser.ParseFile(file)
-    except expat.ExpatError as error:
-        raise ArgumentError(
-            f"path must be an intact GPX file, got {quote(os.fspath(path))}, not readable: {error}."
-        ) from None
+    except ArgumentError:
+        raise
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the last two: of the encoding that it declares
+        raise damaged_file(path, "GPX", error) from None
     if not points.values["id"]:
         raise ArgumentError(f"path must be a GPX file with track points, got {quote(os.fspath(path))} without any.")
     names = {"id": "name", "lon": "lon", "lat": "lat", "z": "ele", "t": "time"}
