@@ -74,8 +74,21 @@ def test_empty_velocities_are_left_out(tmp_path):
     path = write_csv(tmp_path / "tracks.csv", [[*row, "", "", ""] for row in ROWS], [*HEADER, "vx", "vy", "vz"])
     read = read_tracks(path)
     assert (read.samples, read.velocity) == (60, None)
-    path = write_csv(tmp_path / "flat.csv", [[*row, 1.0, 2.0, ""] for row in ROWS], [*HEADER, "vx", "vy", "vz"])
+    path = write_csv(tmp_path / "flat.csv", [[*row, 1.0, 2.0] for row in ROWS], [*HEADER, "vx", "vy"])
     np.testing.assert_array_equal(read_tracks(path).velocity, [[1, 2, 0]] * 60)
+
+
+@pytest.mark.parametrize("gap", [0, 1, 2])
+def test_a_gap_in_one_velocity_leaves_out_all_of_them(tmp_path, gap):
+    velocities = [[1.0, 2.0, 3.0] for _ in ROWS]
+    velocities[7][gap] = ""
+    rows = [[*row, *velocity] for row, velocity in zip(HIGH, velocities, strict=True)]
+    read = read_tracks(write_csv(tmp_path / "tracks.csv", rows, [*HEADER, "z", "vx", "vy", "velocity_z"]))
+    assert (read.samples, read.velocity) == (60, None)
+    assert read.notes[:2] == (
+        "Columns: id = id, t = t, x = x, y = y, z = z.",
+        "Columns vx (vx), vy (vy), velocity_z (vz) lack a value in 1 of 60 rows and are left out.",
+    )
 
 
 def test_a_column_can_be_left_out(tmp_path):

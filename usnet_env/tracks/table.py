@@ -23,6 +23,7 @@ from usnet_env.tracks.values import is_none, read_numbers, read_times
 __all__ = ["Table"]
 
 _NUMBERS = ("x", "y", "lon", "lat", "z", "vx", "vy", "vz")
+_TOGETHER = (("z",), ("vx", "vy", "vz"))  # the optional numbers; one without the others of its group is of no use
 _MOST_NAMED = 3  # leaders without a track
 
 
@@ -156,16 +157,17 @@ class Table:
         )
 
     def _leave_out_gaps(self) -> list[str]:
-        """Leave out columns that tracks can be without and that have no value in some rows; a sentence about each."""
+        """Leave out heights, or velocities, that have no value in some rows; a sentence about each."""
         sentences = []
-        for role in _NUMBERS:
-            parts = self._parts.get(role, ())
-            empty, rows = sum(int(np.isnan(each).sum()) for each in parts), sum(map(len, parts))
+        for group in _TOGETHER:
+            found = [role for role in group if role in self._parts]
+            blocks = list(zip(*(self._parts[role] for role in found), strict=True))
+            empty = sum(int(np.isnan(block).any(axis=0).sum()) for block in blocks)
             if empty:
-                del self._parts[role]
-                sentences.append(
-                    f"Column {self._names.pop(role)} ({role}) has no value in {empty} of {rows} rows and is left out."
-                )
+                named = ", ".join(f"{self._names.pop(role)} ({role})" for role in found)
+                sentences.append(_say_left_out(named, len(found), f"{empty} of {sum(len(b[0]) for b in blocks)} rows"))
+                for role in found:
+                    del self._parts[role]
         return sentences
 
     def _take_times(self) -> tuple[Floats, Clock]:
@@ -206,6 +208,13 @@ class Table:
                 return None
         leader = known[named]
         return np.where(leader == codes, -1, leader)
+
+
+def _say_left_out(named: str, columns: int, where: str) -> str:
+    """Say that one column or several are left out, because a value is missing."""
+    if columns == 1:
+        return f"Column {named} has no value in {where} and is left out."
+    return f"Columns {named} lack a value in {where} and are left out."
 
 
 def _leave_out_marked(block: Block) -> tuple[Block, int]:
