@@ -289,6 +289,7 @@ def test_wrong_encodings_are_refused_by_row(tmp_path):
     path.write_text("id,t,x,y\na,0,1,2\nb,0,1,2\n", encoding="utf-16")
     assert "UTF-16" in refusal(path)
     path.write_text("id,t,x,y\na,0,1,2\nb,0,1,2\n", encoding="utf-8-sig")
+    assert read_tracks(path, encoding="utf-8-sig").ids == read_tracks(path).ids
     assert read_tracks(path).samples == 2
     assert refusal(path, encoding="utf-16").startswith("encoding must be one in which plain letters take one byte")
     assert refusal(path, encoding="foo").startswith("encoding must be one that Python knows")

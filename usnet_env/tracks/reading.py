@@ -90,7 +90,7 @@ def _check_encoding(encoding: Any) -> str:
             f"encoding must be one that Python knows, such as utf-8 or latin-1, got {quote(encoding)}."
         ) from None
     try:
-        plain = "id,1\n".encode(encoding) == b"id,1\n"
+        plain = b"id,1\n".decode(encoding) == "id,1\n"
     except (LookupError, UnicodeError, ValueError):  # some encodings are not of texts
         plain = False
     if not plain:
