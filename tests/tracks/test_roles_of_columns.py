@@ -126,6 +126,23 @@ def test_two_roles_on_one_column_are_refused(run, tmp_path):
     assert (status, err) == (2, f"usnet: --column {expected}\n")
 
 
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        (
+            {"x": "x", "y": "y", "lon": "lon", "lat": "lat"},
+            "x and y or lon and lat, not both, got 'x' for x, 'y' for y",
+        ),
+        ({"y": "y", "lon": "lon"}, "x and y or lon and lat, not both, got 'y' for y, 'lon' for lon."),
+        ({"t": "t", "frame": "x"}, "t or frame, not both, got 't' for t, 'x' for frame."),
+    ],
+)
+def test_named_columns_of_which_only_some_can_be_read_are_refused(tmp_path, columns, expected):
+    path = write_csv(tmp_path / "tracks.csv", [[*row, 10.0, 50.0] for row in ROWS], [*HEADER, "lon", "lat"])
+    assert refusal(path, columns=columns).startswith(f"columns must name {expected}")
+    assert read_tracks(path, columns={"x": "x", "lon": "", "lat": ""}).frame == "metres"
+
+
 def test_a_column_that_another_role_has_taken_is_not_offered(tmp_path):
     path = write_csv(tmp_path / "tracks.csv", ROWS)
     expected = "(id), which is none of ['t', 'x', 'y'], because 'id' is given to t."

@@ -48,6 +48,7 @@ ROLES: dict[str, tuple[str, ...]] = {
 #: The roles that tracks can be without.
 OPTIONAL = ("z", "vx", "vy", "vz", "leader")
 _PAIRS = (("x", "y"), ("lon", "lat"))
+_ALTERNATIVES = (_PAIRS, (("t",), ("frame",)))
 _OUTLIERS = ("algorithm_marked_outlier", "import_marked_outlier", "manually_marked_outlier")
 _MOVEBANK = {"individual_local_identifier", "tag_local_identifier", *_OUTLIERS}  # one of these is in each of its files
 _TRUE, _FALSE = {"true", "t", "yes", "1", "1.0"}, {"false", "f", "no", "0", "0.0"}
@@ -58,7 +59,8 @@ def check_mapping(columns: Any) -> dict[str, str]:
     """Check the argument ``columns``, which maps roles to names of columns; ``""`` leaves a role out.
 
     Raises:
-        ArgumentError: it is no mapping of known roles to texts, or gives two roles one column.
+        ArgumentError: it is no mapping of known roles to texts, gives two roles one column, or names columns of which
+            only some can be read.
     """
     if columns is None:
         return {}
@@ -71,6 +73,15 @@ def check_mapping(columns: Any) -> dict[str, str]:
         if name and role_of.setdefault(name, role) != role:
             raise ArgumentError(
                 f"columns must give each role a column of its own, got {quote(name)} for {role_of[name]} and {role}."
+            )
+    for one, other in _ALTERNATIVES:
+        named = [
+            [f"{quote(columns[role])} for {role}" for role in roles if columns.get(role)] for roles in (one, other)
+        ]
+        if all(named):
+            raise ArgumentError(
+                f"columns must name {' and '.join(one)} or {' and '.join(other)}, not both, got "
+                f"{', '.join(named[0] + named[1])}."
             )
     return dict(columns)
 
