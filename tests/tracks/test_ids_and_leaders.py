@@ -123,6 +123,24 @@ def test_tracks_of_one_name_in_several_gpx_files_are_several_ids(tmp_path):
     assert read_tracks([logs[1], logs[1]]).ids == ("ACTIVE LOG", "Rex")
 
 
+def test_a_track_may_have_the_name_that_another_one_gets(tmp_path):
+    logs = [write_gpx(tmp_path / f"{name}.gpx", k, "A" if k < 2 else "A (y.gpx)") for k, name in enumerate("yzw")]
+    assert read_tracks(logs).ids == ("A (y.gpx) (y.gpx)", "A (z.gpx)", "A (y.gpx)")
+    own = write_gpx(tmp_path / "y.gpx", 0, "A", "A (y.gpx)")
+    assert read_tracks([own, logs[1]]).ids == ("A (y.gpx) (y.gpx)", "A (y.gpx)", "A (z.gpx)")
+
+
+def test_a_file_that_is_given_by_two_paths_is_one_file(tmp_path):
+    path = write_gpx(tmp_path / "x1" / "a.gpx", 0, "A", "B")
+    (tmp_path / "x2").mkdir()
+    paths = [path, tmp_path / "x2" / ".." / "x1" / "a.gpx"]
+    read = read_tracks(paths)
+    assert (read.ids, read.samples) == (("A", "B"), 8)
+    (tmp_path / "b.gpx").symlink_to(path)
+    other = write_gpx(tmp_path / "c.gpx", 1, "A")
+    assert read_tracks([tmp_path / "b.gpx", other]).ids == ("A (b.gpx)", "B", "A (c.gpx)")
+
+
 def test_a_csv_file_continues_the_tracks_of_another(tmp_path):
     parts = [write_csv(tmp_path / f"{k}.csv", ROWS[30 * k : 30 * k + 30]) for k in range(2)]
     read = read_tracks(parts)

@@ -83,7 +83,8 @@ class LabelBook:
     """
 
     def __init__(self) -> None:
-        self._code: dict[tuple[str, Path | None], int] = {}
+        self._code: dict[tuple[str, Path | None], int] = {}  # by text and file, without links and ".."
+        self._given: dict[Path, Path] = {}  # the path of each of these files as the caller has named it
         self._whole = True
 
     def __len__(self) -> int:
@@ -97,6 +98,9 @@ class LabelBook:
             good: ``(rows,)`` which rows to read.
             path: the file, if the labels are known in it only.
         """
+        file = path and path.resolve()
+        if path and file:
+            self._given.setdefault(file, path)
         index = labels.index[good]
         first = np.full(len(labels.names), len(index))
         first[index[::-1]] = np.arange(len(index))[::-1]  # of equal indices, the last assignment counts: the first row
@@ -104,27 +108,34 @@ class LabelBook:
         for k in np.argsort(first)[: int((first < len(index)).sum())].tolist():
             label = labels.names[k]
             self._whole = self._whole and isinstance(label, int)
-            codes[k] = self._code.setdefault((str(label), path), len(self._code))
+            codes[k] = self._code.setdefault((str(label), file), len(self._code))
         return codes[index]
 
     def names(self) -> tuple[str | int, ...]:
         """The labels in the order of their numbers: whole numbers if all are, otherwise texts.
 
-        A label of several files that is another one in each has the name of its file added.
+        A label of several files that is another one in each has the name of its file added, as often as it takes until
+        no other label has this name.
         """
         places: dict[str, list[Path | None]] = {}
-        for text, path in self._code:
-            places.setdefault(text, []).append(path)
-        texts = [
-            text if path is None or len(places[text]) == 1 else f"{text} ({_tell_apart(path, places[text])})"
-            for text, path in self._code
-        ]
+        for text, file in self._code:
+            places.setdefault(text, []).append(file)
+        taken, texts = set(places), []
+        for text, file in self._code:
+            name = text
+            if file is not None and len(places[text]) > 1:
+                others = [self._given[each] for each in places[text] if each not in (None, file)]
+                added = f" ({_tell_apart(self._given[file], others)})"
+                while name in taken:
+                    name += added
+                taken.add(name)
+            texts.append(name)
         return tuple(map(int, texts)) if self._whole else tuple(texts)
 
 
-def _tell_apart(path: Path, others: Sequence[Path | None]) -> str:
+def _tell_apart(path: Path, others: Sequence[Path]) -> str:
     """The end of a path that no other one has: the file's name, or with its folders."""
-    parts = [each.parts for each in others if each is not None and each != path]
+    parts = [each.parts for each in others]
     depth = 1
     while any(path.parts[-depth:] == each[-depth:] for each in parts):
         depth += 1
