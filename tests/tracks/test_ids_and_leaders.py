@@ -41,6 +41,19 @@ def test_leaders_are_the_same_text_or_an_equal_number(tmp_path, ids, leaders):
     assert led(read_tracks(write_csv(tmp_path / "tracks.csv", rows, [*HEADER, "leader"]))) == [-1, 0, 0]
 
 
+def test_the_texts_na_and_nan_are_ids_but_no_values_elsewhere(tmp_path):
+    ids = ["NA", "nan", "b"]
+    rows = [[ids[k], *row[1:], ["", "null", "NA"][k]] for k, row in zip(number(ROWS), ROWS, strict=True)]
+    read = read_tracks(write_csv(tmp_path / "tracks.csv", rows, [*HEADER, "leader"]))
+    assert (read.ids, led(read)) == (("NA", "nan", "b"), [-1, -1, 0])
+    assert not any("without a track" in note for note in read.notes)
+    rows[0][2] = "NA"
+    with pytest.raises(
+        ArgumentError, match=r"^x must be a number in every row unless missing='skip', got none in row 2"
+    ):
+        read_tracks(write_csv(tmp_path / "gap.csv", rows, [*HEADER, "leader"]))
+
+
 @pytest.mark.parametrize("kind", ["int64", "string", "double"])
 @pytest.mark.parametrize("leader", ["int64", "string", "double"])
 def test_leaders_of_parquet_may_have_another_type(tmp_path, kind, leader):
