@@ -205,7 +205,7 @@ def find_leaders(
             for head, led in zip(heads, followers, strict=True)
         ]
         labels = groups.follow(groups_here)
-        probability = _probabilities(detection, len(cut.ids))
+        probability = _probabilities(detection)
         if probability is not None:
             probability[rejected] = 0.0
         reasons = _reasons(detection, heads, followers, len(cut.ids))
@@ -270,12 +270,10 @@ def _followers(detection: Detection, head: int) -> list[int]:
     return [int(i) for i in np.flatnonzero(behind) if i != head]
 
 
-def _probabilities(detection: Detection, uavs: int) -> NDArray[np.float64] | None:
-    """The detector's probabilities, ``(N,)``, or ``None`` if it gives none."""
+def _probabilities(detection: Detection) -> NDArray[np.float64] | None:
+    """A copy of the detector's probabilities, ``(N,)``, or ``None`` if it gives none."""
     given = detection.extras.get("probability")
-    if given is None or np.shape(given) != (uavs,):
-        return None
-    return np.array(given, np.float64)
+    return None if given is None else np.array(given, np.float64)
 
 
 def _reasons(detection: Detection, heads: NDArray[np.intp], followers: list[list[int]], uavs: int) -> list[str]:
