@@ -207,9 +207,7 @@ class EvaluationResult(Results):
         return [self]
 
     def _title(self) -> str:
-        episodes = sorted({entry["episodes"] for entry in self.summary}) or [0]
-        most = format_count(episodes[-1], "episode")
-        played = most if len(episodes) == 1 else f"{episodes[0]} to {most}"
+        played = tables.describe_episodes(self.summary)
         failed = f"; {len(self.failures)} failed" if self.failures else ""
         return f"{self.config['env']}: {format_count(len(self.summary), 'detector')}, {played} each{failed}"
 

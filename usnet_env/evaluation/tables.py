@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usnet_env.config import unknown_name
+from usnet_env.config import format_count, unknown_name
 from usnet_env.evaluation.metrics import METRICS, TRACK_METRICS
 from usnet_env.evaluation.report import format_latex
 
@@ -227,6 +227,13 @@ def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Tab
     return table
 
 
+def describe_episodes(summary: Summary) -> str:
+    """The number of episodes of each detector: ``20 episodes``, or ``5 to 20 episodes``."""
+    episodes = sorted({entry["episodes"] for entry in summary}) or [0]
+    most = format_count(episodes[-1], "episode")
+    return most if len(episodes) == 1 else f"{episodes[0]} to {most}"
+
+
 def ranking_table(summary: Summary, env: str) -> Table:
     """The detectors by their J, best first, and their main metrics, for a terminal of 80 columns."""
     from rich.box import SIMPLE_HEAD
@@ -234,10 +241,7 @@ def ranking_table(summary: Summary, env: str) -> Table:
 
     from usnet_env.evaluation.split_table import SplitTable
 
-    episodes = sorted({entry["episodes"] for entry in summary}) or [0]
-    played = f"{episodes[0]}" if len(episodes) == 1 else f"{episodes[0]} to {episodes[-1]}"
-    plural = "" if episodes == [1] else "s"
-    title = f"{env}, {played} episode{plural} of each detector: means, best first"
+    title = f"{env}, {describe_episodes(summary)} of each detector: means, best first"
     table = SplitTable(title=title, box=SIMPLE_HEAD, title_justify="left", show_edge=False, padding=0)
     table.add_column("detector", overflow="fold")
     best = _first_metric(summary)
