@@ -33,8 +33,8 @@ class FollowMixture(Detector):
         max_lag: the longest individual delay of a follower, in samples; a quarter of the window at most.
         max_delay: the longest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
         least_share: the least share of the innovations of a group, which its own past does not predict, that its head
-            explains. With 0.2, UAVs in formation about a virtual point, or in a herd with a shepherd, have no head,
-            and heads behind noise, or that lead for a part of the time, are missed.
+            explains. With 0.2, UAVs in formation about a virtual point have no head, and fewer UAVs of a herd are
+            named; but many heads that lead for a part of the time, and smooth heads behind noise, are missed.
         policy: how candidates are chosen from the probabilities.
 
             * ``"cost"`` (default) minimises the expected J_m (J_s for ``objective="P1"``). A missed head costs another
