@@ -213,7 +213,7 @@ def screen(
     power = targets.energy[groups][:, None]
     # Single precision is enough to order the candidates, and this is most of the work in a large swarm.
     flat, plain, own = (
-        np.ascontiguousarray(values.transpose(1, 0, 2), np.float32)
+        np.ascontiguousarray(values.transpose(1, 2, 0), np.float32)
         for values in (
             targets.innovation[groups] * weight[:, :, None],
             targets.innovation[groups] / weight[:, :, None],
@@ -221,7 +221,7 @@ def screen(
         )
     )
     square = (weight**2).astype(np.float32)
-    rough = ((plain**2).sum(axis=(0, 2)) + targets.grain)[:, None]
+    rough = ((plain**2).sum(axis=(0, 1)) + targets.grain)[:, None]
     screened = [name for name in names if name in SCREENED]
     evidence = np.zeros((len(screened), len(groups), len(past)))
     only = np.full(len(past), -1) if only is None else only
@@ -232,29 +232,27 @@ def screen(
         some = np.flatnonzero(valid.any(axis=1))
         for number, (_, found) in enumerate(make_features(past[part], screened)):
             if found.shape[2] == targets.axes:
-                share = _explain_exactly(found.astype(np.float32), flat[:, some], own[:, some], square[some])
+                share = _explain_exactly(found.astype(np.float32), flat[:, :, some], own[:, :, some], square[some])
                 share /= power[some]
             else:
-                share = _explain_roughly(whiten(found).astype(np.float32), plain[:, some]) / rough[some]
+                share = _explain_roughly(whiten(found).astype(np.float32), plain[:, :, some]) / rough[some]
             gained = bayes_factor(share, rows[some], found.shape[2], targets.axes) - price[some]
             evidence[number, some[:, None], part] = np.where(valid[some], gained, 0.0)
     return evidence
 
 
 def choose_pairs(targets: Targets, evidence: Floats, groups: Indices) -> Pairs:
-    """The candidates of some groups: every class nominates single UAVs, members of the group and of other groups.
+    """The candidates of screened groups ``(c,)``: every class nominates single UAVs, members of the group and others.
 
-    Args:
-        targets: the groups.
-        evidence: ``(K, c, n)`` of the screening.
-        groups: ``(c,)`` the groups that were screened.
+    ``evidence`` ``(K, c, n)`` is that of :func:`screen` for these groups.
     """
     inside = targets.label[None] == groups[:, None]
     alone = targets.sizes[targets.label] == 1
     asked = np.zeros(evidence.shape[1:], bool)
     for sort in (alone & ~inside, ~alone & ~inside, inside):
         for values in evidence:
-            asked |= _find_highest(np.where(sort, values, 0.0))
+            some = np.flatnonzero((sort & (values > 0.0)).any(axis=0))
+            asked[:, some] |= _find_highest(np.where(sort[:, some], values[:, some], 0.0))
     place, uav = np.nonzero(asked)
     return pair(targets, groups[place], uav)
 
@@ -279,61 +277,63 @@ def pick(pairs: Pairs, places: Indices | Mask) -> Pairs:
 
 
 def _explain_roughly(white: Singles, flat: Singles) -> Floats:
-    """``(C, k)``: energy of unweighted innovations ``(R, C, a)`` that orthonormal features ``(k, R, p)`` explain."""
-    product = np.tensordot(white, flat, (1, 0))  # (k, p, C, a)
-    return np.asarray(np.einsum("kpca,kpca->kca", product, product).sum(axis=2).T)
+    """``(C, k)``: energy of unweighted innovations ``(R, a, C)`` that orthonormal features ``(k, R, p)`` explain."""
+    product = np.tensordot(white, flat, (1, 0))  # (k, p, a, C)
+    return np.asarray(np.einsum("kpac,kpac->kac", product, product).sum(axis=1).T)
 
 
 def _explain_exactly(features: Singles, flat: Singles, own: Singles, weight: Singles) -> Floats:
     """``(C, k)``: energy that few features ``(k, R, p)`` explain beyond the own pasts.
 
-    ``flat`` ``(R, C, a)`` are the innovations and ``own`` ``(R, C, z)`` the own pasts, times the weights of their rows;
+    ``flat`` ``(R, a, C)`` are the innovations and ``own`` ``(R, z, C)`` the own pasts, times the weights of their rows;
     ``weight`` ``(C, R)`` are the squares of these weights.
     """
     moment, known = np.tensordot(features, flat, (1, 0)), np.tensordot(features, own, (1, 0))
     row, column = np.tril_indices(features.shape[2])
     products = features[:, :, row] * features[:, :, column]
     gram = np.tensordot(products, weight, (1, 1))
-    return np.asarray(_solve(moment, known, gram, RIDGE, _NOTHING).T)
+    return np.asarray(_solve(moment, known, gram).T)
 
 
 @compiled()
-def _solve(moment: Singles, known: Singles, gram: Singles, ridge: float, least: float) -> Floats:
+def _solve(moment: Singles, known: Singles, gram: Singles) -> Floats:
     """``(k, C)``: m' G^-1 m, summed over the axes, with G less what the own past explains, by Cholesky's method.
 
     Args:
-        moment: ``(k, p, C, a)`` features times innovations.
-        known: ``(k, p, C, z)`` features times own pasts.
+        moment: ``(k, p, a, C)`` features times innovations.
+        known: ``(k, p, z, C)`` features times own pasts.
         gram: ``(k, p (p + 1) / 2, C)`` lower triangles of features times features.
-        ridge: share of the mean diagonal of G that is added to it.
-        least: added to the diagonal.
     """
-    uavs, features, count, width = known.shape
-    explained = np.empty((uavs, count))
-    lower, left = np.empty((features, features)), np.empty(features)
+    uavs, features, width, count = known.shape
+    explained = np.zeros((uavs, count))
+    lower, left = np.empty((features, features, count)), np.empty((features, count))
     for k in range(uavs):
-        for c in range(count):
-            trace = gram[k, 0, c]
-            for p in range(1, features):
-                trace += gram[k, p * (p + 3) // 2, c]
-            more = ridge * trace / features + least
+        for p in range(features):
+            for q in range(p + 1):
+                value = lower[p, q]
+                value[:] = gram[k, p * (p + 1) // 2 + q]
+                for z in range(width):
+                    for c in range(count):
+                        value[c] -= known[k, p, z, c] * known[k, q, z, c]
+                for r in range(q):
+                    for c in range(count):
+                        value[c] -= lower[p, r, c] * lower[q, r, c]
+                for c in range(count):
+                    if p > q:
+                        value[c] /= lower[q, q, c]
+                        continue
+                    trace = np.float32(0.0)
+                    for i in range(features):
+                        trace += gram[k, i * (i + 3) // 2, c]
+                    value[c] = np.sqrt(max(value[c], 0.0) + RIDGE * trace / features + _NOTHING)
+        for axis in range(moment.shape[2]):
             for p in range(features):
-                for q in range(p + 1):
-                    value = gram[k, p * (p + 1) // 2 + q, c]
-                    for z in range(width):
-                        value -= known[k, p, c, z] * known[k, q, c, z]
-                    for r in range(q):
-                        value -= lower[p, r] * lower[q, r]
-                    lower[p, q] = np.sqrt(max(value, 0.0) + more) if p == q else value / lower[q, q]
-            total = 0.0
-            for axis in range(moment.shape[3]):
-                for p in range(features):
-                    value = moment[k, p, c, axis]
+                for c in range(count):
+                    rest = moment[k, p, axis, c]
                     for r in range(p):
-                        value -= lower[p, r] * left[r]
-                    left[p] = value / lower[p, p]
-                    total += left[p] ** 2
-            explained[k, c] = total
+                        rest -= lower[p, r, c] * left[r, c]
+                    left[p, c] = rest / lower[p, p, c]
+                    explained[k, c] += left[p, c] ** 2
     return explained
 
 
