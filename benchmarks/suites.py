@@ -4,6 +4,8 @@
     python benchmarks/suites.py out/first/field out/second/field    # detectors that were played apart, in one file
     python benchmarks/suites.py --add out/mine/paper    # the same, and the other detectors of the file stay in it
 
+A slow detector may have played the first episodes only (`--episodes`), as many of every cell.
+
 `benchmarks/README.md` lists the commands that played them.
 """
 
@@ -13,7 +15,6 @@ import argparse
 import csv
 import gzip
 import io
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -39,7 +40,7 @@ def pack(folders: Sequence[Path], add: bool = False, results: Path = RESULTS) ->
         results: the folder of the committed rows.
 
     Raises:
-        ValueError: a detector lacks episodes, or rows of the file and of the folders are of different swarms.
+        ValueError: a detector lacks episodes of a cell, or the same episode has different swarms.
     """
     suite = load_suite(folders[0].name)
     path = results / rows_file(suite)
@@ -59,16 +60,24 @@ def pack(folders: Sequence[Path], add: bool = False, results: Path = RESULTS) ->
         for row in found.results[cell].rows
         if (cell, row["detector"]) not in without
     ]
-    counts = Counter(row["detector"] for row in rows + failed * suite.episodes)
-    expected = suite.episodes * len(suite.cells)
-    if short := [name for name, count in counts.items() if count != expected]:
-        raise ValueError(f"each detector must have {expected} rows of {suite.label}, got another number of {short}.")
+    played_cells = group_rows(rows, lambda row: (row["detector"], row["cell"]))
+    most = {name: max(int(row["episode"]) for row in own) for name, own in group_rows(rows, _detector).items()}
+    short = [
+        f"{name} in {cell}"
+        for name in most
+        for cell in suite.cells
+        if (cell, name) not in without
+        and [int(row["episode"]) for row in played_cells.get((name, cell), [])] != list(range(most[name] + 1))
+    ]
+    if short:
+        raise ValueError(f"a detector must play the same episodes of every cell of {suite.label}; some lack: {short}.")
     if add and path.exists():
-        rows += [row for row in read_suite(suite, results) if row["detector"] not in counts]
-        failed += [row for row in read_failures(suite, results) if row["detector"] not in counts]
+        new = {row["detector"] for row in rows + failed}
+        rows += [row for row in read_suite(suite, results) if row["detector"] not in new]
+        failed += [row for row in read_failures(suite, results) if row["detector"] not in new]
     order = list(suite.cells)
     swarms = {(row["cell"], row["episode"], row["swarm_seed"]) for row in rows}
-    if len(swarms) != suite.episodes * len({row["cell"] for row in rows}):
+    if len(swarms) != len({(row["cell"], row["episode"]) for row in rows}):
         raise ValueError(f"all rows of {suite.label} must be of the same swarms: play with the secret of the others.")
     content = _write_csv(("cell", *COLUMNS), sorted(rows, key=lambda row: order.index(row["cell"])))
     with atomic_write(path) as aside:
@@ -78,6 +87,10 @@ def pack(folders: Sequence[Path], add: bool = False, results: Path = RESULTS) ->
         with atomic_write(results / failures_file(suite)) as aside:
             aside.write_bytes(content)
     return path
+
+
+def _detector(row: Mapping[str, str]) -> str:
+    return row["detector"]
 
 
 def _write_csv(columns: Sequence[str], rows: Sequence[Mapping[str, str]]) -> bytes:

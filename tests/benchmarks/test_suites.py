@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import suites
-from result_pages.suites import read_failures
+from result_pages.suites import describe_suite, read_failures, read_suite
 
 from usnet_env import Detection, Window
 from usnet_env.evaluation import FrozenSuite, evaluate_suite, load_suite
@@ -57,8 +57,23 @@ def test_a_later_detector_is_added_and_others_stay(small: FrozenSuite, tmp_path:
 
 def test_a_detector_that_did_not_play_all_cells_is_refused(small: FrozenSuite, tmp_path: Path) -> None:
     evaluate_suite(small, "none", isolate=False, out=tmp_path / "small", cells=["plain"])
-    with pytest.raises(ValueError, match=r"must have 4 rows of small \(version 3\), got another number of \['none'\]"):
+    with pytest.raises(
+        ValueError, match=r"the same episodes of every cell of small .*; some lack: \['none in noise'\]"
+    ):
         suites.pack([tmp_path / "small"], results=tmp_path)
+
+
+def test_a_slow_detector_may_play_the_first_episodes_of_each_cell(small: FrozenSuite, tmp_path: Path) -> None:
+    first, second = (tmp_path / name / "small" for name in ("first", "second"))
+    evaluate_suite(small, "none", isolate=False, out=first)
+    evaluate_suite(small, "destroy-all", isolate=False, out=second, episodes=1)
+    rows = rows_of(suites.pack([first, second], results=tmp_path))
+    assert [row for row in rows if row[1] == "destroy-all"] == [(cell, "destroy-all", "0") for cell in small.cells]
+    page = "\n".join(describe_suite(small, read_suite(small, tmp_path)))
+    assert "only the first episodes of each cell: `destroy-all` 1 of 2." in page
+    evaluate_suite(small, "destroy-all", isolate=False, out=second, cells=["plain"])
+    with pytest.raises(ValueError, match=r"some lack: \['destroy-all in noise'\]"):
+        suites.pack([second], results=tmp_path)
 
 
 class Sometimes:
