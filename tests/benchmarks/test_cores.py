@@ -78,5 +78,5 @@ def test_the_page_is_made_of_both_files(tmp_path: Path, monkeypatch: pytest.Monk
         (tmp_path / name).write_bytes(gzip.compress("\n".join(lines).encode()))
     text = cores.text()
     assert "| short (seed 4242) | 3 |" in text
-    assert "| short T8 | 2 |" in text
+    assert "| short T8 (seed 4242) | 2 |" in text
     assert "sizes" not in text.partition("## Raw rows")[0]
