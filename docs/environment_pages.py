@@ -81,26 +81,30 @@ def _game_page(name: str) -> str:
 
 
 def field_tables() -> list[str]:
-    """The tables of docs/field.md: the field models, the controls and the kinematics models, one line each."""
+    """The tables of docs/field.md: assumptions and equations of field models, controls, and kinematics models."""
+    follow = [(name, model, model.citation, model.parameters) for name, model in FIELD_MODELS.items()]
+    controls = [(name, model, model.citation, model.parameters) for name, model in CONTROLS.items()]
+    moves = [
+        (name, kinematics, kinematics.source, [field.name for field in dataclasses.fields(kinematics)])
+        for name, kinematics in KINEMATICS.items()
+        if dataclasses.is_dataclass(kinematics)
+    ]
+    return [_assumptions(follow), _equations(follow), _equations(controls), _assumptions(moves), _equations(moves)]
 
-    def list_values(part: Any, names: Iterable[str]) -> str:
-        return ", ".join(f"`{name}={getattr(part, name)!r}`" for name in names) or "none"
 
-    follow = ["| name | equation | source | parameters | breaks the assumption |", "| --- | --- | --- | --- | --- |"]
-    for name, model in FIELD_MODELS.items():
-        cells = (f"`{model.equation}`", model.citation, list_values(model, model.parameters), model.breaks)
-        follow.append(f"| `{name}` | {' | '.join(cells)} |")
-    controls = ["| name | equation | source | parameters |", "| --- | --- | --- | --- |"]
-    for name, model in CONTROLS.items():
-        cells = (f"`{model.equation}`", model.citation, list_values(model, model.parameters))
-        controls.append(f"| `{name}` | {' | '.join(cells)} |")
-    moves = [*follow[:2]]
-    for name, kinematics in KINEMATICS.items():
-        if dataclasses.is_dataclass(kinematics):
-            fields = [field.name for field in dataclasses.fields(kinematics)]
-            cells = (f"`{kinematics.equation}`", kinematics.source, list_values(kinematics, fields), kinematics.breaks)
-            moves.append(f"| `{name}` | {' | '.join(cells)} |")
-    return ["\n".join(follow), "\n".join(controls), "\n".join(moves)]
+def _assumptions(parts: Iterable[tuple[str, Any, str, Iterable[str]]]) -> str:
+    """A table of parts ``(name, part, source, names of parameters)`` of the simulator: what each breaks."""
+    lines = [f"| `{name}` | {part.breaks} | {source} |" for name, part, source, _ in parts]
+    return "\n".join(["| name | breaks the assumption | source |", "| --- | --- | --- |", *lines])
+
+
+def _equations(parts: Iterable[tuple[str, Any, str, Iterable[str]]]) -> str:
+    """A table of parts of the simulator: equations and parameters."""
+    lines = [
+        f"| `{name}` | `{part.equation}` | {', '.join(f'`{key}={getattr(part, key)!r}`' for key in keys) or 'none'} |"
+        for name, part, _, keys in parts
+    ]
+    return "\n".join(["| name | equation | parameters |", "| --- | --- | --- |", *lines])
 
 
 def _docstring(described: type) -> tuple[str, str]:
