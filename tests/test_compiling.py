@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 
+import numpy as np
 import pytest
 from numba.core import config
 
@@ -37,3 +38,26 @@ def test_a_function_is_not_compiled_while_another_process_compiles_it(tmp_path, 
     assert (again(2.5), again(2)) == (5.0, 4)
     assert len(again.stats.cache_hits) == 2
     assert not again.stats.cache_misses
+
+
+def sum_up(values):
+    total = np.float32(0.0)
+    for value in values:
+        total += value * value
+    return total
+
+
+def test_a_function_computes_the_same_whoever_calls_it_first(tmp_path, monkeypatch):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    values = np.random.default_rng(0).normal(size=1001).astype(np.float32)
+    alone = sum_up(values)  # in the order in which it is written
+    part = compiled()(sum_up)
+
+    def call(values):
+        return part(values)
+
+    compiled(fastmath={"reassoc", "contract"})(call)(values)
+    assert part(values) == alone
+    again = compiled()(sum_up)  # another process, which reads the cache
+    assert again(values) == alone
+    assert again.stats.cache_hits

@@ -26,9 +26,13 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     wait and load it (except on Windows): Numba's own cache mixes up the code of two processes that compile different
     signatures of one function at the same time.
 
+    What a function computes doesn't depend on its callers: Numba compiles a function that has no options by the options
+    of the caller that needs it first, ``fastmath`` too, and keeps this code for all others.
+
     Args:
         options: further arguments of :func:`numba.njit`.
     """
+    options = {"fastmath": False, "error_model": "python", **options}
 
     def compile_function(function: Callable[..., Any]) -> Any:
         try:
