@@ -6,8 +6,8 @@ of the paper's LaTeX source.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,51 +27,33 @@ from usnet_env.window import Window
 
 LEAST_UAVS = 3  # of a cluster that GASSL can look at
 
-#: lines 2 and 3: clusters of a window from the features of the GRU network W
-Cluster = Callable[[Window, GruParameters, np.random.Generator], Clustering]
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """What a round gives.
-
-    Args:
-        heads: line 4, without the clusters.
-        clustering: lines 2 and 3.
-        followed: ``(N,)`` c_{i'} of equation (38).
-        parameters: W_r, for the next round.
-        loss: of each step of on-line training.
-    """
-
-    heads: Detection
-    clustering: Clustering
-    followed: Floats
-    parameters: GruParameters
-    loss: list[float]
-
 
 def run_round(
     window: Window,
     parameters: GruParameters,
-    cluster: Cluster,
+    clusterer: Any,
     gassl: Gassl,
     online: OnlineTraining,
     rng: np.random.Generator,
-) -> Round:
+) -> tuple[Detection, GruParameters]:
     """Lines 2 to 5 of the on-line executions. The environment destroys the candidates and ends the loop.
 
     Args:
         window: the observations of T_ob steps, with at least 3 living UAVs.
         parameters: W_{r-1}; in round 1 the meta parameters.
-        cluster: features, M̂ and clusters.
+        clusterer: of the features, with ``cluster(window, rng)``; its features may come from ``parameters``.
         gassl: the settings of Algorithm 1, such as T_0.
         online: the settings of on-line training.
         rng: where all draws come from.
+
+    Returns:
+        The answer of :meth:`detectors.mc_gassl.McGassl.detect`, and W_r for the next round.
     """
-    clustering = cluster(window, parameters, rng)  # lines 2, 3
+    clustering = clusterer.cluster(window, rng)  # lines 2, 3
     heads, gamma = detect_heads(window, clustering, gassl, rng)  # line 4
     followed, updated, loss = update_gru(window, parameters, clustering.count, gamma, gassl, online, rng)  # line 5
-    return Round(heads, clustering, followed, updated, loss)
+    extras = {"count": clustering.count, "followed": followed, "online_loss": loss, "features": clustering.features}
+    return replace(heads, clusters=clustering.labels, extras={**extras, **heads.extras}), updated
 
 
 def detect_heads(

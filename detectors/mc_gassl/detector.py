@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property, partial
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
+from pydantic import Field
 
 from detectors.base import Detector
-from detectors.clustering import Clustering, check_clusterer, make_clusterer
+from detectors.clustering import check_clusterer, make_clusterer
 from detectors.gassl import Gassl
 from detectors.mc_gassl.algorithm_2 import LEAST_UAVS, run_round
 from detectors.mc_gassl.features import gru_features
@@ -64,8 +65,8 @@ class McGassl(Detector):
     gru_mode: Literal["single", "mean", "series"] = "single"
     count: Count | str = "gap-one-se"
     gassl: Mapping[str, Any] | None = None
-    online_steps: int = 1
-    online_rate: float = 1.0
+    online_steps: Annotated[int, Field(ge=0, le=1_000_000)] = 1
+    online_rate: Annotated[float, Field(gt=0)] = 1.0
     sampling: Literal["hard", "semi-hard", "random"] = "hard"
     start: Literal["meta", "random"] = "meta"
     memory: Lags = 4
@@ -80,11 +81,8 @@ class McGassl(Detector):
             raise ArgumentError(f"gassl must be a mapping of argument names to values, got {quote(self.gassl)}.")
         plain = super().check_arguments()
         check_clusterer(plain.clusterer)
-        metric = Metric(sampling=self.sampling)
-        try:
-            online = OnlineTraining(steps=self.online_steps, rate=self.online_rate, metric=metric)
-        except ArgumentError as error:
-            raise ArgumentError(f"online_{error}") from None
+        metric = Metric(sampling=plain.sampling)
+        online = OnlineTraining(steps=plain.online_steps, rate=plain.online_rate, metric=metric)
         given = plain.gassl or {}
         for name in given:
             if name not in Gassl().get_params() or name == "memory":
@@ -128,20 +126,16 @@ class McGassl(Detector):
             candidates = name_at_random(living, 1, window.uavs, self.rng)
             none = {"count": min(1, len(living)), "followed": np.zeros(window.uavs), "online_loss": []}
             return Detection(candidates, np.zeros(window.uavs), np.where(window.alive, 0, -1), extras=none)
-        found = run_round(window, self._parameters, self._cluster, gassl, online, self.rng)
-        self._parameters = found.parameters
-        heads, clustering = found.heads, found.clustering
-        extras = {"count": clustering.count, "followed": found.followed, "online_loss": found.loss}
-        extras |= {"features": clustering.features, **heads.extras}
-        return Detection(heads.candidates, heads.scores, clustering.labels, heads.leader, heads.attention, extras)
+        detection, self._parameters = run_round(
+            window, self._parameters, self._make_clusterer(), gassl, online, self.rng
+        )
+        return detection
 
-    def _cluster(self, window: Window, parameters: GruParameters, rng: np.random.Generator) -> Clustering:
-        """Lines 2 and 3 of Algorithm 2."""
-        clusterer = self.clusterer
-        if isinstance(clusterer, str):
-            features: Any = self.features
-            if isinstance(features, str) and features == GRU:
-                features = partial(gru_features, parameters=parameters, mode=self.gru_mode, memory=self.memory)
-            clusterer = make_clusterer(clusterer, features=features, count=self.count, memory=self.memory)
-        clustering: Clustering = clusterer.cluster(window, rng)
-        return clustering
+    def _make_clusterer(self) -> Any:
+        """The clusterer of lines 2 and 3 of Algorithm 2, with the GRU network as it is in this round."""
+        if not isinstance(self.clusterer, str):
+            return self.clusterer
+        features: Any = self.features
+        if isinstance(features, str) and features == GRU:
+            features = partial(gru_features, parameters=self._parameters, mode=self.gru_mode, memory=self.memory)
+        return make_clusterer(self.clusterer, features=features, count=self.count, memory=self.memory)

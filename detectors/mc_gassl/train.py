@@ -74,10 +74,6 @@ class MetaTraining(Config):
     mobility: str = "iid"
     head_jitter: bool = False
 
-    def offline(self) -> OfflineTraining:
-        """Method, rates and batches."""
-        return self.part(OfflineTraining, metric=self.part(Metric))
-
 
 def _rng(training: MetaTraining, purpose: int, number: int = 0) -> np.random.Generator:
     return np.random.default_rng([training.seed, purpose, number])
@@ -124,8 +120,8 @@ def trained(training: MetaTraining) -> tuple[GruParameters, list[float]]:
 def _train(
     training: MetaTraining, parameters: GruParameters, tasks: list[Task], episodes: range
 ) -> tuple[GruParameters, list[float]]:
-    draw = partial(_generator, training, _EPISODE)
-    return train_offline(parameters, tasks, episodes, training.offline(), draw)
+    settings = training.part(OfflineTraining, metric=training.part(Metric))
+    return train_offline(parameters, tasks, episodes, settings, partial(_generator, training, _EPISODE))
 
 
 def online_losses(
