@@ -6,9 +6,9 @@ faster; tests hold it against this file.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Mapping
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -81,7 +81,7 @@ def batch_loss(
     inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: IfsnSizes
 ) -> tuple[Tensor, Tensor]:
     """L_B(Θ_i), equation (23), and alpha_{i,i',l} at all times, ``(T_0 + 1, R, n)``."""
-    network = dict(_named(phi, agat.shapes()))
+    network = _named(phi, agat.shapes())
     value = torch.from_numpy(inputs.value).to(phi.dtype).permute(0, 3, 1, 2)  # (T_0 + 1, R, 3, n)
     history = torch.from_numpy(inputs.history[i]).to(phi.dtype)  # (R, 3 (T_0 + 1)), V_{i,t} and p_{i,t-T_0+1}
     query = _query(network, history)
@@ -95,7 +95,7 @@ def batch_loss(
     concatenation = torch.cat([own, *pooled], dim=1)  # (R, 6 (T_0 + 1)): P_{i,t+1}, V̂_{i,t}, p̂_{i,t-T_0+1}
     variance, mean = torch.var_mean(concatenation, dim=0, correction=0)
     standardised = (concatenation - mean) / torch.sqrt(variance + VARIANCE_FLOOR)
-    predicted = _ifsn(dict(_named(gamma, ifsn.shapes(inputs.entries))), standardised)
+    predicted = _ifsn(_named(gamma, ifsn.shapes(inputs.entries)), standardised)
     target = torch.from_numpy(inputs.target[i]).to(phi.dtype)
     weight = torch.from_numpy(inputs.weight[i]).to(phi.dtype)
     return (weight * ((target - predicted) ** 2).sum(dim=1)).sum(), torch.stack(alphas)
@@ -125,10 +125,7 @@ def _ifsn(network: Parameters, inputs: Tensor) -> Tensor:
     return hidden @ network["output"] + network["output_bias"]
 
 
-def _named(flat: Tensor, shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, Tensor]]:
+def _named(flat: Tensor, shapes: Mapping[str, tuple[int, ...]]) -> Parameters:
     """The arrays of a network, by name, as views of one flat vector."""
-    first = 0
-    for name, shape in shapes.items():
-        size = int(np.prod(shape))
-        yield name, flat[first : first + size].view(shape)
-        first += size
+    parts = torch.split(flat, [math.prod(shape) for shape in shapes.values()])
+    return {name: part.view(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}

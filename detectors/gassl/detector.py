@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from detectors.base import Detector
-from detectors.gassl.agat import AgatSizes, draw_agat
+from detectors.gassl.agat import AgatSizes, Width, draw_agat
 from detectors.gassl.algorithm_1 import algorithm_1
 from detectors.gassl.ifsn import IfsnSizes, draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
@@ -19,7 +19,6 @@ from detectors.parameters import Count
 from detectors.series.designs import check_window
 from detectors.series.votes import choose_heads, count_votes, name_at_random, select_top, spread
 from usnet_env.arrays import Singles
-from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
@@ -64,7 +63,7 @@ class Gassl(Detector):
     query: int = 8
     key: int = 8
     similarity_hidden: tuple[int, int] = (16, 8)
-    ifsn_hidden: int = 8
+    ifsn_hidden: Width = 8
     gain: float = 3.0
     memory: int = 4
     implementation: Literal["compiled", "printed"] = "compiled"
@@ -75,14 +74,8 @@ class Gassl(Detector):
         Raises:
             ArgumentError: an argument is refused.
         """
-        super().check_arguments()
-        names = ("memory", "query_hidden", "query", "key", "similarity_hidden", "gain")
-        agat = AgatSizes(**{name: getattr(self, name) for name in names})
-        try:
-            ifsn = IfsnSizes(hidden=self.ifsn_hidden)
-        except ArgumentError as error:
-            raise ArgumentError(f"ifsn_{error}") from None
-        return agat, ifsn, Training(steps=self.steps, learning_rate=self.learning_rate)
+        plain = super().check_arguments()
+        return plain.part(AgatSizes), IfsnSizes(hidden=plain.ifsn_hidden), plain.part(Training)
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
