@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -162,10 +163,7 @@ class LeadVotes(Detector):
         while large:
             size = max(1, _BATCH_UAVS // int(large[0].sum()))
             part, large = large[:size], large[size:]
-            windows = [
-                Window(window.position, window.velocity, window.seen, window.alive & members, window.round, window.step)
-                for members in part
-            ]
+            windows = [replace(window, alive=window.alive & members) for members in part]
             for members, found in zip(part, self._heads.detect_batch(windows), strict=True):
                 proposed |= found.candidates & members
                 score[members] = found.scores[members]

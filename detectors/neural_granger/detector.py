@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, ClassVar
 
@@ -115,8 +116,7 @@ class NeuralGranger(Detector):
         mask = np.asarray(members)
         if mask.shape != (window.uavs,) or mask.dtype != bool:
             raise ArgumentError(f"members must be {window.uavs} booleans, got {quote(members)}.")
-        part = Window(window.position, window.velocity, window.seen, window.alive & mask, window.round, window.step)
-        return self.detect(part)
+        return self.detect(replace(window, alive=window.alive & mask))
 
     def detect_batch(self, windows: Sequence[Window]) -> list[Detection]:
         """Train on several windows side by side, which is much faster for small swarms than one after another.

@@ -338,10 +338,12 @@ def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: 
     network.train(settings, draw_loss)
 
 
-def compute_all_errors(problem: Problem, select: Callable[[Tensor], AdditiveNetwork], times: Tensor) -> Tensor:
-    """Mean squared errors ``(E, n, n)`` of UAV i, predicted from candidate j, in bounded memory.
+def compute_all_errors(
+    problem: Problem, select: Callable[[Tensor], AdditiveNetwork], times: Tensor, sources: Tensor | None = None
+) -> Tensor:
+    """Mean squared errors ``(E, n, s)`` of UAV i, predicted from source j, in bounded memory.
 
-    ``select`` takes the candidates ``(c,)`` and returns their E * c networks.
+    ``select`` takes the candidates ``(c,)`` and returns their E * c networks. All UAVs are sources for ``None``.
     """
     samples = problem.samples
     everyone = torch.arange(samples.uavs, device=times.device)
@@ -349,7 +351,7 @@ def compute_all_errors(problem: Problem, select: Callable[[Tensor], AdditiveNetw
     weight = samples.weight[:, :, times].unsqueeze(1)
     parts = [
         compute_weighted_mean(problem.compute_errors(select(columns), columns, everyone, times), weight)
-        for columns in torch.split(everyone, step)
+        for columns in torch.split(everyone if sources is None else sources, step)
     ]
     return torch.cat(parts, dim=1).transpose(1, 2)
 

@@ -17,12 +17,11 @@ from detectors.neural_granger.per_candidate import (
     AdditiveNetwork,
     PerCandidate,
     Problem,
+    compute_all_errors,
     compute_weighted_mean,
     find_untrained_times,
     split_times,
 )
-
-_CHUNK_ENTRIES = 4_000_000  # coordinates of predictions formed at once where no gradient is kept
 
 
 @dataclass(frozen=True)
@@ -102,18 +101,9 @@ def _train(
 def _find_best_source(problem: Problem, network: AdditiveNetwork, sources: Tensor) -> Tensor:
     """Find each UAV's source ``(n,)``, other than the UAV itself, with the least error over all times."""
     samples = problem.samples
-    uavs, times = samples.uavs, torch.arange(samples.times, device=sources.device)
-    all_uavs = torch.arange(uavs, device=sources.device)
-    step = max(1, _CHUNK_ENTRIES // max(1, uavs * samples.times * 3))
-    lowest = torch.full((uavs,), torch.inf, device=sources.device)
-    best = torch.full((uavs,), int(sources[0]), device=sources.device)
-    for columns in torch.split(sources, step):
-        errors = problem.compute_errors(network.repeat(len(columns)), columns, all_uavs, times)[0]
-        mean = compute_weighted_mean(errors, samples.weight[0]).masked_fill(columns[:, None] == all_uavs, torch.inf)
-        least, which = mean.min(0)
-        best = torch.where(least < lowest, columns[which], best)
-        lowest = torch.minimum(least, lowest)
-    return best
+    uavs, times = (torch.arange(count, device=sources.device) for count in (samples.uavs, samples.times))
+    errors = compute_all_errors(problem, lambda columns: network.repeat(len(columns)), times, sources)[0]
+    return sources[errors.masked_fill(uavs[:, None] == sources, torch.inf).argmin(1)]
 
 
 @torch.no_grad()

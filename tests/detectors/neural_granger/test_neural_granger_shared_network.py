@@ -7,7 +7,7 @@ import torch
 from single_cluster_windows import samples
 
 import usnet_env
-from detectors.neural_granger import shared_network
+from detectors.neural_granger import per_candidate, shared_network
 from detectors.neural_granger.per_candidate import (
     AdditiveNetwork,
     PerCandidate,
@@ -85,7 +85,7 @@ def test_the_best_source_is_the_one_with_the_least_error(monkeypatch):
     errors.fill_diagonal_(torch.inf)
     sources = torch.tensor([7, 2, 5])
     for entries in (4_000_000, 1):
-        monkeypatch.setattr(shared_network, "_CHUNK_ENTRIES", entries)
+        monkeypatch.setattr(per_candidate, "_CHUNK_ENTRIES", entries)
         np.testing.assert_array_equal(shared_network._find_best_source(problem, network, all_uavs), errors.argmin(0))
         np.testing.assert_array_equal(
             shared_network._find_best_source(problem, network, sources), sources[errors[sources].argmin(0)]
