@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
-from detectors.learned.inputs import make_inputs
+from detectors.learned.features import make_inputs
 from detectors.learned.network import HeadNetwork, build_network
 from detectors.policy import Policy, choose
 from detectors.series.designs import check_pairs

@@ -7,10 +7,13 @@ entries.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from detectors.series.designs import centre_columns, count_lags, scale_to_unit, stack_past
 from detectors.series.null_models import compute_innovations
@@ -30,6 +33,17 @@ _LINEAR, _QUADRATIC = 3, 6
 _STATISTICS = 2 * (2 * LAGS + 1 + _PRODUCT_LAGS + 1) + 2 * (LAGS + 1) + 4 + 1
 #: Number of values per pair: each statistic, and its standardised value within its row.
 PAIR_FEATURES = 2 * _STATISTICS
+
+
+def make_inputs(window: Window, living: NDArray[np.intp]) -> tuple[Tensor, Tensor]:
+    """Make the inputs of the network for the UAVs with the indices ``living`` ``(n,)`` of a window.
+
+    Returns:
+        The result of :func:`pair_features`; and ``(3,)``: log(n / 50), log(T_ob / 100), the share of missing samples.
+    """
+    missing = 1.0 - float(window.velocity_seen[:, living].mean()) if len(living) else 0.0
+    context = [math.log(max(len(living), 1) / 50.0), math.log(window.observation_steps / 100.0), missing]
+    return torch.from_numpy(pair_features(window, living)), torch.tensor(context)
 
 
 def pair_features(window: Window, living: NDArray[np.intp]) -> Singles:

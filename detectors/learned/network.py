@@ -107,8 +107,8 @@ class HeadNetwork(nn.Module):
         """Compute the logits for n UAVs.
 
         Args:
-            features: ``(n, n, PAIR_FEATURES)`` of :func:`detectors.learned.features.pair_features`.
-            context: ``(3,)``, see :class:`detectors.learned.inputs.Inputs`.
+            features: ``(n, n, PAIR_FEATURES)``, see :func:`detectors.learned.features.make_inputs`.
+            context: ``(3,)``, see there.
         """
         n = len(features)
         diagonal = torch.eye(n)[..., None] * self.itself

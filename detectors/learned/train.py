@@ -10,10 +10,9 @@ import math
 import os
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from detectors.learned.inputs import Inputs, make_inputs
+from detectors.learned.features import make_inputs
 from detectors.learned.network import Answer, HeadNetwork, NetworkSizes, draw_network
 from detectors.random_swarms import draw_training_swarm, observe
 from detectors.weights import Checkpoint, record_training, write_losses, write_weights
@@ -66,22 +65,18 @@ class HeadTraining(Config):
     most_uavs: Annotated[int, Field(ge=10, le=1000)] = 120
     most_clusters: Annotated[int, Field(ge=1, le=100)] = 10
 
-    def sizes(self) -> NetworkSizes:
-        """Return the sizes of the network."""
-        return self.part(NetworkSizes)
 
-
-@dataclass(frozen=True, eq=False)
-class Example:
+class Example(NamedTuple):
     """A labelled window of n living UAVs.
 
     Args:
-        inputs: the inputs of the network.
+        features, context: the inputs of the network, see :func:`detectors.learned.features.make_inputs`.
         head: ``(n,)`` float32, 1 for a head with at least one follower.
         leader: ``(n,)`` int64, the UAV that each UAV follows; its own index for heads and decoys.
     """
 
-    inputs: Inputs
+    features: Tensor
+    context: Tensor
     head: Tensor
     leader: Tensor
 
@@ -105,9 +100,8 @@ def draw_example(training: HeadTraining, rng: np.random.Generator) -> Example:
     alone = state.head[0] | state.decoy[0] if follows else np.ones(config.uavs, bool)
     leader = np.where(alone, np.arange(config.uavs), state.leader[0])[living]
     led = np.bincount(leader[~alone[living]], minlength=config.uavs) > 0
-    return Example(
-        make_inputs(window, living), torch.from_numpy(led[living].astype(np.float32)), torch.from_numpy(place[leader])
-    )
+    head = led[living].astype(np.float32)
+    return Example(*make_inputs(window, living), torch.from_numpy(head), torch.from_numpy(place[leader]))
 
 
 def compute_loss(answer: Answer, example: Example, leader_weight: float) -> Tensor:
@@ -147,15 +141,14 @@ def train_heads(
     """
     training = HeadTraining() if training is None else training
     checkpoint = Checkpoint(Path(out), training.model_dump(mode="json"), checkpoint_every)
-    network = draw_network(training.sizes(), int(_make_rng(training, _START).integers(2**63)))
+    network = draw_network(training.part(NetworkSizes), int(_make_rng(training, _START).integers(2**63)))
     optimiser = torch.optim.AdamW(network.parameters(), lr=training.rate, weight_decay=training.decay)
     losses = _read_checkpoint(checkpoint, network, optimiser) if resume else []
     steps = range(len(losses), training.steps)
     with closing(run_in_order(partial(_draw_step, training), steps, workers, "Step")) as drawn:
         for step, arrays in zip(steps, drawn, strict=True):
             # Sums depend on the order and alignment of numbers in memory, which other processes do not keep.
-            tensors = (tuple(torch.tensor(np.ascontiguousarray(array)) for array in each) for each in arrays)
-            examples = [Example(Inputs(*each[:2]), *each[2:]) for each in tensors]
+            examples = [Example(*(torch.tensor(np.ascontiguousarray(array)) for array in each)) for each in arrays]
             losses.append(_run_step(training, step, examples, network, optimiser))
             progress(len(losses), training.steps)
             if len(losses) % checkpoint_every == 0 or len(losses) == training.steps:
@@ -167,9 +160,9 @@ def train_heads(
 
 
 def _draw_step(training: HeadTraining, step: int) -> list[tuple[NDArray[Any], ...]]:
-    """Draw the examples of one step, as arrays: features, context, head and leader of each."""
+    """Draw the examples of one step, as arrays."""
     drawn = [draw_example(training, _make_rng(training, _STEP, step, number)) for number in range(training.swarms)]
-    return [tuple(each.numpy() for each in (*one.inputs, one.head, one.leader)) for one in drawn]
+    return [tuple(tensor.numpy() for tensor in example) for example in drawn]
 
 
 def _run_step(
@@ -182,7 +175,9 @@ def _run_step(
     optimiser.zero_grad()
     total = 0.0
     for example in examples:
-        loss = compute_loss(network(*example.inputs), example, training.leader_weight) / training.swarms
+        loss = (
+            compute_loss(network(example.features, example.context), example, training.leader_weight) / training.swarms
+        )
         loss.backward()  # type: ignore[no-untyped-call]
         total += float(loss.detach())
     torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -198,7 +193,7 @@ def _evaluate_network(training: HeadTraining, network: HeadNetwork, losses: list
     for number in range(swarms):
         example = draw_example(training, _make_rng(training, _HELD_OUT, number))
         with torch.no_grad():
-            answer = network(*example.inputs)
+            answer = network(example.features, example.context)
         held_out.append(float(compute_loss(answer, example, training.leader_weight)))
         named = answer.head > 0
         exact += int(torch.equal(named, example.head > 0))

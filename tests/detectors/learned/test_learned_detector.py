@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from detectors.checks.windows import make_hovering_window, permute_uavs, simulate_missing_samples, simulate_window
 from detectors.learned import Learned
 from detectors.learned.detector import MOST_UAVS, load_network
-from detectors.learned.features import PAIR_FEATURES, pair_features
-from detectors.learned.inputs import make_inputs
+from detectors.learned.features import PAIR_FEATURES, make_inputs, pair_features
 from detectors.learned.network import NetworkSizes, draw_network
 from detectors.learned.train import HeadTraining, draw_example
 from usnet_env import ArgumentError, Window, make_detector
@@ -218,8 +217,8 @@ def test_drawn_swarms_are_never_of_the_table():
     for example in drawn:
         living = len(example.head)
         own = example.leader == torch.arange(living)
-        assert example.inputs.features.shape == (living, living, PAIR_FEATURES)
-        assert torch.isfinite(example.inputs.features).all()
+        assert example.features.shape == (living, living, PAIR_FEATURES)
+        assert torch.isfinite(example.features).all()
         assert not example.head[~own].any()  # a head follows no UAV
         assert set(example.leader[~own].tolist()) == set(torch.nonzero(example.head)[:, 0].tolist())
     assert len({len(example.head) for example in drawn}) > 10
