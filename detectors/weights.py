@@ -22,7 +22,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.config import ArgumentError, Config, quote, whole_number
 from usnet_env.files import atomic_write
 
 
@@ -136,8 +136,7 @@ class Checkpoint:
     every: int
 
     def __post_init__(self) -> None:
-        if isinstance(self.every, bool) or not isinstance(self.every, int) or self.every < 1:
-            raise ArgumentError(f"checkpoint_every must be a whole number from 1, got {quote(self.every)}.")
+        whole_number("checkpoint_every", self.every, 1)
 
     @property
     def path(self) -> Path:

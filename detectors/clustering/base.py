@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -17,6 +17,7 @@ from detectors.clustering.eigengap import estimate_count_by_eigengap
 from detectors.clustering.features import FEATURES, Features, compute_features
 from detectors.clustering.gap_statistic import compute_gap_statistic
 from detectors.parameters import Count, Lags, Parameters
+from detectors.series.votes import spread
 from usnet_env.arrays import Floats, Indices
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.window import Window, frozen_array
@@ -165,14 +166,10 @@ class Clusterer(Parameters):
         estimate = self._estimate_count(living, rng)
         found = self.partition(living, None if estimate is None else min(estimate, n), rng)
         used, labels[living.index] = np.unique(found, return_inverse=True)
-        features = np.zeros((window.uavs, *living.features.shape[1:]))
-        features[living.index] = living.features
-        affinity = None
-        if "affinity" in living.__dict__:  # it was computed
-            affinity = np.zeros((window.uavs, window.uavs))
-            affinity[np.ix_(living.index, living.index)] = living.affinity
+        widen = partial(spread, members=living.index, uavs=window.uavs)
+        affinity = widen(living.affinity, pairs=True) if "affinity" in vars(living) else None  # if it was computed
         extras = {"estimate": len(used) if estimate is None else estimate}
-        return Clustering(labels, len(used), features, affinity, extras)
+        return Clustering(labels, len(used), widen(living.features), affinity, extras)
 
     def _estimate_count(self, living: Living, rng: np.random.Generator) -> int | None:
         count = living.arguments.count

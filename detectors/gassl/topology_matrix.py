@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from detectors.series.designs import check_window, stack_past
 from detectors.series.gaps import fill_gaps
 from usnet_env.arrays import AxisLength, Singles
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import whole_number
 from usnet_env.window import Window
 
 
@@ -83,11 +83,8 @@ def topology_matrix(window: Window, time: int, members: NDArray[np.intp] | None 
     Raises:
         ArgumentError: the window does not hold all columns of that time.
     """
-    steps = window.observation_steps
-    if isinstance(time, bool) or not isinstance(time, int | np.integer) or not memory - 1 <= time < steps:
-        raise ArgumentError(f"time must be a whole number from {memory - 1} to {steps - 1}, got {quote(time)}.")
+    first = whole_number("time", time, memory - 1, window.observation_steps - 1) - memory + 1
     index = np.flatnonzero(window.alive) if members is None else np.asarray(members)
-    first = int(time) - memory + 1
     whole = fill_gaps(window)
     columns = np.concatenate([whole.position[first, None], whole.velocity[first : first + memory]])[:, index]
     return np.ascontiguousarray(columns.transpose(1, 2, 0).reshape(3 * len(index), memory + 1))

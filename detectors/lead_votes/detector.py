@@ -19,7 +19,7 @@ from detectors.neural_granger.per_candidate import PerCandidate
 from detectors.neural_granger.shared_network import Following, follow_by_shared_network
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_pairs
-from detectors.series.votes import name_at_random
+from detectors.series.votes import name_at_random, spread
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
@@ -135,8 +135,7 @@ class LeadVotes(Detector):
         if self.gate:
             following = self._find_leaders(window, clustering, proposed, score, living)
             followed[living] = following.count_followers(self.gate_threshold).double().numpy()
-            leader = np.full(window.uavs, -1, np.int64)
-            leader[living] = living[following.leader.numpy()]
+            leader = spread(living[following.leader.numpy()], living, window.uavs, fill=-1)
             score = followed + score / (1.0 + score.sum())
             candidates = self._keep_followed(proposed, followed, score, window.alive)
         extras = {"count": clustering.count, "proposed": proposed, "followed": followed}

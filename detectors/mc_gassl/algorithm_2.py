@@ -21,6 +21,7 @@ from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import GruParameters
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
 from detectors.mc_gassl.reclustering import best_heads, count_scores, recluster
+from detectors.series.votes import spread
 from usnet_env.arrays import Floats, Singles
 from usnet_env.detection import Detection
 from usnet_env.window import Window
@@ -105,10 +106,8 @@ def update_gru(
     living = np.flatnonzero(window.alive)
     inputs = prepare_inputs(build_batch(window, living, gassl.memory))
     chosen = best_heads(inputs, gamma)  # equation (37)
-    followed = np.zeros(window.uavs)
-    followed[living] = count_scores(chosen)  # equation (38)
-    labels = np.full(window.uavs, -1, np.int64)
-    labels[living] = recluster(chosen, count, rng)
+    followed = spread(count_scores(chosen), living, window.uavs)  # equation (38)
+    labels = spread(recluster(chosen, count, rng), living, window.uavs, fill=-1)
     generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
     dataset = inputs_of(window, gassl.memory), torch.from_numpy(labels)
     updated, loss = train_online(parameters, *dataset, online, generator)  # equation (39)
