@@ -11,6 +11,7 @@ from detectors.checks.harness import (
     SEED,
     calling,
     copy_detector,
+    play_batch,
     play_windows,
     request_detection,
     require,
@@ -89,10 +90,7 @@ def check_batch(detector: Any) -> None:
         raise SkipTest("it has no method detect_batch.")
     windows = [draw_window(detector, uavs=uavs, seed=uavs) for uavs in (14, 11, 14, 9)]
     given = list(windows)
-    with calling("reset"):
-        own.reset(SEED)
-    with calling("detect_batch"):
-        batch = own.detect_batch(given)
+    batch = play_batch(own, given)
     require(isinstance(batch, list), f"detect_batch must return a list, got {quote(batch)}.")
     require(len(batch) == len(windows), f"detect_batch must return {len(windows)} detections, got {len(batch)}.")
     for answer, window in zip(batch, windows, strict=True):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import signal
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 from detectors.checks.global_state import check_process_settings_untouched
@@ -20,48 +20,36 @@ _MOST_ENDS = 2  # processes that a detector may end one after the other; the che
 
 
 def run_in_child(
-    make: Callable[[], Any],
-    checks: Sequence[Check],
-    excuses: Mapping[str, str],
-    limits: Limits,
-    callback: Callable[[CheckResult], None] | None = None,
-) -> list[CheckResult]:
-    """Run checks in a child process; a new one takes over if the detector ends it.
+    make: Callable[[], Any], checks: Sequence[Check], excuses: Mapping[str, str], limits: Limits
+) -> Generator[CheckResult, None, None]:
+    """Yield the results of checks in a child process; a new one takes over if the detector ends it.
 
     Args:
         make: creates the detector in the child process; it is pickled.
         checks: the checks.
         excuses: reasons by the names of the checks that are expected to fail.
         limits: of each call of the detector.
-        callback: function that is called with each result as soon as it exists.
 
     Raises:
         Exception: ``make`` raised it.
     """
-    results: list[CheckResult] = []
-
-    def add(result: CheckResult) -> None:
-        results.append(result)
-        if callback is not None:
-            callback(result)
-
-    names = [get_name(check) for check in checks]
-    ends = 0
-    with ProcessPool[str, CheckResult](_Checker(make, tuple(checks), dict(excuses)), 1, limits) as pool:
-        for outcome in pool.run(names):
+    by_name = {get_name(check): check for check in checks}
+    done = ends = 0
+    with ProcessPool[str, CheckResult](_Checker(make, by_name, dict(excuses)), 1, limits) as pool:
+        for outcome in pool.run(list(by_name)):
             if isinstance(outcome.error, ProcessDied):
                 ends += 1
-                add(make_failure(outcome.task, f"a detector must return, but {outcome.error}.", 0.0, excuses))
+                yield make_failure(outcome.task, f"a detector must return, but {outcome.error}.", 0.0, excuses)
             elif outcome.error is not None:
                 raise outcome.error
             elif outcome.result is not None:
                 ends = 0
-                add(outcome.result)
+                yield outcome.result
+            done += 1
             if ends == _MOST_ENDS:
                 break
-    for name in names[len(results) :]:
-        add(make_failure(name, f"not run, because the {_MOST_ENDS} checks before did not end by themselves.", 0.0, {}))
-    return results
+    for name in list(by_name)[done:]:
+        yield make_failure(name, f"not run, because the {_MOST_ENDS} checks before did not end by themselves.", 0.0, {})
 
 
 @dataclass
@@ -69,25 +57,24 @@ class _Checker:
     """Runs single checks in a child process; the first call creates the detector."""
 
     make: Callable[[], Any]
-    checks: tuple[Check, ...]
+    checks: dict[str, Check]
     excuses: dict[str, str]
-    _made: list[Any] = field(default_factory=list)
+
+    @cached_property
+    def _made(self) -> tuple[Any, dict[str, tuple[Any, ...]]]:
+        """The detector, and the code as it was before the detector was imported."""
+        functions = list_functions()
+        with calling("its constructor"):
+            return self.make(), functions
 
     def __call__(self, name: str) -> CheckResult:
         """Run the check of this name."""
-        if not self._made:
-            functions = list_functions()  # before the detector is imported
-            with calling("its constructor"):
-                detector = self.make()
-            self._made = [detector, functions]
-        detector, functions = self._made
-        (check,) = [check for check in self.checks if get_name(check) == name]
+        (detector, functions), check = self._made, self.checks[name]
         if check is check_process_settings_untouched:
-            check = functools.partial(check_process_settings_untouched, functions=functions)
+            check = partial(check_process_settings_untouched, functions=functions)
         result = run_check(check, detector, self.excuses)
-        for key in list_processes():  # those that the detector has left behind
+        for pid in list_processes():  # those that the detector has left behind
             with suppress(OSError):
-                pid = int(key.rpartition(" ")[2])
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
         return replace(result, error=None)  # an exception may refer to anything, and not everything can be sent

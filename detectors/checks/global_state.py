@@ -15,8 +15,8 @@ import numpy as np
 from sklearn.base import clone
 from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
-from detectors.checks.harness import SEED, calling, copy_detector, play_windows, require, warn
-from detectors.checks.process import Same, list_files, list_functions, list_processes, list_threads
+from detectors.checks.harness import calling, copy_detector, play_batch, play_windows, require, warn
+from detectors.checks.process import are_same, list_files, list_functions, list_processes
 from detectors.checks.windows import draw_two_rounds, draw_window
 
 _SIGNALS = [number for number in signal.valid_signals() if isinstance(number, signal.Signals)]
@@ -39,14 +39,18 @@ def check_input_unchanged(detector: Any) -> None:
 
 def check_global_generators_untouched(detector: Any) -> None:
     """The detector neither seeds nor draws from the global generators of Python, NumPy and PyTorch (if imported)."""
-    changed, imported = "", -1
+    changed: list[str] = []
+    imported = -1
     while not changed and imported != (imported := len(sys.modules)):  # a call may import what the next one uses
         with _reseed_global_generators():
             changed = _find_changes(detector, _read_generator_states)
-    require(not changed, f"a detector must draw from its own generator, got a change of the global one of {changed}.")
+    require(
+        not changed,
+        f"a detector must draw from its own generator, got a change of the global one of {', '.join(changed)}.",
+    )
 
 
-def check_process_settings_untouched(detector: Any, functions: Mapping[str, Same] | None = None) -> None:
+def check_process_settings_untouched(detector: Any, functions: Mapping[str, tuple[Any, ...]] | None = None) -> None:
     """The detector leaves the process as it was, and nothing of it goes on after the answer.
 
     Settings: thread counts (BLAS, OpenMP, Numba, PyTorch), NumPy's error handling, PyTorch's defaults, environment
@@ -58,7 +62,7 @@ def check_process_settings_untouched(detector: Any, functions: Mapping[str, Same
         functions: the code before the detector was imported, as :func:`list_functions` returns it.
     """
     functions = list_functions() if functions is None else functions
-    threads, processes = list_threads(), list_processes()
+    threads, processes = set(threading.enumerate()), list_processes()
     variables = set(os.environ)
     changed = _find_changes(detector, _read_process_settings)
     # The first call may import a library that sets variables. Only the detector itself sets them in the second as well.
@@ -67,25 +71,23 @@ def check_process_settings_untouched(detector: Any, functions: Mapping[str, Same
     changed = changed or _find_changes(detector, _read_process_settings, new=_VARIABLE)
     os.environ.update(added)
     after = list_functions()
-    changed = ", ".join(
-        [*filter(None, [changed]), *(name for name, value in functions.items() if after.get(name) != value)]
-    )
+    changed += [name for name, parts in functions.items() if not are_same(after.get(name, ()), parts)]
     require(
         not changed,
-        f"a detector must leave the settings and the libraries of the process unchanged, got a change of {changed}.",
+        "a detector must leave the settings and the libraries of the process unchanged, got a change of "
+        f"{', '.join(changed)}.",
     )
-    left = {key: name for key, name in list_processes().items() if key not in processes}
-    left |= {key: name for key, name in list_files().items() if key not in files}
+    left = [name for pid, name in list_processes().items() if pid not in processes]
+    left += [name for number, name in list_files().items() if number not in files]
     daemons, end = [], time.monotonic() + GRACE
-    for thread in list_threads() - threads:
+    for thread in set(threading.enumerate()) - threads:
         with suppress(RuntimeError, AssertionError):  # a thread that was not started by Python
             thread.join(max(0.0, end - time.monotonic()))
         if thread.is_alive() and thread.daemon:
             daemons.append(f"thread {thread.name!r}")
         elif thread.is_alive():
-            left[f"thread {thread.ident}"] = f"thread {thread.name!r}, which is not a daemon"
-    shown = ", ".join(list(left.values())[:4])
-    require(not left, f"a detector must leave nothing behind when it has answered, got {shown}.")
+            left.append(f"thread {thread.name!r}, which is not a daemon")
+    require(not left, f"a detector must leave nothing behind when it has answered, got {', '.join(left[:4])}.")
     if daemons:
         warn(f"a detector should leave no thread running when it has answered, got {', '.join(daemons[:4])}.")
 
@@ -106,7 +108,7 @@ def check_time_budget(detector: Any, seconds: float = SECONDS) -> None:
     require(False, f"detect must take at most {seconds:g} s for 82 UAVs, got {best:.3g} s.")
 
 
-def _find_changes(detector: Any, state: Callable[[], dict[str, Any]], new: str | None = None) -> str:
+def _find_changes(detector: Any, state: Callable[[], dict[str, Any]], new: str | None = None) -> list[str]:
     """Names of the entries of ``state()`` that the detector changes, and new ones if their names start with ``new``."""
     before = state()
     with suppress(Exception), calling("its clone"):  # check_parameters_and_clone reports it
@@ -114,17 +116,14 @@ def _find_changes(detector: Any, state: Callable[[], dict[str, Any]], new: str |
     own, windows = copy_detector(detector), draw_two_rounds(detector)
     play_windows(own, windows)
     if callable(getattr(own, "detect_batch", None)):
-        with calling("reset"):
-            own.reset(SEED)
-        with calling("detect_batch"):
-            own.detect_batch(windows)
+        play_batch(own, windows)
     after = state()
     names = [*before, *(name for name in after if new and name not in before and name.startswith(new))]
-    return ", ".join(
+    return [
         name
         for name in names
         if after.get(name, None if name.startswith(_VARIABLE) else before.get(name)) != before.get(name)
-    )
+    ]
 
 
 @contextmanager

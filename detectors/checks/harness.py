@@ -93,6 +93,14 @@ def play_windows(detector: Any, windows: Sequence[Window], seed: int | None = SE
     return [request_detection(detector, window) for window in windows]
 
 
+def play_batch(detector: Any, windows: list[Window]) -> Any:
+    """Call ``reset``, then ``detect_batch`` on the windows; the answer is not checked."""
+    with calling("reset"):
+        detector.reset(SEED)
+    with calling("detect_batch"):
+        return detector.detect_batch(windows)
+
+
 def require_same(one: Detection, other: Detection, sentence: str) -> None:
     """Raise :class:`CheckError` unless two detections are bitwise equal; the names of fields end the sentence."""
     fields = ("candidates", "scores", "clusters", "leader", "attention")

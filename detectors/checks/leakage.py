@@ -10,7 +10,6 @@ import types
 import weakref
 from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -43,8 +42,8 @@ def check_no_reach_for_truth(detector: Any) -> None:
     for root, name in ((window, "window"), (own, "detector"), (given, "detection")):
         found = find_truth(root, name)
         require(not found, f"no reference may lead to an environment or a swarm, got {found}.")
-    (path, _), *_ = [*_find_generators(window, "window"), ("", None)]
-    require(not path, f"the window must hold no generator, got one at {path}.")
+    held = [path for path, _ in _find_generators(window, "window")]
+    require(not held, f"the window must hold no generator, got one at {''.join(held[:1])}.")
     mine = list(_find_generators(own, "detector"))
     others = {id(thing) for _, thing in _find_generators(other, "detector")} | _list_global_generators()
     shared = [path for path, thing in mine if id(thing) in others]
@@ -68,26 +67,22 @@ def check_truth_nearby_changes_nothing(detector: Any) -> None:
 
 
 def _detect_beside_environment(detector: Any, env: Any, window: Window, heads: NDArray[np.intp]) -> Detection:
-    """Call ``detect`` while the environment has these heads, and it and its swarm are within reach."""
+    """Call ``detect`` while the environment has these heads, and it and its swarm are within reach.
+
+    It is a local variable here, and a global one of the main module and of this one.
+    """
     set_heads(env, heads)
     swarm = env.unwrapped.swarm
-    with _hold_in_modules(env):
-        (answer,) = play_windows(copy_detector(detector), [window])
-    del swarm
-    return answer
-
-
-@contextmanager
-def _hold_in_modules(env: Any) -> Iterator[None]:
-    """Make the environment a global variable of the main module and of this one."""
     modules = [vars(sys.modules[name]) for name in ("__main__", __name__)]
     try:
         for variables in modules:
             variables[_VARIABLE] = env
-        yield
+        (answer,) = play_windows(copy_detector(detector), [window])
     finally:
         for variables in modules:
             variables.pop(_VARIABLE, None)
+    del swarm
+    return answer
 
 
 def find_truth(root: Any, name: str) -> str:
@@ -108,8 +103,7 @@ def _find_generators(root: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 def _list_global_generators() -> set[int]:
     """``id`` of each generator behind the functions of ``random``, ``numpy.random`` and ``torch``."""
-    owners = [getattr(sys.modules["random"], "random", None), getattr(sys.modules["numpy.random"], "random", None)]
-    found = {id(owner.__self__) for owner in owners if owner is not None}
+    found = {id(sys.modules[name].random.__self__) for name in ("random", "numpy.random")}
     if torch := sys.modules.get("torch"):
         found.add(id(torch.default_generator))
     return found

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import builtins
+import operator
 import os
 import sys
-import threading
 import types
+from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -18,23 +19,14 @@ _METHODS = (types.FunctionType, types.BuiltinFunctionType, property, staticmetho
 _PROC = Path("/proc/self")
 
 
-class Same:
-    """Some objects; equal only to the very same objects."""
-
-    def __init__(self, *parts: Any) -> None:
-        self.parts = parts
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Same) or len(other.parts) != len(self.parts):
-            return False
-        return all(one is another for one, another in zip(self.parts, other.parts, strict=True))
-
-    __hash__ = None  # type: ignore[assignment]  # it is compared, and never a key
+def are_same(one: Sequence[Any], other: Sequence[Any]) -> bool:
+    """Whether two sequences hold the very same objects."""
+    return len(one) == len(other) and all(map(operator.is_, one, other))
 
 
-def list_functions() -> dict[str, Same]:
+def list_functions() -> dict[str, tuple[Any, ...]]:
     """List the code that scores detectors: all functions, classes and methods of the watched modules, by name."""
-    found: dict[str, Same] = {}
+    found: dict[str, tuple[Any, ...]] = {}
     for name, module in list(sys.modules.items()):
         inside = name in _WATCHED_MODULES or any(name == top or name.startswith(f"{top}.") for top in _WATCHED_PACKAGES)
         if inside and isinstance(module, types.ModuleType):
@@ -43,45 +35,40 @@ def list_functions() -> dict[str, Same]:
     return found
 
 
-def _list_members(found: dict[str, Same], path: str, members: Any) -> None:
+def _list_members(found: dict[str, tuple[Any, ...]], path: str, members: Any) -> None:
     for key, value in list(members.items()):
         name = f"{path}.{key}"
         if isinstance(value, type):
-            found[name] = Same(value)
+            found[name] = (value,)
             if value.__module__ == path:
                 methods = {key: method for key, method in vars(value).items() if isinstance(method, _METHODS)}
                 _list_members(found, name, methods)
         elif isinstance(value, types.FunctionType):
-            found[name] = Same(value, value.__code__, value.__defaults__)
+            found[name] = (value, value.__code__, value.__defaults__)
         elif isinstance(value, _METHODS) or callable(value):
-            found[name] = Same(value)
+            found[name] = (value,)
 
 
-def list_threads() -> set[threading.Thread]:
-    """List the running threads of Python."""
-    return set(threading.enumerate())
-
-
-def list_processes() -> dict[str, str]:
+def list_processes() -> dict[int, str]:
     """List the child processes of this process, dead ones included that were not waited for; Linux only."""
-    found: dict[str, str] = {}
+    found: dict[int, str] = {}
     tracker = getattr(getattr(resource_tracker, "_resource_tracker", None), "_pid", None)
     for children in _PROC.glob("task/*/children"):
         with suppress(OSError):
-            for pid in children.read_text().split():
-                if pid != str(tracker):  # multiprocessing starts one process for itself
+            for pid in map(int, children.read_text().split()):
+                if pid != tracker:  # multiprocessing starts one process for itself
                     command = "ended"
                     with suppress(OSError):
                         command = Path(f"/proc/{pid}/comm").read_text().strip()
-                    found[f"process {pid}"] = f"process {pid} ({command})"
+                    found[pid] = f"process {pid} ({command})"
     return found
 
 
-def list_files() -> dict[str, str]:
+def list_files() -> dict[int, str]:
     """List the open files, pipes and sockets of this process by their numbers; Linux only."""
-    found: dict[str, str] = {}
+    found: dict[int, str] = {}
     with suppress(OSError):
         for number in os.listdir(_PROC / "fd"):
             with suppress(OSError):  # the one that lists them is closed by now
-                found[f"file {number}"] = f"open file {os.readlink(_PROC / 'fd' / number)}"
+                found[int(number)] = f"open file {os.readlink(_PROC / 'fd' / number)}"
     return found

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import pickle
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
+from contextlib import closing
 from typing import TYPE_CHECKING, Any, Literal
 
 from detectors.checks import answers, global_state, repeatability
@@ -100,13 +101,10 @@ def check_detector(
                 f"{' '.join(str(error).split())}."
             ) from None
         # The child makes the detector from bytes of this process, never of a file: a failure there is a result, too.
-        results = run_in_child(functools.partial(pickle.loads, content), checks, excuses, limits, callback)
+        found = run_in_child(functools.partial(pickle.loads, content), checks, excuses, limits)
     else:
-        results = []
-        for check in checks:
-            results.append(run_check(check, detector, excuses))
-            if callback is not None:
-                callback(results[-1])
+        found = (run_check(check, detector, excuses) for check in checks)
+    results = _collect_results(found, callback)
     if on_fail == "raise" and any(result.status == "failed" for result in results):
         raise DetectorChecksError(detector, results)
     return results
@@ -137,7 +135,21 @@ def check_factory(
         ArgumentError: an argument is refused, or ``make`` raised it.
     """
     excuses = _validate_excuses(expected_failed_checks, name)
-    return run_in_child(make, _list_checks(seconds), excuses, _make_limits(time_limit, memory_limit), callback)
+    found = run_in_child(make, _list_checks(seconds), excuses, _make_limits(time_limit, memory_limit))
+    return _collect_results(found, callback)
+
+
+def _collect_results(
+    found: Generator[CheckResult, None, None], callback: Callable[[CheckResult], None] | None
+) -> list[CheckResult]:
+    """Run the checks, and report each result as soon as it exists."""
+    results = []
+    with closing(found):  # a child process ends with it, also if the callback raises
+        for result in found:
+            results.append(result)
+            if callback is not None:
+                callback(result)
+    return results
 
 
 def _make_limits(time_limit: float | None, memory_limit: float | None) -> Limits:
@@ -177,7 +189,7 @@ def parametrize_with_checks(
             name = get_name(check)
             marks = [pytest.mark.xfail(reason=excuses[name], strict=False)] if name in excuses else []
             # The default representation holds an address, which differs between the workers of pytest-xdist.
-            plain = "__repr__" not in {name for kind in type(detector).__mro__[:-1] for name in vars(kind)}
+            plain = type(detector).__repr__ is object.__repr__  # type: ignore[comparison-overlap]
             label = type(detector).__name__ if plain else " ".join(repr(detector).split())[:60]
             cases.append(pytest.param(detector, check, marks=marks, id=f"{label}-{name}"))
     return pytest.mark.parametrize(("detector", "check"), cases)

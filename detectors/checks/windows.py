@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.detection import Tags, read_tags
+from usnet_env.detection import read_tags
 from usnet_env.swarm import SwarmConfig, advance, destroy, start
 from usnet_env.window import Window
 
@@ -56,10 +56,9 @@ def draw_window(detector: Any, uavs: int = 14, *, observation_steps: int = STEPS
         observation_steps: T_ob, raised to the least steps that it takes.
         more: as for :func:`simulate_window`.
     """
-    tags = read_tags(detector)
-    most = _limit(uavs, tags)
-    more["clusters"] = min(more.get("clusters", 3), most // 3)
-    return simulate_window(uavs=most, observation_steps=max(observation_steps, tags.least_steps), **more)
+    uavs, steps = _fit_size(detector, uavs, observation_steps)
+    more["clusters"] = min(more.get("clusters", 3), uavs // 3)
+    return simulate_window(uavs=uavs, observation_steps=steps, **more)
 
 
 def draw_two_rounds(detector: Any) -> list[Window]:
@@ -90,8 +89,7 @@ def make_hovering_window(detector: Any = None, uavs: int = 8, *, together: bool 
         together: whether all UAVs are at one point and differ in their indices only.
         seed: seed of the positions.
     """
-    tags = read_tags(detector)
-    steps, uavs = max(STEPS, tags.least_steps), _limit(uavs, tags)
+    uavs, steps = _fit_size(detector, uavs)
     place = np.random.default_rng(seed).uniform(0, 100, (1 if together else uavs, 3))
     position = np.broadcast_to(place.astype(np.float32), (steps + 1, uavs, 3))
     return Window(
@@ -114,10 +112,9 @@ def start_environment(detector: Any = None, seed: int = 0, **arguments: Any) -> 
         arguments: of the environment ``USNET/MultiCluster-v0``; by default it has 15 UAVs, which no other window of
             the checks has, in 3 clusters.
     """
+    uavs, steps = _fit_size(detector, 15)
+    arguments = {"clusters": min(3, uavs // 3), "uavs": uavs, "observation_steps": steps, **arguments}
     # As in an evaluation: without Gymnasium's checker, which compares an environment with its specification.
-    tags = read_tags(detector)
-    most, steps = _limit(15, tags), max(STEPS, tags.least_steps)
-    arguments = {"clusters": min(3, most // 3), "uavs": most, "observation_steps": steps, **arguments}
     env: gym.Env[Any, Any] = gym.make("USNET/MultiCluster-v0", disable_env_checker=True, **arguments)
     observation, _ = env.reset(seed=seed)
     return env, Window.from_observation(observation)
@@ -133,5 +130,7 @@ def set_heads(env: Any, heads: NDArray[np.intp]) -> None:
     env.unwrapped.set_state(state)
 
 
-def _limit(uavs: int, tags: Tags) -> int:
-    return uavs if tags.most_uavs is None else min(uavs, tags.most_uavs)
+def _fit_size(detector: Any, uavs: int, steps: int = STEPS) -> tuple[int, int]:
+    """N, lowered to the most UAVs that the detector takes by its tags, and T_ob, raised to its least steps."""
+    tags = read_tags(detector)
+    return uavs if tags.most_uavs is None else min(uavs, tags.most_uavs), max(steps, tags.least_steps)
