@@ -17,12 +17,10 @@ from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import Fit, Training, prepare_inputs, train
 from detectors.parameters import Count
 from detectors.series.designs import check_window
-from detectors.series.votes import choose_heads, count_votes, name_at_random, select_top, spread
+from detectors.series.votes import choose_heads, count_votes, name_at_random, select_top, shows_evidence, spread
 from usnet_env.arrays import Singles
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
-
-_LEAST_UAVS = 3  # a head and two followers
 
 
 class Gassl(Detector):
@@ -91,7 +89,7 @@ class Gassl(Detector):
         self.check_arguments()
         check_window(window, self.memory)
         members = np.flatnonzero(window.alive)
-        if len(members) < _LEAST_UAVS or not window.velocity_seen.any():  # no evidence, decision (x)
+        if not shows_evidence(window, members):  # decision (x)
             candidates = name_at_random(members, self.top_k, window.uavs, self.rng)
             return Detection(candidates=candidates, scores=np.zeros(window.uavs))
         fit = self.fit_cluster(window, members, None, self.rng)

@@ -19,13 +19,12 @@ from detectors.neural_granger.per_candidate import PerCandidate
 from detectors.neural_granger.shared_network import Following, follow_by_shared_network
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_pairs
-from detectors.series.votes import name_at_random, spread
+from detectors.series.votes import LEAST_UAVS, name_at_random, shows_evidence, spread
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
-_LEAST_UAVS = 3  # of a cluster in which a head can be found
 _BATCH_UAVS = 256  # UAVs of the clusters that are trained side by side
 _ALL_SOURCES = 256  # up to this number of UAVs, each can be a leader; in larger swarms, only the candidates can
 
@@ -125,7 +124,7 @@ class LeadVotes(Detector):
         check_pairs(window.uavs)
         living = np.flatnonzero(window.alive)
         followed = np.zeros(window.uavs)
-        if len(living) < _LEAST_UAVS or not window.velocity_seen.any():  # no evidence, decision (x)
+        if not shows_evidence(window, living):  # decision (x)
             candidates = name_at_random(living, 1, window.uavs, self.rng)
             few = {"count": min(1, len(living)), "proposed": candidates, "followed": followed}
             return Detection(candidates, followed, np.where(window.alive, 0, -1), extras=few)
@@ -154,7 +153,7 @@ class LeadVotes(Detector):
         large = []
         for label in range(clustering.count):
             members = clustering.labels == label
-            if members.sum() >= _LEAST_UAVS and window.velocity_seen[:, members].any():
+            if shows_evidence(window, np.flatnonzero(members)):
                 large.append(members)
             else:
                 proposed |= members if self.gate else self._draw_one(members)
@@ -186,7 +185,7 @@ class LeadVotes(Detector):
         head = np.arange(len(living))
         for label in range(clustering.count):
             heads = named[labels[named] == label]
-            if len(heads) and (labels == label).sum() >= _LEAST_UAVS:
+            if len(heads) and (labels == label).sum() >= LEAST_UAVS:
                 members = labels == label
                 members[named] = False
                 head[members] = heads[score[living][heads].argmax()]

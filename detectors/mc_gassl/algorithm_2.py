@@ -21,12 +21,10 @@ from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import GruParameters
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
 from detectors.mc_gassl.reclustering import best_heads, count_scores, recluster
-from detectors.series.votes import spread
+from detectors.series.votes import shows_evidence, spread
 from usnet_env.arrays import Floats, Singles
 from usnet_env.detection import Detection
 from usnet_env.window import Window
-
-LEAST_UAVS = 3  # of a cluster that GASSL can look at
 
 
 def run_round(
@@ -73,7 +71,7 @@ def detect_heads(
     gamma = gassl.draw_gamma(rng)
     for label in range(clustering.count):
         members = np.flatnonzero(clustering.labels == label)
-        if len(members) < LEAST_UAVS or not window.velocity_seen[:, members].any():
+        if not shows_evidence(window, members):
             candidates[rng.choice(members)] = True  # no evidence: one of them at random, decision (x)
             continue
         fit = gassl.fit_cluster(window, members, gamma, rng)

@@ -13,7 +13,7 @@ from pydantic import Field
 from detectors.base import Detector
 from detectors.clustering import check_clusterer, make_clusterer
 from detectors.gassl import Gassl
-from detectors.mc_gassl.algorithm_2 import LEAST_UAVS, run_round
+from detectors.mc_gassl.algorithm_2 import run_round
 from detectors.mc_gassl.features import gru_features
 from detectors.mc_gassl.gru import GruParameters, draw_parameters
 from detectors.mc_gassl.online_training import OnlineTraining
@@ -21,7 +21,7 @@ from detectors.mc_gassl.triplet import Metric
 from detectors.mc_gassl.weights import load_meta_weights
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
-from detectors.series.votes import name_at_random
+from detectors.series.votes import LEAST_UAVS, name_at_random, shows_evidence
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -122,7 +122,7 @@ class McGassl(Detector):
         living = np.flatnonzero(window.alive)
         if len(living) >= LEAST_UAVS:
             check_window(window, self.memory)
-        if len(living) < LEAST_UAVS or not window.velocity_seen.any():  # nothing shows which is a head
+        if not shows_evidence(window, living):  # decision (x)
             candidates = name_at_random(living, 1, window.uavs, self.rng)
             none = {"count": min(1, len(living)), "followed": np.zeros(window.uavs), "online_loss": []}
             return Detection(candidates, np.zeros(window.uavs), np.where(window.alive, 0, -1), extras=none)

@@ -16,13 +16,11 @@ from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import PerCandidate, fit_per_candidate
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
-from detectors.series.votes import choose_heads, name_at_random, select_top, spread
+from detectors.series.votes import choose_heads, name_at_random, select_top, shows_evidence, spread
 from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
-
-_LEAST_UAVS = 3  # a head and two followers
 
 
 class NeuralGranger(Detector):
@@ -128,9 +126,9 @@ class NeuralGranger(Detector):
         groups: dict[tuple[int, int, bool], list[int]] = {}
         for number, window in enumerate(windows):
             check_window(window, self.memory)
-            living = int(window.alive.sum())
-            shown = living >= _LEAST_UAVS and bool(window.velocity_seen.any())
-            groups.setdefault((living, window.observation_steps, shown), []).append(number)
+            living = np.flatnonzero(window.alive)
+            key = len(living), window.observation_steps, shows_evidence(window, living)
+            groups.setdefault(key, []).append(number)
         answers: dict[int, Detection] = {}
         for (_, _, shown), numbers in groups.items():
             answer = self._fit_group if shown else self._name_at_random

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from detectors.series.evidence import Evidence
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.detection import Detection
+from usnet_env.window import Window
 
+LEAST_UAVS = 3  # among which a head can be found: it and two followers
 LEAST_VOTERS = 1.5  # voters that a head must add: m_j >= 2 followers, of which a noisy one may count for half
 
 
@@ -49,6 +51,11 @@ def rank_uavs(scores: Floats, alive: Mask, rng: np.random.Generator) -> NDArray[
     """Sort the indices of the living UAVs by decreasing score ``(N,)``; ``rng`` breaks ties."""
     living = np.flatnonzero(alive)
     return living[select_top(scores[living], None, rng)]
+
+
+def shows_evidence(window: Window, members: NDArray[np.intp]) -> bool:
+    """Whether a head can be found among the ``members`` ``(n,)``: at least 3 UAVs, with any velocity seen."""
+    return len(members) >= LEAST_UAVS and bool(window.velocity_seen[:, members].any())
 
 
 def name_at_random(members: NDArray[np.intp], count: int, uavs: int, rng: np.random.Generator) -> Mask:
