@@ -158,11 +158,9 @@ class Clusterer(Parameters):
         living = Living(window, arguments)
         n = len(living.index)
         labels = np.full(window.uavs, -1, np.int64)
-        if n == 0:
-            return Clustering(labels, 0)
-        if n == 1:
+        if n < 2:
             labels[living.index] = 0
-            return Clustering(labels, 1, extras={"estimate": 1})
+            return Clustering(labels, n, extras={"estimate": 1} if n else {})
         estimate = self._estimate_count(living, rng)
         found = self.partition(living, None if estimate is None else min(estimate, n), rng)
         used, labels[living.index] = np.unique(found, return_inverse=True)

@@ -222,17 +222,11 @@ def _write_checkpoint(
 def _read_checkpoint(checkpoint: Checkpoint, network: HeadNetwork, optimiser: torch.optim.Optimizer) -> list[float]:
     """Set the network and the optimiser to the checkpoint's, if there is one, and return the losses so far."""
     arrays, losses = checkpoint.read()
-    if not losses:
-        return losses
-    weights: dict[str, Tensor] = {}
-    state: dict[int, dict[str, Tensor]] = {}
-    for name, value in arrays.items():
-        owner, _, entry = name.partition(".")
-        if owner == "network":
-            weights[entry] = value
-        elif owner == "optimiser":
-            number, _, entry = entry.partition(".")
-            state.setdefault(int(number), {})[entry] = value
-    network.load_state_dict(weights)
-    optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
+    if losses:
+        network.load_state_dict({name: arrays[f"network.{name}"] for name in network.state_dict()})
+        state = {
+            number: {name: arrays[f"optimiser.{number}.{name}"] for name in ("step", "exp_avg", "exp_avg_sq")}
+            for number, _ in enumerate(network.parameters())
+        }
+        optimiser.load_state_dict({**optimiser.state_dict(), "state": state})
     return losses

@@ -191,8 +191,7 @@ def split_times(times: int, blocks: int, gap: int, device: torch.device) -> tupl
         held, near = _mark_blocks(times, fewer, gap, device)
         if (~near).sum() >= max(1, times // 3):
             return (~near).nonzero()[:, 0], held.nonzero()[:, 0]
-    held, _ = _mark_blocks(times, 1, gap, device)
-    used = ~held if times > 1 else held
+    used = ~held if times > 1 else held  # around the single block of the last try
     return used.nonzero()[:, 0], held.nonzero()[:, 0]
 
 
@@ -262,14 +261,13 @@ class Problem:
 
         Args:
             network: E * c networks.
-            columns: ``(c,)`` or ``(E, c)`` indices of the sources.
+            columns: ``(c,)`` indices of the sources.
             voters: ``(v,)`` indices of the predicted UAVs.
             times: ``(t,)`` indices of times.
             generator: of the noise on the sources; ``None`` for no noise.
         """
         samples, windows, uavs = self.samples, self.samples.windows, self.samples.uavs
-        columns = columns.expand(windows, -1) if columns.dim() == 1 else columns
-        count, shape = columns.shape[1], (len(voters), len(times), 3)
+        count, shape = len(columns), (len(voters), len(times), 3)
         rows = (torch.arange(windows, device=columns.device)[:, None] * uavs + columns).reshape(-1)
         source = self.source[rows][:, times]
         if generator is not None:
