@@ -94,7 +94,7 @@ class PolicyDetector(Detector):
         elif hasattr(self.policy, "in_keys") and hasattr(self.policy, "out_keys"):
             candidates, scores = self._act_by_tensordict(observation, window)
         else:
-            scores = _to_scores(self._call_policy(_to_tensors(observation, _find_device(self.policy))), window.uavs)
+            scores = _to_scores(self._call_policy(_to_tensors(observation, self.policy)), window.uavs)
             candidates = scores > self.threshold
         return Detection(candidates=candidates & window.alive, scores=scores)
 
@@ -137,10 +137,10 @@ class PolicyDetector(Detector):
 
     def _act_by_tensordict(self, observation: Any, window: Window) -> tuple[Mask, Floats]:
         tensordict = import_module("tensordict")  # installed wherever such a policy exists
-        asked = tensordict.TensorDict(_to_tensors(observation, _find_device(self.policy)), batch_size=[1])
+        asked = tensordict.TensorDict(_to_tensors(observation, self.policy), batch_size=[1])
         with import_module("tensordict.nn").set_interaction_type("deterministic"):
             given = self._call_policy(asked)
-        candidates = _to_candidates(_to_array(given.get("action")), window.uavs)
+        candidates = _to_candidates(given.get("action"), window.uavs)
         for key in _SCORES:
             if (found := given.get(key, None)) is not None and found.numel() == window.uavs:
                 return candidates, _to_scores(found, window.uavs)
@@ -185,16 +185,15 @@ def _to_array(value: Any) -> NDArray[Any]:
     return np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
 
 
-def _find_device(policy: Any) -> Any:
-    """Device of a module's parameters; the CPU if it has none."""
-    weight = next(iter(policy.parameters()), None) if hasattr(policy, "parameters") else None
-    return "cpu" if weight is None else weight.device
+def _to_tensors(observation: Any, policy: Any) -> Any:
+    """Convert an observation (a mapping of arrays, or one array) to tensors with a leading axis of length 1.
 
-
-def _to_tensors(observation: Any, device: Any) -> Any:
-    """Convert an observation (a mapping of arrays, or one array) to tensors with a leading axis of length 1."""
+    They are on the device of the policy's parameters, or on the CPU if it has none.
+    """
     import torch
 
+    weight = next(iter(policy.parameters()), None) if hasattr(policy, "parameters") else None
+    device = "cpu" if weight is None else weight.device
     if isinstance(observation, dict):
         return {name: torch.as_tensor(np.asarray(value), device=device)[None] for name, value in observation.items()}
     return torch.as_tensor(np.asarray(observation), device=device)[None]

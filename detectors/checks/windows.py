@@ -80,17 +80,15 @@ def simulate_missing_samples(detector: Any = None, seed: int = 0) -> Window:
     return Window(position, velocity, seen, window.alive, window.round)
 
 
-def make_hovering_window(detector: Any = None, uavs: int = 8, *, together: bool = False, seed: int = 0) -> Window:
+def make_hovering_window(detector: Any = None, *, together: bool = False) -> Window:
     """Make a window in which no UAV moves, so that every spread is 0 and no UAV looks like a head.
 
     Args:
         detector: the detector that is checked; its tags limit the window as in :func:`draw_window`.
-        uavs: N.
         together: whether all UAVs are at one point and differ in their indices only.
-        seed: seed of the positions.
     """
-    uavs, steps = _fit_size(detector, uavs)
-    place = np.random.default_rng(seed).uniform(0, 100, (1 if together else uavs, 3))
+    uavs, steps = _fit_size(detector, 8)
+    place = np.random.default_rng(0).uniform(0, 100, (1 if together else uavs, 3))
     position = np.broadcast_to(place.astype(np.float32), (steps + 1, uavs, 3))
     return Window(
         position, np.zeros((steps, uavs, 3), np.float32), np.ones((steps + 1, uavs), bool), np.ones(uavs, bool)

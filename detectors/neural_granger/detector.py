@@ -131,14 +131,15 @@ class NeuralGranger(Detector):
             groups.setdefault(key, []).append(number)
         answers: dict[int, Detection] = {}
         for (_, _, shown), numbers in groups.items():
-            answer = self._fit_group if shown else self._name_at_random
-            answers.update(zip(numbers, answer([windows[number] for number in numbers], settings), strict=True))
+            group = [windows[number] for number in numbers]
+            found = self._fit_group(group, settings) if shown else [self._name_at_random(window) for window in group]
+            answers.update(zip(numbers, found, strict=True))
         return [answers[number] for number in range(len(windows))]
 
-    def _name_at_random(self, windows: list[Window], _: PerCandidate) -> list[Detection]:
+    def _name_at_random(self, window: Window) -> Detection:
         count = 0 if self.gate else self.top_k
-        found = [name_at_random(np.flatnonzero(each.alive), count, each.uavs, self.rng) for each in windows]
-        return [Detection(each, np.zeros(len(each)), extras={"followed": False}) for each in found]
+        candidates = name_at_random(np.flatnonzero(window.alive), count, window.uavs, self.rng)
+        return Detection(candidates, np.zeros(window.uavs), extras={"followed": False})
 
     def _fit_group(self, windows: list[Window], settings: PerCandidate) -> list[Detection]:
         members, device = [np.flatnonzero(window.alive) for window in windows], self._resolve_device()
