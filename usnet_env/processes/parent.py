@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 
@@ -22,6 +23,18 @@ class SendError(RuntimeError):
     def __init__(self, text: str, started: bool = True) -> None:
         super().__init__(text)
         self.started = started
+
+
+def pickle_function(function: Callable[..., Any]) -> bytes:
+    """Pickle a function for a new process.
+
+    Raises:
+        SendError: it cannot be pickled.
+    """
+    try:
+        return bytes(ForkingPickler.dumps(function))
+    except Exception as error:
+        raise SendError(f"{type(error).__name__}: {error}") from error
 
 
 class RemoteTraceback(Exception):  # only shown as the cause of an error

@@ -26,7 +26,14 @@ from numpy.typing import NDArray
 from usnet_env.processes.child import prepare_child
 from usnet_env.processes.frames import describe_place
 from usnet_env.processes.limits import Limits, ProcessDied, limit_memory
-from usnet_env.processes.parent import RemoteTraceback, SendError, describe_end, end_process, start_process
+from usnet_env.processes.parent import (
+    RemoteTraceback,
+    SendError,
+    describe_end,
+    end_process,
+    pickle_function,
+    start_process,
+)
 
 Arrays = Mapping[str, NDArray[Any]]
 #: Takes plain values and arrays, and returns plain values and arrays; the arrays that it gets are its own.
@@ -161,10 +168,7 @@ class PlainProcess:
     """
 
     def __init__(self, make: Callable[[], PlainFunction], limits: Limits) -> None:
-        try:
-            self._make = ForkingPickler.dumps(make)
-        except Exception as error:
-            raise SendError(f"{type(error).__name__}: {error}") from error
+        self._make = pickle_function(make)
         if os.name == "nt":
             raise SendError("this needs Linux or macOS")
         self._seconds = limits.seconds
@@ -220,9 +224,7 @@ class PlainProcess:
         """Kill the process."""
         self._end()
 
-    def _exchange(
-        self, message: bytes | memoryview | None, seconds: float | None
-    ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    def _exchange(self, message: bytes | None, seconds: float | None) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Send a message, if there is one, and return the answer."""
         if self._connection.closed:
             raise ProcessDied(self._reason)
@@ -250,9 +252,9 @@ class PlainProcess:
                 raise SendError(text)
         raise PlainError(kind, text, " ".join(place.split())[:_LONGEST_PLACE]) from RemoteTraceback(trace)
 
-    def _send(self, message: bytes | memoryview, deadline: float) -> None:
+    def _send(self, message: bytes, deadline: float) -> None:
         """Send a message as the connection of the child process reads it, its length first."""
-        left = memoryview(_LENGTH.pack(len(message)) + bytes(message))
+        left = memoryview(_LENGTH.pack(len(message)) + message)
         while left:
             self._wait(select.POLLOUT, deadline)
             with suppress(BlockingIOError):

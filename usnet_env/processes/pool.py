@@ -19,6 +19,7 @@ from usnet_env.processes.parent import (
     SendError,
     describe_end,
     end_process,
+    pickle_function,
     start_process,
     without_interrupts,
 )
@@ -65,10 +66,7 @@ class ProcessPool(Generic[TaskT, ResultT]):
         self._limits = limits
         self._processes: list[_Process[TaskT]] = []
         self._threads: dict[int, list[tuple[str, TaskT]]] = {}
-        try:
-            self._function = ForkingPickler.dumps(function)
-        except Exception as error:
-            raise SendError(f"{type(error).__name__}: {error}") from error
+        self._function = pickle_function(function)
 
     def __enter__(self) -> ProcessPool[TaskT, ResultT]:
         return self
@@ -115,9 +113,10 @@ class ProcessPool(Generic[TaskT, ResultT]):
                 dead = each.process.exitcode is not None  # asked first: all that it sent can then be read
                 yield from self._read(each)
                 if dead or each.connection.closed:
-                    yield from self._bury(each, again)
+                    yield from self._bury(each, again, describe_end(each.process))
                 elif each.deadline is not None and time.monotonic() > each.deadline:
-                    yield self._kill_late(each, again)
+                    late = f"it took longer than {self._limits.seconds:g} seconds, the time limit"
+                    yield from self._bury(each, again, late)
 
     def close(self) -> None:
         """Kill all processes; nothing is lost but unfinished tasks."""
@@ -201,28 +200,17 @@ class ProcessPool(Generic[TaskT, ResultT]):
                 error.__cause__ = RemoteTraceback(trace)
                 yield Outcome(each.tasks.popleft(), error=error)
 
-    def _bury(self, each: _Process[TaskT], again: deque[TaskT]) -> Iterator[Outcome[TaskT, ResultT]]:
-        """Remove a process that has died; its first task has failed, the others are tried again."""
-        reason = describe_end(each.process)
-        self._remove(each)
+    def _bury(self, each: _Process[TaskT], again: deque[TaskT], reason: str) -> Iterator[Outcome[TaskT, ResultT]]:
+        """Remove a process that has died or is late; its first task has failed, the others are tried again."""
+        with without_interrupts():
+            end_process(each.process, each.connection)
+            self._processes.remove(each)
         if not each.ready:
             raise SendError(f"a worker process did not start: {reason}", started=False)
         if each.tasks:
             task = each.tasks.popleft()
             again.extendleft(reversed(each.tasks))
             yield Outcome(task, error=ProcessDied(reason, each.during))
-
-    def _kill_late(self, each: _Process[TaskT], again: deque[TaskT]) -> Outcome[TaskT, ResultT]:
-        self._remove(each)
-        task = each.tasks.popleft()
-        again.extendleft(reversed(each.tasks))
-        reason = f"it took longer than {self._limits.seconds:g} seconds, the time limit"
-        return Outcome(task, error=ProcessDied(reason, each.during))
-
-    def _remove(self, each: _Process[TaskT]) -> None:
-        with without_interrupts():
-            end_process(each.process, each.connection)
-            self._processes.remove(each)
 
     def finish(self) -> None:
         """Let the processes end by themselves; :meth:`close` kills those that threads keep alive."""

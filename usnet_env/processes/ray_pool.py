@@ -16,13 +16,12 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
-from multiprocessing.reduction import ForkingPickler
 from typing import Any, Generic
 
 from usnet_env.config import ArgumentError, how_to_install, quote
 from usnet_env.processes.limits import Limits, ProcessDied
 from usnet_env.processes.outcome import Outcome, ResultT, TaskT, every_task
-from usnet_env.processes.parent import SendError, without_interrupts
+from usnet_env.processes.parent import SendError, pickle_function, without_interrupts
 from usnet_env.processes.pool import ProcessPool
 
 _TASKS_AHEAD = 2  # tasks that a worker has received: one to run, and the next one so that it never waits
@@ -128,10 +127,7 @@ class RayPool(Generic[TaskT, ResultT]):
         address: str | None = None,
     ) -> None:
         self.left_threads: list[tuple[str, TaskT]] = []
-        try:
-            data = bytes(ForkingPickler.dumps(function))
-        except Exception as error:
-            raise SendError(f"{type(error).__name__}: {error}") from error
+        data = pickle_function(function)
         self._ray, self._connected = _connect(address, workers)
         self._arguments = self._ray.put(data), limits
         self._actor = self._ray.remote(num_cpus=1)(_Actor)
