@@ -73,6 +73,17 @@ class RowTable(Sequence[dict[str, Any]]):
             raise OverflowError(f"{name} must fit into 64 bits, got {value}.")
         return math.nan if value is None else value
 
+    def _read(self, name: str, stored: Sequence[Any]) -> Sequence[Any]:
+        """The values of a column that are stored as these numbers."""
+        match self.columns[name]:
+            case "str":
+                return [self._texts[name][number] for number in stored]
+            case "bool":
+                return [bool(number) for number in stored]
+            case "float | None":
+                return [None if math.isnan(number) else number for number in stored]
+        return stored
+
     def append_texts(self, columns: Sequence[Sequence[str]]) -> None:
         """Append rows that were read from a file.
 
@@ -124,18 +135,11 @@ class RowTable(Sequence[dict[str, Any]]):
             last: the row after the last one; ``None``: up to the end.
             digits: decimals of ``float``; ``None``: as many as are needed to read the same value again.
         """
-        columns: list[Sequence[Any]] = []
+        columns = []
         for name, kind in self.columns.items():
-            values: Sequence[Any] = self._values[name][first:last]
-            if kind == "str":
-                values = [self._texts[name][value] for value in values]
-            elif kind == "bool":
-                values = [bool(value) for value in values]
-            elif kind == "float | None":
-                values = ["" if math.isnan(value) else value for value in values]
-            elif kind == "float" and digits is not None:
-                values = [f"{value:.{digits}f}" for value in values]
-            columns.append(values)
+            values = self._read(name, self._values[name][first:last])
+            rounded = kind == "float" and digits is not None
+            columns.append([f"{value:.{digits}f}" for value in values] if rounded else values)
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows(zip(*columns, strict=True))
         return text.getvalue()
@@ -150,17 +154,7 @@ class RowTable(Sequence[dict[str, Any]]):
     def __getitem__(self, place: int | slice) -> dict[str, Any] | RowTable:
         if isinstance(place, slice):
             return self.take(np.arange(len(self))[place])
-        row: dict[str, Any] = {}
-        for name, kind in self.columns.items():
-            value: Any = self._values[name][place]
-            if kind == "str":
-                value = self._texts[name][value]
-            elif kind == "bool":
-                value = bool(value)
-            elif kind == "float | None" and math.isnan(value):
-                value = None
-            row[name] = value
-        return row
+        return {name: self._read(name, [values[place]])[0] for name, values in self._values.items()}
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sequence) or len(other) != len(self):
