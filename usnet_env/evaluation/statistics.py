@@ -122,6 +122,12 @@ def _wide_quantile(n: int, strata: int = 1, confidence: float = CONFIDENCE) -> f
     return math.sqrt(n / free) * -float(stdtrit(free, (1 - confidence) / 2))
 
 
+def _split_resamples(n: int) -> list[int]:
+    """How many resamples of n values to draw at a time."""
+    step = max(1, _DRAWS_AT_ONCE // n)
+    return [min(step, _RESAMPLES - first) for first in range(0, _RESAMPLES, step)]
+
+
 def _ends(resampled: NDArray[np.float64], quantile: float) -> tuple[float, float]:
     """The ends of the percentile interval at a quantile of the normal distribution."""
     tail = float(ndtr(-quantile))
@@ -171,12 +177,8 @@ def mean_interval(
         mean = float(sample.mean())
         low, high = (mean + spread / math.sqrt(n) * (sign * quantile + shift) for sign in (-1, 1))
         return Interval(mean, low, high)
-    means = np.empty(_RESAMPLES)
-    step = max(1, _DRAWS_AT_ONCE // n)
-    for first in range(0, _RESAMPLES, step):
-        part = means[first : first + step]
-        part[:] = sample[rng.integers(n, size=(len(part), n))].mean(axis=1)
-    return Interval(float(sample.mean()), *_ends(means, quantile))
+    means = [sample[rng.integers(n, size=(count, n))].mean(axis=1) for count in _split_resamples(n)]
+    return Interval(float(sample.mean()), *_ends(np.concatenate(means), quantile))
 
 
 def paired_test(differences: Sequence[float] | NDArray[np.float64], seed: int = 0) -> float:
@@ -203,9 +205,8 @@ def paired_test(differences: Sequence[float] | NDArray[np.float64], seed: int = 
         every = 1.0 - 2 * (np.arange(2**n)[:, None] >> np.arange(n) & 1)
         return float((np.abs(every @ sample) >= found * (1 - 1e-12)).mean())
     rng, as_large = np.random.default_rng(seed), 0
-    step = max(1, _DRAWS_AT_ONCE // n)
-    for first in range(0, _RESAMPLES, step):
-        signs = 2.0 * rng.integers(2, size=(min(step, _RESAMPLES - first), n)) - 1
+    for count in _split_resamples(n):
+        signs = 2.0 * rng.integers(2, size=(count, n)) - 1
         as_large += int((np.abs(signs @ sample) >= found * (1 - 1e-12)).sum())
     return (1 + as_large) / (1 + _RESAMPLES)
 
@@ -256,13 +257,11 @@ def interquartile_mean(strata: Sequence[Sequence[float] | NDArray[np.float64]], 
         clipped = [np.clip(each, pooled[cut], pooled[n - cut - 1]) for each in samples]
         spread = math.sqrt(sum(len(each) * float(each.var()) for each in clipped)) / (n - 2 * cut)
         return Interval(mean, mean - quantile * spread, mean + quantile * spread)
-    rng, found = np.random.default_rng(seed), np.empty(_RESAMPLES)
-    step = max(1, _DRAWS_AT_ONCE // n)
-    for first in range(0, _RESAMPLES, step):
-        part = found[first : first + step]
-        drawn = [each[rng.integers(len(each), size=(len(part), len(each)))] for each in samples]
-        part[:] = _middle_mean(np.concatenate(drawn, axis=1))
-    return Interval(mean, *_ends(found, quantile))
+    rng, found = np.random.default_rng(seed), []
+    for count in _split_resamples(n):
+        drawn = [each[rng.integers(len(each), size=(count, len(each)))] for each in samples]
+        found.append(_middle_mean(np.concatenate(drawn, axis=1)))
+    return Interval(mean, *_ends(np.concatenate(found), quantile))
 
 
 def performance_profile(
