@@ -67,16 +67,6 @@ def _join(names: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
-def _sign(summary: Summary) -> int:
-    """1 for J_m, which is at least 1 and is to be low; -1 for J_s, which is at most 0 and is to be high."""
-    return 1 if not summary or summary[0]["metrics"]["J"]["mean"] > 0 else -1
-
-
-def objective_name(summary: Summary) -> str:
-    """``J_m`` of P2 or ``J_s`` of P1."""
-    return "J_m" if _sign(summary) == 1 else "J_s"
-
-
 class _First(NamedTuple):
     """The metric by which detectors are ranked: its column, its name, and 1 if low values are good, otherwise -1."""
 
@@ -97,7 +87,15 @@ def _first_metric(summary: Summary) -> _First:
 
 
 def _objective(summary: Summary) -> _First:
-    return _First("J", objective_name(summary), _sign(summary))
+    """J_m of P2, which is at least 1 and is to be low; or J_s of P1, which is at most 0 and is to be high."""
+    if not summary or summary[0]["metrics"]["J"]["mean"] > 0:
+        return _First("J", "J_m", 1)
+    return _First("J", "J_s", -1)
+
+
+def objective_name(summary: Summary) -> str:
+    """``J_m`` of P2 or ``J_s`` of P1."""
+    return _objective(summary).name
 
 
 def rank(summary: Summary) -> list[Mapping[str, Any]]:
