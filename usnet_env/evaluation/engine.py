@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import numpy as np
 from pydantic import Field
 
 from usnet_env.config import ArgumentError, Config
 from usnet_env.evaluation.errors import EvaluationError, not_started
 from usnet_env.evaluation.parts import send
-from usnet_env.evaluation.result import EvaluationResult, leave_out_failed, summarise
+from usnet_env.evaluation.result import EvaluationResult, make_result
 from usnet_env.evaluation.schedule import Schedule, Seeds
 from usnet_env.evaluation.store import COLUMNS, RunStore
 from usnet_env.evaluation.table import Columns
@@ -159,7 +158,7 @@ def play_run(
         ArgumentError: the folder is that of another run, or an argument cannot be sent to another process.
         EvaluationError: a contestant failed; the others have played to the end.
     """
-    labels = player.labels
+    labels = config["detectors"]
     with ExitStack() as stack:
         store = None if folder is None else stack.enter_context(RunStore(folder, config, columns))
         config = config if store is None else store.config
@@ -169,38 +168,33 @@ def play_run(
             schedule,
             schedule.count,
             place,
-            lambda task: f"detector {labels[task.contestant]!r}",
+            lambda task: f"detector {task.label!r}",
             schedule.is_wanted,
         )
         show = stack.enter_context(progress_bar("episodes", progress))
-        show(schedule.finished, schedule.done.size)
+        show(schedule.finished, schedule.total)
         try:
             # Closed before the last rows and the secret are written: no detector runs any more.
             with closing(player), closing(played):
                 for outcome in played:
                     schedule.note(outcome)
-                    show(schedule.finished, schedule.done.size)
+                    show(schedule.finished, schedule.total)
         finally:
             schedule.save_rest()
-            failures = {labels[number]: error for number, error in schedule.failures.items()}
+            failures = schedule.failures
             failed = {label: str(error) for label, error in failures.items()}
             if store is not None:
                 if seeds.secret is not None and schedule.uses_secret:
                     store.add_secret(seeds.secret)
-                store.note_failures({}, [labels[n] for n in np.flatnonzero(schedule.done.all(axis=1))])
+                store.note_failures({}, [label for label, own in schedule.done.items() if own.all()])
                 failed = store.failures | failed
-        table = leave_out_failed(schedule.table.take(schedule.order(schedule.table)), failed)
-        if store is None or schedule.uses_secret:
-            secret = {} if seeds.secret is None else {"secret": seeds.secret}
-        else:
-            secret = store.describe_secret()
-        more = secret | ({"failures": failed} if failed else {})
-        result = EvaluationResult(table, summarise(table), dict(config) | more)
-        if store is not None and table:
-            store.finish(schedule.order, result.summary)
+        secret = seeds.secret if store is None or schedule.uses_secret else store.secret
+        result = make_result(schedule.table, config, secret, failed)
+        if store is not None and result.rows:
+            store.finish(result.summary)
         if failures:
             failure = EvaluationError(" ".join(map(str, failures.values())))
-            failure.result = result if table else None
+            failure.result = result if result.rows else None
             failure.failures = {label: failed[label] for label in failures}
             raise failure from next(iter(failures.values())).__cause__
     return result

@@ -20,7 +20,7 @@ from usnet_env.evaluation.metrics import record_metrics
 from usnet_env.evaluation.result import EvaluationResult
 from usnet_env.evaluation.schedule import Seeds
 from usnet_env.evaluation.store import COLUMNS
-from usnet_env.evaluation.workers import PREPARE, Task
+from usnet_env.evaluation.workers import Task
 from usnet_env.files import as_path
 from usnet_env.plugins import make_detector
 from usnet_env.processes import Limits
@@ -54,25 +54,21 @@ class _GamePlayer:
         return self.make_env(**self.game_kwargs)
 
     @cached_property
-    def teams(self) -> list[dict[str, Any]]:
+    def teams(self) -> dict[str, dict[str, Any]]:
         """The policies of each label, with those of detectors that are given by name."""
-        return [{role: _as_policy(policy) for role, policy in own.items()} for own in self.players.values()]
-
-    @property
-    def labels(self) -> list[str]:
-        """The names of the players in rows and tables."""
-        return list(self.players)
+        return {
+            label: {role: _as_policy(policy) for role, policy in own.items()} for label, own in self.players.items()
+        }
 
     def run_task(self, task: Task) -> Row | None:
         """Play one game."""
         from usnet_env.multiagent.play import play_game
 
-        episode, number, (swarm_seed, policy_seed) = task
-        if episode == PREPARE:
+        label, episode, (swarm_seed, policy_seed) = task
+        if episode is None:
             return None
-        label = self.labels[number]
         with detector_step(label, f"game {episode}"):
-            game = play_game(self.env, self.teams[number], swarm_seed, label, policy_seed)
+            game = play_game(self.env, self.teams[label], swarm_seed, label, policy_seed)
         return {
             "detector": label,
             "episode": episode,
@@ -163,7 +159,7 @@ def evaluate_games(
     player = _GamePlayer(_find_game(game), kwargs, {label: dict(own) for label, own in players.items()})
     from usnet_env.multiagent.play import choose_policies
 
-    for policies in player.teams:
+    for policies in player.teams.values():
         choose_policies(player.env, policies)  # refuses a missing one before anything is played
     settings = {"config": describe(player.env.config), "rules": describe(player.env.rules)}
     config = {
@@ -171,7 +167,7 @@ def evaluate_games(
         "game_kwargs": describe(kwargs),
         "environment": settings,
         **describe_code(type(player.env), [settings, describe(kwargs)]),
-        "detectors": player.labels,
+        "detectors": list(player.players),
         "identities": [{role: _identify(own[role]) for role in own} for own in player.players.values()],
         "episodes": run.episodes,
         "seed": run.seed,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from os import PathLike
@@ -18,7 +18,7 @@ from usnet_env.evaluation.errors import UnknownLabelError
 from usnet_env.evaluation.identity import differing_keys
 from usnet_env.evaluation.metrics import LOWER_IS_BETTER, OPTIONAL_METRICS, RATES
 from usnet_env.evaluation.statistics import CONFIDENCE, Interval, Profile, mean_interval
-from usnet_env.evaluation.store import JOINING, KEYS, last_secret, load_run
+from usnet_env.evaluation.store import JOINING, KEYS, last_secret, load_run, order_rows
 from usnet_env.evaluation.table import RowTable
 from usnet_env.files import as_path
 
@@ -181,13 +181,7 @@ class EvaluationResult(Results):
             ArgumentError: it is no folder of a run, or a file in it is broken.
         """
         description, table = load_run(as_path("folder", folder))
-        config = dict(description["config"])
-        order = {label: place for place, label in enumerate(config["detectors"])}
-        labels = np.array([order.get(label, len(order)) for label in table.column("detector")], np.int64)
-        failures = description.get("failures", {})
-        table = leave_out_failed(table.take(np.lexsort((table.column("episode"), labels))), failures)
-        more = last_secret(description) | ({"failures": failures} if failures else {})
-        return cls(table, summarise(table), config | more)
+        return make_result(table, description["config"], last_secret(description), description.get("failures", {}))
 
     @property
     def failures(self) -> dict[str, str]:
@@ -341,9 +335,22 @@ class EvaluationResult(Results):
         return metric in LOWER_IS_BETTER or metric.startswith("price")
 
 
-def leave_out_failed(table: RowTable, failed: Collection[str]) -> RowTable:
-    """The rows without those of detectors that have failed, which played the episodes that they survived only."""
-    return table.take(np.flatnonzero(~np.isin(table.column("detector"), list(failed)))) if failed else table
+def make_result(
+    rows: RowTable, config: Mapping[str, Any], secret: str | None, failures: Mapping[str, str]
+) -> EvaluationResult:
+    """The result of a run.
+
+    Args:
+        rows: those of detectors that have failed are left out, because they are of the episodes that these survived.
+        config: the arguments of the run.
+        secret: of its last part, if it is isolated.
+        failures: why detectors have failed, by label.
+    """
+    table = rows.take(order_rows(rows, config["detectors"]))
+    if failures:
+        table = table.take(np.flatnonzero(~np.isin(table.column("detector"), list(failures))))
+    more = {"secret": secret, "failures": failures}
+    return EvaluationResult(table, summarise(table), {**config, **{name: each for name, each in more.items() if each}})
 
 
 def _pair(
@@ -388,13 +395,13 @@ def _strata(results: Sequence[EvaluationResult], metric: str) -> dict[str, list[
     return found
 
 
-def _numbers(values: Any) -> NDArray[np.float64]:
-    """The values as an array ``(t,)``; an empty one if they are none."""
+def _are_finite_numbers(values: Any) -> bool:
+    """Whether the values are an array ``(t,)`` of at least one finite number."""
     try:
         found = np.asarray(values, np.float64)
     except (TypeError, ValueError):
-        return np.empty(0)
-    return found if found.ndim == 1 else np.empty(0)
+        return False
+    return found.ndim == 1 and bool(len(found)) and bool(np.isfinite(found).all())
 
 
 def interquartile_means(results: Sequence[EvaluationResult], metric: str = "J") -> dict[str, Interval]:
@@ -442,7 +449,7 @@ def performance_profiles(
     if thresholds is None:
         pooled = np.concatenate([values for own in strata.values() for values in own])
         thresholds = np.linspace(pooled.min(), pooled.max(), _THRESHOLDS).tolist()
-    elif isinstance(thresholds, str) or not len(at := _numbers(thresholds)) or not np.isfinite(at).all():
+    elif not _are_finite_numbers(thresholds):
         raise ArgumentError(f"thresholds must be a list of at least one finite number, got {quote(thresholds)}.")
     lower = results[0]._lower_is_better(metric)
     return {label: statistics.performance_profile(own, thresholds, lower) for label, own in strata.items()}

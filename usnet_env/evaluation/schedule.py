@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +12,7 @@ from usnet_env.config import ArgumentError
 from usnet_env.evaluation.episode import Row, episode_seeds
 from usnet_env.evaluation.store import COLUMNS, RunStore
 from usnet_env.evaluation.table import Columns, RowTable
-from usnet_env.evaluation.workers import PREPARE, Task, as_failure
+from usnet_env.evaluation.workers import Task, as_failure
 from usnet_env.processes import Outcome
 
 
@@ -70,11 +70,12 @@ class Schedule:
         columns: of the rows.
 
     Attributes:
-        done: ``(contestants, episodes)`` bool, which episodes have been played.
+        done: ``(episodes,)`` bool for each contestant, which episodes have been played.
+        total: number of episodes of all contestants.
         count: number of episodes that were missing at first.
         finished: number of episodes that are done.
         uses_secret: whether the seeds' secret is that of some rows.
-        failures: the errors of contestants that have failed, by their numbers.
+        failures: the errors of contestants that have failed.
 
     Raises:
         ArgumentError: the folder holds rows of another run.
@@ -89,34 +90,33 @@ class Schedule:
         episodes: int,
         columns: Columns = COLUMNS,
     ) -> None:
-        self._store, self._labels = store, labels
+        self._store = store
         self._played = RowTable(columns)
         self._unsaved: list[Row] = []
         self._withhold = seeds.secret is not None
-        self._places = {label: place for place, label in enumerate(detectors)}
-        self.done = np.zeros((len(labels), episodes), bool)
-        self.failures: dict[int, BaseException] = {}
+        self.failures: dict[str, BaseException] = {}
         there, numbers = self.table.column("detector"), self.table.column("episode")
-        if not set(there) <= self._places.keys() or ((numbers < 0) | (numbers >= episodes)).any():
+        if not set(there) <= set(detectors) or ((numbers < 0) | (numbers >= episodes)).any():
             raise ArgumentError("out must hold only rows of this run, got rows of other detectors or episodes.")
-        for contestant, label in enumerate(labels):
-            self.done[contestant, numbers[there == label]] = True
+        self.done = {label: np.isin(np.arange(episodes), numbers[there == label]) for label in labels}
         seeds.take_over(self.table)
-        missing = ~self.done
-        self.count = int(missing.sum())
-        self.finished = self.done.size - self.count
+        missing = {label: ~own for label, own in self.done.items() if not own.all()}
+        self.total = len(labels) * episodes
+        self.count = sum(int(own.sum()) for own in missing.values())
+        self.finished = self.total - self.count
         self.uses_secret = bool(self.count or seeds.given)
-        self._unprepared = set(np.flatnonzero(missing.any(axis=1)).tolist())
-        self._left = self._list(sorted(self._unprepared), missing, seeds)
+        self._unprepared = set(missing)
+        self._left = self._list(missing, seeds)
 
     @staticmethod
-    def _list(unprepared: Sequence[int], missing: NDArray[np.bool_], seeds: Seeds) -> Iterator[Task]:
-        for number in unprepared:
-            yield Task(PREPARE, number, seeds.of(0))
-        for episode in np.flatnonzero(missing.any(axis=0)).tolist():
+    def _list(missing: Mapping[str, NDArray[np.bool_]], seeds: Seeds) -> Iterator[Task]:
+        for label in missing:
+            yield Task(label, None, seeds.of(0))
+        for episode in np.flatnonzero(np.any(list(missing.values()), axis=0)).tolist():
             pair = seeds.of(episode)
-            for number in np.flatnonzero(missing[:, episode]).tolist():
-                yield Task(episode, number, pair)
+            for label, own in missing.items():
+                if own[episode]:
+                    yield Task(label, episode, pair)
 
     @property
     def table(self) -> RowTable:
@@ -128,20 +128,20 @@ class Schedule:
 
     def is_wanted(self, task: Task) -> bool:
         """Whether the contestant of the task has not failed."""
-        return task.contestant not in self.failures
+        return task.label not in self.failures
 
     def note(self, outcome: Outcome[Task, Row | None]) -> None:
         """Take notice of an outcome, and save the rows that may be saved; errors of arguments are raised."""
         task, row = outcome.task, outcome.result
-        self._unprepared.discard(task.contestant)
+        self._unprepared.discard(task.label)
         if outcome.error is not None:
-            failure = as_failure(self._labels[task.contestant], task.episode, outcome.error)
-            if task.contestant not in self.failures:
-                self.failures[task.contestant] = failure
+            failure = as_failure(task, outcome.error)
+            if task.label not in self.failures:
+                self.failures[task.label] = failure
                 if self._store is not None:
-                    self._store.note_failures({self._labels[task.contestant]: str(failure)})
+                    self._store.note_failures({task.label: str(failure)})
         if row is not None:
-            self.done[task.contestant, task.episode] = True
+            self.done[task.label][task.episode] = True
             self.finished += 1
             self._unsaved.append(row)
         if not self._unprepared:
@@ -156,15 +156,10 @@ class Schedule:
         """Save rows; if their seeds are secret, not those of an episode that others have still to play."""
         rows, self._unsaved = self._unsaved, []
         if secret:
-            playing = [number for number in range(len(self.done)) if number not in self.failures]
-            self._unsaved = [row for row in rows if not self.done[playing, row["episode"]].all()]
-            rows = [row for row in rows if self.done[playing, row["episode"]].all()]
+            playing = [own for label, own in self.done.items() if label not in self.failures]
+            self._unsaved = [row for row in rows if not all(own[row["episode"]] for own in playing)]
+            rows = [row for row in rows if all(own[row["episode"]] for own in playing)]
         if self._store is None:
             self._played.extend(rows)
         elif rows:
             self._store.append(rows)
-
-    def order(self, table: RowTable) -> NDArray[np.int64]:
-        """The places of the rows by detector, in the order of the run, then by episode."""
-        numbers = np.array([self._places[label] for label in table.column("detector")], np.int64)
-        return np.lexsort((table.column("episode"), numbers))

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from importlib.metadata import version
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +36,6 @@ COLUMNS: Columns = {
 
 #: The arguments of a run that others may add to.
 JOINING = ("detectors", "identities", "episodes")
-
-#: Returns the places of the rows of a table in their new order.
-Order = Callable[[RowTable], Sequence[int] | NDArray[np.int64]]
 
 _SYNC_EVERY = 10.0  # seconds; what is older survives a failure of power, and everything that of this program
 _ROWS_AT_ONCE = 10_000
@@ -109,7 +107,7 @@ class RowFile:
             self.table = self.table[:first]
             raise
 
-    def sort(self, order: Order) -> None:
+    def sort(self, order: Callable[[RowTable], Sequence[int] | NDArray[np.int64]]) -> None:
         """Sort the rows; the file is written again if that changes it.
 
         Args:
@@ -152,7 +150,8 @@ class RowFile:
         if not known:
             self._replace()
         file = io.FileIO(self.path, "r+")
-        self._end = _whole_lines(file)
+        with mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+            self._end = data.rfind(b"\n") + 1
         file.truncate(self._end)
         file.seek(self._end)
         return file
@@ -197,18 +196,6 @@ class RowFile:
         if time.monotonic() - self._synced > _SYNC_EVERY:
             os.fsync(file.fileno())
             self._synced = time.monotonic()
-
-
-def _whole_lines(file: io.FileIO) -> int:
-    """The size of a file without a last line that lacks its end."""
-    end = file.seek(0, os.SEEK_END)
-    while end:
-        first = file.seek(max(0, end - 4096))
-        place = (file.read(end - first) or b"").rfind(b"\n")
-        if place >= 0:
-            return first + place + 1
-        end = first
-    return 0
 
 
 class RunStore:
@@ -298,7 +285,8 @@ class RunStore:
             if self._description:
                 self._describe(self._description)
 
-    def describe_secret(self) -> dict[str, Any]:
+    @property
+    def secret(self) -> str | None:
         """The last secret of an isolated run."""
         return last_secret(self._description)
 
@@ -308,15 +296,10 @@ class RunStore:
         self._description = {name: value for name, value in description.items() if name != "failures"} | failures
         write_text(self.folder / RUN, json.dumps(self._description, indent=2) + "\n")
 
-    def finish(self, order: Order, summary: Sequence[Mapping[str, Any]]) -> None:
-        """Sort the rows of a finished run, and write its summary.
-
-        Args:
-            order: returns the places of the rows in their new order.
-            summary: the summary.
-        """
+    def finish(self, summary: Sequence[Mapping[str, Any]]) -> None:
+        """Sort the rows of a finished run, and write its summary."""
         self._lock.check()
-        self._rows.sort(order)
+        self._rows.sort(lambda table: order_rows(table, self.config["detectors"]))
         write_text(self.folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
 
 
@@ -340,10 +323,17 @@ def load_run(folder: Path) -> tuple[dict[str, Any], RowTable]:
     return description, table
 
 
-def last_secret(description: Mapping[str, Any]) -> dict[str, Any]:
-    """The last secret of an isolated run, as a part of its arguments."""
+def order_rows(table: RowTable, detectors: Sequence[str]) -> NDArray[np.int64]:
+    """The places of the rows by detector, in this order of the detectors, then by episode."""
+    places = {label: place for place, label in enumerate(detectors)}
+    numbers = [places.get(label, len(places)) for label in table.column("detector")]
+    return np.lexsort((table.column("episode"), np.array(numbers, np.int64)))
+
+
+def last_secret(description: Mapping[str, Any]) -> str | None:
+    """The last secret of an isolated run."""
     secrets = description.get("secrets")
-    return {"secret": secrets[-1]} if secrets else {}
+    return str(secrets[-1]) if secrets else None
 
 
 def _read_description(folder: Path) -> dict[str, Any]:

@@ -14,30 +14,23 @@ from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.isolation import IsolatedAgent
 from usnet_env.processes import Limits, PlainError, ProcessDied
 
-#: In place of an episode: only create the agent and warm it up.
-PREPARE = -1
-
 
 class Task(NamedTuple):
     """An episode that a contestant is to play.
 
     Args:
-        episode: number of the episode, or :data:`PREPARE`.
-        contestant: index of the contestant.
-        seeds: of the swarm and of the detector; those of episode 0 for :data:`PREPARE`.
+        label: of the contestant.
+        episode: number of the episode; ``None``: the contestant is only prepared, which is made and warmed up.
+        seeds: of the swarm and of the detector; without an episode, those of episode 0.
     """
 
-    episode: int
-    contestant: int
+    label: str
+    episode: int | None
     seeds: tuple[int, int]
 
 
 class Player(Protocol):
     """Plays the episodes of a run; sent to another process, it creates there what it needs, at its first task."""
-
-    @property
-    def labels(self) -> list[str]:
-        """The contestants' names in rows and tables."""
 
     def run_task(self, task: Task) -> Row | None:
         """Play one episode with one contestant; ``None`` if the contestant was only prepared."""
@@ -69,11 +62,6 @@ class Worker:
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"env": None, "_agents": {}, "_starting": {}}
 
-    @property
-    def labels(self) -> list[str]:
-        """The contestants' names in rows and tables."""
-        return list(self.detectors)
-
     def run_task(self, task: Task) -> Row | None:
         """Play one episode with one contestant; ``None`` if the contestant was only prepared.
 
@@ -81,12 +69,11 @@ class Worker:
             EvaluationError: the contestant failed.
             ArgumentError: the contestant refused one of its arguments.
         """
-        episode, number, seeds = task
-        label = self.labels[number]
+        label, episode, seeds = task
         if self.env is None:
             self.env = make_environment(find_environment(self.env_id), self.env_kwargs)
         agent = self.find_agent(self.env, label, seeds[0])
-        return None if episode == PREPARE else play_episode(self.env, agent, label, episode, seeds)
+        return None if episode is None else play_episode(self.env, agent, label, episode, seeds)
 
     def find_agent(self, env: gym.Env[Any, Any], label: str, swarm_seed: int) -> Agent:
         """The agent of a detector; a new one first answers a window of the environment with this seed.
@@ -117,16 +104,10 @@ class Worker:
             agent.close()
 
 
-def as_failure(label: str, episode: int, error: BaseException) -> BaseException:
-    """The failure of a contestant by what ended its task; errors of arguments and of starting a process are raised.
-
-    Args:
-        label: of the contestant.
-        episode: number of the episode, or :data:`PREPARE`.
-        error: what ended the task.
-    """
+def as_failure(task: Task, error: BaseException) -> BaseException:
+    """The failure of a contestant by what ended its task; errors of arguments and of starting a process are raised."""
     own = error.started if isinstance(error, EvaluationError) else isinstance(error, ProcessDied)
     if isinstance(error, Exception) and not own:
         raise error
-    where = "its warm-up" if episode == PREPARE else f"episode {episode}"
-    return error if isinstance(error, EvaluationError) else detector_error(label, where, error)
+    where = "its warm-up" if task.episode is None else f"episode {task.episode}"
+    return error if isinstance(error, EvaluationError) else detector_error(task.label, where, error)
