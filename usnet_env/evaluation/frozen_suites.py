@@ -30,9 +30,9 @@ from usnet_env.evaluation.report import format_interval, format_latex, format_ma
 from usnet_env.evaluation.result import EvaluationResult, Results, Summary, summarise
 from usnet_env.evaluation.runner import evaluate
 from usnet_env.evaluation.statistics import Interval
-from usnet_env.evaluation.store import COLUMNS, RUN
+from usnet_env.evaluation.store import COLUMNS, RUN, write_text
 from usnet_env.evaluation.table import RowTable
-from usnet_env.files import as_path, atomic_write
+from usnet_env.files import as_path
 from usnet_env.progress import part_of
 
 if TYPE_CHECKING:
@@ -205,8 +205,7 @@ def evaluate_suite(
         if kept | failed:
             failures[name] = kept | failed
         if folder is not None:
-            with atomic_write(folder / _FAILURES) as aside:
-                aside.write_text(yaml.safe_dump(failures, allow_unicode=True), encoding="utf-8")
+            write_text(folder / _FAILURES, yaml.safe_dump(failures, allow_unicode=True))
     return SuiteResult(chosen, results, {cell: failures[cell] for cell in played if cell in failures})
 
 
@@ -322,13 +321,13 @@ class SuiteResult(Results):
         """
         if name not in self._cells:
             raise unknown_name("name", name, self._cells)
-        if name not in self.results:
+        result = self.results.get(name)
+        if result is None:
             return None
-        self.results[name].check_metric(metric)
-        for entry in self.results[name].summary:
-            if entry["detector"] == detector and metric in entry["metrics"]:
-                return Interval(**entry["metrics"][metric])
-        return None
+        result.check_metric(metric)
+        if detector not in result or metric not in result[detector]:
+            return None
+        return Interval(**result[detector][metric])
 
     @cached_property
     def summary(self) -> Summary:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from usnet_env.drawing import new_figure, style_axes, write_figure
 from usnet_env.evaluation.statistics import Interval, mean_interval
-from usnet_env.files import atomic_write
+from usnet_env.evaluation.store import write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -130,8 +130,7 @@ def format_latex(header: Sequence[str], lines: Iterable[Sequence[str]], text_col
 
 def keep_report(path: Path, markdown: str, picture: Figure, formats: Sequence[str] = ("png",)) -> None:
     """Keep the table and the picture of a suite beside its rows, as ``.md`` and in some formats."""
-    with atomic_write(path.with_suffix(".md")) as aside:
-        aside.write_text(markdown, encoding="utf-8")
+    write_text(path.with_suffix(".md"), markdown)
     write_figure(picture, path, formats)
 
 
