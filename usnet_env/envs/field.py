@@ -11,10 +11,10 @@ from gymnasium.vector import SyncVectorEnv
 from pydantic import Field
 
 from usnet_env.arrays import Mask
-from usnet_env.config import ArgumentError, list_arguments, takes_arguments, whole_number
+from usnet_env.config import list_arguments, takes_arguments
 from usnet_env.envs import game
 from usnet_env.envs.usnet import INFO, OBSERVATION, OutputArguments, UsnetEnv
-from usnet_env.envs.vector import MOST_ENVS
+from usnet_env.envs.vector import check_batch
 from usnet_env.swarm import FollowStrategy, Kinematics, Mobility, SwarmConfig
 from usnet_env.swarm.config import Count
 
@@ -153,8 +153,7 @@ class FieldArguments(OutputArguments, game.RoundArguments):
 
     def make_config(self, drawn: dict[str, Any]) -> SwarmConfig:
         """The swarm with the given values where this config has ``None``."""
-        own = {name: getattr(self, name) for name in FieldArguments.model_fields if name in SwarmConfig.model_fields}
-        return SwarmConfig(**{name: drawn[name] if value is None else value for name, value in own.items()})
+        return self.part(SwarmConfig, **{name: each for name, each in drawn.items() if getattr(self, name) is None})
 
 
 @list_arguments(observation=OBSERVATION, info=INFO)
@@ -234,12 +233,7 @@ class FieldVectorEnv(SyncVectorEnv):
     """
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
-        if arguments.get("render_mode") is not None:
-            raise ArgumentError(
-                "render_mode must be None for a vector environment; use a single environment to render."
-            )
-        count = whole_number("num_envs", num_envs, 1, MOST_ENVS)
-        super().__init__([lambda: FieldEnv(**arguments)] * count)
+        super().__init__([lambda: FieldEnv(**arguments)] * check_batch(num_envs, arguments))
 
     def action_masks(self) -> Mask:
         """``(B, 2 N)`` bool, the masks of :meth:`UsnetEnv.action_masks` of each game."""

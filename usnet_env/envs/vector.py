@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,6 +18,13 @@ from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
 from usnet_env.swarm import SwarmState
 
 MOST_ENVS = 1_000_000
+
+
+def check_batch(num_envs: Any, arguments: Mapping[str, Any]) -> int:
+    """Check the arguments of a vector environment that single environments don't check; returns the number of games."""
+    if arguments.get("render_mode") is not None:
+        raise ArgumentError("render_mode must be None for a vector environment; use a single environment to render.")
+    return whole_number("num_envs", num_envs, 1, MOST_ENVS)
 
 
 class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
@@ -38,11 +45,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     single_env: ClassVar[type[UsnetEnv]]
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
-        self.num_envs = whole_number("num_envs", num_envs, 1, MOST_ENVS)
-        if arguments.get("render_mode") is not None:
-            raise ArgumentError(
-                "render_mode must be None for a vector environment; use a single environment to render."
-            )
+        self.num_envs = check_batch(num_envs, arguments)
         single = self.single_env(**arguments)
         self.config, self.rules, self.reveal_truth = single.config, single.rules, single.reveal_truth
         self.single_observation_space = single.observation_space
