@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from difflib import get_close_matches
 from functools import update_wrapper
 from inspect import Parameter, Signature
@@ -128,12 +128,16 @@ def plain_text(name: str, value: Any) -> str:
     return value
 
 
+def suggest_name(got: object, known: Collection[str]) -> str:
+    """Ask for the most similar known name, as the end of a sentence; an empty text if none is similar."""
+    near = get_close_matches(got, known, n=1) if isinstance(got, str) else []
+    return f" (did you mean {near[0]!r}?)" if near else ""
+
+
 def unknown_name(argument: str, got: object, known: Iterable[str]) -> ArgumentError:
     """The error for a name that is not registered; it suggests the most similar known name."""
     names = sorted(known)
-    near = get_close_matches(got, names, n=1) if isinstance(got, str) else []
-    hint = f" (did you mean {near[0]!r}?)" if near else ""
-    return ArgumentError(f"{argument} must be one of {', '.join(names)}, got {quote(got)}{hint}.")
+    return ArgumentError(f"{argument} must be one of {', '.join(names)}, got {quote(got)}{suggest_name(got, names)}.")
 
 
 def _to_python(value: Any) -> Any:
@@ -163,9 +167,7 @@ def unknown_argument(
         instead: what to suggest in place of that, by the name of an argument that similar classes have.
     """
     takes = list(known)
-    near = get_close_matches(name, takes, n=1)
-    hint = instead.get(name) or (f"did you mean {near[0]!r}?" if near else "")
-    hint = hint and f" ({hint})"
+    hint = f" ({instead[name]})" if name in instead else suggest_name(name, takes)
     return ArgumentError(f"{name} is not an argument of {owner}{hint}; it takes {', '.join(takes)}.")
 
 

@@ -13,12 +13,11 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
-from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.config import ArgumentError, quote, suggest_name, unknown_name
 
 OWN_DISTRIBUTION = "usnet"
 
@@ -232,8 +231,7 @@ def check_call(subject: str, factory: Callable[..., Any], arguments: Mapping[str
     if inspect.Parameter.VAR_KEYWORD not in parameter_kinds:
         for argument in arguments:
             if argument not in known:
-                near = get_close_matches(argument, known, n=1)
-                hint = f" (did you mean {near[0]!r}?)" if near else ""
+                hint = suggest_name(argument, known)
                 raise ArgumentError(f"{subject} has no argument {argument!r}{hint}; {takes}.")
     for argument, parameter in known.items():
         if parameter.default is parameter.empty and argument not in arguments:
