@@ -189,17 +189,15 @@ class PlainProcess:
             ProcessDied: the process ended.
             SendError: ``make`` could not be unpickled, or the process did not start.
         """
-        if not self._started:
-            if not self._connection.closed:
-                self._wait_until_running()
-            self._exchange(None if len(self._make) < _SMALL else self._make, None)
-            self._started = True
-
-    def _wait_until_running(self) -> None:
-        try:
-            self._exchange(None, None)
-        except ProcessDied as error:
-            raise SendError(f"a worker process did not start: {error.reason}", started=False) from None
+        if self._started:
+            return
+        if not self._connection.closed:
+            try:
+                self._exchange(None, None)  # it says that it runs
+            except ProcessDied as error:
+                raise SendError(f"a worker process did not start: {error.reason}", started=False) from None
+        self._exchange(None if len(self._make) < _SMALL else self._make, None)
+        self._started = True
 
     def call(self, values: Mapping[str, Any], arrays: Arrays) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Call the function, once it is made.

@@ -65,7 +65,6 @@ class ProcessPool(Generic[TaskT, ResultT]):
         self._workers = workers
         self._limits = limits
         self._processes: list[_Process[TaskT]] = []
-        self._threads: dict[int, list[tuple[str, TaskT]]] = {}
         self._function = pickle_function(function)
 
     def __enter__(self) -> ProcessPool[TaskT, ResultT]:
@@ -191,8 +190,6 @@ class ProcessPool(Generic[TaskT, ResultT]):
                     each.deadline = time.monotonic() + self._limits.seconds
             elif kind == "end":
                 each.during = each.deadline = None
-            elif kind == "threads":
-                self._threads[each.process.pid] = content[0]
             elif kind == "done":
                 yield Outcome(each.tasks.popleft(), result=content[0])
             elif kind == "error":
@@ -220,13 +217,10 @@ class ProcessPool(Generic[TaskT, ResultT]):
                 each.connection.send(None)
         end = time.monotonic() + _GRACE
         for each in self._processes:
+            kind, content = "", []
             with suppress(EOFError, OSError):
-                while each.connection.poll(max(0.0, end - time.monotonic())):
+                while kind != "threads" and each.connection.poll(max(0.0, end - time.monotonic())):
                     kind, *content = each.connection.recv()
-                    if kind == "threads":
-                        self._threads[each.process.pid] = content[0]
-                        break
-            staying = self._threads.get(each.process.pid, [])
             each.process.join(max(0.0, end - time.monotonic()))
-            if each.process.exitcode is None:
-                self.left_threads += staying
+            if kind == "threads" and each.process.exitcode is None:
+                self.left_threads += content[0]
