@@ -10,7 +10,7 @@ import pytest
 
 from usnet_env import ArgumentError, Detection
 from usnet_env.evaluation import SuiteResult, evaluate_suite, list_suites, load_suite
-from usnet_env.evaluation.environments import find_environment, make_environment
+from usnet_env.evaluation.environments import make_environment
 
 HASHES = json.loads((Path(__file__).parent / "data" / "suite_hashes.json").read_text())
 SUITE = """
@@ -51,7 +51,7 @@ def test_no_file_changed_without_a_new_version():
 def test_every_cell_can_be_made():
     for suite in list_suites().values():
         for cell in suite.cells.values():
-            make_environment(find_environment(cell.env), cell.arguments).close()
+            make_environment(cell.env, cell.arguments).close()
 
 
 def test_seeds_of_suites_differ():

@@ -69,13 +69,14 @@ def _not_usnet_error(spec: EnvSpec) -> ArgumentError:
     return ArgumentError(f"env must be a USNET environment ({', '.join(usnet_ids())}), got {quote(spec.id)}.")
 
 
-def make_environment(spec: EnvSpec, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
-    """Create the environment.
+def make_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
+    """Create the environment of this id.
 
     Raises:
-        ArgumentError: the environment does not take an argument or refuses its value, or it is not a USNET
-            environment.
+        ArgumentError: as :func:`find_environment`; or the environment does not take an argument or refuses its value,
+            or it is not a USNET environment.
     """
+    spec = find_environment(env_id)
     creator = _load_creator(spec)
     if isinstance(creator, type) and not _has_truth(creator):
         raise _not_usnet_error(spec)

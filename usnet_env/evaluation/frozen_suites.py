@@ -22,7 +22,7 @@ from pydantic import Field, field_validator
 
 from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.evaluation import tables
-from usnet_env.evaluation.environments import find_environment, make_environment
+from usnet_env.evaluation.environments import make_environment
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.identity import describe
 from usnet_env.evaluation.metrics import RATES
@@ -173,7 +173,7 @@ def evaluate_suite(
         if name in how:
             raise ArgumentError(f"{name} must not be given, because the suite gives it, got {quote(how[name])}.")
     for cell in chosen.cells.values():  # a fault in the last cell should not end a run of hours
-        make_environment(find_environment(cell.env), cell.arguments).close()
+        make_environment(cell.env, cell.arguments).close()
     folder = None if out is None else as_path("out", out)
     results: dict[str, EvaluationResult] = {}
     failures = _read_failures(folder)

@@ -12,7 +12,7 @@ import gymnasium as gym
 from usnet_env.config import ArgumentError, plain_text, quote
 from usnet_env.evaluation.agents import PolicyAgent, as_agent
 from usnet_env.evaluation.engine import Place, RunArguments, choose_place, play_run
-from usnet_env.evaluation.environments import find_environment, is_usnet, make_environment
+from usnet_env.evaluation.environments import is_usnet, make_environment
 from usnet_env.evaluation.identity import describe, describe_code, describe_detector
 from usnet_env.evaluation.isolation import make_secret
 from usnet_env.evaluation.metrics import TRACK_METRICS
@@ -106,7 +106,7 @@ def evaluate(
     detectors = _label_detectors(detector, run)
     with ExitStack() as stack:
         if isinstance(env, str):
-            environment = make_environment(find_environment(env), arguments)
+            environment = make_environment(env, arguments)
             stack.callback(environment.close)
         else:
             environment = _check_environment(env, arguments, place)

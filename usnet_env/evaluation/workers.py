@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import gymnasium as gym
 
 from usnet_env.evaluation.agents import Agent, as_agent
-from usnet_env.evaluation.environments import find_environment, make_environment
+from usnet_env.evaluation.environments import make_environment
 from usnet_env.evaluation.episode import Row, detector_error, play_episode, warm_up
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.isolation import IsolatedAgent
@@ -71,7 +71,7 @@ class Worker:
         """
         label, episode, seeds = task
         if self.env is None:
-            self.env = make_environment(find_environment(self.env_id), self.env_kwargs)
+            self.env = make_environment(self.env_id, self.env_kwargs)
         agent = self.find_agent(self.env, label, seeds[0])
         return None if episode is None else play_episode(self.env, agent, label, episode, seeds)
 
