@@ -25,7 +25,7 @@ from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.definitions import find_definition
 from usnet_env.detection import Detection, Tags, read_tags
 from usnet_env.labels import format_label, parse_label
-from usnet_env.registry import OWN_DISTRIBUTION, Registry, check_call, describe_error, named_parameters
+from usnet_env.registry import OWN_DISTRIBUTION, Registry, are_equal, check_call, describe_error, named_parameters
 from usnet_env.window import Window
 
 _OWN_PACKAGE = "detectors"
@@ -234,16 +234,8 @@ def _changed_arguments(detector: Any) -> dict[str, Any]:
     return {
         name: getattr(detector, name)
         for name, parameter in named_parameters(type(detector)).items()
-        if hasattr(detector, name) and not _are_equal(getattr(detector, name), parameter.default)
+        if hasattr(detector, name) and not are_equal(getattr(detector, name), parameter.default)
     }
-
-
-def _are_equal(one: Any, other: Any) -> bool:
-    """Compare two values of any type; values whose comparison is not a single truth value are not equal."""
-    try:
-        return one is other or (type(one) is type(other) and bool(one == other))
-    except Exception:  # the comparison of a foreign class may raise anything
-        return False
 
 
 def _find_factory(name: str) -> Factory:

@@ -89,12 +89,12 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
         if not isinstance(replace, bool):
             raise ArgumentError(f"replace must be true or false, got {quote(replace)}.")
         accepted = self._accept(part)
-        if name in self._own and _is_same(self._own[name], accepted):
+        if name in self._own and are_equal(self._own[name], accepted):
             return
         taken = "a name of this package" if name in self._own else f"the name of an installed {self.kind}"
         if name in self._own or (name not in self._registered and name in self.entry_points()):
             raise ArgumentError(f"name must be a new one, got {quote(name)}, which is {taken}.")
-        if name in self._registered and not replace and not _is_same(self._registered[name], accepted):
+        if name in self._registered and not replace and not are_equal(self._registered[name], accepted):
             raise ArgumentError(
                 f"name must be a new one, got {quote(name)}, which is registered already (replace=True replaces it)."
             )
@@ -190,10 +190,10 @@ def _distribution_name(point: EntryPoint) -> str:
     return name or "an unnamed distribution"
 
 
-def _is_same(one: object, other: object) -> bool:
-    """Compare two parts; parts whose comparison raises are different."""
+def are_equal(one: Any, other: Any) -> bool:
+    """Compare two values of any type; values whose comparison is not a single truth value are not equal."""
     try:
-        return one is other or bool(one == other)
+        return one is other or (type(one) is type(other) and bool(one == other))
     except Exception:  # the comparison of a foreign class may raise anything
         return False
 
