@@ -135,15 +135,8 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
 
     def _infos(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
         """``info`` in Gymnasium's vector form: one array per key, and the mask ``_key`` of the games that have it."""
-        values = dict(metrics)
-        if self.reveal_truth:
-            values |= game.truth_info(self.swarm)
-        all_games = np.ones(self.num_envs, bool)
-        return {
-            key: value
-            for name, array in values.items()
-            for key, value in ((name, array), (f"_{name}", all_games.copy()))
-        }
+        values = metrics | (game.truth_info(self.swarm) if self.reveal_truth else {})
+        return values | {f"_{name}": np.ones(self.num_envs, bool) for name in values}
 
     def action_masks(self) -> Mask:
         """``(B, 2 N)`` bool, the masks of :meth:`UsnetEnv.action_masks` of each game."""
