@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from array import array
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from itertools import islice
 from pathlib import Path
@@ -21,7 +21,7 @@ from usnet_env.config import ArgumentError
 Columns = Mapping[str, str]
 
 _CODES = {"str": "q", "int": "q", "float": "d", "bool": "b", "float | None": "d"}
-_ROWS_AT_ONCE = 10_000  # of a file that is read
+_ROWS_AT_ONCE = 10_000  # that are read
 
 
 def columns_of(record: type) -> dict[str, str]:
@@ -155,6 +155,12 @@ class RowTable(Sequence[dict[str, Any]]):
         if isinstance(place, slice):
             return self.take(np.arange(len(self))[place])
         return {name: self._read(name, [values[place]])[0] for name, values in self._values.items()}
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        for first in range(0, len(self), _ROWS_AT_ONCE):
+            columns = [self._read(name, values[first : first + _ROWS_AT_ONCE]) for name, values in self._values.items()]
+            for row in zip(*columns, strict=True):
+                yield dict(zip(self.columns, row, strict=True))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sequence) or len(other) != len(self):
