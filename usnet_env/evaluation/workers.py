@@ -20,7 +20,7 @@ class Task(NamedTuple):
 
     Args:
         label: of the contestant.
-        episode: number of the episode; ``None``: the contestant is only prepared, which is made and warmed up.
+        episode: number of the episode; ``None``: the contestant is only made and warmed up.
         seeds: of the swarm and of the detector; without an episode, those of episode 0.
     """
 
