@@ -16,10 +16,10 @@ from usnet_env.evaluation.errors import EvaluationError, not_started
 from usnet_env.evaluation.parts import send
 from usnet_env.evaluation.result import EvaluationResult, make_result
 from usnet_env.evaluation.schedule import Schedule, Seeds
-from usnet_env.evaluation.store import COLUMNS, RunStore
+from usnet_env.evaluation.store import RunStore
 from usnet_env.evaluation.table import Columns
 from usnet_env.evaluation.workers import Player
-from usnet_env.processes import Backend, Limits, Outcome, SendError, check_backend, make_backend
+from usnet_env.processes import Limits, Outcome, SendError, check_backend, make_backend
 from usnet_env.processes.outcome import every_task
 from usnet_env.progress import progress_bar
 
@@ -101,13 +101,11 @@ def run_tasks(
     """
     workers = min(place.workers, count)
     backend = place.backend or ("processes" if place.limits.any or workers > 1 else "serial")
-    pool: Backend[TaskT, ResultT]
+    if not count:
+        backend = "serial"
     try:
-        if not count or backend == "serial":
-            pool = make_backend("serial", function)
-        else:
-            pool = make_backend(backend, send(function), workers, place.limits, place.address)
-        with closing(pool):
+        sent = function if backend == "serial" else send(function)
+        with closing(make_backend(backend, sent, workers, place.limits, place.address)) as pool:
             yield from pool.run(tasks, is_wanted)
     except SendError as error:
         raise _refuse(place, error) from None
@@ -141,7 +139,7 @@ def play_run(
     place: Place,
     folder: Path | None,
     progress: bool,
-    columns: Columns = COLUMNS,
+    columns: Columns,
 ) -> EvaluationResult:
     """Play the episodes of a run that its folder does not hold yet, keep their rows, and summarise them.
 
@@ -181,20 +179,19 @@ def play_run(
                     show(schedule.finished, schedule.total)
         finally:
             schedule.save_rest()
-            failures = schedule.failures
-            failed = {label: str(error) for label, error in failures.items()}
             if store is not None:
                 if seeds.secret is not None and schedule.uses_secret:
                     store.add_secret(seeds.secret)
                 store.note_failures({}, [label for label, own in schedule.done.items() if own.all()])
-                failed = store.failures | failed
+        errors = schedule.failures
+        failures = {label: str(error) for label, error in errors.items()}
         secret = seeds.secret if store is None or schedule.uses_secret else store.secret
-        result = make_result(schedule.table, config, secret, failed)
+        result = make_result(schedule.table, config, secret, failures if store is None else store.failures)
         if store is not None and result.rows:
             store.finish(result.summary)
-        if failures:
-            failure = EvaluationError(" ".join(map(str, failures.values())))
+        if errors:
+            failure = EvaluationError(" ".join(failures.values()))
             failure.result = result if result.rows else None
-            failure.failures = {label: failed[label] for label in failures}
-            raise failure from next(iter(failures.values())).__cause__
+            failure.failures = failures
+            raise failure from next(iter(errors.values())).__cause__
     return result

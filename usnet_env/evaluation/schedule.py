@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError
 from usnet_env.evaluation.episode import Row, episode_seeds
-from usnet_env.evaluation.store import COLUMNS, RunStore
+from usnet_env.evaluation.store import RunStore
 from usnet_env.evaluation.table import Columns, RowTable
 from usnet_env.evaluation.workers import Task, as_failure
 from usnet_env.processes import Outcome
@@ -88,7 +88,7 @@ class Schedule:
         labels: Sequence[str],
         detectors: Sequence[str],
         episodes: int,
-        columns: Columns = COLUMNS,
+        columns: Columns,
     ) -> None:
         self._store = store
         self._played = RowTable(columns)
