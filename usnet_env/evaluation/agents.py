@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import inspect
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.plugins import make_detector
+from usnet_env.registry import named_parameters
 from usnet_env.window import Window
 
 
@@ -101,7 +101,7 @@ class PolicyAgent:
 
     def __init__(self, policy: Any) -> None:
         self.policy = policy
-        self._masked = _takes_masks(policy)
+        self._masked = "action_masks" in named_parameters(policy.predict)
         self._normaliser = _find_normaliser(policy)
         self._state: Any = None
         self._start = True
@@ -136,13 +136,6 @@ class PolicyAgent:
         PolicyAgent(self.policy).answer(observation)
 
 
-def _takes_masks(policy: Any) -> bool:
-    try:
-        return "action_masks" in inspect.signature(policy.predict).parameters
-    except (TypeError, ValueError):  # a method written in C may have no signature
-        return False
-
-
 def _action_masks(observation: Any) -> NDArray[np.bool_]:
     """The mask ``(2 N,)`` of the allowed values of each bit: 0 for every UAV, 1 for those that are alive."""
     alive = np.asarray(observation["alive"], bool)
@@ -168,17 +161,15 @@ def as_agent(detector: Any) -> Agent:
     if isinstance(detector, str):
         detector = make_detector(detector)
     detects, predicts = (callable(getattr(detector, name, None)) for name in ("detect", "predict"))
-    if isinstance(detector, type):
-        if detects or predicts:
-            name = detector.__name__
-            raise ArgumentError(f"detector must be an object, got the class {name}; {name}() makes an object of it.")
-    else:
-        if detects and callable(getattr(detector, "reset", None)):
-            return DetectorAgent(detector)
-        if predicts:
-            return PolicyAgent(detector)
-        if detects:
-            raise ArgumentError(f"detector must have the method reset(seed) beside detect, got {quote(detector)}.")
+    if isinstance(detector, type) and (detects or predicts):
+        name = detector.__name__
+        raise ArgumentError(f"detector must be an object, got the class {name}; {name}() makes an object of it.")
+    if detects and callable(getattr(detector, "reset", None)):
+        return DetectorAgent(detector)
+    if predicts:
+        return PolicyAgent(detector)
+    if detects:
+        raise ArgumentError(f"detector must have the method reset(seed) beside detect, got {quote(detector)}.")
     raise ArgumentError(
         f"detector must be a name, an object with detect and reset, or an object with predict, got {quote(detector)}."
     )
