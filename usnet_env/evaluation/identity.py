@@ -57,7 +57,8 @@ def describe_detector(detector: Any) -> Any:
         if network is not None:  # what else such an agent holds, such as its training environment, does not act
             return description | {"state": _hash_state(network)}
         if not _is_versioned(type(detector)) and (numbers := _find_numbers(detector, ())) is not None:
-            description |= {"state": _hash_plain(numbers)}
+            text = json.dumps(numbers, sort_keys=True)
+            description |= {"state": hashlib.sha256(text.encode()).hexdigest()}
     arguments = {
         argument: getattr(detector, argument)
         for argument, parameter in _parameters(type(detector)).items()
@@ -179,10 +180,6 @@ def _find_numbers(value: Any, above: tuple[int, ...]) -> Any:
     with suppress(Exception):  # an object written in C, such as a tree of scikit-learn
         return hashlib.sha256(pickle.dumps(value)).hexdigest()
     return None
-
-
-def _hash_plain(value: Any) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
 def _describe_class(kind: type) -> dict[str, Any]:

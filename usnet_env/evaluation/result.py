@@ -87,11 +87,10 @@ class Comparison:
         among = "" if self.comparisons == 1 else f", corrected for {self.comparisons} comparisons"
         value, low, high = (f"{number:+.4g}" for number in (self.difference, self.low, self.high))
         p = "p < 0.001" if self.p < 0.001 else f"p = {self.p:.2g}"
-        plural = "" if self.episodes == 1 else "s"
         interval = "" if self.low == self.high else f"95 % interval {low} to {high}, "
         return (
             f"{self.metric} of {self.a} minus {self.b}: {value} ({interval}{p}{among}) "
-            f"over {self.episodes} episode{plural}"
+            f"over {format_count(self.episodes, 'episode')}"
         )
 
 
@@ -216,9 +215,6 @@ class EvaluationResult(Results):
                 metrics: dict[str, Any] = entry["metrics"]
                 return metrics
         raise UnknownLabelError(str(unknown_name("detector", detector, self)))
-
-    def __contains__(self, detector: object) -> bool:
-        return detector in list(self)
 
     def __iter__(self) -> Iterator[str]:
         """The labels of the detectors."""
