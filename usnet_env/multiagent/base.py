@@ -204,6 +204,19 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             raise ArgumentError(f"actions must map each of {', '.join(self.agents)} to its action, got {quote(got)}.")
         return dict(actions)
 
+    def _keep_round(
+        self, before: GameState, candidates: Mask, scores: Floats, metrics: Mapping[str, NDArray[Any]]
+    ) -> None:
+        """Keep a round that has been played as :attr:`last_round`; ``before`` is the game before it."""
+        self.last_round = RoundRecord(
+            sighting=self._current_window(),
+            truth=self._reveal_swarm(before),
+            candidates=candidates,
+            scores=scores,
+            objective=float(metrics["J"][0]),
+            over_budget=bool(metrics["over_budget"][0]),
+        )
+
     def state(self) -> Singles:
         """Return the true state for a centralised critic, ``(10 N + 1,)`` float32.
 
@@ -252,13 +265,6 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
     def list_observers(self) -> Floats | None:
         """``(K, 4)``, position and sensing range of each observer in metres; ``None`` if the observer has no place."""
         return None
-
-    def close(self) -> None:
-        """Do nothing: the game holds no resources."""
-
-    def __str__(self) -> str:
-        """The game's name."""
-        return str(self.metadata["name"])
 
     def _reveal_swarm(self, state: GameState) -> SwarmState:
         """Return a copy of the true swarm, without a leading axis, as it was in the window that ``state`` ends with."""

@@ -26,7 +26,6 @@ from usnet_env.swarm import (
     advance,
     kernels,
 )
-from usnet_env.swarm.formation import Roles
 from usnet_env.swarm.mobility import MOBILITIES
 from usnet_env.swarm.simulator import JITTER
 from usnet_env.swarm.trajectory import TrajectoryBatch
@@ -146,6 +145,7 @@ class DelayedFollow(FollowStrategy):
 
     During the flight every head with a delay gets a ghost: an extra UAV that repeats the head's track ``delay`` steps
     later. The followers follow the ghost, so that every strategy, compiled or not, runs its own code unchanged.
+    It is for :func:`usnet_env.swarm.advance` alone: a swarm starts with the strategy itself.
 
     Args:
         strategy: the follow strategy.
@@ -156,41 +156,14 @@ class DelayedFollow(FollowStrategy):
     delay: Indices
 
     @property
-    def lags(self) -> int:  # type: ignore[override]  # follows from the fields
-        """Number of past steps that the strategy uses, including the delay."""
-        return self.strategy.lags + int(self.delay.max(initial=0))
-
-    @property
     def noise(self) -> float:  # type: ignore[override]  # follows from the fields
         """The noise kappa_n of the strategy."""
         return self.strategy.noise
 
     @property
-    def has_heads(self) -> bool:  # type: ignore[override]  # follows from the fields
-        """Whether heads lead the clusters."""
-        return self.strategy.has_heads
-
-    @property
-    def has_followers(self) -> bool:  # type: ignore[override]  # follows from the fields
-        """Whether UAVs follow."""
-        return self.strategy.has_followers
-
-    @property
     def shifts_tracks(self) -> bool:  # type: ignore[override]  # follows from the fields
         """Whether the observer sees shifted tracks."""
         return self.strategy.shifts_tracks
-
-    def draw_for(self, rng: np.random.Generator, uavs: int) -> Singles:
-        """Draw the parameters of the strategy."""
-        return self.strategy.draw_for(rng, uavs)
-
-    def draw(self, rng: np.random.Generator) -> Singles:
-        """Draw the parameters of the strategy."""
-        return self.strategy.draw(rng)
-
-    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
-        """Arrange the swarm as the strategy does."""
-        return self.strategy.arrange(rng, roles)
 
     def direction(self, inputs: FollowInputs) -> Singles:
         """Return the direction of the strategy, whose inputs are then those of the ghost."""
@@ -242,7 +215,7 @@ def count_followers(state: SwarmState) -> Indices:
         ``(M,)`` int64 in the order of the heads' indices; 0 for a destroyed head.
     """
     heads = np.flatnonzero(state.head[0])
-    return np.array([len(_sort_followers(state, int(h))) if state.alive[0, h] else 0 for h in heads], np.int64)
+    return np.array([len(_sort_followers(state, int(head))) for head in heads], np.int64)
 
 
 def select_decoys(state: SwarmState, plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -255,16 +228,9 @@ def select_decoys(state: SwarmState, plan: Plan) -> tuple[NDArray[np.intp], NDAr
     Returns:
         The indices of the selected UAVs, and for each the row of its head in the plan; both ``(d,)``.
     """
-    decoys, rows = [], []
-    for row, head in enumerate(np.flatnonzero(state.head[0])):
-        if state.alive[0, head] and plan.decoys[row]:
-            near = _sort_followers(state, int(head))
-            taken = near[: min(int(plan.decoys[row]), max(len(near) - 1, 0))]
-            decoys.append(taken)
-            rows.append(np.full(len(taken), row))
-    if not decoys:
-        return np.empty(0, np.intp), np.empty(0, np.intp)
-    return np.concatenate(decoys), np.concatenate(rows)
+    heads = np.flatnonzero(state.head[0])
+    decoys = [_sort_followers(state, int(head))[:-1][:wanted] for head, wanted in zip(heads, plan.decoys, strict=True)]
+    return np.concatenate(decoys), np.repeat(np.arange(len(heads)), [len(taken) for taken in decoys])
 
 
 def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> Floats:

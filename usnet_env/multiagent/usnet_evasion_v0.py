@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -181,14 +182,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         else:
             state, outcome = game.play_round(self.rules, before, named[None])
             metrics, reward = outcome.metrics, float(outcome.reward[0])
-            self.last_round = base.RoundRecord(
-                sighting=self._current_window(),
-                truth=self._reveal_swarm(before),
-                candidates=named,
-                scores=named.astype(np.float64),
-                objective=float(metrics["J"][0]),
-                over_budget=bool(metrics["over_budget"][0]),
-            )
+            self._keep_round(before, named, named.astype(np.float64), metrics)
         self._game = state
         prices = compute_prices(self.manoeuvres, state.swarm, plan)
         if state.terminated[0]:
@@ -202,7 +196,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         rngs = [self._get_generator()]
         self._decoys = select_decoys(state.swarm, plan)[0]
         swarm, sighting, self._flown = fly_window(self.config, self.manoeuvres, state.swarm, self._flown, plan, rngs)
-        self._game = game.GameState(swarm, state.rounds, state.redundant, state.terminated, state.truncated)
+        self._game = replace(state, swarm=swarm)
         self._sighting = ObservationBatch(
             sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0]
         )

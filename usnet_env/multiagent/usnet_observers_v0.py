@@ -149,14 +149,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         votes = whole[:, :uavs] * seen
         candidates = self._fuse(votes, seen)
         state, outcome = game.play_round(self.rules, before, candidates[None])
-        self.last_round = base.RoundRecord(
-            sighting=self._current_window(),
-            truth=self._reveal_swarm(before),
-            candidates=candidates,
-            scores=votes.sum(axis=0),
-            objective=float(outcome.metrics["J"][0]),
-            over_budget=bool(outcome.metrics["over_budget"][0]),
-        )
+        self._keep_round(before, candidates, votes.sum(axis=0), outcome.metrics)
         self._messages = whole[:, uavs:].astype(np.float32)
         self._sense_next_window(state)
         agents = self.agents

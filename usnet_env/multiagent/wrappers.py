@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from usnet_env.arrays import Observation
 from usnet_env.config import ArgumentError, quote
@@ -95,9 +95,7 @@ class DiscreteActions(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo 
     def _add_mask(self, agent: str, observation: Observation) -> Observation:
         space, legal = self.env.action_space(agent), observation["legal"]
         if isinstance(space, spaces.MultiDiscrete):
-            mask: NDArray[np.int8] = np.ones(1, np.int8)
-            for part in np.split(legal, np.cumsum(space.nvec)[:-1]):
-                mask = np.outer(mask, part).reshape(-1)
+            mask = reduce(np.kron, np.split(legal, np.cumsum(space.nvec)[:-1]))
         else:
             mask = np.append(legal, np.int8(1))
         return {**observation, "action_mask": mask.astype(np.int8)}
