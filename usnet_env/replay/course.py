@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.replay.scribe import ANSWER, DESTROY, HIT_COLOR, REMERGE, Scribe, parse_color
+from usnet_env.replay.scribe import HIT_COLOR, Scribe, parse_color
 from usnet_env.replay.story import explain_replay, tell_round
 
 __all__ = ["CURVES", "GAME", "LANES", "ROUND", "write_course"]
@@ -35,16 +35,12 @@ _STATES = {
 
 def write_course(scribe: Scribe) -> None:
     """Write all of it."""
-    record, rr = scribe.record, scribe.rr
+    record, rr, clock = scribe.record, scribe.rr, scribe.clock
     about = rr.TextDocument(explain_replay(record), media_type=rr.MediaType.MARKDOWN)
     scribe.stream.log(scribe.root + ABOUT, about, static=True)
-    names = [scribe.name(i) for i in range(record.uavs)]
-    told = [tell_round(record, number, names) for number in range(1, record.rounds + 1)]
-    instants = (0, *(scribe.clock.instant(beat) for beat in (ANSWER, DESTROY, REMERGE)))
-    rows = [(r, i) for r in range(record.rounds) for i in instants]
-    texts = [text for each in told for text in each]
-    media = ["text/markdown"] * len(texts)
-    scribe.send(ROUND, rr.TextDocument, rows, [1] * len(rows), text=texts, media_type=media)
+    texts = [text for number in range(1, record.rounds + 1) for text in tell_round(record, number, scribe.names)]
+    rows = clock.list_rows([0, clock.answer, clock.destroy, clock.remerge])
+    scribe.send(ROUND, rr.TextDocument, rows, 1, text=texts, media_type=["text/markdown"] * len(texts))
     if not record.labelled:
         _write_curve(scribe, "leaders", np.append([0.0], record.candidates.sum(axis=1)))
         return
@@ -61,11 +57,11 @@ def _write_curve(scribe: Scribe, name: str, values: NDArray[np.float64]) -> None
     """Write a number after each round, ``(R,)``, or also before the first one, ``(R + 1,)``."""
     rr, (label, color) = scribe.rr, CURVES[name]
     record, clock = scribe.record, scribe.clock
-    rows = [(0, 0)] * (len(values) > record.rounds) + [(r, clock.instant(DESTROY)) for r in range(record.rounds)]
-    rows.append((record.rounds - 1, clock.instant(REMERGE)))  # so that the last value is a line, too
+    rows = [(0, 0)] * (len(values) > record.rounds) + clock.list_rows([clock.destroy])
+    rows.append((record.rounds - 1, clock.remerge))  # so that the last value is a line, too
     values = np.append(values, values[-1])
     path = f"{GAME}/{name}"
-    scribe.send(path, rr.Scalars, rows, [1] * len(rows), scalars=values)
+    scribe.send(path, rr.Scalars, rows, 1, scalars=values)
     shown = {"colors": parse_color(scribe.color or color), "names": label}
     line = rr.SeriesLines(widths=2, interpolation_mode="StepAfter", **shown)
     scribe.stream.log(scribe.root + path, line, rr.SeriesPoints(markers="circle", marker_sizes=5, **shown), static=True)
@@ -74,25 +70,25 @@ def _write_curve(scribe: Scribe, name: str, values: NDArray[np.float64]) -> None
 def _write_lanes(scribe: Scribe) -> None:
     """Write what happens to each head, and the phases of the game, as states."""
     record, clock = scribe.record, scribe.clock
-    answer, destroy, remerge = (clock.instant(beat) for beat in (ANSWER, DESTROY, REMERGE))
     phases: list[tuple[int, int, str]] = []
     for r in range(record.rounds):
         words = ("the detector watches", "it answers", "the candidates are destroyed")
-        phases += [(r, i, word) for i, word in zip((0, answer, destroy), words, strict=True)]
-        phases.append((r, remerge, "end" if r + 1 == record.rounds else "followers join other heads"))
+        phases += [(r, i, word) for i, word in zip((0, clock.answer, clock.destroy), words, strict=True)]
+        phases.append((r, clock.remerge, "end" if r + 1 == record.rounds else "followers join other heads"))
     _write_lane(scribe, "game", phases)
     for head in np.flatnonzero(record.head)[:_MOST_LANES].tolist():
         states = []
         for r in np.flatnonzero(record.alive[:, head]).tolist():
-            states += [(r, 0, "watched"), (r, answer, "named: hit" if record.candidates[r, head] else "not named")]
+            answer = "named: hit" if record.candidates[r, head] else "not named"
+            states += [(r, 0, "watched"), (r, clock.answer, answer)]
             if record.fired[r, head]:
-                states.append((r, destroy, "destroyed"))
-        _write_lane(scribe, f"head_{scribe.name(head)}", states)
+                states.append((r, clock.destroy, "destroyed"))
+        _write_lane(scribe, f"head_{scribe.names[head]}", states)
 
 
 def _write_lane(scribe: Scribe, name: str, states: list[tuple[int, int, str]]) -> None:
     rr, path = scribe.rr, f"{LANES}/{name}"
     rows = [(r, i) for r, i, _ in states]
-    scribe.send(path, rr.StateChange, rows, [1] * len(rows), state=[word for *_, word in states])
+    scribe.send(path, rr.StateChange, rows, 1, state=[word for *_, word in states])
     colors = np.array([parse_color(color) for color in _STATES.values()], np.uint8)
     scribe.stream.log(scribe.root + path, rr.StateConfiguration(values=list(_STATES), colors=colors), static=True)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from usnet_env.drawing import CLUSTER_COLORS, NO_CLUSTER_COLOR
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.scribe import ANSWER, Scribe, lighten, parse_color
+from usnet_env.replay.scribe import Scribe, lighten, parse_color
 from usnet_env.replay.story import OTHER, rank_scores
 from usnet_env.replay.world import MOST_LABELS, RING, SMALL
 
@@ -72,11 +72,11 @@ def write_mind(scribe: Scribe) -> None:
 
 def _write_waiting(scribe: Scribe, path: str, place: tuple[float, float]) -> None:
     """Write into a view that it is empty because the detector has not answered yet."""
-    rounds = range(scribe.record.rounds)
-    rows = [(r, instant) for r in rounds for instant in (0, scribe.clock.instant(ANSWER))]
+    rounds = scribe.record.rounds
+    rows = scribe.clock.list_rows([0, scribe.clock.answer])
     look = {"radii": [0.001], "show_labels": True, "colors": [parse_color(_TEXT)]}
-    words = {"positions": [place] * len(rounds), "labels": ["no answer yet"] * len(rounds)}
-    scribe.send(f"{path}/waiting", scribe.rr.Points2D, rows, [1, 0] * len(rounds), look, **words)
+    words = {"positions": [place] * rounds, "labels": ["no answer yet"] * rounds}
+    scribe.send(f"{path}/waiting", scribe.rr.Points2D, rows, [1, 0] * rounds, look, **words)
 
 
 def _write_found(scribe: Scribe) -> None:
@@ -89,28 +89,28 @@ def _write_found(scribe: Scribe) -> None:
         living = np.flatnonzero(record.alive[r] & seen)
         colors, sure = _group_colors(groups), _strengths(record, r)
         radii = SMALL * scribe.scale * (0.9 + 1.8 * sure[living])
-        words = [f"UAV {scribe.name(i)}: {'p' if record.probability is not None else 'score'} "
+        words = [f"UAV {scribe.names[i]}: {'p' if record.probability is not None else 'score'} "
                  f"{(record.scores if record.probability is None else record.probability)[r, i]:.3g}"
-                 for i in living.tolist()]  # fmt: skip
+                 for i in living]  # fmt: skip
         points.append({"positions": place[living], "colors": colors[living], "radii": radii, "labels": words})
         named = np.flatnonzero(record.candidates[r] & seen)
         half = np.full((len(named), 3), RING * scribe.scale, np.float32)
         rings.append({"centers": place[named], "half_sizes": half})
         above = place[named] + np.array([0, 0, 1.6 * RING * scribe.scale], np.float32)
-        texts = [scribe.name(i) + ("" if record.probability is None else f", p {sure[i]:.2f}") for i in named.tolist()]
+        texts = [scribe.names[i] + ("" if record.probability is None else f", p {sure[i]:.2f}") for i in named]
         few = len(named) if len(named) <= MOST_LABELS else 0
         labels.append({"positions": above[:few], "labels": texts[:few]})
         pairs = record.hierarchy(r + 1)
         pairs = np.zeros((0, 2), np.int64) if pairs is None else pairs[seen[pairs].all(axis=1)]
         faint = colors[pairs[:, 0]] * np.array([1, 1, 1, 0.35])
         links.append({"strips": place[pairs], "colors": faint.astype(np.uint8)})
-    scribe.show_at_beat(f"{FOUND}/uavs", rr.Points3D, points, {"show_labels": False})
+    scribe.show_with_answer(f"{FOUND}/uavs", rr.Points3D, points, {"show_labels": False})
     frame = [rr.components.FillMode.MajorWireframe]
     look = {"colors": [parse_color(_NAMED)], "line_radii": [0.7 * scribe.scale], "fill_mode": frame}
-    scribe.show_at_beat(f"{FOUND}/candidates", rr.Ellipsoids3D, rings, look)
+    scribe.show_with_answer(f"{FOUND}/candidates", rr.Ellipsoids3D, rings, look)
     look = {"radii": [0.1], "colors": [parse_color(_NAMED)], "show_labels": True}
-    scribe.show_at_beat(f"{FOUND}/labels", rr.Points3D, labels, look)
-    scribe.show_at_beat(f"{FOUND}/links", rr.LineStrips3D, links, {"radii": [0.6 * scribe.scale]})
+    scribe.show_with_answer(f"{FOUND}/labels", rr.Points3D, labels, look)
+    scribe.show_with_answer(f"{FOUND}/links", rr.LineStrips3D, links, {"radii": [0.6 * scribe.scale]})
 
 
 def _write_attention(scribe: Scribe, attention: NDArray[np.float32]) -> None:
@@ -128,7 +128,7 @@ def _write_attention(scribe: Scribe, attention: NDArray[np.float32]) -> None:
         share = weight[kept] / max(float(weight.max(initial=0)), 1e-12)
         color = np.column_stack([np.tile(parse_color(_LINK)[:3], (len(share), 1)), 20 + 90 * share]).astype(np.uint8)
         values.append({"strips": place[pairs[kept]], "radii": (0.2 + 1.6 * share) * scribe.scale, "colors": color})
-    scribe.show_at_beat(f"{FOUND}/attention", scribe.rr.LineStrips3D, values)
+    scribe.show_with_answer(f"{FOUND}/attention", scribe.rr.LineStrips3D, values)
 
 
 def _reduce(matrix: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -184,8 +184,8 @@ def _write_maps(scribe: Scribe) -> None:
         )  # fmt: skip
         for part in ("maps", "titles"):
             scribe.log_at(f"{ATTENTION}/{part}", r, 0, rr.Clear(recursive=False))
-        scribe.log_at(f"{ATTENTION}/maps", r, scribe.clock.instant(ANSWER), rr.Image(sheet))
-        scribe.log_at(f"{ATTENTION}/titles", r, scribe.clock.instant(ANSWER), titles)
+        scribe.log_at(f"{ATTENTION}/maps", r, scribe.clock.answer, rr.Image(sheet))
+        scribe.log_at(f"{ATTENTION}/titles", r, scribe.clock.answer, titles)
 
 
 def _write_features(scribe: Scribe, features: NDArray[np.float32]) -> None:
@@ -199,10 +199,10 @@ def _write_features(scribe: Scribe, features: NDArray[np.float32]) -> None:
                 "positions": (plane[living] / size).astype(np.float32),
                 "colors": _group_colors(find_groups(scribe.record, r))[living],
                 "radii": np.where(scribe.record.candidates[r][living], 0.022, 0.01),
-                "labels": [f"UAV {scribe.name(i)}" for i in living.tolist()],
+                "labels": [f"UAV {scribe.names[i]}" for i in living],
             }
         )
-    scribe.show_at_beat(FEATURES, scribe.rr.Points2D, values, {"show_labels": False})
+    scribe.show_with_answer(FEATURES, scribe.rr.Points2D, values, {"show_labels": False})
 
 
 def _write_scores(scribe: Scribe) -> None:
@@ -222,7 +222,7 @@ def _write_scores(scribe: Scribe) -> None:
         half = np.stack([np.full(len(order), 0.4 * step), (np.abs(height) + 0.03) / 2], axis=1)
         corner = np.stack([left, np.minimum(-height, 0)], axis=1)
         labels = [
-            f"UAV {scribe.name(i)}: score {score:.3g}, {word}"
+            f"UAV {scribe.names[i]}: score {score:.3g}, {word}"
             for i, score, word in zip(order, scores, words, strict=True)
         ]
         bars.append({"centers": corner + half, "half_sizes": half, "colors": colors, "labels": labels})
@@ -231,13 +231,13 @@ def _write_scores(scribe: Scribe) -> None:
         below = (
             max(float(-height.min(initial=0)), 0) + 0.18 + 0.22 * (np.arange(len(named)) % 2) * (len(order) > _ONE_ROW)
         )
-        names = [scribe.name(i) for i in order[named]]
+        names = [scribe.names[i] for i in order[named]]
         numbers.append(
             {"positions": np.stack([left[named] + 0.4 * step, below], axis=1), "colors": colors[named], "labels": names}
         )
         scale = f"highest score {scores.max():.3g}" if scores.any() else "all scores are 0"
         titles.append({"positions": np.array([[0.8 * CHART_WIDTH, -1.2]]), "labels": [scale]})
     text = {"radii": [0.001], "show_labels": True}
-    scribe.show_at_beat(f"{SCORES}/bars", rr.Boxes2D, bars, {"show_labels": False})
-    scribe.show_at_beat(f"{SCORES}/numbers", rr.Points2D, numbers, text)
-    scribe.show_at_beat(f"{SCORES}/scale", rr.Points2D, titles, {**text, "colors": [parse_color(_TEXT)]})
+    scribe.show_with_answer(f"{SCORES}/bars", rr.Boxes2D, bars, {"show_labels": False})
+    scribe.show_with_answer(f"{SCORES}/numbers", rr.Points2D, numbers, text)
+    scribe.show_with_answer(f"{SCORES}/scale", rr.Points2D, titles, {**text, "colors": [parse_color(_TEXT)]})

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.drawing import cluster_colors, last_seen_position
+from usnet_env.drawing import last_seen_position
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import MISSED, OTHER, REDUNDANT, mark_words
 
 if TYPE_CHECKING:
     import rerun as rr
 
-__all__ = ["ANSWER", "DESTROY", "MARK_COLORS", "REMERGE", "Clock", "Scribe", "lighten", "list_steps", "parse_color"]
+__all__ = ["MARK_COLORS", "Clock", "Scribe", "lighten", "list_steps", "parse_color"]
 
-ANSWER, DESTROY, REMERGE = range(3)  # what follows a window, in this order
 _WATCH_SECONDS, _BEAT_SECONDS = 6.0, 2.0  # of the timeline "time": a window, and the pause after each beat
 #: Colours of the marks in a dark view; the other words for candidates are hits.
 MARK_COLORS = {MISSED: "#F5F5F5", OTHER: "#6A6A6A", REDUNDANT: "#FF7A1A"}
@@ -43,11 +42,18 @@ class Clock:
     A round has T_ob + 1 samples and three beats after them: the answer, the destruction, the re-merge. ``step`` counts
     simulated steps; the last two beats are in the unobserved steps after the window. ``time`` is in seconds of the
     replay: a window takes 6 s, and each beat is followed by a pause of 2 s.
+
+    Attributes:
+        samples: T_ob + 1.
+        answer, destroy, remerge: the indices of the beats among the instants of a round.
+        steps: ``(R, T_ob + 4)`` int64, the step of each instant.
+        seconds: ``(R, T_ob + 4)``, the time of each instant.
     """
 
     def __init__(self, record: EpisodeRecord) -> None:
         steps = list_steps(record)
         self.samples = steps.shape[1]
+        self.answer, self.destroy, self.remerge = range(self.samples, self.samples + 3)
         unobserved = int(record.config.get("memory", 0))
         beats = steps[:, -1:] + np.minimum([0, 1, 2], unobserved)
         self.steps = np.concatenate([steps, beats], axis=1)
@@ -55,9 +61,9 @@ class Clock:
         within = np.concatenate([watched, _WATCH_SECONDS + 0.25 + _BEAT_SECONDS * np.arange(3)])
         self.seconds = within + (_WATCH_SECONDS + 3 * _BEAT_SECONDS + 0.5) * np.arange(record.rounds)[:, None]
 
-    def instant(self, beat: int) -> int:
-        """The index of a beat among the instants of a round."""
-        return self.samples + beat
+    def list_rows(self, instants: Iterable[int]) -> list[tuple[int, int]]:
+        """List the rows of an entity that changes at these instants of every round: round, from 0, and instant."""
+        return [(r, instant) for r in range(len(self.steps)) for instant in instants]
 
 
 def parse_color(color: str, alpha: int = 255) -> tuple[int, int, int, int]:
@@ -66,7 +72,7 @@ def parse_color(color: str, alpha: int = 255) -> tuple[int, int, int, int]:
 
 
 def lighten(colors: Iterable[str], alpha: int = 255) -> NDArray[np.uint8]:
-    """Lighten colours made for white paper for a dark view: ``(..., 4)`` uint8."""
+    """Lighten colours made for white paper for a dark view: ``(n, 4)`` uint8."""
     paper = np.array([parse_color(color, alpha) for color in colors], np.float64).reshape(-1, 4)
     return np.where(np.arange(4) < 3, 90 + 0.65 * paper, paper).astype(np.uint8)
 
@@ -107,28 +113,19 @@ class Scribe:
         self.scale = self.span / _USUAL_SPAN
         self.last = np.stack([last_seen_position(*each) for each in zip(record.position, record.seen, strict=True)])
         self.marks = [mark_words(record, number) for number in range(1, record.rounds + 1)]
-
-    def name(self, uav: int | np.integer[Any]) -> str:
-        """The id of a UAV in its file if there is one, otherwise its number."""
-        ids = self.record.config.get("ids")
-        return str(uav) if ids is None else str(ids[uav])
+        ids = record.config.get("ids")  # of recorded tracks
+        self.names = [str(each) for each in (range(record.uavs) if ids is None else ids)]
 
     def mark_color(self, word: str) -> tuple[int, int, int, int]:
         """The colour of a mark."""
         return parse_color(MARK_COLORS.get(word, HIT_COLOR))
-
-    def shade(self, r: int, remerged: bool = False) -> NDArray[np.uint8]:
-        """``(N, 4)``: the colours of the true clusters in round ``r`` (from 0), or after its re-merge."""
-        record = self.record
-        later = remerged and r + 1 < record.rounds
-        return lighten(cluster_colors(record.head, record.leader[r + later])[0])
 
     def send(
         self,
         path: str,
         kind: Any,
         rows: Sequence[tuple[int, int]],
-        lengths: Sequence[int],
+        lengths: int | Sequence[int],
         look: Mapping[str, Any] | None = None,
         **columns: Any,
     ) -> None:
@@ -138,34 +135,27 @@ class Scribe:
             path: of the entity, after the root.
             kind: the archetype.
             rows: round and instant of each row, from 0.
-            lengths: number of instances in each row.
+            lengths: number of instances in each row, or in all rows.
             look: components that do not change.
             columns: components of all rows, one row after the other.
         """
         if rows:
-            made = kind.columns(**columns).partition(lengths)
+            made = kind.columns(**columns).partition(np.broadcast_to(lengths, len(rows)))
             self.stream.send_columns(self.root + path, self._times(rows), made)
         if look:
             self.stream.log(self.root + path, kind.from_fields(**look), static=True)
 
-    def show_at_beat(
-        self,
-        path: str,
-        kind: Any,
-        values: Sequence[Mapping[str, Any]],
-        look: Mapping[str, Any] | None = None,
-        beat: int = ANSWER,
+    def show_with_answer(
+        self, path: str, kind: Any, values: Sequence[Mapping[str, Any]], look: Mapping[str, Any] | None = None
     ) -> None:
-        """Write instances that are shown from a beat of each round on, until the next round begins.
+        """Write instances that are shown from the answer of each round on, until the next round begins.
 
         Args:
             path: of the entity, after the root.
             kind: the archetype.
             values: for each round the components, each with a value for every instance.
             look: components that do not change.
-            beat: when they appear.
         """
-        rows = [row for r in range(len(values)) for row in ((r, 0), (r, self.clock.instant(beat)))]
         counts = [count for each in values for count in (0, len(next(iter(each.values()))))]
         joined: dict[str, Any] = {}
         for name in values[0]:
@@ -173,7 +163,7 @@ class Scribe:
             joined[name] = (
                 np.concatenate(parts) if isinstance(parts[0], np.ndarray) else [item for part in parts for item in part]
             )
-        self.send(path, kind, rows, counts, look, **joined)
+        self.send(path, kind, self.clock.list_rows([0, self.clock.answer]), counts, look, **joined)
 
     def log_at(self, path: str, r: int, instant: int, value: Any) -> None:
         """Write one row that has no columns."""

@@ -19,7 +19,7 @@ from usnet_env.config import ArgumentError, how_to_install, quote, whole_number
 from usnet_env.drawing import MissingExtraError
 from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.scribe import ANSWER, Clock
+from usnet_env.replay.scribe import Clock
 
 __all__ = ["check_screenshot", "find_time", "find_viewer", "open_replay", "take_screenshot"]
 
@@ -69,7 +69,7 @@ def find_time(record: EpisodeRecord, number: int, step: int | None = None) -> fl
     r = whole_number("round", number, 1, record.rounds) - 1
     clock = Clock(record)
     if step is None:
-        return float(clock.seconds[r, clock.instant(ANSWER)])
+        return float(clock.seconds[r, clock.answer])
     flown = clock.steps[r, : clock.samples] - clock.steps[r, 0]
     whole_number("step", step, 0, int(flown[-1]))
     return float(clock.seconds[r, int(np.searchsorted(flown, step, side="right")) - 1])

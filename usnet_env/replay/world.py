@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.replay.scribe import ANSWER, DESTROY, REMERGE, Scribe, lighten, parse_color
+from usnet_env.drawing import cluster_colors
+from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.replay.scribe import Scribe, lighten, parse_color
 from usnet_env.replay.story import MISSED, OTHER, REDUNDANT
 
 __all__ = ["SWARM", "VERDICT", "write_world"]
@@ -29,8 +31,7 @@ def write_world(scribe: Scribe) -> None:
     scribe.stream.log(scribe.root + WORLD, scribe.rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     middles = np.array([(low + high) / 2 for low, high in scribe.boxes], np.float32)
     # The middle of each round is moved to the origin, so that a fixed camera has all rounds in view.
-    rounds = list(range(record.rounds))
-    scribe.send(WORLD, scribe.rr.Transform3D, [(r, 0) for r in rounds], [1] * record.rounds, translation=-middles)
+    scribe.send(WORLD, scribe.rr.Transform3D, scribe.clock.list_rows([0]), 1, translation=-middles)
     _write_ground(scribe)
     decoys = record.decoys
     _write_points(scribe, f"{SWARM}/followers", ~record.head & ~decoys, SMALL)
@@ -66,22 +67,18 @@ def _write_ground(scribe: Scribe) -> None:
     scribe.stream.log(f"{scribe.root}{WORLD}/ground", shape, static=True)
     # The label is at the edge that is near to the camera, which follows the middle of each round.
     edges = [[(below[0] + above[0]) / 2, below[1] - 0.06 * scribe.span, z] for below, above in scribe.boxes]
-    words = {"labels": [f"grid of {spacing:g} m"], "colors": [parse_color(_SCALE)], "radii": [0.001]}
-    rows = [(r, 0) for r in range(len(edges))]
-    label = {**words, "show_labels": True}
-    scribe.send(f"{WORLD}/ground/scale", scribe.rr.Points3D, rows, [1] * len(rows), label, positions=edges)
+    words = [f"grid of {spacing:g} m"]
+    label = {"labels": words, "colors": [parse_color(_SCALE)], "radii": [0.001], "show_labels": True}
+    rows = scribe.clock.list_rows([0])
+    scribe.send(f"{WORLD}/ground/scale", scribe.rr.Points3D, rows, 1, label, positions=edges)
 
 
-def _list_colors(scribe: Scribe, alpha: int = 255) -> NDArray[np.uint8]:
+def _list_colors(record: EpisodeRecord, alpha: int) -> NDArray[np.uint8]:
     """``(R, 3, N, 4)``: the colours of all UAVs in the window, after the destruction and after the re-merge."""
-    colors = []
-    for r in range(scribe.record.rounds):
-        now, later = scribe.shade(r), scribe.shade(r, remerged=True)
-        grey = np.where(scribe.record.orphans[r][:, None], lighten([_ORPHAN]), now)
-        colors.append(np.stack([now, grey, later]))
-    made = np.stack(colors)
-    made[..., 3] = alpha
-    return made
+    colors = np.stack([lighten(cluster_colors(record.head, leader)[0], alpha) for leader in record.leader])
+    grey = np.where(record.orphans[..., None], lighten([_ORPHAN], alpha), colors)
+    remerged = np.concatenate([colors[1:], colors[-1:]])
+    return np.stack([colors, grey, remerged], axis=1)
 
 
 def _write_points(scribe: Scribe, path: str, who: NDArray[np.bool_], radius: float) -> None:
@@ -94,24 +91,22 @@ def _write_points(scribe: Scribe, path: str, who: NDArray[np.bool_], radius: flo
     place = np.where(shown[..., None], record.position, np.float32(np.nan))[:, :, members]
     left = (record.alive & who & ~record.fired)[:, members, None]
     after = np.where(left, scribe.last[:, members], np.float32(np.nan))[:, None]
-    instants = [*range(clock.samples), clock.instant(DESTROY)]
-    rows = [(r, i) for r in range(record.rounds) for i in instants]
+    rows = clock.list_rows([*range(clock.samples), clock.destroy])
     every = np.concatenate([place, after], axis=1).reshape(-1, 3)
     look = {
         "radii": [radius * scribe.scale],
-        "labels": [f"UAV {scribe.name(i)}" for i in members.tolist()],
+        "labels": [f"UAV {scribe.names[i]}" for i in members],
         "show_labels": False,
     }
-    scribe.send(path, scribe.rr.Points3D, rows, [len(members)] * len(rows), look, positions=every)
+    scribe.send(path, scribe.rr.Points3D, rows, len(members), look, positions=every)
     _send_colors(scribe, path, scribe.rr.Points3D, members, 255)
 
 
 def _send_colors(scribe: Scribe, path: str, kind: object, members: NDArray[np.intp], alpha: int) -> None:
     """Write the colours of an entity with one instance for each member, as they change in the course of a round."""
-    instants = (0, scribe.clock.instant(DESTROY), scribe.clock.instant(REMERGE))
-    rows = [(r, i) for r in range(scribe.record.rounds) for i in instants]
-    colors = _list_colors(scribe, alpha)[:, :, members].reshape(-1, 4)
-    scribe.send(path, kind, rows, [len(members)] * len(rows), colors=colors)
+    rows = scribe.clock.list_rows([0, scribe.clock.destroy, scribe.clock.remerge])
+    colors = _list_colors(scribe.record, alpha)[:, :, members].reshape(-1, 4)
+    scribe.send(path, kind, rows, len(members), colors=colors)
 
 
 def _fill_gaps(place: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -137,14 +132,13 @@ def _choose_stages(scribe: Scribe) -> tuple[list[int], int]:
 def _write_tracks(scribe: Scribe, stages: list[int], points: int) -> None:
     """Write the tracks, which grow behind the UAVs from stage to stage."""
     record, path = scribe.record, f"{SWARM}/tracks"
-    strips = scribe.rr.LineStrips3D
-    every = range(record.rounds)
-    scribe.send(path, strips, [(r, 0) for r in every], [0] * record.rounds, strips=np.zeros((0, 2, 3), np.float32))
+    strips, list_rows = scribe.rr.LineStrips3D, scribe.clock.list_rows
+    scribe.send(path, strips, list_rows([0]), 0, strips=np.zeros((0, 2, 3), np.float32))
     filled = np.stack([_fill_gaps(*each) for each in zip(record.position, record.seen, strict=True)])
     for end in stages:
         kept = np.unique(np.linspace(0, end, min(end + 1, points)).round().astype(int))
         grown = np.swapaxes(filled[:, kept], 1, 2).reshape(-1, len(kept), 3)
-        scribe.send(path, strips, [(r, end) for r in every], [record.uavs] * record.rounds, strips=grown)
+        scribe.send(path, strips, list_rows([end]), record.uavs, strips=grown)
     scribe.send(path, strips, [], [], {"radii": [0.9 * scribe.scale]})
     _send_colors(scribe, path, strips, np.arange(record.uavs), 150)
 
@@ -154,7 +148,6 @@ def _write_links(scribe: Scribe, stages: list[int], decoys: NDArray[np.bool_]) -
     record, clock = scribe.record, scribe.clock
     members = np.flatnonzero(~record.head)
     orphans = record.orphans
-    rows: list[tuple[int, int]] = []
     strips = []
     for r in range(record.rounds):
         leader, place = record.leader[r], _fill_gaps(record.position[r], record.seen[r])
@@ -162,16 +155,15 @@ def _write_links(scribe: Scribe, stages: list[int], decoys: NDArray[np.bool_]) -
         left = linked & ~record.fired[r] & ~orphans[r]
         new = record.leader[r + 1] if r + 1 < record.rounds else leader
         merged = linked & ~record.fired[r] & (new >= 0) & ~record.fired[r][new]
-        drawn = [(i, place[i], linked, leader) for i in (0, *stages)]
-        drawn += [(clock.instant(DESTROY), scribe.last[r], left, leader)]
-        drawn += [(clock.instant(REMERGE), scribe.last[r], merged, new)]
-        for instant, at, who, behind in drawn:
-            rows.append((r, instant))
+        drawn = [(place[i], linked, leader) for i in (0, *stages)]
+        drawn += [(scribe.last[r], left, leader), (scribe.last[r], merged, new)]
+        for at, who, behind in drawn:
             ends = np.stack([at[members], at[behind[members]]], axis=1)
             strips.append(np.where(who[members, None, None], ends, np.float32(np.nan)))
     kind, path = scribe.rr.LineStrips3D, f"{SWARM}/links"
+    rows = clock.list_rows([0, *stages, clock.destroy, clock.remerge])
     look = {"radii": [0.5 * scribe.scale]}
-    scribe.send(path, kind, rows, [len(members)] * len(rows), look, strips=np.concatenate(strips))
+    scribe.send(path, kind, rows, len(members), look, strips=np.concatenate(strips))
     _send_colors(scribe, path, kind, members, 70)
 
 
@@ -181,23 +173,23 @@ def _write_decoys(scribe: Scribe, decoys: NDArray[np.bool_]) -> None:
     members = np.flatnonzero(decoys.any(axis=0))
     shown = record.seen & decoys[:, None]
     place = np.where(shown[..., None], record.position, np.float32(np.nan))[:, :, members].reshape(-1, 1, 3)
-    rows = [(r, i) for r in range(record.rounds) for i in range(scribe.clock.samples)]
+    rows = scribe.clock.list_rows(range(scribe.clock.samples))
     strips = place + 1.4 * LARGE * np.float32(scribe.scale) * _DIAMOND
     look = {"radii": [1.6 * scribe.scale], "colors": [parse_color(_DECOY)]}
-    scribe.send(f"{SWARM}/decoys", scribe.rr.LineStrips3D, rows, [len(members)] * len(rows), look, strips=strips)
+    scribe.send(f"{SWARM}/decoys", scribe.rr.LineStrips3D, rows, len(members), look, strips=strips)
 
 
 def _write_destroyed(scribe: Scribe) -> None:
     """Write the destroyed UAVs as crosses where they were seen last, from the moment of their destruction."""
     record, clock = scribe.record, scribe.clock
-    rows, strips, lengths = [], [], []
+    strips, lengths = [], []
     for r in range(record.rounds):
         place = record.last_position(r + 1)
-        for instant, gone in ((0, ~record.alive[r]), (clock.instant(DESTROY), ~record.alive[r] | record.fired[r])):
+        for gone in (~record.alive[r], ~record.alive[r] | record.fired[r]):
             at = place[gone & np.isfinite(place[:, 0])]
-            rows.append((r, instant))
             lengths.append(2 * len(at))
             strips.append((at[:, None, None] + 1.8 * SMALL * np.float32(scribe.scale) * _CROSS).reshape(-1, 2, 3))
+    rows = clock.list_rows([0, clock.destroy])
     look = {"radii": [1.4 * scribe.scale], "colors": [parse_color(_DESTROYED)]}
     scribe.send(f"{SWARM}/destroyed", scribe.rr.LineStrips3D, rows, lengths, look, strips=np.concatenate(strips))
 
@@ -217,7 +209,7 @@ def _write_marks(scribe: Scribe) -> None:
         width = {"radii" if word == REDUNDANT else "line_radii": [0.7 * scribe.scale * (0.5 if word == MISSED else 1)]}
         frame = [rr.components.FillMode.MajorWireframe]
         look = {"colors": [scribe.mark_color(word)], "fill_mode": frame, **width}
-        scribe.show_at_beat(f"{VERDICT}/{word}", kind, values, look)
+        scribe.show_with_answer(f"{VERDICT}/{word}", kind, values, look)
     labels = []
     for r, marks in enumerate(scribe.marks):
         who = np.flatnonzero((marks != OTHER) & seen[r])
@@ -226,10 +218,10 @@ def _write_marks(scribe: Scribe) -> None:
             {
                 "positions": scribe.last[r][who] + np.array([0, 0, 1.6 * RING * scribe.scale], np.float32),
                 "colors": np.array([scribe.mark_color(marks[i]) for i in who], np.uint8).reshape(-1, 4),
-                "labels": [f"{marks[i]} {scribe.name(i)}" for i in who.tolist()],
+                "labels": [f"{marks[i]} {scribe.names[i]}" for i in who],
             }
         )
-    scribe.show_at_beat(f"{VERDICT}/labels", rr.Points3D, labels, {"radii": [0.1], "show_labels": True}, ANSWER)
+    scribe.show_with_answer(f"{VERDICT}/labels", rr.Points3D, labels, {"radii": [0.1], "show_labels": True})
 
 
 def _write_observers(scribe: Scribe, observers: NDArray[np.float64]) -> None:
