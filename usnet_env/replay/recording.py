@@ -7,10 +7,9 @@ a stream of its own; Rerun's global state does not change.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import numpy as np
@@ -28,15 +27,13 @@ from usnet_env.replay.world import write_world
 
 if TYPE_CHECKING:
     import rerun as rr
+    import rerun.blueprint as rrb
 
 __all__ = ["write_comparison", "write_recording"]
 
 
-@contextmanager
-def _open_recording(
-    path: str | os.PathLike[str], name: str, arrange: Callable[[rr.RecordingStream], Any]
-) -> Iterator[rr.RecordingStream]:
-    """Open the stream of a recording with its blueprint; the file appears whole."""
+def _make_stream() -> rr.RecordingStream:
+    """The stream of a recording, without a file yet."""
     try:
         import rerun as rr
     except ImportError:
@@ -46,13 +43,27 @@ def _open_recording(
     stream = rr.RecordingStream(f"usnet {recording_id}", recording_id=recording_id)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
-    with atomic_write(as_path("path", path)) as aside:
-        stream.save(aside, default_blueprint=arrange(stream))
+    return stream
+
+
+def _write(
+    scribes: Sequence[Scribe], layout: rrb.Blueprint, name: str, path: str | os.PathLike[str], about: str = ""
+) -> Path:
+    """Write the episodes of some scribes, which share a stream, and the text ``about`` them; the file appears whole."""
+    place = as_path("path", path)
+    rr, stream = scribes[0].rr, scribes[0].stream
+    with atomic_write(place) as aside:
+        stream.save(aside, default_blueprint=layout)
         try:
             stream.send_recording_name(name)
-            yield stream
+            for scribe in scribes:
+                for write in (write_world, write_mind, write_course):
+                    write(scribe)
+            if about:
+                stream.log(ABOUT, rr.TextDocument(about, media_type=rr.MediaType.MARKDOWN), static=True)
         finally:
             stream.disconnect()  # writes the rest and closes the file
+    return place
 
 
 def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
@@ -74,17 +85,8 @@ def write_recording(record: EpisodeRecord, path: str | os.PathLike[str]) -> Path
         ArgumentError: the place can't be written to.
         MissingExtraError: rerun-sdk is not installed.
     """
-    check_record(record)
-    scribes: list[Scribe] = []
-
-    def arrange(stream: rr.RecordingStream) -> Any:
-        scribes.append(Scribe(record, stream))
-        return arrange_views(scribes[0])
-
-    with _open_recording(path, f"{record.env_id} seed {record.seed}: {record.detector}", arrange):
-        for write in (write_world, write_mind, write_course):
-            write(scribes[0])
-    return as_path("path", path)
+    scribe = Scribe(check_record(record), _make_stream())
+    return _write([scribe], arrange_views(scribe), f"{record.env_id} seed {record.seed}: {record.detector}", path)
 
 
 def write_comparison(first: EpisodeRecord, second: EpisodeRecord, path: str | os.PathLike[str]) -> Path:
@@ -105,23 +107,15 @@ def write_comparison(first: EpisodeRecord, second: EpisodeRecord, path: str | os
     records = [check_record(first), check_record(second)]
     if not np.array_equal(first.position[0], second.position[0]) or not np.array_equal(first.head, second.head):
         raise ArgumentError("second must begin with the same swarm as first, got an episode with another first window.")
-    scribes: list[Scribe] = []
     names = [record.detector or f"detector {letter}" for record, letter in zip(records, "AB", strict=True)]
     labels = [f"{letter} {name}" if names[0] == names[1] else name for letter, name in zip("AB", names, strict=True)]
-
-    def arrange(stream: rr.RecordingStream) -> Any:
-        colors = (CURVES["precision"][1], CURVES["recall"][1])
-        scribes.extend(Scribe(*each) for each in zip(records, [stream] * 2, ("a/", "b/"), colors, strict=True))
-        for scribe in scribes:  # one scale, so that both views show the swarm from the same place
-            scribe.span = max(each.span for each in scribes)
-            scribe.scale = max(each.scale for each in scribes)
-        return arrange_comparison(scribes, labels)
-
-    with _open_recording(path, f"{' and '.join(labels)}, seed {first.seed}", arrange) as stream:
-        for scribe in scribes:
-            for write in (write_world, write_mind, write_course):
-                write(scribe)
-        rr = scribes[0].rr
-        text = rr.TextDocument(explain_comparison(records, labels), media_type=rr.MediaType.MARKDOWN)
-        stream.log(ABOUT, text, static=True)
-    return as_path("path", path)
+    stream = _make_stream()
+    scribes = [
+        Scribe(first, stream, "a/", color=CURVES["precision"][1]),
+        Scribe(second, stream, "b/", color=CURVES["recall"][1]),
+    ]
+    for scribe in scribes:  # one scale, so that both views show the swarm from the same place
+        scribe.span = max(each.span for each in scribes)
+        scribe.scale = max(each.scale for each in scribes)
+    layout, about = arrange_comparison(scribes, labels), explain_comparison(records, labels)
+    return _write(scribes, layout, f"{' and '.join(labels)}, seed {first.seed}", path, about)
