@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, is_whole_number, plain_text, quote, whole_number
+from usnet_env.config import ArgumentError, format_count, is_whole_number, plain_text, quote, whole_number
 from usnet_env.drawing import last_seen_position
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.replay.episode_file import FORMAT_VERSION, read_episode_file, write_episode_file
@@ -24,13 +24,11 @@ MOST_SEED = 2**128 - 1  # the seeds that NumPy draws from the operating system h
 _LINKS = "communication_links"  # derived from ``leader`` when a file is written, compared when it is read
 
 
-def _freeze_whole_numbers(
-    name: str, value: Any, shape: tuple[int | None, ...], low: int, high: int
-) -> NDArray[np.int64]:
-    """Convert ``value`` to read-only int64; refuse numbers that are not whole or not within ``low`` to ``high``."""
+def _freeze_indices(name: str, value: Any, shape: tuple[int, int], high: int) -> NDArray[np.int64]:
+    """Convert ``value`` to read-only int64; refuse numbers that are not whole or not within -1 to ``high``."""
     exact = frozen_array(name, value, np.float64, shape)
-    if not ((exact >= low) & (exact <= high) & (exact == np.floor(exact))).all():
-        raise ArgumentError(f"{name} must hold whole numbers from {low} to {high}, got {quote(np.asarray(value))}.")
+    if not ((exact >= -1) & (exact <= high) & (exact == np.floor(exact))).all():
+        raise ArgumentError(f"{name} must hold whole numbers from -1 to {high}, got {quote(np.asarray(value))}.")
     return frozen_array(name, value, np.int64, shape)
 
 
@@ -141,9 +139,8 @@ class EpisodeRecord:
     labelled: bool = True
 
     def __repr__(self) -> str:
-        plural = "" if self.rounds == 1 else "s"
         return (
-            f"<EpisodeRecord of {self.env_id or 'a game'}: {self.rounds} round{plural}, {len(self.head)} UAVs, "
+            f"<EpisodeRecord of {self.env_id or 'a game'}: {format_count(self.rounds, 'round')}, {self.uavs} UAVs, "
             f"detector {self.detector!r}, seed {self.seed}>"
         )
 
@@ -159,37 +156,34 @@ class EpisodeRecord:
                 f"got shape {position.shape}."
             )
         put("position", position)
-        put("velocity", frozen_array("velocity", self.velocity, np.float32, (rounds, instants - 1, uavs, 3)))
-        put("seen", frozen_array("seen", self.seen, bool, (rounds, instants, uavs)))
-        for name in ("alive", "candidates"):
-            put(name, frozen_array(name, getattr(self, name), bool, (rounds, uavs)))
-        for name in ("head", "decoy"):
-            put(name, frozen_array(name, getattr(self, name), bool, (uavs,)))
-        put("over_budget", frozen_array("over_budget", self.over_budget, bool, (rounds,)))
-        for name in ("objective", "seconds"):
-            put(name, frozen_array(name, getattr(self, name), np.float64, (rounds,)))
-        put("scores", frozen_array("scores", self.scores, np.float64, (rounds, uavs)))
-        put("leader", _freeze_whole_numbers("leader", self.leader, (rounds, uavs), -1, uavs - 1))
-        if self.clusters is not None:
-            put("clusters", _freeze_whole_numbers("clusters", self.clusters, (rounds, uavs), -1, 2**53))
-        if self.leader_estimate is not None:
-            put(
-                "leader_estimate",
-                _freeze_whole_numbers("leader_estimate", self.leader_estimate, (rounds, uavs), -1, uavs - 1),
-            )
-        optional: dict[str, tuple[Any, tuple[int | None, ...]]] = {
+        forms: dict[str, tuple[type, tuple[int | None, ...]]] = {
+            "velocity": (np.float32, (rounds, instants - 1, uavs, 3)),
+            "seen": (bool, (rounds, instants, uavs)),
+            "alive": (bool, (rounds, uavs)),
+            "candidates": (bool, (rounds, uavs)),
+            "head": (bool, (uavs,)),
+            "decoy": (bool, (uavs,)),
+            "over_budget": (bool, (rounds,)),
+            "objective": (np.float64, (rounds,)),
+            "seconds": (np.float64, (rounds,)),
+            "scores": (np.float64, (rounds, uavs)),
             "attention": (np.float32, (rounds, uavs, uavs)),
             "attention_heads": (np.float32, (rounds, None, uavs, uavs)),
             "probability": (np.float64, (rounds, uavs)),
             "features": (np.float32, (rounds, uavs, 2)),
             "observers": (np.float64, (None, 4)),
         }
-        for name, (kind, shape) in optional.items():
-            if (value := getattr(self, name)) is not None:
-                put(name, frozen_array(name, value, kind, shape))
+        highest = {"leader": uavs - 1, "clusters": 2**53, "leader_estimate": uavs - 1}
+        absent = {item.name for item in fields(self) if item.default is None and getattr(self, item.name) is None}
+        for name, (kind, shape) in forms.items():
+            if name not in absent:
+                put(name, frozen_array(name, getattr(self, name), kind, shape))
+        for name, high in highest.items():
+            if name not in absent:
+                put(name, _freeze_indices(name, getattr(self, name), (rounds, uavs), high))
         for name in ("reasons", "choices"):
-            if (value := getattr(self, name)) is not None:
-                put(name, _convert_to_texts(name, value, rounds))
+            if name not in absent:
+                put(name, _convert_to_texts(name, getattr(self, name), rounds))
         self._check_labels()
         for name in ("config", "versions"):
             put(name, _convert_to_json(name, getattr(self, name)))
@@ -272,11 +266,9 @@ class EpisodeRecord:
         Raises:
             ArgumentError: no such round.
         """
-        number = self._index(number) + 1
-        place = np.full((self.uavs, 3), np.nan, np.float32)
-        for position, seen in zip(self.position[:number], self.seen[:number], strict=True):
-            place = np.where(np.any(seen, axis=0, keepdims=True).T, last_seen_position(position, seen), place)
-        return place
+        rounds = self._index(number) + 1
+        position = self.position[:rounds].reshape(-1, self.uavs, 3)
+        return last_seen_position(position, self.seen[:rounds].reshape(-1, self.uavs))
 
     def communication_links(self, number: int) -> NDArray[np.int64]:
         """The true communication links of a round: the paper's edge sets E_{j,t} of all clusters, §II-A.
