@@ -62,11 +62,9 @@ class EpisodeFrames:
             seen: ``(T_ob + 1, N)`` bool.
         """
         place = last_seen_position(position, seen)
-        if self._last is None:
-            self._last = np.full_like(place, np.nan)
+        self._last = place if self._last is None else np.where(np.isfinite(place), place, self._last)
         if not np.isfinite(place).any():
             return
-        self._last = np.where(np.isfinite(place), place, self._last)
         corners = np.stack([np.nanmin(place, axis=0), np.nanmax(place, axis=0)])
         self._corners = np.stack([np.fmin(corners[0], self._corners[0]), np.fmax(corners[1], self._corners[1])])
         middle, half = np.array(self._limits[:2] if self._limits else (0, 0)), self._limits[2] if self._limits else -1.0

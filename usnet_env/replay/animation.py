@@ -11,15 +11,15 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, format_count, quote
-from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, new_figure
+from usnet_env.config import ArgumentError, format_count, quote, whole_number
+from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, last_seen_position, new_figure
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.story import describe_ending, describe_remerge, describe_verdict, name_round
@@ -66,7 +66,7 @@ class Scene:
     text: str
     score: str
     samples: int
-    turn: float = field(default=0.0)
+    turn: float = 0.0
 
 
 def _score(record: EpisodeRecord, played: int) -> str:
@@ -254,18 +254,13 @@ class Painter:
             leader = leader if scene.phase >= _NAME else np.full_like(leader, -1)
         gone = ~record.alive[r] | (record.fired[r] & (scene.phase >= _DESTROY))
         orphan = record.orphans[r] & (scene.phase >= _DESTROY)
-        colors, _ = cluster_colors(head, leader)
-        end = place[np.maximum(leader, 0), :2].copy()
-        if scene.phase == _REMERGE:
-            new = record.leader[r + 1]
-            moved = orphan & (new >= 0)
-            target = place[np.maximum(new, 0), :2]
-            end[moved] += np.float32(scene.turn) * (target[moved] - end[moved])
-            if scene.turn == 1.0:
-                colors = np.where(moved, cluster_colors(head, new)[0], colors)
-        else:
-            moved = np.zeros_like(orphan)
-        colors = np.where(orphan & ~(moved & (scene.turn == 1.0)), _ORPHAN, colors)
+        new = record.leader[r + 1] if scene.phase == _REMERGE else np.full_like(leader, -1)
+        moved = orphan & (new >= 0)
+        end = place[np.maximum(leader, 0), :2]
+        end[moved] += np.float32(scene.turn) * (place[new[moved], :2] - end[moved])
+        colors = np.where(orphan, _ORPHAN, cluster_colors(head, leader)[0])
+        if scene.turn == 1.0:  # the orphans have the colour of their new heads
+            colors = np.where(moved, cluster_colors(head, new)[0], colors)
         follower = ~gone & ~head & ~record.decoy
         linked = follower & (leader >= 0) & (~orphan | moved)
         links = np.stack([place[:, :2], end], axis=1)
@@ -303,10 +298,9 @@ class Painter:
             self._draw_header(scene)
         self.made = iter(self.artists[:])
         seen = record.seen[r, : scene.samples] & record.alive[r]
-        track = np.where(seen[..., None], record.position[r, : scene.samples, :, :2], np.float32(np.nan))
-        when = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
-        place = track[when, np.arange(record.uavs)]
-        path = np.swapaxes(track, 0, 1)
+        position = record.position[r, : scene.samples]
+        place = last_seen_position(position, seen)
+        path = np.swapaxes(np.where(seen[..., None], position[..., :2], np.float32(np.nan)), 0, 1)
         self._draw_observed(scene, place, path)
         self._draw_truth(scene, place, path)
         return self.figure
@@ -426,17 +420,16 @@ def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int 
             and ffmpeg is not installed.
         MissingExtraError: matplotlib is not installed.
     """
-    if isinstance(frames, bool) or not isinstance(frames, int) or frames < 2:
-        raise ArgumentError(f"frames must be a whole number from 2, got {quote(frames)}.")
+    frames = whole_number("frames", frames, 2)
     suffix = Path(path).suffix.lower()
     if suffix not in (".gif", ".mp4"):
         raise ArgumentError(f"path must end in .gif or .mp4, got {quote(os.fspath(path))}.")
     shown = list(scenes(record, frames))
-    ffmpeg = _find_ffmpeg()
+    ffmpeg = _find_ffmpeg() if suffix == ".mp4" else None
     if suffix == ".mp4" and ffmpeg is None:
         raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(os.fspath(path))}.")
     with atomic_write(path) as aside:
-        if suffix == ".gif" or ffmpeg is None:
+        if ffmpeg is None:
             _write_gif(record, shown, aside)
         else:
             _write_mp4(record, shown, aside, ffmpeg)
