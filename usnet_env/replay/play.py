@@ -72,36 +72,33 @@ def _report(played: PlayedRound[Detection], number: int, seconds: float) -> Roun
     )
 
 
-def _stack(values: Sequence[NDArray[Any] | None], absent: NDArray[Any] | None = None) -> Any:
-    """Stack an optional part of the answers; ``absent`` (or zeros) where a round lacks it, ``None`` if all do."""
+def _stack(values: Sequence[NDArray[Any] | None], absent: int = 0) -> Any:
+    """Stack an optional part of the answers; it is full of ``absent`` where a round lacks it, ``None`` if all do."""
     given = [value for value in values if value is not None]
     if not given or len({value.shape for value in given}) > 1:
         return None
-    blank = np.zeros_like(given[0]) if absent is None else absent
-    return np.stack([blank if value is None else value for value in values])
+    return np.stack([np.full_like(given[0], absent) if value is None else value for value in values])
 
 
-def _read_numbers(answer: Detection, name: str, axes: int) -> NDArray[np.float64] | None:
-    """A finite array of ``extras`` whose first axis counts the UAVs; ``None`` if the answer has no such array."""
+def _read_numbers(answer: Detection, name: str) -> NDArray[np.float64] | None:
+    """An array of ``extras``; ``None`` if the answer has none of finite numbers."""
     try:
         values = np.asarray(answer.extras.get(name), np.float64)
     except (TypeError, ValueError):
         return None
-    good = values.ndim >= axes and values.shape[:1] == answer.scores.shape and np.isfinite(values).all()
-    return values if good else None
+    return values if np.isfinite(values).all() else None
 
 
-def _read_heads(answer: Detection) -> NDArray[np.float32] | None:
+def _read_heads(answer: Detection) -> NDArray[np.float64] | None:
     """``(H, N, N)``: the weights of each attention head, ``extras["attention_heads"]``; ``None`` without them."""
-    values = np.asarray(answer.extras.get("attention_heads", 0.0), np.float32)
-    good = values.ndim == 3 and values.shape[1:] == (len(answer.scores),) * 2 and np.isfinite(values).all()
-    return values if good else None
+    values, uavs = _read_numbers(answer, "attention_heads"), len(answer.scores)
+    return values if values is not None and values.ndim == 3 and values.shape[1:] == (uavs, uavs) else None
 
 
 def _flatten_features(answer: Detection) -> NDArray[np.float64] | None:
     """``(N, 2)``: ``extras["features"]``, ``(N, …)``, in the plane of their principal axes; ``None`` without them."""
-    values = _read_numbers(answer, "features", 2)
-    if values is None:
+    values = _read_numbers(answer, "features")
+    if values is None or values.ndim < 2 or len(values) != len(answer.scores):
         return None
     flat = values.reshape(len(values), -1)
     known: NDArray[np.bool_] = np.any(flat, axis=1)  # the features of destroyed UAVs are 0
@@ -203,9 +200,7 @@ def make_record(
     """The record of the rounds of an episode; the arguments are those of :func:`record_episode`."""
     truths, answers = [played.truth for played in rounds], [played.answer for played in rounds]
     windows = [Window.from_observation(played.observation) for played in rounds]
-    uavs = windows[0].uavs
     game: Any = env.unwrapped
-    nowhere = np.full(uavs, -1)
     return EpisodeRecord(
         position=np.stack([window.position for window in windows]),
         velocity=np.stack([window.velocity for window in windows]),
@@ -219,12 +214,12 @@ def make_record(
         decoy=truths[0].decoy,
         over_budget=np.array([bool(played.info["over_budget"]) for played in rounds]),
         seconds=np.array(seconds),
-        clusters=_stack([answer.clusters for answer in answers], nowhere),
-        leader_estimate=_stack([answer.leader for answer in answers], nowhere),
-        attention=_stack([answer.attention for answer in answers], np.zeros((uavs, uavs))) if keep_attention else None,
+        clusters=_stack([answer.clusters for answer in answers], absent=-1),
+        leader_estimate=_stack([answer.leader for answer in answers], absent=-1),
+        attention=_stack([answer.attention for answer in answers]) if keep_attention else None,
         attention_heads=_stack([_read_heads(answer) for answer in answers]) if keep_attention else None,
-        probability=_stack([_read_numbers(answer, "probability", 1) for answer in answers], np.zeros(uavs)),
-        features=_stack([_flatten_features(answer) for answer in answers], np.zeros((uavs, 2))),
+        probability=_stack([_read_numbers(answer, "probability") for answer in answers]),
+        features=_stack([_flatten_features(answer) for answer in answers]),
         reasons=_list_reasons(answers),
         problem=game.problem,
         env_id=env.spec.id if env.spec is not None else type(game).__name__,
