@@ -6,11 +6,11 @@ import os
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, plain_text, quote
 from usnet_env.detection import Detection
@@ -85,13 +85,15 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Play a round; write the episode if it is the last one."""
-        spent, game = time.perf_counter() - self._began, self.env.unwrapped
-        truth: SwarmState = game.swarm  # type: ignore[attr-defined]  # check_environment has checked it
+        spent = time.perf_counter() - self._began
+        game: Any = self.env.unwrapped
+        truth: SwarmState = game.swarm
         following, reward, terminated, truncated, info = self.env.step(action)
         if self._wanted:
-            left: SwarmState = game.swarm  # type: ignore[attr-defined]
-            answer = self._make_answer(np.asarray(action, bool).reshape(truth.alive.shape))
-            self._rounds.append(PlayedRound(self._observation, truth, answer, info, left))
+            candidates = np.asarray(action, bool).reshape(truth.alive.shape)
+            noted = self._noted or Detection(candidates, candidates.astype(np.float64))
+            answer = replace(noted, candidates=candidates)
+            self._rounds.append(PlayedRound(self._observation, truth, answer, info, game.swarm))
             self._seconds.append(spent)
             if terminated or truncated:
                 self._write()
@@ -110,9 +112,3 @@ class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorA
             record = make_record(self.env, self._rounds, self._seconds, self._seed, None, self._label)
             record.save(self.folder / f"episode-{self._episode}.npz")
         self._rounds, self._seconds = [], []
-
-    def _make_answer(self, candidates: NDArray[np.bool_]) -> Detection:
-        noted = self._noted
-        if noted is None:
-            return Detection(candidates, candidates.astype(np.float64))
-        return Detection(candidates, noted.scores, noted.clusters, noted.leader, noted.attention, noted.extras)
