@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, format_count, quote, whole_number
+from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, last_seen_position, new_figure
 from usnet_env.files import atomic_write
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.story import describe_ending, describe_remerge, describe_verdict, name_round
+from usnet_env.replay.story import describe_answer, describe_ending, describe_remerge, describe_verdict, name_round
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,13 +101,11 @@ def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
             watch = f"The detector watches {samples - 1} steps of recorded tracks."
         for grown in np.unique(np.linspace(1, samples, frames).round().astype(int)):
             yield Scene(number, _WATCH, _STEP_SECONDS, watch, before, int(grown))
-        named = int(record.candidates[r].sum())
+        last = not record.labelled and number == record.rounds
+        seconds = _END_SECONDS if last else _READ_SECONDS
+        yield Scene(number, _NAME, seconds, describe_answer(record, number), before, samples)
         if not record.labelled:
-            seconds = _END_SECONDS if number == record.rounds else _READ_SECONDS
-            yield Scene(number, _NAME, seconds, f"It finds {format_count(named, 'leader')}.", before, samples)
             continue
-        name = f"It names {format_count(named, 'UAV')} as {'a head' if named == 1 else 'heads'}."
-        yield Scene(number, _NAME, _READ_SECONDS, name, before, samples)
         yield Scene(number, _DESTROY, _READ_SECONDS, describe_verdict(record, number), after, samples)
         if number == record.rounds:
             yield Scene(number, _END, _END_SECONDS, describe_ending(record), after, samples)

@@ -33,9 +33,9 @@ _MOST_LINKS, _MOST_ATTENTION = 60, 30  # UAVs; in a larger swarm, these lines ar
 
 def _space(scribe: Scribe, name: str, detector: bool) -> rrb.Spatial3DView:
     """A view of the swarm: as the detector sees it, with its answer; or the truth, with the verdict."""
-    import rerun as rr
     import rerun.blueprint as rrb
 
+    rr = scribe.rr
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=scribe.span * np.array([0.0, -0.8, 0.9]),

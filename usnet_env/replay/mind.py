@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from usnet_env.drawing import CLUSTER_COLORS, NO_CLUSTER_COLOR
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.scribe import Scribe, lighten, parse_color
+from usnet_env.replay.scribe import MARK_COLORS, Scribe, lighten, parse_color
 from usnet_env.replay.story import OTHER, rank_scores
 from usnet_env.replay.world import MOST_LABELS, RING, SMALL
 
@@ -82,6 +82,7 @@ def _write_waiting(scribe: Scribe, path: str, place: tuple[float, float]) -> Non
 def _write_found(scribe: Scribe) -> None:
     """Write all living UAVs in the colour of their found group, as large as probable, and the candidates."""
     record, rr = scribe.record, scribe.rr
+    word, values = ("score", record.scores) if record.probability is None else ("p", record.probability)
     points, rings, labels, links = [], [], [], []
     for r in range(record.rounds):
         place, groups = scribe.last[r], find_groups(record, r)
@@ -89,9 +90,7 @@ def _write_found(scribe: Scribe) -> None:
         living = np.flatnonzero(record.alive[r] & seen)
         colors, sure = _group_colors(groups), _strengths(record, r)
         radii = SMALL * scribe.scale * (0.9 + 1.8 * sure[living])
-        words = [f"UAV {scribe.names[i]}: {'p' if record.probability is not None else 'score'} "
-                 f"{(record.scores if record.probability is None else record.probability)[r, i]:.3g}"
-                 for i in living]  # fmt: skip
+        words = [f"UAV {scribe.names[i]}: {word} {values[r, i]:.3g}" for i in living]
         points.append({"positions": place[living], "colors": colors[living], "radii": radii, "labels": words})
         named = np.flatnonzero(record.candidates[r] & seen)
         half = np.full((len(named), 3), RING * scribe.scale, np.float32)
@@ -216,7 +215,7 @@ def _write_scores(scribe: Scribe) -> None:
         scores, words = record.scores[r, order], marks[order]
         top = max(float(np.abs(scores).max(initial=0)), np.finfo(float).tiny)
         height, step = scores / top * CHART_HEIGHT, CHART_WIDTH / max(len(order), 1)
-        colors = np.array([scribe.mark_color(word) for word in words], np.uint8).reshape(-1, 4)
+        colors = np.array([parse_color(MARK_COLORS[word]) for word in words], np.uint8).reshape(-1, 4)
         left = step * np.arange(len(order))
         # y grows downwards; a thin base shows the UAVs whose score is 0, too.
         half = np.stack([np.full(len(order), 0.4 * step), (np.abs(height) + 0.03) / 2], axis=1)

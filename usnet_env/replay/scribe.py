@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from usnet_env.drawing import last_seen_position
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.story import MISSED, OTHER, REDUNDANT, mark_words
+from usnet_env.replay.story import HIT, LEADER, MISSED, OTHER, REDUNDANT, mark_words
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 __all__ = ["MARK_COLORS", "Clock", "Scribe", "lighten", "list_steps", "parse_color"]
 
 _WATCH_SECONDS, _BEAT_SECONDS = 6.0, 2.0  # of the timeline "time": a window, and the pause after each beat
-#: Colours of the marks in a dark view; the other words for candidates are hits.
-MARK_COLORS = {MISSED: "#F5F5F5", OTHER: "#6A6A6A", REDUNDANT: "#FF7A1A"}
 HIT_COLOR = "#1ED9A0"
+#: Colours of the marks in a dark view.
+MARK_COLORS = {HIT: HIT_COLOR, LEADER: HIT_COLOR, REDUNDANT: "#FF7A1A", MISSED: "#F5F5F5", OTHER: "#6A6A6A"}
 _USUAL_SPAN = 800.0  # metres: a swarm may be smaller or larger, and all sizes with it
 
 
@@ -116,10 +116,6 @@ class Scribe:
         ids = record.config.get("ids")  # of recorded tracks
         self.names = [str(each) for each in (range(record.uavs) if ids is None else ids)]
 
-    def mark_color(self, word: str) -> tuple[int, int, int, int]:
-        """The colour of a mark."""
-        return parse_color(MARK_COLORS.get(word, HIT_COLOR))
-
     def send(
         self,
         path: str,
@@ -139,9 +135,8 @@ class Scribe:
             look: components that do not change.
             columns: components of all rows, one row after the other.
         """
-        if rows:
-            made = kind.columns(**columns).partition(np.broadcast_to(lengths, len(rows)))
-            self.stream.send_columns(self.root + path, self._times(rows), made)
+        made = kind.columns(**columns).partition(np.broadcast_to(lengths, len(rows)))
+        self.stream.send_columns(self.root + path, self._times(rows), made)
         if look:
             self.stream.log(self.root + path, kind.from_fields(**look), static=True)
 
@@ -174,7 +169,7 @@ class Scribe:
         self.stream.reset_time()
 
     def _times(self, rows: Sequence[tuple[int, int]]) -> list[Any]:
-        r, instant = np.array(rows, np.int64).reshape(-1, 2).T
+        r, instant = np.array(rows).T
         column = self.rr.TimeColumn
         return [
             column("round", sequence=r + 1),

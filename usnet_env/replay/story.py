@@ -17,6 +17,7 @@ __all__ = [
     "MISSED",
     "OTHER",
     "REDUNDANT",
+    "describe_answer",
     "describe_ending",
     "describe_outcome",
     "describe_remerge",
@@ -61,11 +62,12 @@ def name_game(record: EpisodeRecord) -> str:
 def describe_round(record: EpisodeRecord, number: int) -> str:
     """Describe a round (from 1) in a few words."""
     r = number - 1
-    candidates = format_count(int(record.candidates[r].sum()), "candidate")
+    named = int(record.candidates[r].sum())
     if not record.labelled:
         start, end = (record.config.get(name, [None] * record.rounds)[r] for name in ("start", "end"))
         when = "" if start is None else f"{start} to {end}: "
-        return f"{when}{format_count(int(record.candidates[r].sum()), 'leader')} found"
+        return f"{when}{format_count(named, 'leader')} found"
+    candidates = format_count(named, "candidate")
     left = f"{format_count(int(record.heads_left[r]), 'head')} left"
     if record.over_budget[r]:
         return f"{candidates}, over the shot budget: no UAV destroyed, {left}"
@@ -112,6 +114,14 @@ def mark_words(record: EpisodeRecord, number: int) -> NDArray[np.object_]:
         return words
     words[named & target], words[named & ~target], words[target & ~named] = HIT, REDUNDANT, MISSED
     return words
+
+
+def describe_answer(record: EpisodeRecord, number: int) -> str:
+    """How many UAVs the detector names in a round (from 1), in one sentence."""
+    named = int(record.candidates[number - 1].sum())
+    if not record.labelled:
+        return f"It finds {format_count(named, 'leader')}."
+    return f"It names {format_count(named, 'UAV')} as {'a head' if named == 1 else 'heads'}."
 
 
 def describe_verdict(record: EpisodeRecord, number: int) -> str:
@@ -187,10 +197,7 @@ def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tupl
         lines.append(f"- **{names[i]}** {words[i]}, {sure}score {record.scores[r, i]:.3g}: {why}")
     lines += [f"- … and {len(order) - _MOST_LISTED} more"] * (len(order) > _MOST_LISTED)
     marked = "\n".join(lines)
-    named = int(record.candidates[r].sum())
-    kind = "a head" if named == 1 else "heads"
-    found = f"It names {format_count(named, 'UAV')} as {kind}."
-    story = [start, found if record.labelled else f"It finds {format_count(named, 'leader')}."]
+    story = [start, describe_answer(record, number)]
     if record.labelled:
         end = describe_ending(record) if number == record.rounds else _tell_remerge(record, number, names)
         story += [describe_verdict(record, number), end]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from usnet_env.drawing import cluster_colors
 from usnet_env.replay.episode import EpisodeRecord
-from usnet_env.replay.scribe import Scribe, lighten, parse_color
+from usnet_env.replay.scribe import MARK_COLORS, Scribe, lighten, parse_color
 from usnet_env.replay.story import MISSED, OTHER, REDUNDANT
 
 __all__ = ["SWARM", "VERDICT", "write_world"]
@@ -38,9 +38,10 @@ def write_world(scribe: Scribe) -> None:
     _write_points(scribe, f"{SWARM}/heads", record.head & np.ones_like(decoys), LARGE)
     if decoys.any():
         _write_decoys(scribe, decoys)
-    stages = _choose_stages(scribe)
-    _write_tracks(scribe, *stages)
-    _write_links(scribe, stages[0], decoys)
+    filled = np.stack([_fill_gaps(*each) for each in zip(record.position, record.seen, strict=True)])
+    stages, points = _choose_stages(scribe)
+    _write_tracks(scribe, filled, stages, points)
+    _write_links(scribe, filled, stages)
     if record.labelled:
         _write_destroyed(scribe)
     _write_marks(scribe)
@@ -129,33 +130,32 @@ def _choose_stages(scribe: Scribe) -> tuple[list[int], int]:
     return ends.tolist(), points
 
 
-def _write_tracks(scribe: Scribe, stages: list[int], points: int) -> None:
-    """Write the tracks, which grow behind the UAVs from stage to stage."""
+def _write_tracks(scribe: Scribe, filled: NDArray[np.float32], stages: list[int], points: int) -> None:
+    """Write the tracks ``filled`` ``(R, T_ob + 1, N, 3)``, which grow behind the UAVs from stage to stage."""
     record, path = scribe.record, f"{SWARM}/tracks"
     strips, list_rows = scribe.rr.LineStrips3D, scribe.clock.list_rows
-    scribe.send(path, strips, list_rows([0]), 0, strips=np.zeros((0, 2, 3), np.float32))
-    filled = np.stack([_fill_gaps(*each) for each in zip(record.position, record.seen, strict=True)])
+    look = {"radii": [0.9 * scribe.scale]}
+    scribe.send(path, strips, list_rows([0]), 0, look, strips=np.zeros((0, 2, 3), np.float32))
     for end in stages:
         kept = np.unique(np.linspace(0, end, min(end + 1, points)).round().astype(int))
         grown = np.swapaxes(filled[:, kept], 1, 2).reshape(-1, len(kept), 3)
         scribe.send(path, strips, list_rows([end]), record.uavs, strips=grown)
-    scribe.send(path, strips, [], [], {"radii": [0.9 * scribe.scale]})
     _send_colors(scribe, path, strips, np.arange(record.uavs), 150)
 
 
-def _write_links(scribe: Scribe, stages: list[int], decoys: NDArray[np.bool_]) -> None:
+def _write_links(scribe: Scribe, filled: NDArray[np.float32], stages: list[int]) -> None:
     """Write the communication links, faint lines from followers to their heads."""
     record, clock = scribe.record, scribe.clock
     members = np.flatnonzero(~record.head)
-    orphans = record.orphans
+    decoys, orphans = record.decoys, record.orphans
     strips = []
     for r in range(record.rounds):
-        leader, place = record.leader[r], _fill_gaps(record.position[r], record.seen[r])
+        leader = record.leader[r]
         linked = record.alive[r] & ~decoys[r] & (leader >= 0)
         left = linked & ~record.fired[r] & ~orphans[r]
         new = record.leader[r + 1] if r + 1 < record.rounds else leader
         merged = linked & ~record.fired[r] & (new >= 0) & ~record.fired[r][new]
-        drawn = [(place[i], linked, leader) for i in (0, *stages)]
+        drawn = [(filled[r, i], linked, leader) for i in (0, *stages)]
         drawn += [(scribe.last[r], left, leader), (scribe.last[r], merged, new)]
         for at, who, behind in drawn:
             ends = np.stack([at[members], at[behind[members]]], axis=1)
@@ -208,7 +208,7 @@ def _write_marks(scribe: Scribe) -> None:
             values.append({"centers": scribe.last[r][who], "half_sizes": half})
         width = {"radii" if word == REDUNDANT else "line_radii": [0.7 * scribe.scale * (0.5 if word == MISSED else 1)]}
         frame = [rr.components.FillMode.MajorWireframe]
-        look = {"colors": [scribe.mark_color(word)], "fill_mode": frame, **width}
+        look = {"colors": [parse_color(MARK_COLORS[word])], "fill_mode": frame, **width}
         scribe.show_with_answer(f"{VERDICT}/{word}", kind, values, look)
     labels = []
     for r, marks in enumerate(scribe.marks):
@@ -217,7 +217,7 @@ def _write_marks(scribe: Scribe) -> None:
         labels.append(
             {
                 "positions": scribe.last[r][who] + np.array([0, 0, 1.6 * RING * scribe.scale], np.float32),
-                "colors": np.array([scribe.mark_color(marks[i]) for i in who], np.uint8).reshape(-1, 4),
+                "colors": np.array([parse_color(MARK_COLORS[marks[i]]) for i in who], np.uint8).reshape(-1, 4),
                 "labels": [f"{marks[i]} {scribe.names[i]}" for i in who],
             }
         )
