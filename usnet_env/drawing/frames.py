@@ -67,8 +67,8 @@ class EpisodeFrames:
             return
         corners = np.stack([np.nanmin(place, axis=0), np.nanmax(place, axis=0)])
         self._corners = np.stack([np.fmin(corners[0], self._corners[0]), np.fmax(corners[1], self._corners[1])])
-        middle, half = np.array(self._limits[:2] if self._limits else (0, 0)), self._limits[2] if self._limits else -1.0
-        if (np.abs(corners[:, :2] - middle) > half).any():
+        x, y, half = self._limits or (0.0, 0.0, -1.0)
+        if (np.abs(corners[:, :2] - (x, y)) > half).any():
             self._limits = limits_around(self._corners, _MARGIN_OF_FRAMES)
 
     def render(self, **scene: Any) -> NDArray[np.uint8]:
