@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from usnet_env.drawing.maps import Limits, draw_round, last_seen_position, limits_around, new_figure
 
-__all__ = ["EpisodeFrames", "describe_frame", "round_frame"]
-
 _MARGIN_OF_FRAMES = 0.4  # room for the swarm to drift and spread before the axes have to grow
 
 

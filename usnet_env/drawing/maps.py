@@ -16,24 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.path import Path
 
-__all__ = [
-    "CLUSTER_COLORS",
-    "HIT",
-    "MISSED",
-    "NO_CLUSTER_COLOR",
-    "REDUNDANT",
-    "Limits",
-    "MissingExtraError",
-    "cluster_colors",
-    "dashed_ring",
-    "draw_legend",
-    "draw_round",
-    "last_seen_position",
-    "limits_around",
-    "new_figure",
-    "round_marks",
-]
-
 # The first nine are Paul Tol's "muted" scheme without its grey. Each of the others is as far as possible (CIELAB) from
 # those before it, for normal and colour-blind eyes, on white and on black. Further clusters reuse the colours.
 CLUSTER_COLORS = (

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["COLORS", "FORMATS", "MARKERS", "caption_figure", "escape_math", "style_axes", "write_figure"]
-
 #: The colours of Okabe and Ito, which colour-blind readers can distinguish, without their yellow. A series also has a
 #: marker of its own, so that figures can be read without colours.
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")

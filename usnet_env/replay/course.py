@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from usnet_env.replay.scribe import HIT_COLOR, Scribe, parse_color
 from usnet_env.replay.story import explain_replay, tell_round
 
-__all__ = ["CURVES", "GAME", "LANES", "ROUND", "write_course"]
-
 ABOUT, ROUND, GAME, LANES = "about", "this_round", "game", "lanes"
 #: Names of the curves, with their colours.
 CURVES = {

@@ -13,8 +13,6 @@ from usnet_env.replay.scribe import MARK_COLORS, Scribe, lighten, parse_color
 from usnet_env.replay.story import OTHER, rank_scores
 from usnet_env.replay.world import MOST_LABELS, RING, SMALL
 
-__all__ = ["FOUND", "attention_maps", "find_groups", "write_mind"]
-
 FOUND, ATTENTION, FEATURES, SCORES = "world/found", "mind/attention", "mind/features", "scores"
 CHART_WIDTH, CHART_HEIGHT = 8.0, 1.0  # of the bars, in the units of their view
 _NAMED, _TEXT, _LINK = "#35A7FF", "#C8C8C8", "#FFFFFF"

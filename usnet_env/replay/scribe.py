@@ -15,8 +15,6 @@ from usnet_env.replay.story import HIT, LEADER, MISSED, OTHER, REDUNDANT, mark_w
 if TYPE_CHECKING:
     import rerun as rr
 
-__all__ = ["MARK_COLORS", "Clock", "Scribe", "lighten", "list_steps", "parse_color"]
-
 _WATCH_SECONDS, _BEAT_SECONDS = 6.0, 2.0  # of the timeline "time": a window, and the pause after each beat
 HIT_COLOR = "#1ED9A0"
 #: Colours of the marks in a dark view.

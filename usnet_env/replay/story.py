@@ -11,29 +11,6 @@ from numpy.typing import NDArray
 from usnet_env.config import format_count
 from usnet_env.replay.episode import EpisodeRecord
 
-__all__ = [
-    "HIT",
-    "LEADER",
-    "MISSED",
-    "OTHER",
-    "REDUNDANT",
-    "describe_answer",
-    "describe_ending",
-    "describe_outcome",
-    "describe_remerge",
-    "describe_round",
-    "describe_verdict",
-    "explain_comparison",
-    "explain_replay",
-    "explain_uav",
-    "mark_words",
-    "name_game",
-    "name_round",
-    "name_uav",
-    "rank_scores",
-    "tell_round",
-]
-
 #: What a UAV is in a round: a candidate that is a head, one that is not, a head that is no candidate, or another UAV;
 #: and a candidate where the truth is not known.
 HIT, REDUNDANT, MISSED, OTHER, LEADER = "hit", "redundant", "missed", "other", "leader"

@@ -10,8 +10,6 @@ from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.scribe import MARK_COLORS, Scribe, lighten, parse_color
 from usnet_env.replay.story import MISSED, OTHER, REDUNDANT
 
-__all__ = ["SWARM", "VERDICT", "write_world"]
-
 WORLD = "world"
 SWARM, VERDICT, OBSERVERS = f"{WORLD}/swarm", f"{WORLD}/verdict", f"{WORLD}/observers"
 SMALL, LARGE, RING = 6.0, 14.0, 30.0  # metres: radii of a follower, of a head, and of the mark of a candidate
