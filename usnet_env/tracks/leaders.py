@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.special import bdtrc
 
+from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
 from usnet_env.detection import Detection, read_tags
 from usnet_env.objectives import find_roots
@@ -26,6 +28,8 @@ DEFAULT_DETECTOR = "follow-mixture(policy='map')"
 _SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
 _SAME_LEADER = 0.25
 _UNLIKELY = 0.01  # a leader in as many windows is called chance if that is more probable than this
+
+Group = tuple[int, set[int]]  # the row of its leader in ``Tracks.ids``, and those of its members
 
 
 @dataclass(frozen=True)
@@ -54,15 +58,10 @@ class Leader:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON; only a leader over the file has a share."""
-        values = {
-            "id": self.id,
-            "probability": self.probability,
-            "followers": list(self.followers),
-            "reason": self.reason,
-            "group": self.group,
-            "score": self.score,
-        }
-        return values if self.share is None else {**values, "share": self.share}
+        values = {**vars(self), "followers": list(self.followers)}
+        if self.share is None:
+            del values["share"]
+        return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +187,9 @@ def find_leaders(
         raise ArgumentError(f"confirm must be True or False, got {quote(confirm)}.")
     if on_window is not None and not callable(on_window):
         raise ArgumentError(f"on_window must be a function or None, got {quote(on_window)}.")
-    summary, groups, windows = _Summary(len(tracks.ids), confirm), _Groups(), []
+    groups: list[Group] = []
+    windows = []
+    seen, sure = np.zeros(len(tracks.ids), np.int64), True
     for number, cut in enumerate(tracks.windows(length, stride)):
         start, end = tracks.file_time(cut.start), tracks.file_time(cut.end)
         detection = _answer(player, cut, seed, number, f"from {start} to {end}")
@@ -197,14 +198,14 @@ def find_leaders(
         followers = [_followers(detection, int(head)) for head in heads]
         rejected = heads[:0]
         if confirm:
-            sure = confirm_leaders(cut.window, heads, followers)
-            rejected, heads = heads[~sure], heads[sure]
-            followers = [led for led, kept in zip(followers, sure, strict=True) if kept]
+            confirmed = confirm_leaders(cut.window, heads, followers)
+            rejected, heads = heads[~confirmed], heads[confirmed]
+            followers = [led for led, kept in zip(followers, confirmed, strict=True) if kept]
         groups_here = [
             (int(cut.rows[head]), {int(cut.rows[i]) for i in (int(head), *led)})
             for head, led in zip(heads, followers, strict=True)
         ]
-        labels = groups.follow(groups_here)
+        labels = _number_groups(groups_here, groups)
         probability = _probabilities(detection)
         if probability is not None:
             probability[rejected] = 0.0
@@ -228,12 +229,14 @@ def find_leaders(
             cut.left_out,
         )
         windows.append(found)
-        summary.add(cut, heads, followers, labels, probability, detection.scores)
+        seen[cut.rows] += 1
+        sure = sure and probability is not None
         if on_window is not None:
             on_window(cut, detection, found)
     if not windows:
         raise ArgumentError("tracks must hold a window in which at least 2 ids are seen together; no window does.")
-    return FoundLeaders(tuple(windows), summary.leaders(tracks.ids), detector_label(player))
+    leaders = _summarise(windows, tracks.ids, seen if confirm else None, sure)
+    return FoundLeaders(tuple(windows), leaders, detector_label(player))
 
 
 def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when: str) -> Detection:
@@ -291,91 +294,63 @@ def _reasons(detection: Detection, heads: NDArray[np.intp], followers: list[list
     ]
 
 
-class _Groups:
-    """Numbers groups so that a group keeps its number from window to window."""
+def _number_groups(found: list[Group], known: list[Group]) -> list[int]:
+    """Number the groups of a window from 1, so that a group keeps its number from window to window.
 
-    def __init__(self) -> None:
-        self._last: list[tuple[int, set[int]]] = []  # leader and members of each group, when it was found last
+    A group has the number of the earlier group with which it shares the most members; a common leader counts as a
+    quarter of them. It has a new number if it shares less than a quarter with each.
 
-    def follow(self, found: list[tuple[int, set[int]]]) -> list[int]:
-        """Number the groups, each a leader and its members, from 1.
-
-        A group has the number of the earlier group with which it shares the most members; a common leader counts as a
-        quarter of them. It has a new number if it shares less than a quarter with each.
-        """
-        labels = [0] * len(found)
-        if found and self._last:
-            share = np.array(
-                [
-                    [len(now & then) / len(now | then) + _SAME_LEADER * (head == leader) for leader, then in self._last]
-                    for head, now in found
-                ]
-            )
-            for k, g in zip(*linear_sum_assignment(-share), strict=True):
-                if share[k, g] >= _SAME_GROUP:
-                    labels[k] = int(g) + 1
-        for k, group in enumerate(found):
-            if labels[k]:
-                self._last[labels[k] - 1] = group
-            else:
-                self._last.append(group)
-                labels[k] = len(self._last)
-        return labels
+    Args:
+        found: the groups of the window.
+        known: each group as it was found last, in the order of the numbers; updated in place.
+    """
+    labels = [0] * len(found)
+    if found and known:
+        share = np.array(
+            [
+                [len(now & then) / len(now | then) + _SAME_LEADER * (head == leader) for leader, then in known]
+                for head, now in found
+            ]
+        )
+        for k, g in zip(*linear_sum_assignment(-share), strict=True):
+            if share[k, g] >= _SAME_GROUP:
+                labels[k] = int(g) + 1
+    for k, group in enumerate(found):
+        if labels[k]:
+            known[labels[k] - 1] = group
+        else:
+            known.append(group)
+            labels[k] = len(known)
+    return labels
 
 
-def _chance_of_windows(led: int, windows: int) -> float:
-    """The probability that a group without a leader has a confirmed one in ``led`` or more of its windows."""
-    return float(bdtrc(led - 1, windows, LEVEL))
+def _summarise(
+    windows: list[DetectedWindow], ids: tuple[str | int, ...], seen: Indices | None, sure: bool
+) -> tuple[Leader, ...]:
+    """The leaders over the file, the one with the most windows first.
 
-
-class _Summary:
-    """Counts over the windows of a file, for each leader of each group."""
-
-    def __init__(self, ids: int, confirm: bool) -> None:
-        self._confirm = confirm
-        self._probability: dict[tuple[int, int], float] = {}
-        self._seen = np.zeros(ids, np.int64)
-        self._sure = True
-        self._windows: dict[tuple[int, int], list[int]] = {}  # (group, leader): numbers of its windows
-        self._followers: dict[tuple[int, int], dict[int, int]] = {}
-        self._scores: dict[tuple[int, int], float] = {}
-        self._count = 0
-
-    def add(
-        self,
-        cut: TrackWindow,
-        heads: NDArray[np.intp],
-        followers: list[list[int]],
-        labels: list[int],
-        probability: NDArray[np.float64] | None,
-        scores: NDArray[np.float64],
-    ) -> None:
-        self._seen[cut.rows] += 1
-        self._sure &= probability is not None
-        for head, led, label in zip(heads, followers, labels, strict=True):
-            key = (label, int(cut.rows[head]))
-            self._windows.setdefault(key, []).append(self._count)
-            if probability is not None:
-                self._probability[key] = self._probability.get(key, 0.0) + float(probability[head])
-            self._scores[key] = self._scores.get(key, 0.0) + float(scores[head])
-            counts = self._followers.setdefault(key, {})
-            for i in led:
-                row = int(cut.rows[i])
-                counts[row] = counts.get(row, 0) + 1
-        self._count += 1
-
-    def leaders(self, ids: tuple[str | int, ...]) -> tuple[Leader, ...]:
-        """The leaders over the file, the one with the most windows first."""
-        found = []
-        for (group, head), windows in sorted(self._windows.items(), key=lambda item: (-len(item[1]), item[0])):
-            counts = self._followers[group, head]
-            behind = sorted(row for row, count in counts.items() if count >= len(windows) / 2)
-            reason = f"Leads group {group} in {len(windows)} of {format_count(self._count, 'window')}."
-            chance = _chance_of_windows(len(windows), int(self._seen[head])) if self._confirm else 0.0
-            if chance > _UNLIKELY:
-                reason += f" By chance, a group without a leader has as many with probability {chance:.2g}."
-            probability = self._probability[group, head] / len(windows) if self._sure else None
-            score = self._scores[group, head] / len(windows)
-            share = len(windows) / self._count
-            found.append(Leader(ids[head], probability, tuple(ids[i] for i in behind), reason, group, score, share))
-        return tuple(found)
+    Args:
+        windows: all windows.
+        ids: the ids of the tracks.
+        seen: ``(N,)`` number of windows that hold each id, or ``None`` if the leaders are not confirmed.
+        sure: whether the detector gives probabilities in all windows.
+    """
+    row = {each: k for k, each in enumerate(ids)}
+    led: dict[tuple[int, int], list[Leader]] = {}  # by the group and the row of its leader
+    for window in windows:
+        for leader in window.leaders:
+            led.setdefault((leader.group, row[leader.id]), []).append(leader)
+    found = []
+    for (group, head), entries in sorted(led.items(), key=lambda item: (-len(item[1]), item[0])):
+        count = len(entries)
+        times_behind = Counter(each for leader in entries for each in leader.followers)
+        behind = sorted((each for each, times in times_behind.items() if times >= count / 2), key=row.__getitem__)
+        probability, score = np.mean([(leader.probability or 0.0, leader.score) for leader in entries], axis=0).tolist()
+        reason = f"Leads group {group} in {count} of {format_count(len(windows), 'window')}."
+        # The probability that a group without a leader has a confirmed one in as many of its windows.
+        chance = 0.0 if seen is None else float(bdtrc(count - 1, int(seen[head]), LEVEL))
+        if chance > _UNLIKELY:
+            reason += f" By chance, a group without a leader has as many with probability {chance:.2g}."
+        share = count / len(windows)
+        found.append(Leader(ids[head], probability if sure else None, tuple(behind), reason, group, score, share))
+    return tuple(found)

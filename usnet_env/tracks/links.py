@@ -10,7 +10,6 @@ import numpy as np
 
 from usnet_env.arrays import Floats
 from usnet_env.detection import Detection
-from usnet_env.objectives import find_roots
 from usnet_env.tracks.windows import TrackWindow
 
 __all__ = ["Link", "find_links"]
@@ -40,7 +39,7 @@ class Link:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {"follower": self.follower, "leader": self.leader, "head": self.head, "delay": self.delay}
+        return dict(vars(self))
 
 
 def find_links(
@@ -56,11 +55,10 @@ def find_links(
     """
     links = []
     direct = detection.leader
-    roots = None if direct is None else find_roots(direct)
     for head, led in zip(heads, followers, strict=True):
         for i in led:
-            ahead = int(direct[i]) if direct is not None and roots is not None and roots[i] == head else int(head)
-            delay = _measure_delay(cut, int(i), ahead)
+            ahead = head if direct is None else int(direct[i])
+            delay = _measure_delay(cut, i, ahead)
             links.append(Link(cut.ids[i], cut.ids[ahead], cut.ids[head], delay))
     return tuple(links)
 
