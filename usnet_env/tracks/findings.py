@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Mask
-from usnet_env.tracks.jumps import JUMP, Jumps, find_jumps
+from usnet_env.config import format_count
+from usnet_env.tracks.jumps import JUMP, find_jumps
 
 if TYPE_CHECKING:
     from usnet_env.tracks.tracks import Tracks
@@ -64,18 +66,17 @@ def find_problems(tracks: Tracks) -> TrackReport:
     typical = typical_intervals(tracks)
     usual = float(np.median(typical[np.isfinite(typical)])) if np.isfinite(typical).any() else 0.0
     span = " to ".join(str(tracks.file_time(each)) for each in (0.0, tracks.duration))
-    whole = int((np.diff(tracks.offsets) > 0).sum()) and _count_whole(tracks)
     facts = (
         f"{ids} ids, {tracks.samples} samples from {span} ({tracks.duration:g} s), one every {usual:g} s; "
         f"{tracks.dimensions}-D, {tracks.frame}.",
-        f"{whole} of {ids} ids are there from the beginning to the end.",
+        f"{_count_whole(tracks)} of {ids} ids are there from the beginning to the end.",
         *tracks.notes,
     )
     found = [
         *_find_clocks(tracks, typical, usual),
         *_find_gaps(tracks, interval, inner, typical),
         *_find_uneven(tracks, interval, inner, typical),
-        *_describe_jumps(tracks, find_jumps(tracks)),
+        *_find_jumps(tracks),
         *_find_velocity_conflicts(tracks, interval, inner),
         *_find_degrees(tracks),
     ]
@@ -99,9 +100,9 @@ def _count_whole(tracks: Tracks) -> int:
     return int(((first <= slack) & (last >= tracks.duration - slack)).sum())
 
 
-def _count(ids: NDArray[np.intp]) -> str:
-    """The number of ids with its verb."""
-    return "1 id is" if len(ids) == 1 else f"{len(ids)} ids are"
+def _count(number: int, noun: str) -> str:
+    """A number with its noun and verb."""
+    return f"{format_count(number, noun)} {'is' if number == 1 else 'are'}"
 
 
 def _name(tracks: Tracks, who: NDArray[np.integer]) -> str:
@@ -110,21 +111,25 @@ def _name(tracks: Tracks, who: NDArray[np.integer]) -> str:
     return names if len(who) <= _MOST_NAMED else f"{names} and {len(who) - _MOST_NAMED} more"
 
 
-def _owner(tracks: Tracks, sample: int) -> int:
-    """Index of the id that a sample belongs to."""
-    return int(np.searchsorted(tracks.offsets, sample, side="right")) - 1
+def _owner(tracks: Tracks, sample: int) -> str | int:
+    """The id that a sample belongs to."""
+    return tracks.ids[int(np.searchsorted(tracks.offsets, sample, side="right")) - 1]
 
 
-def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> list[Finding]:
+def _place(tracks: Tracks, sample: int) -> str:
+    """The time and the id of a sample."""
+    return f"{tracks.file_time(tracks.time[sample])} (id {_owner(tracks, sample)})"
+
+
+def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> Iterator[Finding]:
     """Find ids with another sampling rate, with samples between those of the others, or at other times altogether."""
-    found = []
     rate = np.flatnonzero(np.isfinite(typical) & (np.abs(typical - usual) > 0.01 * usual))
     if len(rate):
-        sentence = f"{_count(rate)} sampled at another rate than every {usual:g} s: {_name(tracks, rate)}."
+        sentence = f"{_count(len(rate), 'id')} sampled at another rate than every {usual:g} s: {_name(tracks, rate)}."
         if 2 * len(rate) > np.isfinite(typical).sum():  # no rate is the usual one
             least, most = np.nanmin(typical), np.nanmax(typical)
             sentence = f"The ids are sampled at different rates, every {least:.3g} to {most:.3g} s."
-        found.append(Finding("clocks", sentence, len(rate)))
+        yield Finding("clocks", sentence, len(rate))
     filled = np.flatnonzero(np.diff(tracks.offsets) > 0)
     first, last = tracks.time[tracks.offsets[filled]], tracks.time[tracks.offsets[filled + 1] - 1]
     if len(filled) > 1:
@@ -132,98 +137,71 @@ def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> list[Finding]
         ended_before_begin = np.searchsorted(np.sort(last), first, side="left")
         apart = filled[begun_before_end - ended_before_begin == 1]  # only its own
         if len(apart):
-            found.append(
-                Finding(
-                    "clocks",
-                    f"{_count(apart)} sampled at times that no other id shares: {_name(tracks, apart)}; the clocks may "
-                    "disagree with the others'.",
-                    len(apart),
-                )
+            sentence = (
+                f"{_count(len(apart), 'id')} sampled at times that no other id shares: {_name(tracks, apart)}; the "
+                "clocks may disagree with the others'."
             )
+            yield Finding("clocks", sentence, len(apart))
     if usual > 0 and len(filled) > 2:
         phase = first / usual % 1.0
         mode = (np.bincount((phase * 50).astype(int) % 50).argmax() + 0.5) / 50
         off = np.abs((phase - mode + 0.5) % 1.0 - 0.5)
         shifted = filled[off > _PHASE]
-        if len(shifted) <= (1 - _SYNCHRONOUS) * len(filled) and len(shifted):
-            found.append(
-                Finding(
-                    "clocks",
-                    f"{_count(shifted)} sampled between the times of the others: {_name(tracks, shifted)}; "
-                    "their clocks may disagree.",
-                    len(shifted),
-                )
+        if 0 < len(shifted) <= (1 - _SYNCHRONOUS) * len(filled):
+            sentence = (
+                f"{_count(len(shifted), 'id')} sampled between the times of the others: {_name(tracks, shifted)}; "
+                "their clocks may disagree."
             )
-    return found
+            yield Finding("clocks", sentence, len(shifted))
 
 
-def _find_gaps(tracks: Tracks, interval: Floats, inner: Mask, typical: Floats) -> list[Finding]:
+def _find_gaps(tracks: Tracks, interval: Floats, inner: Mask, typical: Floats) -> Iterator[Finding]:
     limit = np.repeat(_GAP * typical, np.diff(tracks.offsets))[:-1]
     gaps = np.flatnonzero(inner & (interval > limit))
-    if not len(gaps):
-        return []
-    longest = int(gaps[interval[gaps].argmax()])
-    return [
-        Finding(
-            "gaps",
-            f"{'1 gap is' if len(gaps) == 1 else f'{len(gaps)} gaps are'} longer than {_GAP:g} typical intervals; the "
-            f"longest takes {interval[longest]:g} s, after {tracks.file_time(tracks.time[longest])} "
-            f"(id {tracks.ids[_owner(tracks, longest)]}).",
-            len(gaps),
+    if len(gaps):
+        longest = int(gaps[interval[gaps].argmax()])
+        sentence = (
+            f"{_count(len(gaps), 'gap')} longer than {_GAP:g} typical intervals; the longest takes "
+            f"{interval[longest]:g} s, after {_place(tracks, longest)}."
         )
-    ]
+        yield Finding("gaps", sentence, len(gaps))
 
 
-def _find_uneven(tracks: Tracks, interval: Floats, inner: Mask, typical: Floats) -> list[Finding]:
+def _find_uneven(tracks: Tracks, interval: Floats, inner: Mask, typical: Floats) -> Iterator[Finding]:
     expected = np.repeat(typical, np.diff(tracks.offsets))[:-1]
     off = inner & (np.abs(interval - expected) > _UNEVEN * expected)
     share = off.sum() / max(int(inner.sum()), 1)
-    if share <= _UNEVEN:
-        return []
-    sentence = f"Sampling is uneven: {share:.0%} of the intervals differ from the typical one by more than 10 %."
-    return [Finding("uneven sampling", sentence, int(off.sum()))]
+    if share > _UNEVEN:
+        sentence = f"Sampling is uneven: {share:.0%} of the intervals differ from the typical one by more than 10 %."
+        yield Finding("uneven sampling", sentence, int(off.sum()))
 
 
-def _describe_jumps(tracks: Tracks, jumps: Jumps) -> list[Finding]:
-    """Describe single samples off the track, other jumps, and pairs of ids that exchange their places."""
-    found = []
+def _find_jumps(tracks: Tracks) -> Iterator[Finding]:
+    """Find single samples off the track, other jumps, and pairs of ids that exchange their places."""
+    jumps = find_jumps(tracks)
     fast = f"more than {JUMP:g} times as fast as 95 % of the steps ({jumps.usual:.3g} m/s)"
     if len(jumps.spikes):
-        first, count = int(jumps.spikes[0]), len(jumps.spikes)
+        count = len(jumps.spikes)
         who = "1 sample is a spike" if count == 1 else f"{count} samples are spikes"
-        found.append(
-            Finding(
-                "spikes",
-                f"{who}: the steps to it and from it are {fast}, the step that skips it is not; the first is at "
-                f"{tracks.file_time(tracks.time[first])} (id {tracks.ids[_owner(tracks, first)]}).",
-                count,
-            )
+        sentence = (
+            f"{who}: the steps to it and from it are {fast}, the step that skips it is not; the first is at "
+            f"{_place(tracks, int(jumps.spikes[0]))}."
         )
+        yield Finding("spikes", sentence, count)
     steps = jumps.steps[~np.isin(jumps.steps, jumps.spikes) & ~np.isin(jumps.steps + 1, jumps.spikes)]
     if len(steps):
         fastest, count = int(steps[jumps.speed[steps].argmax()]), len(steps)
-        found.append(
-            Finding(
-                "jumps",
-                f"{'1 step is a jump' if count == 1 else f'{count} steps are jumps'}, {fast}; the fastest has "
-                f"{jumps.speed[fastest]:.3g} m/s, after {tracks.file_time(tracks.time[fastest])} "
-                f"(id {tracks.ids[_owner(tracks, fastest)]}).",
-                count,
-            )
-        )
+        what = "1 step is a jump" if count == 1 else f"{count} steps are jumps"
+        sentence = f"{what}, {fast}; the fastest has {jumps.speed[fastest]:.3g} m/s, after {_place(tracks, fastest)}."
+        yield Finding("jumps", sentence, count)
     pairs = _find_exchanges(tracks, jumps.steps[:_MOST_JUMPS])
     if pairs:
         one, other = pairs[0]
-        names = f"{tracks.ids[_owner(tracks, one)]} and {tracks.ids[_owner(tracks, other)]}"
-        found.append(
-            Finding(
-                "exchanged ids",
-                f"{len(pairs)} pairs of ids jump to each other's places, the first {names} after "
-                f"{tracks.file_time(tracks.time[one])}; their ids may be exchanged.",
-                len(pairs),
-            )
+        sentence = (
+            f"{len(pairs)} pairs of ids jump to each other's places, the first {_owner(tracks, one)} and "
+            f"{_owner(tracks, other)} after {tracks.file_time(tracks.time[one])}; their ids may be exchanged."
         )
-    return found
+        yield Finding("exchanged ids", sentence, len(pairs))
 
 
 def _find_exchanges(tracks: Tracks, jumps: NDArray[np.intp]) -> list[tuple[int, int]]:
@@ -243,10 +221,10 @@ def _find_exchanges(tracks: Tracks, jumps: NDArray[np.intp]) -> list[tuple[int, 
     return pairs
 
 
-def _find_velocity_conflicts(tracks: Tracks, interval: Floats, inner: Mask) -> list[Finding]:
+def _find_velocity_conflicts(tracks: Tracks, interval: Floats, inner: Mask) -> Iterator[Finding]:
     """Compare the velocities in the file with the differences of the positions, after and before the sample."""
     if tracks.velocity is None or not inner.any():
-        return []
+        return
     steps = np.flatnonzero(inner)
     moved = np.diff(tracks.position, axis=0)[steps] / interval[steps, None]
     size = np.linalg.norm(moved, axis=1)
@@ -260,7 +238,7 @@ def _find_velocity_conflicts(tracks: Tracks, interval: Floats, inner: Mask) -> l
     middle = (after + before) / 2
     best = min(difference(after), difference(before), difference(middle))
     if best <= _AGREEMENT:
-        return []
+        return
     norm = np.linalg.norm(middle, axis=1)
     ratio = float(np.median(norm / size)) if len(size) else 0.0
     scaled = difference(middle / ratio) if ratio > 0 else 1.0
@@ -268,22 +246,23 @@ def _find_velocity_conflicts(tracks: Tracks, interval: Floats, inner: Mask) -> l
         why = f"they are {ratio:.3g} times as large, so they are probably in another unit"
     else:
         why = f"half of them differ by more than {best:.0%}"
-    sentence = f"The velocities contradict the positions: {why}. Only the positions are used."
-    return [Finding("velocities", sentence, len(steps))]
+    yield Finding(
+        "velocities", f"The velocities contradict the positions: {why}. Only the positions are used.", len(steps)
+    )
 
 
-def _find_degrees(tracks: Tracks) -> list[Finding]:
+def _find_degrees(tracks: Tracks) -> Iterator[Finding]:
     """Find coordinates that are said to be metres but look like longitude and latitude."""
     if tracks.frame != "metres" or not tracks.samples:
-        return []
+        return
     place = tracks.position[:, :2] + tracks.origin[:2]
     extent = np.ptp(place, axis=0)
     inside = (np.abs(place) <= (180, 90)).all()
     whole = (place == np.round(place)).all()
     if not inside or whole or extent.max() > 5 or extent.max() == 0 or np.abs(place).min(axis=0).max() < 5:
-        return []
+        return
     sentence = (
         f"All x are from -180 to 180, all y from -90 to 90, and the tracks extend over {extent.max():.3g} m: they may "
         "be degrees (then map the columns lon and lat)."
     )
-    return [Finding("degrees", sentence, 1)]
+    yield Finding("degrees", sentence, 1)
