@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from usnet_env.tracks.jumps import close_jumps
 if TYPE_CHECKING:
     from usnet_env.tracks.tracks import Tracks
 
-__all__ = ["StepChoice", "choose_step", "resample_positions"]
+__all__ = ["choose_step", "resample_positions"]
 
 _LEAST_FIT = 3  # samples within a grid step from which a straight line is fitted
 _SNAP = 1e-6  # grid steps; times that differ by less are the same
@@ -37,17 +36,13 @@ _SHORT_LAG = 0.75  # steps; a delay that is shorter is none of one step
 _LARGEST_SCALE = 64  # samples; the noise asks for no longer step
 
 
-class _Grid(NamedTuple):
-    """Resampled tracks: offsets ``(N + 1,)``, time ``(G,)``, position ``(G, 3)`` and leader ``(G,)`` or ``None``."""
-
-    offsets: Indices
-    time: Floats
-    position: Floats
-    leader: Indices | None
-
-
-def resample_positions(tracks: Tracks, step: float, max_gap: float | None) -> _Grid:
+def resample_positions(
+    tracks: Tracks, step: float, max_gap: float | None
+) -> tuple[Indices, Floats, Floats, Indices | None]:
     """Resample all tracks to the times 0, ``step``, 2 ``step``, ...; see :meth:`Tracks.resample`.
+
+    Returns:
+        The offsets ``(N + 1,)``, times ``(G,)``, positions ``(G, 3)`` and leaders ``(G,)`` or ``None`` of the result.
 
     Raises:
         ArgumentError: the step is so short that the result has more than 10⁸ samples, or no id has two samples.
@@ -75,12 +70,7 @@ def resample_positions(tracks: Tracks, step: float, max_gap: float | None) -> _G
             leaders.append(tracks.leader[part][nearest])
     for array in (times, places):
         array.setflags(write=False)
-    return _Grid(
-        np.concatenate([[0], np.cumsum(counts)]),
-        times,
-        places,
-        np.concatenate(leaders) if leaders else None,
-    )
+    return np.concatenate([[0], np.cumsum(counts)]), times, places, np.concatenate(leaders) if leaders else None
 
 
 def _resample_one(
@@ -143,23 +133,6 @@ def _fit_lines(at: Floats, position: Floats, number: Indices, place: Floats) -> 
     place[fitted] = (position[starts] + line)[where[fitted]]
 
 
-@dataclass(frozen=True)
-class StepChoice:
-    """A step and the reasons for it.
-
-    Args:
-        step: seconds.
-        reasons: a sentence each.
-        noise: standard deviation of the positions' noise per axis, metres.
-        lag: seconds after which an id follows another, the median over the ids; ``None``: no id follows.
-    """
-
-    step: float
-    reasons: tuple[str, ...]
-    noise: float
-    lag: float | None
-
-
 class _Lead(NamedTuple):
     """How far ids are led at one step: the mean over the ids, the median lag in steps, and the number of followers."""
 
@@ -168,7 +141,7 @@ class _Lead(NamedTuple):
     followers: int
 
 
-def choose_step(tracks: Tracks) -> StepChoice:
+def choose_step(tracks: Tracks) -> tuple[float, tuple[str, ...]]:
     """Choose the step of the grid: the shortest at which the changes of velocity tell clearly who follows.
 
     The noise of the positions is white, so it adds -σ² to the covariance of successive steps and nothing to later ones:
@@ -182,6 +155,9 @@ def choose_step(tracks: Tracks) -> StepChoice:
     median for tracks that are shifted in time. It counts if it is significant and the delay is at most 4 steps. The
     mean lead over the ids is small if the step is much shorter than the delays or than the time between turns, or much
     longer than the delays. The shortest step with 80 % of the largest mean lead is chosen.
+
+    Returns:
+        The step in seconds, and why: a sentence each.
 
     Raises:
         ArgumentError: no id has two samples.
@@ -209,7 +185,7 @@ def choose_step(tracks: Tracks) -> StepChoice:
         reasons.append(f"the noise of the positions is about {noise:.2g} m, less than half of the movement in a step")
     if not largest:
         reasons.append("no id follows another with a significant delay, so delays have no part in the choice")
-        return StepChoice(step, (f"The step is {step:g} s, {sampled}: {'; '.join(reasons)}.",), noise, None)
+        return step, (f"The step is {step:g} s, {sampled}: {'; '.join(reasons)}.",)
     reasons.append(
         f"it is the shortest that shows clearly who follows: an id follows another after about {lead.lag * step:.2g} s "
         f"(median of {lead.followers})"
@@ -229,7 +205,7 @@ def choose_step(tracks: Tracks) -> StepChoice:
         sentences.append(
             "Warning: the step is this long because of the noise; ids that follow after much less time may be missed."
         )
-    return StepChoice(step, tuple(sentences), noise, lead.lag * step)
+    return step, tuple(sentences)
 
 
 def _step_factors(shortest: int, samples: float) -> list[int]:
@@ -299,7 +275,9 @@ def _measure_leads(velocity: Floats) -> _Lead:
     none = _Lead(0.0, 0.0, 0)
     if velocity.shape[1] < 2 or len(velocity) <= _FEWEST_STEPS:
         return none
-    changes = np.diff(np.nan_to_num(velocity - _mean_of_known(velocity)), axis=0)
+    known = np.isfinite(velocity[..., 0]).sum(axis=0)
+    mean = np.nansum(velocity, axis=0) / np.maximum(known, 1)[:, None]
+    changes = np.diff(np.nan_to_num(velocity - mean), axis=0)
     steps, ids = changes.shape[:2]
     size = np.sqrt((changes**2).sum(axis=(0, 2)))
     scaled = (changes / np.where(size > 0, size, np.inf)[:, None]).transpose(1, 2, 0).astype(np.float32)  # (n, 3, T)
@@ -333,9 +311,3 @@ def _find_peak(curve: Floats) -> float:
     bend = before - 2 * at + after
     shift = (before - after) / (2 * bend) if bend < 0 else 0.0
     return lag + min(max(shift, -0.5), 0.5)
-
-
-def _mean_of_known(velocity: Floats) -> Floats:
-    """Mean of the known velocities of each id, ``(n, 3)``."""
-    known = np.isfinite(velocity[..., 0]).sum(axis=0)
-    return np.nansum(velocity, axis=0) / np.maximum(known, 1)[:, None]

@@ -197,22 +197,21 @@ class Tracks:
         tracks = self if keep_spikes else leave_out_spikes(self)
         spikes = self.samples - tracks.samples
         if step is None:
-            choice = choose_step(tracks)
-            step, why = choice.step, choice.reasons
+            step, why = choose_step(tracks)
         else:
             step = real_number("step", step, _SHORTEST_STEP, _LONGEST_STEP)
             why = (f"The step of {step:g} s was given.",)
-        grid = resample_positions(tracks, step, max_gap)
+        offsets, time, position, leader = resample_positions(tracks, step, max_gap)
         if spikes:
             left_out = "1 spike was" if spikes == 1 else f"{spikes} spikes were"
             why = (*why, f"{left_out} left out, unless keep_spikes=True is given.")
         return replace(
             self,
-            offsets=grid.offsets,
-            time=grid.time,
-            position=grid.position,
+            offsets=offsets,
+            time=time,
+            position=position,
             velocity=None,
-            leader=grid.leader,
+            leader=leader,
             notes=(*self.notes, *why),
             step=step,
         )
@@ -302,16 +301,16 @@ def assemble(
         time = np.round(time, _count_decimals(latest))
     time *= clock.unit
     clock = replace(clock, origin=clock.origin + start)
-    order = np.lexsort((time, codes)) if not _is_sorted(codes, time) else None
-    if order is not None:
+    order: Any = slice(None)
+    if not _is_sorted(codes, time):
+        order = np.lexsort((time, codes))
         codes, time = codes[order], time[order]
-    same = (np.diff(codes) == 0) & (np.diff(time) <= 0)
-    rows = np.arange(len(time)) if order is None else order
     places = np.zeros((len(time), 3))
     for axis in reversed(range(len(position))):
-        column = position.pop()
-        places[:, axis] = column if order is None else column[order]
+        places[:, axis] = position.pop()[order]
+    same = (np.diff(codes) == 0) & (np.diff(time) <= 0)
     if same.any():
+        rows = np.arange(len(time))[order]
         doubled = np.flatnonzero(same)
         differ = (places[doubled] != places[doubled + 1]).any(axis=1)
         if differ.any():
@@ -325,10 +324,8 @@ def assemble(
             *notes,
             f"Left out as repetitions (same id, time and place): {len(doubled)} sample{'s' * (len(doubled) > 1)}.",
         )
-    keep = np.flatnonzero(np.append(True, ~same)) if same.any() else slice(None)
-    pick = rows[keep] if order is not None or same.any() else slice(None)
-    if same.any():
-        places, time, codes = places[keep], time[keep], codes[keep]
+        keep = np.append(True, ~same)
+        places, time, codes, order = places[keep], time[keep], codes[keep], rows[keep]
     if origin is None:
         origin = np.round((places.min(axis=0) + places.max(axis=0)) / 2)
         places -= origin
@@ -340,8 +337,8 @@ def assemble(
         time=time,
         position=places,
         origin=origin,
-        velocity=None if velocity is None else velocity[pick],
-        leader=None if leader is None else leader[pick],
+        velocity=None if velocity is None else velocity[order],
+        leader=None if leader is None else leader[order],
         clock=clock,
         frame=frame,
         notes=notes,
