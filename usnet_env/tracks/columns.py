@@ -95,7 +95,7 @@ def check_names(header: Sequence[str], mapping: Mapping[str, str], where: str) -
     for role, name in mapping.items():
         if name and name not in header:
             raise ArgumentError(
-                f"columns must name a column of {where} for {role}, got {quote(name)}; it has {_list(header)}."
+                f"columns must name a column of {where} for {role}, got {quote(name)}; it has {quote(list(header))}."
             )
     return {role: name for role, name in mapping.items() if name}
 
@@ -214,15 +214,11 @@ def _normalise(name: str) -> str:
     return name.strip().lower().replace(" ", "_").replace("-", "_")
 
 
-def _list(header: Iterable[str]) -> str:
-    return quote(list(header))
-
-
 def _missing(role: str, where: str, header: Sequence[str], given: Mapping[str, str]) -> ArgumentError:
     takes = "x and y, or lon and lat" if role in ("x", "y") else "t or frame" if role == "t" else role
     free = [name for name in header if name not in given.values()]
     why = f", because {', '.join(f'{quote(name)} is given to {each}' for each, name in given.items())}"
     return ArgumentError(
-        f"columns must name the column {role} of {where} ({takes}), which is none of {_list(free)}"
+        f"columns must name the column {role} of {where} ({takes}), which is none of {quote(free)}"
         f"{why if len(free) < len(header) else ''}."
     )

@@ -16,9 +16,9 @@ from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, how_to_install, quote
 from usnet_env.tracks.columns import check_once, choose_columns, find_marks, is_movebank, keep_fixed
 from usnet_env.tracks.labels import Labels, to_text
-from usnet_env.tracks.opening import expanded_limit, open_expanded, read_lines
+from usnet_env.tracks.opening import check_expanded_size, damaged_file, open_expanded, read_lines
 
-__all__ = ["Block", "ReadOptions", "damaged_file", "missing_package", "read_csv", "read_parquet", "read_ulog"]
+__all__ = ["Block", "ReadOptions", "read_csv", "read_parquet", "read_ulog"]
 
 _ROWS = 50_000  # rows of a block: some megabytes
 _DELIMITERS = ",;\t|"
@@ -68,17 +68,11 @@ class Block:
         return replace(self, values=values, rows=self.rows[rows])
 
 
-def missing_package(what: str, package: str) -> ArgumentError:
+def _missing_package(what: str, package: str) -> ArgumentError:
     """The error for a format whose package is not installed."""
     return ArgumentError(
         f"path must be in a format that can be read, got {what}, which needs {package}; {how_to_install('tracks')}."
     )
-
-
-def damaged_file(path: Path, kind: str, error: Exception) -> ArgumentError:
-    """The error for a file that its package can't read."""
-    why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-    return ArgumentError(f"path must be an intact {kind} file, got {quote(os.fspath(path))}, not readable: {why}.")
 
 
 def read_csv(path: Path, options: ReadOptions) -> Iterator[Block]:
@@ -147,13 +141,13 @@ def read_parquet(path: Path, options: ReadOptions) -> Iterator[Block]:
         import pyarrow
         import pyarrow.parquet
     except ImportError:
-        raise missing_package("Parquet", "pyarrow") from None
+        raise _missing_package("Parquet", "pyarrow") from None
     where = quote(os.fspath(path))
     try:
         with pyarrow.parquet.ParquetFile(path) as file:
             metadata, schema = file.metadata, file.schema_arrow
     except (pyarrow.ArrowException, OSError) as error:
-        raise damaged_file(path, "Parquet", error) from None
+        raise damaged_file(path, error, "Parquet") from None
     found = choose_columns(schema.names, options.columns, where)
     read, movebank = found | find_marks(schema.names), is_movebank(schema.names)
     check_once(schema.names, read, where)
@@ -165,9 +159,7 @@ def read_parquet(path: Path, options: ReadOptions) -> Iterator[Block]:
             raise ArgumentError(
                 f"{role} must be a number or text in every row of {where}, got {kind} in {quote(name)}."
             )
-    needed, most = _count_bytes(metadata, schema, names), expanded_limit(path, options.max_bytes)
-    if needed > most:
-        raise ArgumentError(f"max_bytes must be at least the {needed} bytes that {where} expands to, got {most}.")
+    check_expanded_size(path, _count_bytes(metadata, schema, names), options.max_bytes)
     try:
         # Texts are read as dictionaries: a long one that stands in every row is held once.
         with pyarrow.parquet.ParquetFile(path, metadata=metadata, read_dictionary=texts) as file:
@@ -177,7 +169,7 @@ def read_parquet(path: Path, options: ReadOptions) -> Iterator[Block]:
                 yield Block(values, found, np.arange(row, row + batch.num_rows), movebank=movebank)
                 row += batch.num_rows
     except (pyarrow.ArrowException, OSError) as error:
-        raise damaged_file(path, "Parquet", error) from None
+        raise damaged_file(path, error, "Parquet") from None
 
 
 def _is_text(kind: Any) -> bool:
@@ -243,23 +235,17 @@ def read_ulog(path: Path, options: ReadOptions) -> Iterator[Block]:
     try:
         import pyulog
     except ImportError:
-        raise missing_package("PX4 ULog", "pyulog") from None
+        raise _missing_package("PX4 ULog", "pyulog") from None
     topics = {
         "vehicle_global_position": {"lon": "lon", "lat": "lat", "z": "alt"},
-        "vehicle_local_position": {
-            "x": "y",
-            "y": "x",
-            "z": "z",
-            "vx": "vy",
-            "vy": "vx",
-            "vz": "vz",
-        },  # north, east, down
+        # The columns of a local position are north, east and down.
+        "vehicle_local_position": {"x": "y", "y": "x", "z": "z", "vx": "vy", "vy": "vx", "vz": "vz"},
     }
     try:
         with path.open("rb") as file:
             log = pyulog.ULog(file, list(topics))
     except Exception as error:  # pyulog raises many kinds for damaged files
-        raise damaged_file(path, "ULog", error) from None
+        raise damaged_file(path, error, "ULog") from None
     found = {each.name: each.data for each in reversed(log.data_list)}
     topic = next((name for name in topics if name in found), None)
     if topic is None:

@@ -12,8 +12,8 @@ import numpy as np
 
 from usnet_env.config import ArgumentError, quote
 from usnet_env.tracks.columns import keep_fixed
-from usnet_env.tracks.formats import Block, ReadOptions, damaged_file
-from usnet_env.tracks.opening import open_expanded
+from usnet_env.tracks.formats import Block, ReadOptions
+from usnet_env.tracks.opening import damaged_file, open_expanded
 
 __all__ = ["read_gpx"]
 
@@ -82,7 +82,7 @@ def read_gpx(path: Path, options: ReadOptions) -> Iterator[Block]:
     except ArgumentError:
         raise
     except (expat.ExpatError, LookupError, ValueError) as error:  # the last two: of the encoding that it declares
-        raise damaged_file(path, "GPX", error) from None
+        raise damaged_file(path, error, "GPX") from None
     if not points.values["id"]:
         raise ArgumentError(f"path must be a GPX file with track points, got {quote(os.fspath(path))} without any.")
     names = {"id": "name", "lon": "lon", "lat": "lat", "z": "ele", "t": "time"}

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote
 from usnet_env.tracks.columns import check_names, choose_columns, find_marks, is_movebank, keep_fixed
-from usnet_env.tracks.formats import Block, ReadOptions, damaged_file
+from usnet_env.tracks.formats import Block, ReadOptions
 from usnet_env.tracks.labels import Labels, to_labels, to_text
-from usnet_env.tracks.opening import expanded_limit
+from usnet_env.tracks.opening import check_expanded_size, damaged_file
 
 __all__ = ["read_npz"]
 
@@ -51,17 +51,13 @@ def read_npz(path: Path, options: ReadOptions) -> Iterator[Block]:
 def _load(path: Path, options: ReadOptions) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(path) as archive:
-            needed, most = sum(each.file_size for each in archive.infolist()), expanded_limit(path, options.max_bytes)
-        if needed > most:
-            raise ArgumentError(
-                f"max_bytes must be at least the {needed} bytes that {quote(os.fspath(path))} expands to, got {most}."
-            )
+            check_expanded_size(path, sum(each.file_size for each in archive.infolist()), options.max_bytes)
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except ArgumentError:
         raise
     except Exception as error:  # a damaged header makes NumPy raise whatever Python's own tokenizer raises
-        raise damaged_file(path, "NPZ", error) from None
+        raise damaged_file(path, error, "NPZ") from None
 
 
 def _plain(array: NDArray[Any]) -> Any:

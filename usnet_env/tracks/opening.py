@@ -14,19 +14,35 @@ from typing import IO, Any
 
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["expanded_limit", "find_suffix", "is_zip", "open_expanded", "read_lines"]
+__all__ = ["check_expanded_size", "damaged_file", "find_suffix", "is_zip", "open_expanded", "read_lines"]
 
 SMALL_BYTES, LARGEST_RATIO = 2**28, 20  # without max_bytes: 256 MiB, or this multiple of the file's size
 _LONGEST_ROW = 2**20  # bytes
 _GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
 _TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".gpx")
 _DAMAGES = (EOFError, zlib.error, gzip.BadGzipFile, zipfile.BadZipFile, NotImplementedError, RuntimeError)
-_WIDE = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 def expanded_limit(path: Path, max_bytes: int | None) -> int:
     """The most bytes that a compressed file may expand to: ``max_bytes``, or what suits its size."""
     return max(SMALL_BYTES, LARGEST_RATIO * path.stat().st_size) if max_bytes is None else max_bytes
+
+
+def check_expanded_size(path: Path, needed: int, max_bytes: int | None) -> None:
+    """Refuse a file that expands to more than :func:`expanded_limit`, by the number of bytes that the file tells."""
+    most = expanded_limit(path, max_bytes)
+    if needed > most:
+        raise ArgumentError(
+            f"max_bytes must be at least the {needed} bytes that {quote(os.fspath(path))} expands to, got {most}."
+        )
+
+
+def damaged_file(path: Path, error: Exception, kind: str = "") -> ArgumentError:
+    """The error for a file of some kind that can't be read."""
+    why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+    what = f"an intact {kind} file" if kind else "an intact file"
+    return ArgumentError(f"path must be {what}, got {quote(os.fspath(path))}, not readable: {why}.")
 
 
 def is_zip(path: Path) -> bool:
@@ -84,7 +100,7 @@ def open_expanded(path: Path, max_bytes: int | None) -> Iterator[IO[bytes]]:
             else:
                 yield file
     except _DAMAGES as error:
-        raise _damaged(path, error) from None
+        raise damaged_file(path, error) from None
 
 
 def find_suffix(path: Path) -> str:
@@ -99,7 +115,7 @@ def find_suffix(path: Path) -> str:
             with zipfile.ZipFile(path) as archive:
                 return Path(_find_member(archive, path)).suffix.lower()
         except _DAMAGES as error:
-            raise _damaged(path, error) from None
+            raise damaged_file(path, error) from None
     return Path(path.stem).suffix.lower() if suffix == ".gz" else suffix
 
 
@@ -115,11 +131,6 @@ def _find_member(archive: zipfile.ZipFile, path: Path) -> str:
     return texts[0]
 
 
-def _damaged(path: Path, error: Exception) -> ArgumentError:
-    why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-    return ArgumentError(f"path must be an intact file, got {quote(str(path))}, not readable: {why}.")
-
-
 def read_lines(file: IO[bytes], path: Path, encoding: str) -> Iterator[str]:
     """Decode a file row by row.
 
@@ -130,8 +141,8 @@ def read_lines(file: IO[bytes], path: Path, encoding: str) -> Iterator[str]:
     while raw := file.readline(_LONGEST_ROW):
         number += 1
         if number == 1:
-            if raw[:2] in _WIDE:
-                raise ArgumentError(f"path must be a text file in {encoding}, got {where} in {_WIDE[raw[:2]]}.")
+            if raw[:2] in _UTF_16:
+                raise ArgumentError(f"path must be a text file in {encoding}, got {where} in UTF-16.")
             raw = raw.removeprefix(b"\xef\xbb\xbf")
         if len(raw) >= _LONGEST_ROW:
             raise ArgumentError(
