@@ -20,11 +20,12 @@ from usnet_env.config import ArgumentError, quote
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from usnet_env.arrays import Floats
     from usnet_env.detection import Detection
     from usnet_env.replay import EpisodeRecord
     from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, Tracks, TrackWindow
 
-    Kept = tuple[TrackWindow, Detection, DetectedWindow]
+    Kept = tuple[TrackWindow, Floats, DetectedWindow]  # with the scores of the answer
     Map = tuple[TrackWindow, DetectedWindow]
 
 __all__ = ["detect"]
@@ -34,18 +35,13 @@ _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
 _LARGEST_RECORD = 2**30  # bytes of an episode file before compression
 
 _OPTIONS = {  # patterns of arguments in errors, and the options that set them
+    r"^(stride|step|encoding|out) must": r"--\1 must",
     r"^length must": "--window must",
-    r"^stride must": "--stride must",
-    r"^step must": "--step must",
     r"^columns must name the column (\w+)": r"--column \1=NAME must name the column \1",
     r"^columns must": "--column must",
     r"^time_unit must be None": "--time-unit must be left out",
-    r"^time_unit must": "--time-unit must",
-    r"^max_gap must": "--max-gap must",
-    r"^encoding must": "--encoding must",
-    r"^out must": "--out must",
+    r"^(time|max)_(unit|gap|bytes) must": r"--\1-\2 must",
     r"keep_spikes=True ": "--keep-spikes ",
-    r"^max_bytes must": "--max-bytes must",
     r"missing='skip'": "--skip-missing is given",
     r"encoding= ": "--encoding ",
     r"time_unit= ": "--time-unit ",
@@ -185,7 +181,7 @@ def detect(
             nonlocal done, groups_given
             groups_given |= detection.leader is not None or detection.clusters is not None
             if record:
-                kept.append((cut, _without_attention(detection), found))
+                kept.append((cut, detection.scores, found))
             if folder:
                 maps.add(cut, found)
             done += 1
@@ -205,9 +201,10 @@ def detect(
     if folder is not None:
         for name in ("picture.png", "episode.npz", "replay.rrd"):  # of an earlier run, which this one may not replace
             (folder / name).unlink(missing_ok=True)
-        _write_all(folder, found, maps.choose(), even, ", ".join(Path(each).name for each in tracks))
+        title = ", ".join(Path(each).name for each in tracks)
+        _write_all(folder, found, maps.choose(), even, title)
         if record:
-            _write_record(folder, even, kept, found, [Path(each).name for each in tracks], window, seed)
+            _write_record(folder, _make_record(even, kept, found, title, window, seed))
 
 
 def _reserve(folder: Path) -> None:
@@ -270,13 +267,6 @@ class _Maps:
 def _spread(maps: Sequence[Map], most: int) -> list[Map]:
     """Up to ``most`` entries, evenly spread."""
     return [maps[k] for k in np.unique(np.linspace(0, len(maps) - 1, min(len(maps), most)).astype(int))] if maps else []
-
-
-def _without_attention(detection: Detection) -> Detection:
-    """The answer without its N² numbers of attention, which would fill the memory over many windows."""
-    from usnet_env.detection import Detection
-
-    return Detection(detection.candidates, detection.scores, detection.clusters, detection.leader)
 
 
 def _tables(found: FoundLeaders) -> list[Table]:
@@ -376,27 +366,24 @@ def _check_record_size(even: Tracks, count: int, window: int) -> None:
         )
 
 
-def _write_record(
-    folder: Path, even: Tracks, kept: Sequence[Kept], found: FoundLeaders, files: Sequence[str], window: int, seed: int
-) -> None:
+def _write_record(folder: Path, record: EpisodeRecord) -> None:
     """Write an episode file and, if rerun-sdk is installed, a replay."""
     from usnet_env.drawing import MissingExtraError
     from usnet_env.replay import write_recording
 
-    record = _make_record(even, kept, found, files, window, seed)
     record.save(folder / "episode.npz")
-    written = "Episode file"
+    written = "Episode file is"
     try:
         write_recording(record, folder / "replay.rrd")
     except MissingExtraError as missing:
         print_message(f"the replay is left out. {missing}")
     else:
-        written += " and replay"
-    click.echo(f"{written} are in {folder}.".replace("file are", "file is"), err=True)
+        written = "Episode file and replay are"
+    click.echo(f"{written} in {folder}.", err=True)
 
 
 def _make_record(
-    even: Tracks, kept: Sequence[Kept], found: FoundLeaders, files: Sequence[str], window: int, seed: int
+    even: Tracks, kept: Sequence[Kept], found: FoundLeaders, title: str, window: int, seed: int
 ) -> EpisodeRecord:
     """The episode of all windows: a round for each, without truth, and without destroyed UAVs."""
     from usnet_env.provenance import versions
@@ -408,14 +395,14 @@ def _make_record(
     seen = np.zeros((rounds, window + 1, ids), bool)
     leader, scores = np.full((rounds, ids), -1, np.int64), np.zeros((rounds, ids))
     candidates, reasons = np.zeros((rounds, ids), bool), []
-    for r, (cut, detection, detected) in enumerate(kept):
+    for r, (cut, answer, detected) in enumerate(kept):
         rows = cut.rows
         position[r][:, rows] = np.where(cut.window.seen[..., None], cut.window.position + cut.origin, 0.0)
         velocity[r][:, rows], seen[r][:, rows] = cut.window.velocity, cut.window.seen
         behind = _leaders_of(cut, detected)
         leader[r, rows] = np.where(behind >= 0, rows[behind], -1)
         candidates[r, rows] = behind == np.arange(len(rows))  # confirmed ones only
-        scores[r, rows] = detection.scores
+        scores[r, rows] = answer
         place = {each: int(row) for each, row in zip(cut.ids, rows, strict=True)}
         reasons.append({str(place[each.id]): each.reason for each in detected.leaders})
     return EpisodeRecord(
@@ -433,7 +420,7 @@ def _make_record(
         seconds=np.zeros(rounds),
         leader_estimate=leader,
         reasons=reasons,
-        env_id=", ".join(files),
+        env_id=title,
         detector=found.detector,
         detector_seed=seed,
         config={

@@ -71,13 +71,14 @@ def _describe_parts(part: str) -> list[tuple[str, str]]:
 
         suites = list_suites().values()
         return [(each.name, f"{each.purpose} ({len(each.cells)} cells, version {each.version})") for each in suites]
-    if part != "envs":
-        rows = [(name, _describe_part(registry, name)) for registry in [_find_registry(part)] for name in registry]
-        control = ("none", "no UAV follows: followers fly like heads (a control)")
-        return [*rows, control] if part == "follow" else rows
-    from usnet_env.evaluation.environments import describe_environments
+    if part == "envs":
+        from usnet_env.evaluation.environments import describe_environments
 
-    return list(describe_environments().items())
+        return list(describe_environments().items())
+    registry = _find_registry(part)
+    rows = [(name, _describe_part(registry, name)) for name in registry]
+    control = ("none", "no UAV follows: followers fly like heads (a control)")
+    return [*rows, control] if part == "follow" else rows
 
 
 def _find_registry(part: str) -> Registry[Any]:
@@ -105,10 +106,9 @@ def _describe_part(registry: Registry[Any], name: str) -> str:
 def _format_tags(entry: DetectorEntry) -> str:
     """The tags that differ from those of a detector that takes every window, in brackets."""
     tags = entry.tags
+    needs = ", ".join(f"{name}: not installed" if name in entry.missing else name for name in tags.needs)
     texts = {
-        "needs " + ", ".join(f"{name}: not installed" if name in entry.missing else name for name in tags.needs): (
-            bool(tags.needs)
-        ),
+        f"needs {needs}": bool(needs),
         f"at most {tags.most_uavs} UAVs": tags.most_uavs is not None,
         f"at least {tags.least_steps} steps": tags.least_steps > 1,
         "made for 1 m per step": tags.needs_unit_speed,

@@ -227,11 +227,12 @@ def report(path: Path, page: Path | None, labels: tuple[str, ...], metric: str |
         click.echo(f"page  {written}")
         return
     folder = path if path.is_dir() else path.parent
-    result = EvaluationResult.load(folder) if (folder / "run.json").exists() and path.is_dir() else None
+    result = EvaluationResult.load(path) if (path / "run.json").exists() else None
     if result is None and labels:
         raise ArgumentError(f"--compare must be given with the folder of a run or a suite, got {quote(str(path))}.")
-    files = _find_episodes(path) if path.is_dir() and (result is None or (folder / EPISODES).is_dir()) else []
-    files = files or ([] if path.is_dir() else [path])
+    files = [path]
+    if path.is_dir():
+        files = _find_episodes(path) if result is None or (path / EPISODES).is_dir() else []
     page = page or folder / "report.html"
     records = {file.stem: EpisodeRecord.load(file) for file in files[:_MOST_ON_PAGE]}
     links = {file.stem: Path(os.path.relpath(file, page.parent)).as_posix() for file in files}

@@ -102,10 +102,9 @@ class LabelBook:
         if path and file:
             self._given.setdefault(file, path)
         index = labels.index[good]
-        first = np.full(len(labels.names), len(index))
-        first[index[::-1]] = np.arange(len(index))[::-1]  # of equal indices, the last assignment counts: the first row
+        used, first = np.unique(index, return_index=True)
         codes = np.full(len(labels.names), -1, np.int32)
-        for k in np.argsort(first)[: int((first < len(index)).sum())].tolist():
+        for k in used[np.argsort(first)].tolist():  # in the order of the rows
             label = labels.names[k]
             self._whole = self._whole and isinstance(label, int)
             codes[k] = self._code.setdefault((str(label), file), len(self._code))

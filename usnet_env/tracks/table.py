@@ -62,8 +62,10 @@ class Table:
         self._names = dict(block.names)
         self.rows += len(block.rows)
         if block.movebank:
-            block, marked = _leave_out_marked(block)
-            self._marked += marked
+            keep = np.flatnonzero(~read_marks(block.values, len(block.rows)))
+            self._marked += len(block.rows) - len(keep)
+            if len(keep) < len(block.rows):
+                block = block.take(keep)
         if not len(block.rows):
             return
 
@@ -165,7 +167,12 @@ class Table:
             empty = sum(int(np.isnan(block).any(axis=0).sum()) for block in blocks)
             if empty:
                 named = ", ".join(f"{self._names.pop(role)} ({role})" for role in found)
-                sentences.append(_say_left_out(named, len(found), f"{empty} of {sum(len(b[0]) for b in blocks)} rows"))
+                where = f"{empty} of {sum(len(block[0]) for block in blocks)} rows"
+                sentences.append(
+                    f"Column {named} has no value in {where} and is left out."
+                    if len(found) == 1
+                    else f"Columns {named} lack a value in {where} and are left out."
+                )
                 for role in found:
                     del self._parts[role]
         return sentences
@@ -208,20 +215,6 @@ class Table:
                 return None
         leader = known[named]
         return np.where(leader == codes, -1, leader)
-
-
-def _say_left_out(named: str, columns: int, where: str) -> str:
-    """Say that one column or several are left out, because a value is missing."""
-    if columns == 1:
-        return f"Column {named} has no value in {where} and is left out."
-    return f"Columns {named} lack a value in {where} and are left out."
-
-
-def _leave_out_marked(block: Block) -> tuple[Block, int]:
-    """A block of a Movebank file without the rows that are marked as outliers, and the number of these rows."""
-    keep = np.flatnonzero(~read_marks(block.values, len(block.rows)))
-    marked = len(block.rows) - len(keep)
-    return (block.take(keep), marked) if marked else (block, 0)
 
 
 class _Places:
