@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -45,32 +45,21 @@ class Roles:
             and drivers of a follow strategy.
         traffic: ``(N,)`` bool, the bystanders that are civil traffic.
         clutter: ``(N,)`` bool, the bystanders that are false tracks, and no UAVs.
-        source: ``(N,)`` int64, the UAV that each UAV copies, by default its leader; from N on, a reference: a point
+        source: ``(N,)`` int64, the UAV that each UAV copies, at first its leader; from N on, a reference: a point
             that flies like a head and that no sensor sees.
-        references: R, number of references.
         drawn: ``(M,)`` int64, the heads as drawn, in the order of the clusters.
+        references: R, number of references.
     """
 
     head: Mask
     decoy: Mask
     leader: Indices
-    bystander: Mask = field(default_factory=lambda: np.empty(0, bool))
-    traffic: Mask = field(default_factory=lambda: np.empty(0, bool))
-    clutter: Mask = field(default_factory=lambda: np.empty(0, bool), kw_only=True)
-    source: Indices = field(default_factory=lambda: np.empty(0, np.int64))
+    bystander: Mask
+    traffic: Mask
+    clutter: Mask
+    source: Indices
+    drawn: Indices
     references: int = 0
-    drawn: Indices = field(default_factory=lambda: np.empty(0, np.int64))
-
-    def __post_init__(self) -> None:
-        uavs = len(self.leader)
-        for name, array in (
-            ("bystander", np.zeros(uavs, bool)),
-            ("traffic", np.zeros(uavs, bool)),
-            ("clutter", np.zeros(uavs, bool)),
-            ("source", self.leader.copy()),
-        ):
-            if not len(getattr(self, name)):
-                object.__setattr__(self, name, array)
 
     def members(self, cluster: int) -> Indices:
         """The followers of a cluster, as drawn, in the order of their indices."""
@@ -122,7 +111,7 @@ def draw_roles(
     bystander[others] = bystander[civil] = in_traffic[civil] = bystander[false] = in_clutter[false] = True
     leader = np.arange(uavs)
     leader[followed] = np.repeat(heads, sizes)
-    return Roles(head, decoy, leader, bystander, in_traffic, drawn=heads, clutter=in_clutter)
+    return Roles(head, decoy, leader, bystander, in_traffic, in_clutter, leader.copy(), heads)
 
 
 def draw_corridors(rng: np.random.Generator, uavs: int) -> tuple[Floats, Floats]:
