@@ -63,17 +63,8 @@ class Shifted(FieldStrategy):
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop of f2."""
-        kernels.fly_lags(
-            np.full(self.lags, KAPPA, np.float32),
-            False,
-            np.float32(self.noise),
-            flight.motion,
-            flight.source,
-            flight.start,
-            flight.noise,
-            flight.velocity,
-        )
-        kernels.integrate(flight.start, flight.position, flight.velocity)
+        kappa = np.full(self.lags, KAPPA, np.float32)
+        kernels.fly_lags(kappa, False, np.float32(self.noise), flight.source, *flight.flown)
 
 
 def _behead(roles: Roles) -> Roles:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import FOLLOWS, FREE
+from usnet_env.swarm.kernels import FOLLOWS, FREE, norm
 
 __all__ = [
     "ALWAYS",
@@ -214,8 +214,7 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
                         x += velocity[b, t - 1 - lag, h, 0]
                         y += velocity[b, t - 1 - lag, h, 1]
                         z += velocity[b, t - 1 - lag, h, 2]
-                    size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
-                    x, y, z = x * size, y * size, z * size
+                    x, y, z = norm(x, y, z)
                     level = np.sqrt(x * x + y * y)
                     cx, cy = (x / level, y / level) if level > np.float32(1e-6) else (_ONE, _ZERO)
                     row = frame[h]

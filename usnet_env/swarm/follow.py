@@ -84,15 +84,14 @@ class Lags(FollowStrategy):
         return np.float32(self.kappa) * (past * past if self.square else past).sum(axis=1, dtype=np.float32)
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
-        """Compiled loop; positions are integrated afterwards, because no velocity depends on them."""
+        """Compiled loop."""
         kernels.fly_lags(
             np.full(self.lags, self.kappa, np.float32),
             self.square,
             np.float32(self.noise),
-            *trajectories.flight,
-            trajectories.velocity,
+            trajectories.leader,
+            *trajectories.flown,
         )
-        kernels.integrate(trajectories.start, trajectories.position, trajectories.velocity)
 
 
 @dataclass(frozen=True)
@@ -117,15 +116,14 @@ class StayInRange(FollowStrategy):
         return np.float32(self.kappa) * inputs.head_velocity[:, 0] + towards
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
-        """Compiled loop, which also integrates the positions."""
+        """Compiled loop."""
         kernels.fly_range(
             np.float32(self.kappa),
             np.float32(self.pull),
             np.float32(self.reach),
             np.float32(self.noise),
-            *trajectories.flight,
-            trajectories.position,
-            trajectories.velocity,
+            trajectories.leader,
+            *trajectories.flown,
         )
 
 
@@ -173,14 +171,13 @@ class Network(FollowStrategy):
         return output
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
-        """Compiled loop, which also integrates the positions."""
+        """Compiled loop."""
         kernels.fly_mlp(
             trajectories.parameters,
             np.float32(self.position_scale),
             np.float32(self.noise),
-            *trajectories.flight,
-            trajectories.position,
-            trajectories.velocity,
+            trajectories.leader,
+            *trajectories.flown,
         )
 
 

@@ -34,6 +34,7 @@ __all__ = [
     "fly_mlp",
     "fly_range",
     "integrate",
+    "norm",
     "remerge",
 ]
 
@@ -50,6 +51,13 @@ MLP_PARAMETERS = MLP_INPUTS * MLP_HIDDEN + MLP_HIDDEN + MLP_HIDDEN * 3
 _ONE = np.float32(1.0)
 _ZERO = np.float32(0.0)
 _TINY = np.float32(1e-12)
+
+
+@compiled(error_model="numpy")
+def norm(x, y, z):
+    """The vector (x, y, z) scaled to length 1."""
+    size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
+    return x * size, y * size, z * size
 
 
 @compiled()
@@ -159,18 +167,31 @@ def fly_free(code, numbers, free, start, normals, jitter, state, position, veloc
                 p[axis] = position[b, start, i, axis]
             for s in range(steps):
                 _step_mobility(code, state[b, j], normals[b, s, j], p, numbers, out)
-                size = _ONE / np.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2] + _TINY)
-                x, y, z = out[0] * size, out[1] * size, out[2] * size
+                x, y, z = norm(out[0], out[1], out[2])
                 if len(jitter):
-                    x, y, z = x + jitter[b, s, i, 0], y + jitter[b, s, i, 1], z + jitter[b, s, i, 2]
-                    size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
-                    x, y, z = x * size, y * size, z * size
+                    x, y, z = norm(x + jitter[b, s, i, 0], y + jitter[b, s, i, 1], z + jitter[b, s, i, 2])
                 velocity[b, start + s, i, 0] = x
                 velocity[b, start + s, i, 1] = y
                 velocity[b, start + s, i, 2] = z
                 p[0] += x
                 p[1] += y
                 p[2] += z
+
+
+@compiled()
+def _move(b, t, position, velocity):
+    """Write the next positions of all UAVs, p_{t+1} = p_t + v_t."""
+    for i in range(velocity.shape[2]):
+        for axis in range(3):
+            position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
+
+
+@compiled()
+def integrate(start, position, velocity):
+    """Integrate the velocities from ``start`` on, in place."""
+    for b in range(velocity.shape[0]):
+        for t in range(start, velocity.shape[1]):
+            _move(b, t, position, velocity)
 
 
 @compiled()
@@ -185,10 +206,11 @@ def _find_indices(motion, value, into):
 
 
 @compiled()
-def fly_lags(kappa, square, noise_scale, motion, leader, start, noise, velocity):
+def fly_lags(kappa, square, noise_scale, leader, motion, start, noise, position, velocity):
     """f1 to f5: v_{i,t+1} = norm(sum_tau kappa_tau v_{iL,t-tau}^p + kappa_n n), with p = 2 where ``square``.
 
-    The sum doesn't depend on the follower, so the loop computes it once per step and head.
+    The sum doesn't depend on the follower, so the loop computes it once per step and head. No velocity depends on the
+    positions, so these are integrated afterwards.
     """
     episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
     lags = len(kappa)
@@ -214,14 +236,12 @@ def fly_lags(kappa, square, noise_scale, motion, leader, start, noise, velocity)
                 x = target[h, 0] + noise_scale * noise[b, s, i, 0]
                 y = target[h, 1] + noise_scale * noise[b, s, i, 1]
                 z = target[h, 2] + noise_scale * noise[b, s, i, 2]
-                size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
-                velocity[b, t, i, 0] = x * size
-                velocity[b, t, i, 1] = y * size
-                velocity[b, t, i, 2] = z * size
+                velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
+    integrate(start, position, velocity)
 
 
 @compiled()
-def fly_range(kappa, pull, reach, noise_scale, motion, leader, start, noise, position, velocity):
+def fly_range(kappa, pull, reach, noise_scale, leader, motion, start, noise, position, velocity):
     """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}.
 
     Followers use the positions of the previous step, so the loop also updates the positions of all UAVs.
@@ -243,13 +263,8 @@ def fly_range(kappa, pull, reach, noise_scale, motion, leader, start, noise, pos
                 x = kappa * velocity[b, t - 1, h, 0] + noise_scale * noise[b, s, i, 0] + gain * dx
                 y = kappa * velocity[b, t - 1, h, 1] + noise_scale * noise[b, s, i, 1] + gain * dy
                 z = kappa * velocity[b, t - 1, h, 2] + noise_scale * noise[b, s, i, 2] + gain * dz
-                size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
-                velocity[b, t, i, 0] = x * size
-                velocity[b, t, i, 1] = y * size
-                velocity[b, t, i, 2] = z * size
-            for i in range(uavs):
-                for axis in range(3):
-                    position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
+                velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
+            _move(b, t, position, velocity)
 
 
 @compiled()
@@ -275,7 +290,7 @@ def _tanh(x):
 
 
 @compiled()
-def fly_mlp(parameters, position_scale, noise_scale, motion, leader, start, noise, position, velocity):
+def fly_mlp(parameters, position_scale, noise_scale, leader, motion, start, noise, position, velocity):
     """f7: norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n), one network per episode.
 
     A head's contribution to the hidden layer is the same for all its followers: it is computed once per step and head.
@@ -327,24 +342,8 @@ def fly_mlp(parameters, position_scale, noise_scale, motion, leader, start, nois
                     x += active * readout[unit, 0]
                     y += active * readout[unit, 1]
                     z += active * readout[unit, 2]
-                size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
-                velocity[b, t, i, 0] = x * size
-                velocity[b, t, i, 1] = y * size
-                velocity[b, t, i, 2] = z * size
-            for i in range(uavs):
-                for axis in range(3):
-                    position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
-
-
-@compiled()
-def integrate(start, position, velocity):
-    """Integrate the velocities, p_{t+1} = p_t + v_t, from ``start`` on, in place."""
-    episodes, end, uavs = velocity.shape[0], velocity.shape[1], velocity.shape[2]
-    for b in range(episodes):
-        for t in range(start, end):
-            for i in range(uavs):
-                for axis in range(3):
-                    position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
+                velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
+            _move(b, t, position, velocity)
 
 
 @compiled()

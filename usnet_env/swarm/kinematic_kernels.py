@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import DESTROYED
+from usnet_env.swarm.kernels import DESTROYED, norm
 
 __all__ = ["LAGGED", "LAYERED", "LIMITED", "VARIED_SPEED", "fly_step"]
 
@@ -26,9 +26,8 @@ def _turn(x, y, z, u, v, w, limit):
         u, v, w = -y, x, _ZERO
         size = np.sqrt(u * u + v * v) + _TINY
     c, s = np.float32(math.cos(angle)), np.float32(math.sin(angle)) / size
-    x, y, z = c * x + s * u, c * y + s * v, c * z + s * w
-    size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
-    return x * size, y * size, z * size, cosine
+    x, y, z = norm(c * x + s * u, c * y + s * v, c * z + s * w)
+    return x, y, z, cosine
 
 
 @compiled(error_model="numpy")

@@ -43,13 +43,8 @@ class TrajectoryBatch:
     clock: Indices = field(default_factory=lambda: np.empty(0, np.int64))
 
     @property
-    def flight(self) -> tuple[NDArray[np.int8], Indices, int, Singles]:
-        """Who flies how, behind which head, from which step on, and with which noise: for the compiled loops."""
-        return self.motion, self.leader, self.start, self.noise
-
-    @property
     def flown(self) -> tuple[NDArray[np.int8], int, Singles, Singles, Singles]:
-        """Who flies, from which step on, with which noise, and what is filled: for the compiled loops of the field."""
+        """Who flies, from which step on, with which noise, and what is filled: for the compiled loops."""
         return self.motion, self.start, self.noise, self.position, self.velocity
 
     episodes = AxisLength("noise", 0)  #: B
