@@ -129,10 +129,7 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         strategy = self.follow_strategy
-        if not isinstance(self.mobility, Mobility):
-            mobility(self.mobility)
-        if not isinstance(self.kinematics, Kinematics):
-            KINEMATICS.find(self.kinematics)
+        _ = self.head_mobility, self.kinematics_model  # an unknown name is refused
         FORMATIONS.find(self.formation)
         if strategy is not None and check_strategy(strategy).lags > self.memory:
             raise ArgumentError(

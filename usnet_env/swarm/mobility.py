@@ -47,12 +47,6 @@ class Mobility(ABC):
         """
 
 
-def _unit_vectors(rng: np.random.Generator, count: int) -> Floats:
-    """``(count, 3)`` directions, uniform on the sphere."""
-    vectors = rng.standard_normal((count, 3))
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-
-
 @dataclass(frozen=True)
 class CompiledMobility(Mobility):
     """A mobility with a compiled step, ``kernels.fly_free``.
@@ -78,7 +72,8 @@ class CompiledMobility(Mobility):
         state = np.zeros((uavs, kernels.MOBILITY_STATE))
         if self.code == kernels.IID:
             return state
-        direction = _unit_vectors(rng, uavs)
+        direction = rng.standard_normal((uavs, 3))  # uniform on the sphere, once it has length 1
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         if self.code == kernels.GAUSS_MARKOV:
             state[:, 2] = rng.uniform(-np.pi, np.pi, uavs)  # mean azimuth; the mean pitch is level
             spread = np.sqrt([self.numbers[1], self.numbers[2]])
