@@ -15,9 +15,7 @@ __all__ = [
     "ROLES",
     "check_mapping",
     "check_names",
-    "check_once",
     "choose_columns",
-    "find_marks",
     "is_movebank",
     "keep_fixed",
     "read_marks",
@@ -118,8 +116,10 @@ def keep_fixed(names: Mapping[str, str], mapping: Mapping[str, str], where: str)
     return {role: name for role, name in names.items() if mapping.get(role, name)}
 
 
-def choose_columns(header: Sequence[str], mapping: Mapping[str, str], where: str) -> dict[str, str]:
-    """Choose the column of each role.
+def choose_columns(
+    header: Sequence[str], mapping: Mapping[str, str], where: str
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Choose the column of each role, and those in which Movebank marks outliers.
 
     Args:
         header: the names of the columns.
@@ -127,10 +127,11 @@ def choose_columns(header: Sequence[str], mapping: Mapping[str, str], where: str
         where: the file, for messages.
 
     Returns:
-        The name of the column by role. There are either ``x`` and ``y`` or ``lon`` and ``lat``, and ``t`` or ``frame``.
+        The name of the column by role: either ``x`` and ``y`` or ``lon`` and ``lat``, and ``t`` or ``frame``. Then the
+        name of the column by mark, with underscores; none in a file that is not of Movebank.
 
     Raises:
-        ArgumentError: a column is missing; the sentence names it and lists those that are there.
+        ArgumentError: a column is missing, and the sentence lists those that are there, or another one has its name.
     """
     if header and all(name.strip() and set(name.strip()) <= _NUMBER_SIGNS for name in header):
         raise ArgumentError(f"path must name its columns in row 1, got {where}, whose row 1 is {quote(list(header))}.")
@@ -149,26 +150,16 @@ def choose_columns(header: Sequence[str], mapping: Mapping[str, str], where: str
     for role in ("id", *pair, "t"):
         if role not in found and not (role == "t" and "frame" in found):
             raise _missing(role, where, header, given)
-    return found
-
-
-def check_once(header: Sequence[str], names: Mapping[str, str], where: str) -> None:
-    """Check that no other column has the name of one that is read.
-
-    Args:
-        header: the names of the columns.
-        names: those of the columns that are read, by role or mark.
-        where: the file, for messages.
-
-    Raises:
-        ArgumentError: a name stands twice or more in the header.
-    """
-    for role, name in names.items():
+    marks = ("visible", *_OUTLIERS, "manually_marked_valid") if is_movebank(header) else ()
+    spelled = {_normalise(name): name for name in header}
+    marked = {mark: spelled[mark] for mark in marks if mark in spelled}
+    for role, name in (found | marked).items():
         if header.count(name) > 1:
             raise ArgumentError(
                 f"path must name each column once, got {where} with {header.count(name)} columns {quote(name)} for "
                 f"{role}."
             )
+    return found, marked
 
 
 def _choose_pair(found: Mapping[str, str], given: Mapping[str, str]) -> tuple[str, str]:
@@ -184,12 +175,6 @@ def is_movebank(header: Iterable[str]) -> bool:
     return bool(_MOVEBANK & set(map(_normalise, header)))
 
 
-def find_marks(header: Sequence[str]) -> dict[str, str]:
-    """The columns in which Movebank marks outliers, by their names with underscores; none in another file."""
-    plain = {_normalise(name): name for name in header} if is_movebank(header) else {}
-    return {mark: plain[mark] for mark in ("visible", *_OUTLIERS, "manually_marked_valid") if mark in plain}
-
-
 def read_marks(values: Mapping[str, Iterable[Any]], rows: int) -> Mask:
     """Which of some rows of a Movebank file are marked as outliers, ``(rows,)`` bool.
 
@@ -197,7 +182,7 @@ def read_marks(values: Mapping[str, Iterable[Any]], rows: int) -> Mask:
     ``manually_marked_valid`` is true. A file may hold some of these columns only; an empty cell marks nothing.
 
     Args:
-        values: the values by the names that :func:`find_marks` gives, and others.
+        values: the values by the names of the marks, and others.
         rows: number of rows.
     """
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, how_to_install, quote
-from usnet_env.tracks.columns import check_once, choose_columns, find_marks, is_movebank, keep_fixed
+from usnet_env.tracks.columns import choose_columns, is_movebank, keep_fixed
 from usnet_env.tracks.labels import Labels, to_text
 from usnet_env.tracks.opening import check_expanded_size, damaged_file, open_expanded, read_lines
 
@@ -89,10 +89,8 @@ def read_csv(path: Path, options: ReadOptions) -> Iterator[Block]:
             raise ArgumentError(f"path must be a file with columns and rows, got {where}, which is empty.")
         delimiter = max(_DELIMITERS, key=first.count)
         header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter))]
-        found = choose_columns(header, options.columns, where)
-        read = found | find_marks(header)
-        check_once(header, read, where)
-        places = {role: header.index(name) for role, name in read.items()}
+        found, marks = choose_columns(header, options.columns, where)
+        places = {role: header.index(name) for role, name in (found | marks).items()}
         movebank = is_movebank(header)
         reader = csv.reader(lines, delimiter=delimiter)
         try:
@@ -148,9 +146,8 @@ def read_parquet(path: Path, options: ReadOptions) -> Iterator[Block]:
             metadata, schema = file.metadata, file.schema_arrow
     except (pyarrow.ArrowException, OSError) as error:
         raise damaged_file(path, error, "Parquet") from None
-    found = choose_columns(schema.names, options.columns, where)
-    read, movebank = found | find_marks(schema.names), is_movebank(schema.names)
-    check_once(schema.names, read, where)
+    found, marks = choose_columns(schema.names, options.columns, where)
+    read, movebank = found | marks, is_movebank(schema.names)
     names = list(dict.fromkeys(read.values()))
     texts = [name for name in names if _is_text(schema.field(name).type)]
     for role, name in read.items():

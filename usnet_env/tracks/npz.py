@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote
-from usnet_env.tracks.columns import check_names, choose_columns, find_marks, is_movebank, keep_fixed
+from usnet_env.tracks.columns import check_names, choose_columns, is_movebank, keep_fixed
 from usnet_env.tracks.formats import Block, ReadOptions
 from usnet_env.tracks.labels import Labels, to_labels, to_text
 from usnet_env.tracks.opening import check_expanded_size, damaged_file
@@ -38,8 +38,8 @@ def read_npz(path: Path, options: ReadOptions) -> Iterator[Block]:
     if "position" in arrays and arrays["position"].ndim == 3:
         yield _unfold(arrays, options.columns, where)
         return
-    found = choose_columns(list(arrays), options.columns, where)
-    read = found | find_marks(list(arrays))
+    found, marks = choose_columns(list(arrays), options.columns, where)
+    read = found | marks
     lengths = {name: arrays[name].shape for name in read.values()}
     if any(len(shape) != 1 or shape != lengths[found["id"]] for shape in lengths.values()):
         raise ArgumentError(f"path must hold 1-D arrays of one length, got {where} with the shapes {quote(lengths)}.")
