@@ -127,18 +127,15 @@ def _report_failure(error: Exception) -> int:
     if type(error).__name__ == "EvaluationError":  # compared by name, because its module is slow to import
         print_message(str(error))
         return _REFUSED
+    text = " ".join(str(error).split())
+    sentence = f"failed with {type(error).__name__}: {text.rstrip('.')}. USNET_TRACEBACK=1 shows where."
     if isinstance(error, OSError) and error.strerror:
-        print_message(f"cannot use {error.filename or 'a file'}: {error.strerror}.")
-        return _FAILED
-    if isinstance(error, MemoryError):
-        print_message("not enough memory; try fewer UAVs, observation steps or workers.")
-        return _FAILED
-    if isinstance(error, ImportError):
+        sentence = f"cannot use {error.filename or 'a file'}: {error.strerror}."
+    elif isinstance(error, MemoryError):
+        sentence = "not enough memory; try fewer UAVs, observation steps or workers."
+    elif isinstance(error, ImportError):
         from usnet_env.plugins import describe_foreign_detectors
 
-        if reason := describe_foreign_detectors():
-            print_message(reason)
-            return _FAILED
-    text = " ".join(str(error).split())
-    print_message(f"failed with {type(error).__name__}: {text.rstrip('.')}. USNET_TRACEBACK=1 shows where.")
+        sentence = describe_foreign_detectors() or sentence
+    print_message(sentence)
     return _FAILED

@@ -138,7 +138,8 @@ def describe_keys() -> str:
         [name for name in kind.model_fields if name != "render_mode"]
         for kind in (MultiClusterArguments, SingleClusterArguments)
     )
-    added, missing = ([name for name in here if name not in there] for here, there in ((one, several), (several, one)))
+    added = [name for name in one if name not in several]
+    missing = [name for name in several if name not in one]
     lines = textwrap.wrap(", ".join(several), 68)
     lines += textwrap.wrap(f"SingleCluster takes {', '.join(added)} instead of {', '.join(missing)}", 68)
     return "\n".join(f"  {line}" for line in lines)
