@@ -25,6 +25,7 @@ __all__ = [
     "CuckerSmale",
     "FieldStrategy",
     "Frontness",
+    "Hierarchy",
     "Kinds",
     "Links",
     "Mixed",
@@ -181,17 +182,21 @@ class Chain(Links):
         return replace(roles, source=source)
 
 
-def _grow_hierarchy(rng: np.random.Generator, roles: Roles) -> Roles:
-    """Order each cluster at random; each follower copies a UAV drawn from those before it, the head included."""
-    source = roles.source.copy()
-    for cluster in range(len(roles.drawn)):
-        order = np.concatenate([roles.drawn[cluster : cluster + 1], rng.permutation(roles.members(cluster))])
-        source[order[1:]] = order[rng.integers(np.arange(1, len(order)))]
-    return replace(roles, source=source)
+@dataclass(frozen=True)
+class Hierarchy(Links):
+    """A random hierarchy in each cluster: base of :class:`Pigeons` and :class:`CuckerSmale`."""
+
+    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
+        """Order each cluster at random; each follower copies a UAV drawn from those before it, the head included."""
+        source = roles.source.copy()
+        for cluster in range(len(roles.drawn)):
+            order = np.concatenate([roles.drawn[cluster : cluster + 1], rng.permutation(roles.members(cluster))])
+            source[order[1:]] = order[rng.integers(np.arange(1, len(order)))]
+        return replace(roles, source=source)
 
 
 @dataclass(frozen=True)
-class Pigeons(Links):
+class Pigeons(Hierarchy):
     """A flock in a hierarchy, in which each pair has its delay; delays add up along the hierarchy."""
 
     equation = (
@@ -204,13 +209,9 @@ class Pigeons(Links):
     delays: tuple[int, int] = (1, 3)
     gains: Pair = (0.6, 0.9)
 
-    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
-        """A random hierarchy in each cluster."""
-        return _grow_hierarchy(rng, roles)
-
 
 @dataclass(frozen=True)
-class CuckerSmale(Links):
+class CuckerSmale(Hierarchy):
     """A Cucker-Smale flock with hierarchical leadership: links weaken with the distance."""
 
     equation = (
@@ -226,10 +227,6 @@ class CuckerSmale(Links):
     def lags(self) -> int:  # type: ignore[override]  # follows from the other fields
         """The delays are not added up: every link has the delay 1."""
         return 1
-
-    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
-        """A random hierarchy in each cluster."""
-        return _grow_hierarchy(rng, roles)
 
 
 @dataclass(frozen=True)

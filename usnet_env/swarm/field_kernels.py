@@ -60,6 +60,7 @@ def finish_step(b, s, t, i, x, y, z, noise_scale, noise, position, velocity):
     x, y, z = (
         x + noise_scale * noise[b, s, i, 0], y + noise_scale * noise[b, s, i, 1], z + noise_scale * noise[b, s, i, 2]
     )  # fmt: skip
+    # Not by `norm`: where `fly_flock` compiles this function, it has its fast mathematics.
     size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
     velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = x * size, y * size, z * size
     for axis in range(3):

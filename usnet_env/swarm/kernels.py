@@ -24,7 +24,6 @@ __all__ = [
     "MLP_HIDDEN",
     "MLP_INPUTS",
     "MLP_LAGS",
-    "MLP_PARAMETERS",
     "MOBILITY_STATE",
     "SMOOTH_TURN",
     "STRAIGHT",
@@ -46,7 +45,6 @@ MOBILITY_STATE = 8  # number of float64 values in the mobility state of a UAV
 MLP_LAGS = 4
 MLP_INPUTS = 3 + 3 * MLP_LAGS + 3 * MLP_LAGS  # relative position, own velocities, head velocities
 MLP_HIDDEN = 16
-MLP_PARAMETERS = MLP_INPUTS * MLP_HIDDEN + MLP_HIDDEN + MLP_HIDDEN * 3
 
 _ONE = np.float32(1.0)
 _ZERO = np.float32(0.0)

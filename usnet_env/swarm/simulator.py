@@ -266,15 +266,13 @@ class _Law:
 
 def _laws(config: SwarmConfig, free: int) -> list[_Law]:
     """How the free UAVs fly: heads, decoys and references first, then bystanders, traffic and false tracks."""
-    others, traffic, clutter = config.bystanders, config.traffic, config.clutter
-    count = free - others - traffic - clutter
-    laws = [_Law(config.head_mobility, slice(0, count), True)]
-    if others:
-        laws.append(_Law(MOBILITIES["smooth_turn"], slice(count, count + others), False))
-    if traffic:
-        laws.append(_Law(MOBILITIES["straight"], slice(count + others, count + others + traffic), False))
-    if clutter:
-        laws.append(_Law(MOBILITIES["gauss_markov"], slice(free - clutter, free), False))
+    others = {"smooth_turn": config.bystanders, "straight": config.traffic, "gauss_markov": config.clutter}
+    first = free - sum(others.values())
+    laws = [_Law(config.head_mobility, slice(0, first), True)]
+    for name, count in others.items():
+        if count:
+            laws.append(_Law(MOBILITIES[name], slice(first, first + count), False))
+        first += count
     return laws
 
 
