@@ -128,6 +128,19 @@ def plain_text(name: str, value: Any) -> str:
     return value
 
 
+def named_values(name: str, value: Any) -> dict[str, Any]:
+    """Return the argument ``name``, which must be a mapping of names to values or ``None``, as a new dictionary.
+
+    Raises:
+        ArgumentError: the value is neither.
+    """
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise ArgumentError(f"{name} must be a mapping of names to values, got {quote(value)}.")
+    return dict(value)
+
+
 def suggest_name(got: object, known: Collection[str]) -> str:
     """Ask for the most similar known name, as the end of a sentence; an empty text if none is similar."""
     near = get_close_matches(got, known, n=1) if isinstance(got, str) else []
@@ -236,6 +249,14 @@ class Config(BaseModel):
         """The values of those fields that another config has too, with changes, as this config."""
         shared = [name for name in kind.model_fields if name in type(self).model_fields and name not in changes]
         return kind(**{name: getattr(self, name) for name in shared}, **changes)
+
+
+def describe_arguments(config: BaseModel) -> dict[str, Any]:
+    """The arguments in a config, as JSON holds them; an argument that is an object is kept as its text."""
+    return {
+        name: value if isinstance(value, str | int | float | tuple | None) else quote(value)
+        for name, value in ((name, getattr(config, name)) for name in type(config).model_fields)
+    }
 
 
 def takes_arguments(

@@ -21,7 +21,7 @@ from importlib.util import find_spec
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
-from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.config import ArgumentError, named_values, quote, unknown_name
 from usnet_env.definitions import find_definition
 from usnet_env.detection import Detection, Tags, read_tags
 from usnet_env.labels import format_label, parse_label
@@ -201,11 +201,10 @@ def detector_label(detector: Any, arguments: Mapping[str, Any] | None = None) ->
     Raises:
         ArgumentError: the name can't be parsed, or arguments are given for a detector object.
     """
-    if not isinstance(arguments, Mapping | None):
-        raise ArgumentError(f"arguments must be a mapping of names to values, got {quote(arguments)}.")
+    named = named_values("arguments", arguments)
     if isinstance(detector, str):
-        return format_label(*parse_label(detector, arguments or {}))
-    if arguments:
+        return format_label(*parse_label(detector, named))
+    if named:
         raise ArgumentError(f"arguments must be empty if detector is an object, got {quote(arguments)}.")
     with suppress(TypeError):
         if detector in _function_labels:

@@ -96,6 +96,8 @@ def test_a_policy_that_fails_ends_no_other_team():
         ({"players": {"a": {"observer": RandomObserver()}}}, ["policies must hold a policy for head_0"]),
         ({"players": {"a": {"observer": "randm", "head": CamouflagedHead()}}}, ["'randm'"]),
         ({"game_kwargs": {"uavs": 1}}, ["uavs"]),
+        ({"game_kwargs": 5}, ["game_kwargs must be a mapping of names to values, got 5"]),
+        ({"game_kwargs": {3: 4}}, ["game_kwargs must be a mapping of names to values"]),
         ({"episodes": 0}, ["episodes", "0"]),
         ({"backend": "dask"}, ["backend"]),
     ],

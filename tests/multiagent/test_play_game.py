@@ -19,6 +19,7 @@ from usnet_env.multiagent.policies import (
 from usnet_env.multiagent.wrappers import DiscreteActions
 from usnet_env.replay import EpisodeRecord, write_recording
 from usnet_env.replay.figure import write_picture
+from usnet_env.swarm.follow import Lags
 
 HEADS = {"truthful": TruthfulHead(), "camouflaged": CamouflagedHead(), "random": RandomHead()}
 
@@ -203,6 +204,12 @@ def test_a_game_is_kept_replayed_and_drawn(game, tmp_path):
     assert EpisodeRecord.load(record.save(tmp_path / "episode.npz")).rounds == record.rounds
     assert write_recording(record, tmp_path / "replay.rrd").stat().st_size > 0
     assert write_picture(record, tmp_path / "episode.png").stat().st_size > 0
+
+
+def test_a_strategy_that_is_an_object_is_kept_as_text():
+    env = small("observers", max_rounds=1, follow=Lags(1))
+    record = EpisodeRecord(**play_game(env, {"observer": RandomObserver()}, 1).record)
+    assert record.config["follow"].startswith("Lags(")
 
 
 def test_decoys_of_a_window_have_no_head_in_the_record():

@@ -122,6 +122,8 @@ def test_a_uav_that_was_never_seen_and_a_single_round(tmp_path):
     ("arguments", "message"),
     [
         ({"path": "game.png"}, "path must end in .gif or .mp4, got 'game.png'"),
+        ({"path": 5}, "path must be"),
+        ({"record": "game.npz", "path": "game.gif"}, "record must be an EpisodeRecord, got 'game.npz'"),
         ({"path": "game.gif", "frames": 1}, "frames must be a whole number from 2, got 1"),
         ({"path": "game.gif", "frames": 2.5}, "frames must be a whole number from 2, got 2.5"),
     ],
@@ -129,7 +131,7 @@ def test_a_uav_that_was_never_seen_and_a_single_round(tmp_path):
 def test_bad_arguments_are_refused_before_anything_is_written(tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ArgumentError, match=message):
-        animate(small_episode(), **arguments)
+        animate(**{"record": small_episode()} | arguments)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -99,6 +99,19 @@ def test_evaluate_scores_detectors_with_the_same_metrics_and_known_groups(path, 
     assert "group_leader_first" not in evaluate("USNET/SingleCluster-v0", "none", episodes=1)["none"]
 
 
+def test_a_run_with_windows_without_leaders_is_loaded(path, tmp_path):
+    head, *rows = Path(path).read_text(encoding="utf-8").splitlines()
+    late = max(float(row.split(",")[1]) for row in rows) / 2
+    rows = [row if float(row.split(",")[1]) > late else row.rpartition(",")[0] + "," for row in rows]
+    (tmp_path / "late.csv").write_text("\n".join([head, *rows]))
+    arguments = {"path": str(tmp_path / "late.csv"), "step": 0.5}
+    result = evaluate("USNET/Tracks-v0", "none", episodes=6, env_kwargs=arguments, out=tmp_path / "run")
+    values = [row["group_leader_first"] for row in result.rows]
+    assert None in values
+    assert set(values) != {None}
+    assert [row["group_leader_first"] for row in EvaluationResult.load(tmp_path / "run").rows] == values
+
+
 def test_without_leaders_groups_are_not_scored(path, tmp_path):
     head, *rows = Path(path).read_text(encoding="utf-8").splitlines()
     (tmp_path / "bare.csv").write_text("\n".join([head, *(row.rpartition(",")[0] + "," for row in rows)]))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, named_values, quote
 from usnet_env.evaluation.engine import RunArguments, choose_place, play_run
 from usnet_env.evaluation.episode import Row, detector_step
 from usnet_env.evaluation.identity import describe, describe_code, describe_detector
@@ -155,7 +155,7 @@ def evaluate_games(
         raise ArgumentError(f"players must have labels of printable characters, got {quote(list(players))}.")
     if not all(isinstance(own, Mapping) for own in players.values()):
         raise ArgumentError(f"players must map each label to a mapping of roles to policies, got {quote(players)}.")
-    kwargs = dict(game_kwargs or {})
+    kwargs = named_values("game_kwargs", game_kwargs)
     player = _GamePlayer(_find_game(game), kwargs, {label: dict(own) for label, own in players.items()})
     from usnet_env.multiagent.play import choose_policies
 

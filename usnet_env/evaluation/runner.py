@@ -9,7 +9,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from usnet_env.config import ArgumentError, plain_text, quote
+from usnet_env.config import ArgumentError, named_values, plain_text, quote
 from usnet_env.evaluation.agents import PolicyAgent, as_agent
 from usnet_env.evaluation.engine import Place, RunArguments, choose_place, play_run
 from usnet_env.evaluation.environments import is_usnet, make_environment
@@ -102,7 +102,7 @@ def evaluate(
     limits = _make_limits(time_limit, memory_limit)
     isolation, limits = (limits, Limits()) if run.isolate else (None, limits)
     place = choose_place(backend, run.workers, limits, address)
-    arguments = _check_env_kwargs(env_kwargs)
+    arguments = named_values("env_kwargs", env_kwargs)
     detectors = _label_detectors(detector, run)
     with ExitStack() as stack:
         if isinstance(env, str):
@@ -127,14 +127,6 @@ def _make_limits(time_limit: float | None, memory_limit: float | None) -> Limits
     except ArgumentError as error:
         field, words = str(error).split(" ", 1)
         raise ArgumentError(f"{'time_limit' if field == 'seconds' else 'memory_limit'} {words}") from None
-
-
-def _check_env_kwargs(env_kwargs: Mapping[str, Any] | None) -> dict[str, Any]:
-    if env_kwargs is None:
-        return {}
-    if not isinstance(env_kwargs, Mapping) or not all(isinstance(name, str) for name in env_kwargs):
-        raise ArgumentError(f"env_kwargs must be a mapping of names to values, got {quote(env_kwargs)}.")
-    return dict(env_kwargs)
 
 
 def _check_environment(env: Any, arguments: Mapping[str, Any], place: Place) -> gym.Env[Any, Any]:

@@ -317,7 +317,7 @@ def load_run(folder: Path) -> tuple[dict[str, Any], RowTable]:
             names = file.readline().rstrip("\r\n").split(",")
     except FileNotFoundError:
         names = []
-    columns = {**COLUMNS, **dict.fromkeys([name for name in names if name not in COLUMNS], "float")}
+    columns = {**COLUMNS, **dict.fromkeys([name for name in names if name not in COLUMNS], "float | None")}
     table = read_table(folder / EPISODES, columns)
     _check_once(table, folder)
     return description, table

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from usnet_env.config import ArgumentError, plain_text, quote, whole_number
+from usnet_env.config import ArgumentError, describe_arguments, plain_text, quote, whole_number
 from usnet_env.multiagent.base import RoundRecord, UsnetParallelEnv
 from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.plugins import detector_label
@@ -178,7 +178,7 @@ def _make_record(
     seed: int,
     label: str,
 ) -> dict[str, Any]:
-    config = {name: getattr(env.config, name) for name in type(env.config).model_fields} | env.rules.model_dump()
+    config = describe_arguments(env.config) | describe_arguments(env.rules)
     return {
         "position": np.stack([each.sighting.position for each in rounds]),
         "velocity": np.stack([each.sighting.velocity for each in rounds]),

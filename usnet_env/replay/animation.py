@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, last_seen_position, new_figure
-from usnet_env.files import atomic_write
-from usnet_env.replay.episode import EpisodeRecord
+from usnet_env.files import as_path, atomic_write
+from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.story import describe_answer, describe_ending, describe_remerge, describe_verdict, name_round
 
 if TYPE_CHECKING:
@@ -414,15 +414,15 @@ def animate(record: EpisodeRecord, path: str | os.PathLike[str], *, frames: int 
         The path.
 
     Raises:
-        ArgumentError: ``path`` has another suffix or can't be written to, ``frames`` is below 2, or an MP4 is asked for
-            and ffmpeg is not installed.
+        ArgumentError: ``record`` is no record, ``path`` has another suffix or can't be written to, ``frames`` is below
+            2, or an MP4 is asked for and ffmpeg is not installed.
         MissingExtraError: matplotlib is not installed.
     """
     frames = whole_number("frames", frames, 2)
-    suffix = Path(path).suffix.lower()
+    suffix = as_path("path", path).suffix.lower()
     if suffix not in (".gif", ".mp4"):
         raise ArgumentError(f"path must end in .gif or .mp4, got {quote(os.fspath(path))}.")
-    shown = list(scenes(record, frames))
+    shown = list(scenes(check_record(record), frames))
     ffmpeg = _find_ffmpeg() if suffix == ".mp4" else None
     if suffix == ".mp4" and ffmpeg is None:
         raise ArgumentError(f"path must end in .gif where ffmpeg is not installed, got {quote(os.fspath(path))}.")

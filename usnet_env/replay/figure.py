@@ -82,9 +82,8 @@ def _draw_scores(axes: Axes, record: EpisodeRecord, number: int) -> None:
         axes.set_ylim(0, 1)
         axes.text(0.5, 0.6, "All scores are 0.", transform=axes.transAxes, ha="center", color="#555555")
     rotation = 0 if len(bars) <= _BARS_WITH_LEVEL_NUMBERS else 90
-    axes.set_xticks(
-        rank, [escape_math(name_uav(record, i).removeprefix("UAV ")) for i in bars], fontsize=7.5, rotation=rotation
-    )
+    names = [str(i) if record.labelled else escape_math(name_uav(record, i)) for i in bars]
+    axes.set_xticks(rank, names, fontsize=7.5, rotation=rotation)
     axes.tick_params(axis="y", labelsize=8, colors="#555555")
     axes.yaxis.set_major_formatter("{x:.3g}")  # a common exponent above the axis would push the title away
     for side in ("top", "right"):

@@ -10,9 +10,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
 
-from usnet_env.config import ArgumentError, optional_seed, plain_text, quote
+from usnet_env.config import ArgumentError, describe_arguments, optional_seed, plain_text, quote
 from usnet_env.detection import Detection
 from usnet_env.envs.play import PlayedRound, play_rounds
 from usnet_env.plugins import DetectorLike, detector_label
@@ -47,14 +46,6 @@ class Round:
     objective: float
     over_budget: bool
     seconds: float
-
-
-def _list_arguments(config: BaseModel) -> dict[str, Any]:
-    """The arguments in a config, as JSON holds them; an argument that is an object is kept as its text."""
-    return {
-        name: value if isinstance(value, str | int | float | tuple | None) else quote(value)
-        for name, value in ((name, getattr(config, name)) for name in type(config).model_fields)
-    }
 
 
 def _report(played: PlayedRound[Detection], number: int, seconds: float) -> Round:
@@ -226,6 +217,6 @@ def make_record(
         seed=seed,
         detector=label,
         detector_seed=detector_seed,
-        config=_list_arguments(game.config) | _list_arguments(game.rules),
+        config=describe_arguments(game.config) | describe_arguments(game.rules),
         versions=versions(),
     )

@@ -17,6 +17,7 @@ from usnet_env.config import ArgumentError, format_count, quote, whole_number
 from usnet_env.detection import Detection, read_tags
 from usnet_env.objectives import find_roots
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
+from usnet_env.registry import describe_error
 from usnet_env.tracks.confirming import LEVEL, confirm_leaders
 from usnet_env.tracks.links import Link, find_links
 from usnet_env.tracks.tracks import Tracks
@@ -252,10 +253,9 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when
     except ArgumentError:
         raise
     except Exception as error:  # a detector may raise anything
-        text = " ".join(str(error).split()).rstrip(".")
         raise ArgumentError(
-            f"detector must answer every window, got {type(error).__name__}: {text} from {detector_label(player)} in "
-            f"the window {when}."
+            f"detector must answer every window, got {describe_error(error)} from {detector_label(player)} in the "
+            f"window {when}."
         ) from error
     if not isinstance(detection, Detection) or len(detection.candidates) != len(cut.ids):
         raise ArgumentError(f"detector must answer a Detection for {len(cut.ids)} UAVs, got {quote(detection)}.")
