@@ -14,9 +14,6 @@ the exact command of every file.
 from __future__ import annotations
 
 import argparse
-import csv
-import gzip
-import io
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -28,18 +25,18 @@ from typing import Any
 import numpy as np
 from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
-from running import play_games
+from running import RESULTS, play_games, write_csv
 
 from usnet_env import Detection, Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.envs.play import play_rounds
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.evaluation.report import group_rows
-from usnet_env.files import atomic_write
+from usnet_env.evaluation.table import read_table
 from usnet_env.objectives import average_precision, multi_cluster_objective, single_cluster_objective
 from usnet_env.plugins import detector_label, make_detector
 
-RESULTS = Path(__file__).parent / "results" / "follow_mixture"
+FOLDER = RESULTS / "follow_mixture"
 DETECTORS = ("follow-mixture", "lagged-regression", "granger", "factions", "destroy-all", "random", "none")
 SEED = 7077  # of the published rows; seeds below 1000 are for tuning
 PAPER = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
@@ -197,21 +194,10 @@ def play(cell: Cell, label: str, seed: int, episode: int) -> dict[str, Any]:
 
 
 def pack_rows(results: Path, path: Path) -> None:
-    """Write the complete rows of all tiers in a folder to one compressed file, whose bytes depend on nothing else."""
-    lines = [",".join(COLUMNS)]
-    for tier in dict.fromkeys(cell.tier for cell in cells()):
-        if (file := results / f"{tier}.csv").exists():  # an interrupted write leaves the last line incomplete
-            lines += file.read_text(encoding="utf-8").split("\n")[1:-1]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as aside:
-        aside.write_bytes(gzip.compress("\n".join([*lines, ""]).encode(), mtime=0))
-
-
-def unpack_rows(path: Path) -> list[dict[str, str]]:
-    """The rows of a compressed file; none if there is no file."""
-    if not path.exists():
-        return []
-    return list(csv.DictReader(io.StringIO(gzip.decompress(path.read_bytes()).decode())))
+    """Write the complete rows of all tiers in a folder to one compressed file."""
+    tiers = dict.fromkeys(cell.tier for cell in cells())
+    texts = dict.fromkeys(COLUMNS, "str")
+    write_csv(path, [row for tier in tiers for row in read_table(results / f"{tier}.csv", texts)], COLUMNS)
 
 
 @cache
@@ -246,7 +232,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--episodes", type=int, help="of each cell; by default the cell's own number")
     made.add_argument("--seed", type=int, default=SEED)
     made.add_argument("--detectors", nargs="*", default=list(DETECTORS))
-    made.add_argument("--results", type=Path, default=RESULTS)
+    made.add_argument("--results", type=Path, default=FOLDER)
     made.add_argument("--pack", type=Path, help="write the rows of all tiers to this file and play nothing")
     made.add_argument("--list", action="store_true", help="list the cells and play nothing")
     return made

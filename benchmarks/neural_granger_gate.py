@@ -6,9 +6,8 @@ OMP_NUM_THREADS=1 python benchmarks/neural_granger_gate.py  # writes benchmarks/
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
-from running import answer_help
+from running import RESULTS, answer_help
 
 from detectors.studies.table2 import Cell, make_suite, make_tasks, rate_of
 
@@ -22,8 +21,7 @@ def main() -> None:
     swarms = [(follow, followers, decoys) for follow in FOLLOW for followers in FOLLOWERS for decoys in (0, 1)]
     cells = [Cell("neural-granger(gate=True)", *swarm) for swarm in swarms]
     tasks = make_tasks(cells, lambda cell: 200 if cell.follow == "none" else 60)
-    path = Path(__file__).parent / "results" / "neural_granger_gate.csv"
-    rows = make_suite(SEED).run(tasks, path, workers=os.cpu_count() or 1)
+    rows = make_suite(SEED).run(tasks, RESULTS / "neural_granger_gate.csv", workers=os.cpu_count() or 1)
     for name, some in (("without followers", ("none",)), ("with followers", FOLLOW[1:])):
         for followers in FOLLOWERS:
             rate = rate_of((row for row in rows if row.follow in some and row.followers == followers), "named")

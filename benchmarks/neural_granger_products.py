@@ -5,10 +5,8 @@ OMP_NUM_THREADS=1 python benchmarks/neural_granger_products.py  # writes benchma
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import follow_mixture_strategies  # noqa: F401  registers the strategy
-from running import answer_help
+from running import RESULTS, answer_help
 
 from detectors.studies.table2 import Cell, make_suite, make_tasks, rate_of
 from usnet_env.evaluation.report import group_rows
@@ -23,7 +21,7 @@ def main() -> None:
     """Measure and print."""
     swarms = [("products", followers, decoys) for followers in FOLLOWERS for decoys in (0, 1)]
     tasks = make_tasks([Cell(name, *swarm) for name in DETECTORS for swarm in swarms], lambda cell: EPISODES)
-    rows = make_suite(SEED).run(tasks, Path(__file__).parent / "results" / "neural_granger_products.csv")
+    rows = make_suite(SEED).run(tasks, RESULTS / "neural_granger_products.csv")
     for cell, own in group_rows(rows, lambda row: (row.detector, row.followers, row.decoys)).items():
         detector, followers, decoys = cell
         n, (mean, low, high) = rate_of(own)

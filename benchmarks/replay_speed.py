@@ -15,7 +15,7 @@ from pathlib import Path
 
 import gymnasium as gym
 import rerun  # noqa: F401  # its import is not measured
-from running import answer_help
+from running import RESULTS, answer_help
 
 import usnet_env.envs  # noqa: F401  # registers the environments
 from usnet_env import make_detector
@@ -23,7 +23,7 @@ from usnet_env.provenance import versions
 from usnet_env.replay import record_episode, write_recording
 
 UAVS, CLUSTERS, ROUNDS = 1_000, 20, 10
-TARGET = Path(__file__).parent / "results" / "replay_speed.json"
+TARGET = RESULTS / "replay_speed.json"
 
 
 def read_memory() -> float:

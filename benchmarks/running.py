@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import csv
+import gzip
+import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import make_dataclass
 from pathlib import Path
@@ -61,14 +63,24 @@ def play_games(
 
 
 def read_csv(path: Path) -> list[dict[str, str]]:
-    """The rows of a file."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
+    """The rows of a file, which is compressed if its name ends in ``.gz``."""
+    content = path.read_bytes()
+    text = (gzip.decompress(content) if path.suffix == ".gz" else content).decode()
+    return list(csv.DictReader(io.StringIO(text)))
 
 
-def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write the rows of a file at once."""
-    with atomic_write(path) as aside, aside.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> None:
+    """Write the rows of a file at once.
+
+    Args:
+        path: the file; it is compressed if its name ends in ``.gz``; equal rows give equal bytes.
+        rows: all of them.
+        columns: of the file; ``None``: those of the first row.
+    """
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns or list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    content = text.getvalue().encode()
+    with atomic_write(path) as aside:
+        aside.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
-from running import write_csv
+from running import RESULTS, write_csv
 
 from detectors.follow_mixture.features import CLASSES, make_features
 from detectors.follow_mixture.motion import lagged, read_motion
@@ -27,7 +27,7 @@ from usnet_env.swarm.follow import follow_strategy
 
 Floats = NDArray[np.float64]
 
-RESULTS = Path(__file__).parent / "results" / "follow_mixture" / "classes.csv"
+FILE = RESULTS / "follow_mixture" / "classes.csv"
 SEED = 7077
 MEMORY = 4  # L, the detector's default
 STEPS = 200  # two windows: many more rows than a law has numbers, also for one follower alone
@@ -91,7 +91,7 @@ def contained(rows: list[dict[str, str]]) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--out", type=Path, default=FILE)
     out = parser.parse_args().out
     rows = [row for name in STRATEGIES for row in measure(name)]
     write_csv(out, rows)

@@ -12,18 +12,14 @@ A slow detector may have played the first episodes only (`--episodes`), as many 
 from __future__ import annotations
 
 import argparse
-import csv
-import gzip
-import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from result_pages.suites import failures_file, read_failures, read_suite, rows_file
-from running import RESULTS
+from running import RESULTS, write_csv
 
 from usnet_env.evaluation import SuiteResult, load_suite
 from usnet_env.evaluation.report import group_rows
-from usnet_env.files import atomic_write
 
 COLUMNS = (
     "detector", "episode", "swarm_seed", "J", "rounds", "redundancy", "success", "exact", "precision_first",
@@ -61,7 +57,8 @@ def pack(folders: Sequence[Path], add: bool = False, results: Path = RESULTS) ->
         if (cell, row["detector"]) not in without
     ]
     played_cells = group_rows(rows, lambda row: (row["detector"], row["cell"]))
-    most = {name: max(int(row["episode"]) for row in own) for name, own in group_rows(rows, _detector).items()}
+    by_detector = group_rows(rows, lambda row: row["detector"])
+    most = {name: max(int(row["episode"]) for row in own) for name, own in by_detector.items()}
     short = [
         f"{name} in {cell}"
         for name in most
@@ -75,30 +72,16 @@ def pack(folders: Sequence[Path], add: bool = False, results: Path = RESULTS) ->
         new = {row["detector"] for row in rows + failed}
         rows += [row for row in read_suite(suite, results) if row["detector"] not in new]
         failed += [row for row in read_failures(suite, results) if row["detector"] not in new]
-    order = list(suite.cells)
     swarms = {(row["cell"], row["episode"], row["swarm_seed"]) for row in rows}
     if len(swarms) != len({(row["cell"], row["episode"]) for row in rows}):
         raise ValueError(f"all rows of {suite.label} must be of the same swarms: play with the secret of the others.")
-    content = _write_csv(("cell", *COLUMNS), sorted(rows, key=lambda row: order.index(row["cell"])))
-    with atomic_write(path) as aside:
-        aside.write_bytes(gzip.compress(content, mtime=0))
-    if failed or (results / failures_file(suite)).exists():
-        content = _write_csv(("cell", "detector", "reason"), sorted(failed, key=lambda row: order.index(row["cell"])))
-        with atomic_write(results / failures_file(suite)) as aside:
-            aside.write_bytes(content)
+    order = list(suite.cells)
+    write_csv(path, sorted(rows, key=lambda row: order.index(row["cell"])), ("cell", *COLUMNS))
+    failures = results / failures_file(suite)
+    if failed or failures.exists():
+        columns = ("cell", "detector", "reason")
+        write_csv(failures, sorted(failed, key=lambda row: order.index(row["cell"])), columns)
     return path
-
-
-def _detector(row: Mapping[str, str]) -> str:
-    return row["detector"]
-
-
-def _write_csv(columns: Sequence[str], rows: Sequence[Mapping[str, str]]) -> bytes:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue().encode()
 
 
 def _format(value: object) -> str:

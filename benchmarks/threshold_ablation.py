@@ -24,7 +24,7 @@ from unittest.mock import patch
 import numpy as np
 from follow_mixture import cells, shifted_tracks
 from numpy.typing import NDArray
-from running import play_games
+from running import RESULTS, play_games
 
 from detectors.follow_mixture import FollowMixture, delays, detector, evidence, fit, motion, pooling
 from detectors.follow_mixture.features import LEVELS
@@ -37,7 +37,7 @@ from usnet_env.evaluation import load_suite
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.swarm import SwarmConfig
 
-RESULTS = Path(__file__).parent / "results" / "follow_mixture_thresholds.csv"
+FILE = RESULTS / "follow_mixture_thresholds.csv"
 SEED = 61  # seeds below 1000 are for tuning
 FIELD = load_suite("field")
 WIND = np.array([20.0, 10.0, 0.0], np.float32)  # metres per step; a UAV flies 1
@@ -210,7 +210,7 @@ def main() -> None:
     parser.add_argument("--random", type=int, default=120, help="random swarms")
     parser.add_argument("--change", nargs="*", default=[*CHANGES], choices=[*CHANGES], help="beside the whole detector")
     parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--results", type=Path, default=FILE)
     parser.add_argument("--list", action="store_true", help="list the changes and play nothing")
     arguments = parser.parse_args()
     if arguments.list:

@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable
 from statistics import fmean, median
 
 import numpy as np
-from follow_mixture import cells, unpack_rows
+from follow_mixture import cells
+from running import RESULTS, read_csv
 
-from result_pages.text import RESULTS, Row, cost_of, exact_of, page, source, table
+from result_pages.text import Row, cost_of, exact_of, page, source, table
 from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.statistics import mean_interval
 
@@ -67,7 +68,7 @@ def compare(pairs: Iterable[Pair], key: Callable[[Row], Key]) -> str:
 
 def text() -> str:
     """The page."""
-    pairs = paired(*(unpack_rows(RESULTS / name) for name in FILES))
+    pairs = paired(*(read_csv(RESULTS / name) for name in FILES))
     return page(
         "Former and present core of follow-mixture",
         "[follow-mixture](../follow_mixture.md) has a core of 2,200 lines; the former one had 4,700. Both played the"

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from running import RESULTS
+
 from detectors.studies.table2 import Row, fill_table, rate_of, read_paper, report_rates
-from result_pages.text import RESULTS, demoted, page, share, source, table
+from result_pages.text import demoted, page, share, source, table
 from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.suite import read_rows
 

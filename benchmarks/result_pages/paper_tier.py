@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 
-from result_pages.text import FOLLOW, RESULTS, Row, exact_of, mean_of, page, read_csv, share_of, source, table
+from running import RESULTS, read_csv
+
+from detectors.studies.common import FOLLOW
+from result_pages.text import Row, exact_of, mean_of, page, share_of, source, table
 
 DETECTORS = (
     "lagged-regression(clusters=5)",

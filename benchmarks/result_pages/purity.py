@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from running import RESULTS
+
 from detectors.studies import metric_learning
 from detectors.studies.purity import Row, report_methods
-from result_pages.text import RESULTS, demoted, page, source
+from result_pages.text import demoted, page, source
 from usnet_env.evaluation.suite import read_rows
 
 

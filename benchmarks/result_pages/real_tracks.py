@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from result_pages.text import RESULTS, Row, mean_of, page, read_csv, source, table
+from running import RESULTS, read_csv
+
+from result_pages.text import Row, mean_of, page, source, table
 from usnet_env.evaluation.report import group_rows
 
 SETS = {

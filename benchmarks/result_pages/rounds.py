@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from running import RESULTS
+
 from detectors.studies.rounds import COLUMNS, Row, report_studies
-from result_pages.text import RESULTS, demoted, page, source
+from result_pages.text import demoted, page, source
 from usnet_env.evaluation.suite import read_rows
 
 FOLDER = RESULTS / "rounds"

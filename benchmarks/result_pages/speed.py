@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from result_pages.text import RESULTS, page, source, table
+from running import RESULTS
+
+from result_pages.text import page, source, table
 
 
 def read(name: str) -> Any:

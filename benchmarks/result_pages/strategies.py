@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from follow_mixture_strategies import IN_A_CLASS, OUTSIDE_CLASSES, STRATEGIES
+from running import RESULTS, read_csv
 
-from result_pages.text import RESULTS, cost_of, exact_of, page, read_csv, source, table
+from result_pages.text import cost_of, exact_of, page, source, table
 from result_pages.tiers import OURS, of, tier_rows
 
 CLASSES = RESULTS / "follow_mixture" / "classes.csv"

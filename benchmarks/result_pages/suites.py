@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-import gzip
-import io
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING
 
 import numpy as np
+from running import RESULTS, read_csv
 
-from result_pages.text import RESULTS, Row, exact_of, mean_of, page, read_csv, source, table
+from result_pages.text import Row, exact_of, mean_of, page, source, table
 from usnet_env.drawing import caption_figure
 from usnet_env.evaluation import TRIVIAL, FrozenSuite, list_suites
 from usnet_env.evaluation.report import format_interval, group_rows, make_panels
@@ -73,7 +71,7 @@ def _played() -> list[tuple[FrozenSuite, list[Row]]]:
 def read_suite(suite: FrozenSuite, results: Path = RESULTS) -> list[Row]:
     """The committed rows of the suite's version; none if it was not played."""
     path = results / rows_file(suite)
-    return list(csv.DictReader(io.StringIO(gzip.decompress(path.read_bytes()).decode()))) if path.exists() else []
+    return read_csv(path) if path.exists() else []
 
 
 def read_failures(suite: FrozenSuite, results: Path = RESULTS) -> list[Row]:

@@ -1,4 +1,4 @@
-"""What the pages share: reading rows, numbers with 95 % intervals, Markdown tables."""
+"""What the pages share: numbers with 95 % intervals, Markdown tables."""
 
 from __future__ import annotations
 
@@ -6,31 +6,9 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from commands import commands_of
-from running import RESULTS, read_csv
 
-from detectors.studies.common import FOLLOW
 from usnet_env.evaluation.report import format_interval, format_markdown, mean_over_episodes
 from usnet_env.evaluation.statistics import Interval, rate_interval
-
-__all__ = [
-    "FOLLOW",
-    "NOTICE",
-    "RESULTS",
-    "SAME_SEEDS",
-    "Row",
-    "cost_of",
-    "demoted",
-    "exact_of",
-    "mean_of",
-    "number",
-    "page",
-    "read_csv",
-    "share",
-    "share_of",
-    "source",
-    "table",
-    "table_alone",
-]
 
 Row = Mapping[str, str]
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
+from running import RESULTS, read_csv
 from threshold_ablation import CHANGES
 
-from result_pages.text import RESULTS, page, read_csv, source, table
+from result_pages.text import page, source, table
 from usnet_env.evaluation.statistics import mean_interval
 
 FILE = "follow_mixture_thresholds.csv"

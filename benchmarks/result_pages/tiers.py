@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from follow_mixture import EDGES, SEED
 from numpy.typing import NDArray
+from running import RESULTS, read_csv
 
-from result_pages.text import FOLLOW, RESULTS, Row, cost_of, exact_of, number, page, read_csv, source, table
+from result_pages.text import Row, cost_of, exact_of, number, page, source, table
 from usnet_env.drawing import COLORS, caption_figure
 from usnet_env.evaluation.report import add_legend, group_rows, make_panels
 from usnet_env.evaluation.statistics import mean_interval
@@ -267,17 +268,3 @@ def cells_text() -> str:
         "little: look at n.",
         *parts,
     )
-
-
-__all__ = [
-    "EVERY_TIER",
-    "FIGURE",
-    "FOLLOW",
-    "MAP",
-    "OURS",
-    "cells_text",
-    "of",
-    "reliability_figure",
-    "text",
-    "tier_rows",
-]

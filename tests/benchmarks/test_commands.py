@@ -17,7 +17,7 @@ import multiagent_observers
 import multiagent_payoff
 import pytest
 from result_pages import cores
-from running import SEED
+from running import SEED, read_csv
 
 from detectors.studies import rounds as rounds_study
 from detectors.studies import table2
@@ -88,7 +88,7 @@ def test_commands_of_a_core_make_its_rows(name: str) -> None:
         for episode in range(step.episodes)
     }
     columns = ("tier", "cell", "detector", "seed", "episode")
-    rows = Counter(tuple(row[column] for column in columns) for row in follow_mixture.unpack_rows(RESULTS / name))
+    rows = Counter(tuple(row[column] for column in columns) for row in read_csv(RESULTS / name))
     assert rows == Counter(wanted)
 
 

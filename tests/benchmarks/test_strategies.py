@@ -17,7 +17,7 @@ def test_every_strategy_is_in_one_group() -> None:
 def test_strategies_outside_the_classes_are_outside(name: str) -> None:
     rows = strategy_classes.measure(name)
     assert strategy_classes.contained(rows) == (name in named.IN_A_CLASS)
-    with strategy_classes.RESULTS.open(newline="", encoding="utf-8") as file:
+    with strategy_classes.FILE.open(newline="", encoding="utf-8") as file:
         recorded = [row for row in csv.DictReader(file) if row["strategy"] == name]
     for row, known in zip(rows, recorded, strict=True):
         assert row["class"] == known["class"]
