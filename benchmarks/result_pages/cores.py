@@ -9,7 +9,7 @@ import numpy as np
 from follow_mixture import cells
 from running import RESULTS, read_csv
 
-from result_pages.text import Row, cost_of, exact_of, page, source, table
+from result_pages.text import Row, cost_of, exact_of, page, table
 from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.statistics import mean_interval
 
@@ -86,6 +86,5 @@ def text() -> str:
         "A variant is what the name of a cell says after the follow strategy.",
         compare(pairs, lambda row: (row["tier"], row["cell"].partition("-")[2], f"(seed {row['seed']})")),
         "`benchmarks/results/former_core/ablation.md` shows what each rule of the former core was worth.",
-        "## Raw rows and commands",
-        source(FILES),
+        files=FILES,
     )

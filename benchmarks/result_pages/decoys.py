@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from result_pages.text import Row, cost_of, exact_of, mean_of, page, share_of, source, table
+from result_pages.text import Row, cost_of, exact_of, mean_of, page, share_of, table
 from result_pages.tiers import of, tier_rows
 
 DETECTORS = (
@@ -91,6 +91,5 @@ def text() -> str:
         "for redundant candidates. With `objective='P1'` `follow-mixture` is given that there is one head; no other "
         "row is given the number of clusters.",
         single_cluster(),
-        "## Raw rows and commands",
-        source(files),
+        files=files,
     )

@@ -7,7 +7,7 @@ from functools import cache
 
 from running import RESULTS, read_csv
 
-from result_pages.text import Row, exact_of, mean_of, page, share_of, source, table
+from result_pages.text import Row, exact_of, mean_of, page, share_of, table
 from usnet_env.evaluation.report import group_rows
 
 EIGHT = "eight others"
@@ -111,8 +111,5 @@ def text() -> str:
         "A small P2, M = 3 and N = 20, at most 10 rounds; destroying all UAVs costs J_m = 1.85. The observer `ppo` was "
         "trained from the reward alone, on random follow strategies with iid heads.",
         trained(),
-        "## Raw rows and commands",
-        source(
-            ["learned.csv", "learned_limits.csv", "learned_losses.csv", "ppo_observer.csv", "ppo_observer_curve.csv"]
-        ),
+        files=["learned.csv", "learned_limits.csv", "learned_losses.csv", "ppo_observer.csv", "ppo_observer_curve.csv"],
     )

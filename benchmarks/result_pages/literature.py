@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from running import RESULTS, read_csv
 
-from result_pages.text import Row, mean_of, page, source, table
+from result_pages.text import Row, mean_of, page, table
 from usnet_env.evaluation.report import group_rows
 
 _MINORITY = (
@@ -50,8 +50,7 @@ def text() -> str:
         "## Delays in a hierarchy",
         _HIERARCHY,
         _hierarchy(rows["hierarchy"]),
-        "## Raw rows and commands",
-        source(["literature.csv"]),
+        files=["literature.csv"],
     )
 
 

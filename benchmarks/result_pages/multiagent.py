@@ -7,7 +7,7 @@ from functools import cache
 
 from running import RESULTS, read_csv
 
-from result_pages.text import Row, mean_of, page, share_of, source, table
+from result_pages.text import Row, mean_of, page, share_of, table
 from usnet_env.evaluation.report import group_rows
 
 
@@ -67,6 +67,5 @@ def text() -> str:
         "## Several observers",
         "`usnet_observers_v0`, f1, at most 20 rounds, all observers with `lagged-regression`. `range` is in metres.",
         observers(),
-        "## Raw rows and commands",
-        source(["multiagent_payoff.csv", "multiagent_ppo.csv", "multiagent_ppo_curve.csv", "multiagent_observers.csv"]),
+        files=["multiagent_payoff.csv", "multiagent_ppo.csv", "multiagent_ppo_curve.csv", "multiagent_observers.csv"],
     )

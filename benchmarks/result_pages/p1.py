@@ -7,7 +7,7 @@ from pathlib import Path
 from running import RESULTS
 
 from detectors.studies.table2 import Row, fill_table, rate_of, read_paper, report_rates
-from result_pages.text import demoted, page, share, source, table
+from result_pages.text import demoted, page, share, table
 from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.suite import read_rows
 
@@ -68,6 +68,5 @@ def text() -> str:
         "decoy the head is the only UAV that no other UAV resembles; a decoy is a second UAV of this kind.",
         overview(),
         *parts,
-        "## Raw rows and commands",
-        source([f"table2/{path.name}" for path in files()]),
+        files=[f"table2/{path.name}" for path in files()],
     )

@@ -6,7 +6,7 @@ from running import RESULTS
 
 from detectors.studies import metric_learning
 from detectors.studies.purity import Row, report_methods
-from result_pages.text import demoted, page, source
+from result_pages.text import demoted, page
 from usnet_env.evaluation.suite import read_rows
 
 
@@ -36,6 +36,5 @@ def text() -> str:
         "over trainings.",
         *losses,
         *spaces,
-        "## Raw rows and commands",
-        source(made),
+        files=made,
     )

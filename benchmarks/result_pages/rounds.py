@@ -7,7 +7,7 @@ from pathlib import Path
 from running import RESULTS
 
 from detectors.studies.rounds import COLUMNS, Row, report_studies
-from result_pages.text import demoted, page, source
+from result_pages.text import demoted, page
 from usnet_env.evaluation.suite import read_rows
 
 FOLDER = RESULTS / "rounds"
@@ -36,6 +36,5 @@ def text() -> str:
         "The paper's studies of P2, beside its words. n differs between detectors and cells; each row gives it. "
         "A line *all* is the mean over the cells of a study that the detector has played.",
         *parts,
-        "## Raw rows and commands",
-        source([f"rounds/{path.name}" for path in files()]),
+        files=[f"rounds/{path.name}" for path in files()],
     )

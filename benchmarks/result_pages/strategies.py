@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from follow_mixture_strategies import IN_A_CLASS, OUTSIDE_CLASSES, STRATEGIES
 from running import RESULTS, read_csv
 
-from result_pages.text import cost_of, exact_of, page, source, table
+from result_pages.text import cost_of, exact_of, page, table
 from result_pages.tiers import OURS, of, tier_rows
 
 CLASSES = RESULTS / "follow_mixture" / "classes.csv"
@@ -84,6 +84,5 @@ def text() -> str:
         "follower the follower with the smallest R². *Contained* means R² ≥ 0.9925: the rest is "
         "less than the followers' own noise.",
         classes(),
-        "## Raw rows and commands",
-        source(["follow_mixture/strategies.csv", "follow_mixture/classes.csv"]),
+        files=["follow_mixture/strategies.csv", "follow_mixture/classes.csv"],
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from running import RESULTS, read_csv
 
-from result_pages.text import Row, exact_of, mean_of, page, source, table
+from result_pages.text import Row, exact_of, mean_of, page, table
 from usnet_env.drawing import caption_figure
 from usnet_env.evaluation import TRIVIAL, FrozenSuite, list_suites
 from usnet_env.evaluation.report import format_interval, group_rows, make_panels
@@ -35,8 +35,7 @@ def text() -> str:
         "machines of different speed, so seconds are rough. "
         "[Another page](suites_cells.md) has the numbers of each cell.",
         *parts,
-        "## Raw rows and commands",
-        source(files),
+        files=files,
     )
 
 
@@ -53,8 +52,7 @@ def cells_text() -> str:
         "detector may then have learned how heads fly, and not who leads; no detector of this project is trained on "
         "these cells.",
         *parts,
-        "## Raw rows and commands",
-        source([*(rows_file(suite) for suite, _ in _played()), "leak_probe.csv"]),
+        files=[*(rows_file(suite) for suite, _ in _played()), "leak_probe.csv"],
     )
 
 

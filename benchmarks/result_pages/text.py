@@ -59,19 +59,26 @@ def table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     return "\n".join(format_markdown(header, lines, " --- "))
 
 
-def source(files: Sequence[str], more: str = "") -> str:
+def source(files: Sequence[str]) -> str:
     """Where the numbers of a page come from; the commands stand in benchmarks/README.md, file by file."""
     listed = ", ".join(f"`benchmarks/results/{name}`" for name in files)
-    lines = [f"Raw rows: {listed}.{' ' + more if more else ''}"]
+    lines = [f"Raw rows: {listed}."]
     made = list(dict.fromkeys(command for name in files for command in commands_of(name)))
     if made:
         lines += ["", "```shell", *made, "```"]
     return "\n".join(lines)
 
 
-def page(title: str, *parts: str) -> str:
-    """A page: notice, title, paragraphs; the first one explains the intervals of rates of 0 and 100 %, if any."""
-    text = "\n\n".join(parts[1:])
+def page(title: str, *parts: str, files: Sequence[str] = ()) -> str:
+    """A page: notice, title, paragraphs; the first one explains the intervals of rates of 0 and 100 %, if any.
+
+    Args:
+        title: of the page.
+        parts: the paragraphs.
+        files: of the rows, if the page ends with them and the commands that made them.
+    """
+    end = ["## Raw rows and commands", source(files)] if files else []
+    text = "\n\n".join([*parts[1:], *end])
     start = f"{parts[0]} {SAME_SEEDS}" if _EXTREME_RATE.search(text) and SAME_SEEDS not in text else parts[0]
     return "\n\n".join([NOTICE, f"# {title}", start, text]).strip() + "\n"
 

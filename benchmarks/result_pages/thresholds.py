@@ -8,7 +8,7 @@ import numpy as np
 from running import RESULTS, read_csv
 from threshold_ablation import CHANGES
 
-from result_pages.text import page, source, table
+from result_pages.text import page, table
 from usnet_env.evaluation.statistics import mean_interval
 
 FILE = "follow_mixture_thresholds.csv"
@@ -75,6 +75,5 @@ def text() -> str:
         "all windows or in one tier, but the interval holds 0.",
         f"Windows by tier: {counts}.",
         compare(windows, tiers),
-        "## Raw rows and commands",
-        source((FILE,)),
+        files=(FILE,),
     )

@@ -12,7 +12,7 @@ from follow_mixture import EDGES, SEED
 from numpy.typing import NDArray
 from running import RESULTS, read_csv
 
-from result_pages.text import Row, cost_of, exact_of, number, page, source, table
+from result_pages.text import Row, cost_of, exact_of, number, page, table
 from usnet_env.drawing import COLORS, caption_figure
 from usnet_env.evaluation.report import add_legend, group_rows, make_panels
 from usnet_env.evaluation.statistics import mean_interval
@@ -238,8 +238,7 @@ def text() -> str:
         "![Share of heads against their probability, a panel for each tier with UAVs in several bins]"
         "(../../benchmarks/results/follow_mixture/reliability.png)",
         reliability_tables(reliability()),
-        "## Raw rows and commands",
-        source([*files, "follow_mixture/reliability.png"]),
+        files=[*files, "follow_mixture/reliability.png"],
     )
 
 
