@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from result_pages.text import Row, cost_of, exact_of, mean_of, page, share_of, table
 from result_pages.tiers import of, tier_rows
@@ -20,21 +20,22 @@ DETECTORS = (
 )
 
 
+COLUMNS: dict[str, Callable[[Sequence[Row]], str]] = {
+    "exact": exact_of,
+    "J": cost_of,
+    "decoys": lambda rows: mean_of(rows, "decoys_named"),
+    "named": lambda rows: mean_of(rows, "named"),
+    "silent": lambda rows: share_of(rows, lambda row: int(row["named"]) == 0),
+}
+
+
 def lines_of(setting: str, rows: Sequence[Row], columns: Sequence[str]) -> list[tuple[str, ...]]:
     """A line for each detector that played a setting."""
-    lines = []
-    for name in DETECTORS:
-        own = of(rows, name)
-        if own:
-            values = {
-                "exact": lambda own=own: exact_of(own),
-                "J": lambda own=own: cost_of(own),
-                "decoys": lambda own=own: mean_of(own, "decoys_named"),
-                "named": lambda own=own: mean_of(own, "named"),
-                "silent": lambda own=own: share_of(own, lambda row: int(row["named"]) == 0),
-            }
-            lines.append((setting, f"`{name}`", f"{len(own):,}", *(values[column]() for column in columns)))
-    return lines
+    return [
+        (setting, f"`{name}`", f"{len(own):,}", *(COLUMNS[column](own) for column in columns))
+        for name in DETECTORS
+        if (own := of(rows, name))
+    ]
 
 
 def decoys() -> str:

@@ -2,52 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 
+from follow_mixture_strategies import FIRST_EIGHT
 from running import RESULTS, read_csv
 
+from detectors.studies.common import FOLLOW
 from result_pages.text import Row, exact_of, mean_of, page, share_of, table
 from usnet_env.evaluation.report import group_rows
 
-EIGHT = "eight others"
+Cell = Callable[[Sequence[Row]], str]
 
 
-def pivot(rows: Sequence[Row], episode: str) -> str:
-    """A line for each swarm, strategy and metric; a column for each detector."""
+def compare(rows: Sequence[Row], strategies: Callable[[Row], str], header: tuple[str, str], cell: Cell) -> str:
+    """A line for each swarm and group of strategies, a column for each detector; ``header``: a group, and a cell."""
     names = list(dict.fromkeys(row["detector"] for row in rows))
     lines = []
-    for key, own in group_rows(rows, lambda row: (row["swarm"], row["follow"])).items():
-        swarm, follow = key
-        by_name = {name: [row for row in own if row["detector"] == name] for name in names}
-        counts = "–".join(map(str, sorted({len(some) for some in by_name.values()})))
-        costs = [mean_of(some, "J", 2, episode) if some else "" for some in by_name.values()]
-        lines.append((swarm, follow, counts, *costs))
-    return table(("swarm", "strategy", "n", *(f"`{name}`: J_m" for name in names)), lines)
-
-
-def exact(rows: Sequence[Row], episode: str) -> str:
-    """The share of exact episodes by swarm, over f1 to f7 and over the other strategies."""
-    names = list(dict.fromkeys(row["detector"] for row in rows))
-    lines = []
-    groups = group_rows(rows, lambda row: (row["swarm"], "f1–f7" if row["follow"] in _SEVEN else EIGHT))
-    for key, own in groups.items():
-        swarm, strategies = key
+    for key, own in group_rows(rows, lambda row: (row["swarm"], strategies(row))).items():
         by_name = [[row for row in own if row["detector"] == name] for name in names]
         counts = "–".join(map(str, sorted({len(some) for some in by_name})))
-        lines.append((swarm, strategies, counts, *(exact_of(some, episode) for some in by_name)))
-    return table(("swarm", "strategies", "n", *(f"`{name}`: exact" for name in names)), lines)
+        lines.append((*key, counts, *(cell(some) if some else "" for some in by_name)))
+    return table(("swarm", header[0], "n", *(f"`{name}`: {header[1]}" for name in names)), lines)
 
 
-_SEVEN = tuple(f"f{number}" for number in range(1, 8))
+def two_tables(file: str, episode: str) -> str:
+    """J_m by strategy, and the share of exact episodes over f1 to f7 and over the other strategies."""
+    rows = read_csv(RESULTS / file)
+    costs = compare(rows, lambda row: row["follow"], ("strategy", "J_m"), lambda own: mean_of(own, "J", 2, episode))
+    groups = {**dict.fromkeys(FOLLOW, "f1–f7"), **dict.fromkeys(FIRST_EIGHT, "eight others")}
+    exact = compare(
+        rows, lambda row: groups[row["follow"]], ("strategies", "exact"), lambda own: exact_of(own, episode)
+    )
+    return f"{costs}\n\n{exact}"
 
 
 def limits() -> str:
     """A line for each variant and detector, over f1 to f7."""
     rows = read_csv(RESULTS / "learned_limits.csv")
     lines = []
-    for key, own in group_rows(rows, _variant).items():
-        tier, variant, name = key
+    for (tier, variant, name), own in group_rows(rows, _variant).items():
         empty = tier in ("silence", "shifted")
         lines.append(
             (
@@ -77,15 +71,13 @@ def _variant(row: Row) -> tuple[str, str, str]:
 @cache
 def games() -> str:
     """The tables of learned.csv."""
-    rows = read_csv(RESULTS / "learned.csv")
-    return f"{pivot(rows, 'seed')}\n\n{exact(rows, 'seed')}"
+    return two_tables("learned.csv", "seed")
 
 
 @cache
 def trained() -> str:
     """The tables of ppo_observer.csv."""
-    rows = read_csv(RESULTS / "ppo_observer.csv")
-    return f"{pivot(rows, 'episode')}\n\n{exact(rows, 'episode')}"
+    return two_tables("ppo_observer.csv", "episode")
 
 
 def text() -> str:

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from running import RESULTS
 
 from detectors.studies.table2 import Row, fill_table, rate_of, read_paper, report_rates
-from result_pages.text import demoted, page, share, table
+from result_pages.text import demoted, page, row_files, share, table
 from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.suite import read_rows
 
-FOLDER = RESULTS / "table2"
-
-
-def files() -> list[Path]:
-    """The row files, the paper's setting first."""
-    return sorted(FOLDER.glob("episodes*.csv"), key=lambda path: (len(path.name), path.name))
+FILES = row_files(RESULTS / "table2", "episodes")
 
 
 def heads(row: Row) -> str:
@@ -29,27 +22,21 @@ def overview() -> str:
     theirs = [rate.mean for rate in read_paper().values()]
     mean, least = 100 * sum(theirs) / len(theirs), 100 * min(theirs)
     lines = [("the paper's table", "iid", "0", "70", "70,000", f"{mean:.1f} %", f"{least:.1f} %, n = 1,000")]
-    for path in files():
+    for path in FILES:
         rows = read_rows(path, Row)
         for detector, own in group_rows(rows, lambda row: row.detector).items():
             cells = group_rows(own, lambda row: (row.follow, row.followers))
-            overall = rate_of(own)
-            if overall is None:
-                continue
-            low_cell = min(cells.values(), key=lambda some: sum(row.hit for row in some) / len(some))
-            lowest = rate_of(low_cell)
-            worst = "" if lowest is None else f"{share(lowest[1])}, n = {lowest[0]}"
-            counts = f"{len(own):,}"
-            lines.append(
-                (f"`{detector}`", heads(own[0]), str(own[0].decoys), str(len(cells)), counts, share(overall[1]), worst)
-            )
+            count, overall = rate_of(own)
+            few, lowest = rate_of(min(cells.values(), key=lambda some: sum(row.hit for row in some) / len(some)))
+            swarms = (heads(own[0]), str(own[0].decoys), str(len(cells)))
+            lines.append((f"`{detector}`", *swarms, f"{count:,}", share(overall), f"{share(lowest)}, n = {few}"))
     return table(("detector", "heads", "decoys", "cells", "n", "head alone named", "lowest cell"), lines)
 
 
 def text() -> str:
     """The page."""
     parts = []
-    for path in files():
+    for path in FILES:
         rows = read_rows(path, Row)
         first = rows[0]
         count = f"{first.decoys} decoy{'s' if first.decoys != 1 else ''}"
@@ -68,5 +55,5 @@ def text() -> str:
         "decoy the head is the only UAV that no other UAV resembles; a decoy is a second UAV of this kind.",
         overview(),
         *parts,
-        files=[f"table2/{path.name}" for path in files()],
+        files=[f"table2/{path.name}" for path in FILES],
     )

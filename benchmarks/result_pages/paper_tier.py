@@ -18,6 +18,7 @@ DETECTORS = (
     "random",
     "none",
 )
+MEANS = ("precision_first", "recall_first", "ap_first", "rounds", "redundancy")
 FOLDER = RESULTS / "multi_cluster"
 
 
@@ -48,11 +49,7 @@ def text() -> str:
                 f"{len(own[name]):,}",
                 mean_of(own[name], "J"),
                 exact_of(own[name]),
-                mean_of(own[name], "precision_first"),
-                mean_of(own[name], "recall_first"),
-                mean_of(own[name], "ap_first"),
-                mean_of(own[name], "rounds"),
-                mean_of(own[name], "redundancy"),
+                *(mean_of(own[name], column) for column in MEANS),
                 share_of(own[name], lambda row: float(row["success"]) > 0),
             )
             for name in DETECTORS
@@ -61,12 +58,9 @@ def text() -> str:
     return page(
         "P2 on the paper's tier",
         f"iid heads, M = 5 clusters, N = 82 UAVs, n = {'–'.join(map(str, counts))} episodes for each follow strategy "
-        f"and "
-        "detector; all detectors meet the same swarms (seed 2022). `lagged-regression(clusters=5)` is given M; no "
-        "other "
-        "row is. J_m is better when lower. The trivial policies (`one-per-round`, `destroy-all`, `random`, `none`) "
-        "show "
-        "what J_m alone is worth: destroying all UAVs in round 1 costs 1.94.",
+        "and detector; all detectors meet the same swarms (seed 2022). `lagged-regression(clusters=5)` is given M; no "
+        "other row is. J_m is better when lower. The trivial policies (`one-per-round`, `destroy-all`, `random`, "
+        "`none`) show what J_m alone is worth: destroying all UAVs in round 1 costs 1.94.",
         by_strategy,
         "Precision, recall and AP (average precision) are those of round 1. *Exact* is the share of episodes in which "
         "round 1 names all heads and no other UAV.",

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from follow_mixture_strategies import IN_A_CLASS, OUTSIDE_CLASSES, STRATEGIES
 from running import RESULTS, read_csv
 
-from result_pages.text import cost_of, exact_of, page, table
-from result_pages.tiers import OURS, of, tier_rows
+from result_pages.text import page, table
+from result_pages.tiers import OURS, PEERS, of, own_cells, peer_cells, tier_rows
 
 CLASSES = RESULTS / "follow_mixture" / "classes.csv"
 
@@ -24,21 +24,8 @@ def games(strategies: Sequence[str]) -> str:
     lines = []
     for words, name, variant in [*groups, ("**all**", None, None)]:
         rows = every if name is None else [r for r in every if (r["follow"], r["variant"]) == (name, variant)]
-        ours, lagged, everything = (of(rows, label) for label in (OURS, "lagged-regression", "destroy-all"))
-        lines.append(
-            (
-                words,
-                f"{len(ours):,}",
-                exact_of(ours),
-                cost_of(ours),
-                f"{len(lagged):,}",
-                exact_of(lagged),
-                cost_of(lagged, 2),
-                f"{cost_of(everything)}, n = {len(everything):,}",
-            )
-        )
-    header = ("strategy and heads", "`follow-mixture`: n", "exact", "J_m")
-    return table((*header, "`lagged-regression`: n", "exact", "J_m", "`destroy-all`: J_m"), lines)
+        lines.append((words, *own_cells(of(rows, OURS)), *peer_cells(rows)))
+    return table(("strategy and heads", "`follow-mixture`: n", "exact", "J_m", *PEERS), lines)
 
 
 def classes() -> str:
@@ -51,9 +38,9 @@ def classes() -> str:
         lines.append(
             (
                 f"`{name}`",
-                f"{shared['r2_shared']}",
+                shared["r2_shared"],
                 f"`{shared['class']}`",
-                f"{each['r2_each']}",
+                each["r2_each"],
                 f"`{each['class']}`",
                 "yes" if name in IN_A_CLASS else "no",
             )

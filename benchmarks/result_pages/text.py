@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 
 from commands import commands_of
 
@@ -86,6 +87,11 @@ def page(title: str, *parts: str, files: Sequence[str] = ()) -> str:
 def table_alone(markdown: str) -> str:
     """A file that holds tables and no heading, for pages that include it."""
     return f"{NOTICE}\n\n{markdown}\n"
+
+
+def row_files(folder: Path, start: str) -> list[Path]:
+    """The row files of a folder whose names start in this way, the paper's setting first: its name is the shortest."""
+    return sorted(folder.glob(f"{start}*.csv"), key=lambda path: (len(path.name), path.name))
 
 
 def demoted(markdown: str, levels: int = 1) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 OURS, MAP = "follow-mixture", "follow-mixture(policy='map')"
 TIERS = ("paper", "sizes", "smooth", "straight", "short", "noise", "missed", "sampled")
 EVERY_TIER = (*TIERS, "decoys", "strategies", "silence", "shifted", "P1")
+PEERS = ("`lagged-regression`: n", "exact", "J_m", "`destroy-all`: J_m")
 FIGURE = RESULTS / "follow_mixture" / "reliability.png"
 _LEAST_UAVS = 20  # in a bin that counts for whether a tier is drawn
 
@@ -59,6 +60,18 @@ def of(rows: Iterable[Row], detector: str) -> list[Row]:
     return [row for row in rows if row["detector"] == detector]
 
 
+def own_cells(rows: Sequence[Row]) -> tuple[str, str, str]:
+    """n, the share of exact episodes and J_m of a detector's rows."""
+    return f"{len(rows):,}", exact_of(rows), cost_of(rows)
+
+
+def peer_cells(rows: Iterable[Row]) -> tuple[str, str, str, str]:
+    """The columns :data:`PEERS`."""
+    lagged, everything = (of(rows, name) for name in ("lagged-regression", "destroy-all"))
+    destroyed = f"{cost_of(everything)}, n = {len(everything):,}"
+    return f"{len(lagged):,}", exact_of(lagged), cost_of(lagged, 2), destroyed
+
+
 def worst(rows: Iterable[Row]) -> str:
     """The strategy with the highest mean J, and that mean."""
     means = {
@@ -74,23 +87,9 @@ def by_variant() -> str:
     lines = []
     for tier in TIERS:
         for variant, rows in group_rows(tier_rows(tier), lambda row: row["variant"]).items():
-            ours, lagged, everything = (of(rows, name) for name in (OURS, "lagged-regression", "destroy-all"))
-            lines.append(
-                (
-                    words(tier, str(variant)),
-                    f"{len(ours):,}",
-                    exact_of(ours),
-                    cost_of(ours),
-                    worst(ours),
-                    f"{len(lagged):,}",
-                    exact_of(lagged),
-                    cost_of(lagged, 2),
-                    f"{cost_of(everything)}, n = {len(everything):,}",
-                )
-            )
-    header = ("swarms, f1–f7", "n", "exact", "J_m", "worst strategy: J_m")
-    peers = ("`lagged-regression`: n", "exact", "J_m", "`destroy-all`: J_m")
-    return table((*header, *peers), lines)
+            ours = of(rows, OURS)
+            lines.append((words(tier, variant), *own_cells(ours), worst(ours), *peer_cells(rows)))
+    return table(("swarms, f1–f7", "n", "exact", "J_m", "worst strategy: J_m", *PEERS), lines)
 
 
 def policies() -> str:
@@ -105,10 +104,9 @@ def policies() -> str:
                 continue
             default, most_likely = (np.array([cost[key] for key in both]) for cost in costs)
             gap = mean_interval(most_likely - default)
-            swarms = f"{tier} {variant}".strip()
             lines.append(
                 (
-                    swarms,
+                    f"{tier} {variant}".strip(),
                     str(len(both)),
                     number(mean_interval(default), 3),
                     number(mean_interval(most_likely), 3),
@@ -256,7 +254,7 @@ def cells_text() -> str:
             for name in names:
                 some = of(own, name)
                 entries.append(f"{cost_of(some, 2)}; {len(some)}" if some else "")
-            lines.append((str(cell), *entries))
+            lines.append((cell, *entries))
         parts += [f"## {tier}: {unit}", table(("cell", *(f"`{name}`" for name in names)), lines)]
     return page(
         "All cells of the tiers",
