@@ -20,6 +20,7 @@ import os
 import tempfile
 import time
 from pathlib import Path
+from unittest.mock import patch
 
 import gymnasium as gym
 import numpy as np
@@ -223,7 +224,7 @@ def ray_nodes(episodes: int, turns: int, computing: bool) -> dict[str, object]:
     loads = []
     for turn in range(turns):
         for nodes, seconds in taken.items():
-            seconds.append(Timed(Takes(0.5, computing), episodes, turn, nodes).seconds)
+            seconds.append(time_run(Takes(0.5, computing), episodes, turn, nodes))
         loads.append(os.getloadavg()[0])
     ratios = np.array(taken[1]) / np.array(taken[2])
     found: dict[str, object] = {
@@ -243,33 +244,19 @@ def ray_nodes(episodes: int, turns: int, computing: bool) -> dict[str, object]:
     return found
 
 
-class Timed:
-    """A run on Ray, timed from its first row to its last one: without the start of the workers."""
+def time_run(detector: Takes, episodes: int, seed: int, nodes: int) -> float:
+    """Seconds of a run on Ray from its first rows to its last one: without the start of the workers."""
+    ends: list[float] = []
+    append = RunStore.append
 
-    def __init__(self, detector: Takes, episodes: int, seed: int, nodes: int) -> None:
-        self.ends: list[float] = []
-        append = RunStore.append
+    def note(store: RunStore, rows: list[dict[str, object]]) -> None:
+        append(store, rows)
+        ends.append(time.perf_counter())
 
-        def note(store: RunStore, rows: list[dict[str, object]]) -> None:
-            append(store, rows)
-            self.ends.append(time.perf_counter())
-
-        RunStore.append = note  # type: ignore[method-assign]  # to count its time
-        try:
-            with tempfile.TemporaryDirectory() as folder:
-                evaluate(
-                    "USNET/MultiCluster-v0",
-                    detector,
-                    episodes=episodes,
-                    seed=seed,
-                    workers=nodes,
-                    backend="ray",
-                    out=folder,
-                )
-        finally:
-            RunStore.append = append  # type: ignore[method-assign]  # as it was
-        skipped = episodes // 4  # the second node may start later
-        self.seconds = self.ends[-1] - self.ends[skipped]
+    how = {"episodes": episodes, "seed": seed, "workers": nodes, "backend": "ray"}
+    with patch.object(RunStore, "append", note), tempfile.TemporaryDirectory() as folder:
+        evaluate("USNET/MultiCluster-v0", detector, **how, out=folder)
+    return ends[-1] - ends[episodes // 4]  # the second node may start later
 
 
 def main() -> None:

@@ -19,12 +19,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from speed_helpers import peak_memory, play, seconds, write_json
+from speed_helpers import describe_ratios, run, write_json
 
 from detectors.studies.common import FOLLOW
 from usnet_env import Window
@@ -44,6 +45,32 @@ SERIES = ("clusters fixed", "clusters in proportion")
 LARGEST = 10_000
 FOLLOWERS = 50
 PATIENCE = 30.0  # seconds after which a size is timed no further
+
+
+MEMORY = """
+import json, sys, gymnasium as gym, usnet_env
+from usnet_env.plugins import make_detector
+size = {"clusters": int(sys.argv[1]), "uavs": int(sys.argv[2])}
+window = usnet_env.Window.from_observation(gym.make("USNET/MultiCluster-v0", follow="f1", **size).reset(seed=0)[0])
+before = peak()
+detector = make_detector(sys.argv[3])
+detector.reset(0)
+detector.detect(window)
+print(json.dumps([before, peak()]))
+"""
+
+
+def seconds(function: Callable[[], object]) -> float:
+    """Measure the processor seconds of a call."""
+    begun = time.process_time()
+    function()
+    return time.process_time() - begun
+
+
+def play(detector: object, window: Window) -> object:
+    """Play an episode of one round: a reset, and one window."""
+    detector.reset(0)
+    return detector.detect(window)
 
 
 def swarm(env: MultiClusterEnv | SingleClusterEnv, seed: int) -> tuple[Window, np.ndarray]:
@@ -74,8 +101,7 @@ def windows(turns: int, count: int) -> dict[str, object]:
         answer[follow] = {
             "seconds": own,
             "seconds_of_lagged_correlation": peer,
-            "ratio": float(np.median(ratios)),
-            "ratios": ratios.tolist(),
+            **describe_ratios(ratios),
             "ratio_by_window": np.median(taken[..., 0] / taken[..., 1], axis=0).tolist(),
             "windows": count,
             "exact": float(np.mean(found)),
@@ -139,14 +165,13 @@ def growth(series: str, sizes: tuple[int, ...], turns: int, count: int) -> dict[
 
 def memory(series: str) -> dict[str, object]:
     clusters = clusters_of(series, LARGEST)
+    before, peak = run(MEMORY, clusters, LARGEST, OURS)
     return {
         "what": f"peak resident bytes of a process that answers one window of {LARGEST} UAVs",
         "clusters": clusters,
-        **peak_memory(
-            ["from usnet_env.plugins import make_detector"],
-            f"gym.make('USNET/MultiCluster-v0', follow='f1', clusters={clusters}, uavs={LARGEST})",
-            f"make_detector({OURS!r})",
-        ),
+        "bytes": peak,
+        "bytes_after_imports": before,
+        "bytes_above_imports": peak - before,
     }
 
 
@@ -165,7 +190,6 @@ def beside_gassl(episodes: int) -> dict[str, object]:
                 answers = []
                 taken[episode, k] = seconds(lambda found=answers, by=detector, w=window: found.append(play(by, w)))
                 hits[episode, k] = exact(head, answers[0].candidates)
-        ratios = taken[:, 0] / taken[:, 1]
         rates = {}
         for k, name in enumerate(detectors):
             rate, low, high = rate_interval(hits[:, k])
@@ -173,8 +197,7 @@ def beside_gassl(episodes: int) -> dict[str, object]:
         answer[follow] = {
             "what": f"times faster than gassl, one head and {FOLLOWERS} followers",
             "episodes": episodes,
-            "ratio": float(np.median(ratios)),
-            "ratios": ratios.tolist(),
+            **describe_ratios(taken[:, 0] / taken[:, 1]),
             **rates,
         }
         print(f"{follow}: {answer[follow]['ratio']:.0f} times as fast as GASSL", flush=True)

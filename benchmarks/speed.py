@@ -18,7 +18,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 from scipy.spatial import cKDTree
-from speed_helpers import run, write_json
+from speed_helpers import describe_ratios, run, write_json
 
 import usnet_env  # noqa: F401  registers the environments
 from usnet_env.provenance import machine, versions
@@ -30,7 +30,6 @@ from usnet_env.swarm.formation import Roles
 EPISODES, UAVS = 256, 82
 FOLLOW = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
 KINEMATICS = ["varied_speed", "lagged", "limited", "layered"]
-PARTS = ["stepping", "field", "kinematics", "scaling", "peers", "memory"]
 SIZES = [100, 300, 1000, 3000, 10_000]
 
 
@@ -60,13 +59,11 @@ def stepping(turns: int, **arguments: object) -> dict[str, object]:
             rng.standard_normal(out=buffer, dtype=np.float32)
 
     taken = alternate(turns, lambda: advance(config, state, rngs), draw)
-    ratios = taken[:, 1] / taken[:, 0]
     return {
         "what": "rate of stepping over rate of drawing the same normals",
         "uav_steps_per_second": EPISODES * UAVS * config.steps / float(np.median(taken[:, 0])),
         "normals_per_second": EPISODES * normals / float(np.median(taken[:, 1])),
-        "ratio": float(np.median(ratios)),
-        "ratios": ratios.tolist(),
+        **describe_ratios(taken[:, 1] / taken[:, 0]),
     }
 
 
@@ -170,14 +167,8 @@ def peers(turns: int) -> dict[str, object]:
     return {
         "what": "agent-steps a second; simple_tag_v3 parallel env with 10 agents, flocking at 4,096 envs of 10 agents",
         "agent_steps_per_second": {name: float(np.median(rate)) for name, rate in rates.items()},
-        "over_simple_tag_v3": {
-            "ratio": float(np.median(rates["usnet"] / rates["simple_tag_v3"])),
-            "ratios": (rates["usnet"] / rates["simple_tag_v3"]).tolist(),
-        },
-        "over_vmas_flocking": {
-            "ratio": float(np.median(rates["usnet"] / rates["vmas_flocking"])),
-            "ratios": (rates["usnet"] / rates["vmas_flocking"]).tolist(),
-        },
+        "over_simple_tag_v3": describe_ratios(rates["usnet"] / rates["simple_tag_v3"]),
+        "over_vmas_flocking": describe_ratios(rates["usnet"] / rates["vmas_flocking"]),
     }
 
 
@@ -193,29 +184,28 @@ def memory() -> dict[str, object]:
     return {"what": "peak resident bytes, 1,000 swarms of 82 UAVs", "bytes": peak}
 
 
+PARTS: dict[str, Callable[[int], dict[str, object]]] = {
+    "stepping": lambda turns: {follow: stepping(turns, follow=follow) for follow in FOLLOW},
+    "field": lambda turns: {follow: stepping(turns, follow=follow, memory=12) for follow in FIELD_MODELS},
+    "kinematics": lambda turns: {name: stepping(turns, kinematics=name) for name in KINEMATICS},
+    "scaling": lambda turns: {follow: scaling(follow, turns) for follow in ("pigeons", "vicsek", "couzin")},
+    "peers": peers,
+    "memory": lambda turns: memory(),
+}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--turns", type=int, default=15)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "speed.json")
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="peers need the bench extra")
+    parser.add_argument("--parts", nargs="+", choices=[*PARTS], default=[*PARTS], help="peers need the bench extra")
     arguments = parser.parse_args()
-    turns, parts = arguments.turns, arguments.parts
+    turns = arguments.turns
     result: dict[str, object] = {}
-    if parts != PARTS and arguments.out.exists():
+    if arguments.parts != [*PARTS] and arguments.out.exists():
         result = json.loads(arguments.out.read_text())
     result |= {"machine": machine(), "versions": versions(("torch", "mpe2", "vmas")), "turns": turns}
-    if "stepping" in parts:
-        result["stepping"] = {follow: stepping(turns, follow=follow) for follow in FOLLOW}
-    if "field" in parts:
-        result["field"] = {follow: stepping(turns, follow=follow, memory=12) for follow in FIELD_MODELS}
-    if "kinematics" in parts:
-        result["kinematics"] = {name: stepping(turns, kinematics=name) for name in KINEMATICS}
-    if "scaling" in parts:
-        result["scaling"] = {follow: scaling(follow, turns) for follow in ("pigeons", "vicsek", "couzin")}
-    if "peers" in parts:
-        result["peers"] = peers(turns)
-    if "memory" in parts:
-        result["memory"] = memory()
+    result |= {part: measure(turns) for part, measure in PARTS.items() if part in arguments.parts}
     write_json(arguments.out, result)
     for part in ("stepping", "field", "kinematics"):
         for name, row in result.get(part, {}).items():
