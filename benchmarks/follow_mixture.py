@@ -41,6 +41,7 @@ DETECTORS = ("follow-mixture", "lagged-regression", "granger", "factions", "dest
 SEED = 7077  # of the published rows; seeds below 1000 are for tuning
 PAPER = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 SMOOTH = ("gauss_markov", "smooth_turn", "local_waypoint")
+JITTERED = {"mobility": "gauss_markov", "head_jitter": True}
 LONG = {"clusters": 3, "uavs": 30, "observation_steps": 900}  # 30 samples a UAV: five autocorrelation times
 #: Edges of the bins of probability: fine where a swarm has most of its UAVs.
 EDGES = (0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97, 0.99, 1)
@@ -67,53 +68,57 @@ class Cell:
     kind: str = "P2"
     episodes: int = 50
 
+    @property
+    def empty(self) -> bool:
+        """Whether the right answer names no UAV."""
+        return self.kind in ("silence", "shifted")
+
+    def make_env(self) -> MultiClusterEnv | SingleClusterEnv:
+        """Make its environment."""
+        return (SingleClusterEnv if self.kind == "P1" else MultiClusterEnv)(**self.env)
+
 
 def cells() -> list[Cell]:
     """All cells, tier by tier."""
-    found = [Cell("paper", f, {"follow": f}, episodes=300) for f in PAPER]
+    found: list[Cell] = []
+
+    def add(tier: str, name: str, episodes: int = 50, kind: str = "P2", **env: Any) -> None:
+        """Add a cell for each strategy of the paper."""
+        for follow in PAPER:
+            found.append(Cell(tier, f"{follow}-{name}", {"follow": follow, **env}, kind, episodes))
+
+    found += [Cell("paper", f, {"follow": f}, episodes=300) for f in PAPER]
     sizes = ((2, 20), (3, 45), (5, 50), (8, 185), (10, 120), (20, 237))
     found += [Cell("sizes", f"{f}-M{m}-N{n}", {"follow": f, "clusters": m, "uavs": n}) for f in PAPER for m, n in sizes]
     for mobility in SMOOTH:
-        found += [
-            Cell("smooth", f"{f}-{mobility}", {"follow": f, "mobility": mobility, "head_jitter": True}) for f in PAPER
-        ]
-    for jitter in (True, False):
-        name = "jitter" if jitter else "bare"
-        found += [
-            Cell("straight", f"{f}-{name}", {"follow": f, "mobility": "straight", "head_jitter": jitter}) for f in PAPER
-        ]
+        add("smooth", mobility, mobility=mobility, head_jitter=True)
+    add("straight", "jitter", mobility="straight", head_jitter=True)
+    add("straight", "bare", mobility="straight", head_jitter=False)
     for steps in (8, 12, 20, 50):
-        found += [Cell("short", f"{f}-T{steps}", {"follow": f, "observation_steps": steps}) for f in PAPER]
+        add("short", f"T{steps}", observation_steps=steps)
     for sigma in (0.1, 0.3, 0.5, 1.0):
-        found += [Cell("noise", f"{f}-{sigma}", {"follow": f, "position_noise": sigma}) for f in PAPER]
+        add("noise", f"{sigma}", position_noise=sigma)
     for sigma in (0.1, 0.3, 0.5):
-        smooth = {"mobility": "gauss_markov", "head_jitter": True, "position_noise": sigma}
-        found += [Cell("noise", f"{f}-gauss_markov-{sigma}", {"follow": f, **smooth}) for f in PAPER]
+        add("noise", f"gauss_markov-{sigma}", **JITTERED, position_noise=sigma)
     for rate in (0.1, 0.3):
-        found += [Cell("missed", f"{f}-{rate}", {"follow": f, "miss_rate": rate}) for f in PAPER]
-    found += [Cell("sampled", f"{f}-2", {"follow": f, "sample_every": 2}, episodes=20) for f in PAPER]
+        add("missed", f"{rate}", miss_rate=rate)
+    add("sampled", "2", 20, sample_every=2)
     for mobility in EVERY_MOBILITY:
-        for jitter in (True, False):
-            env = {"mobility": mobility, "head_jitter": jitter}
-            name = f"{mobility}-{'jitter' if jitter else 'bare'}"
-            found.append(Cell("silence", f"none-{name}", {"follow": "none", **env}, "silence", 100))
-        for f in PAPER:
-            env = {"follow": f, "mobility": mobility, "head_jitter": True, **LONG}
-            found.append(Cell("shifted", f"{f}-{mobility}", env, "shifted", 30))
+        for name, jitter in (("jitter", True), ("bare", False)):
+            env = {"follow": "none", "mobility": mobility, "head_jitter": jitter}
+            found.append(Cell("silence", f"none-{mobility}-{name}", env, "silence", 100))
+        add("shifted", mobility, 30, "shifted", mobility=mobility, head_jitter=True, **LONG)
     for decoys in (1, 3, 10):
         for mobility in ("iid", "gauss_markov"):
             env = {"mobility": mobility, "head_jitter": mobility != "iid", "decoys": decoys, "uavs": 82 + decoys}
-            found += [Cell("decoys", f"{f}-{mobility}-{decoys}", {"follow": f, **env}) for f in PAPER]
+            add("decoys", f"{mobility}-{decoys}", **env)
     found += [
         Cell("P1", f"{f}-m{m}-d{d}", {"follow": f, "followers": m, "decoys": d}, "P1", 100)
         for f in PAPER
         for m, d in ((2, 1), (2, 0), (15, 1))
     ]
     found += [Cell("strategies", f, {"follow": f}) for f in STRATEGIES]
-    found += [
-        Cell("strategies", f"{f}-gauss_markov", {"follow": f, "mobility": "gauss_markov", "head_jitter": True})
-        for f in STRATEGIES
-    ]
+    found += [Cell("strategies", f"{f}-gauss_markov", {"follow": f, **JITTERED}) for f in STRATEGIES]
     return found
 
 
@@ -153,7 +158,6 @@ def detector_of(label: str) -> Any:
 
 def play(cell: Cell, label: str, seed: int, episode: int) -> dict[str, Any]:
     """Play one episode. ``J`` is J_m (P2), J_s (P1), or the number of candidates (other kinds)."""
-    env = (SingleClusterEnv if cell.kind == "P1" else MultiClusterEnv)(**cell.env)
     swarm_seed, detector_seed = episode_seeds(seed, episode)
     detector = detector_of(label)
     detector.reset(detector_seed)
@@ -162,12 +166,12 @@ def play(cell: Cell, label: str, seed: int, episode: int) -> dict[str, Any]:
         window = Window.from_observation(observation)
         return detector.detect(shifted_tracks(window, detector_seed) if cell.kind == "shifted" else window)
 
-    empty = cell.kind in ("silence", "shifted")
+    env = cell.make_env()
     begun = time.perf_counter()
-    played = list(islice(play_rounds(env, answer, swarm_seed), 1 if empty else None))
+    played = list(islice(play_rounds(env, answer, swarm_seed), 1 if cell.empty else None))
     seconds = (time.perf_counter() - begun) / len(played)
     truth, first = played[0].truth, played[0].answer
-    alive, head = truth.alive, truth.head & (not empty)
+    alive, head = truth.alive, truth.head & (not cell.empty)
     rounds = np.array([each.answer.candidates for each in played])
     if cell.kind == "P2":
         value = multi_cluster_objective(truth.head, rounds)

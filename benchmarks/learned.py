@@ -36,7 +36,6 @@ LIMITS = {  # which detectors play, where the right answer is empty and elsewher
     False: ("learned", "lagged-regression"),
 }
 TIERS = ("short", "noise", "missed", "straight", "decoys", "bare", "silence", "shifted")
-EMPTY = ("silence", "shifted")  # the right answer names no UAV
 KEPT = ("J", "rounds", "success", "exact", "ap_first", "seconds_per_round")
 KEPT_OF_LIMITS = ("J", "exact", "named", "decoys_named")
 
@@ -66,7 +65,7 @@ def limit_cells() -> list[dict[str, str]]:
     return [
         {"tier": cell.tier, "cell": cell.name, "detector": detector}
         for cell in CELLS.values()
-        for detector in LIMITS[cell.tier in EMPTY]
+        for detector in LIMITS[cell.empty]
     ]
 
 

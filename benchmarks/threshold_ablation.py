@@ -32,7 +32,7 @@ from detectors.follow_mixture.motion import lagged
 from detectors.follow_mixture.train import CalibrationTraining
 from detectors.random_swarms import draw_calibration_swarm, draw_calibration_window
 from usnet_env import Window
-from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
+from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import load_suite
 from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.swarm import SwarmConfig
@@ -180,11 +180,11 @@ def draw_game(tier: str, name: str, number: int, random: int, seed: int) -> Game
         observation, _ = environment.reset(seed=swarm)
         return Game("P2", Window.from_observation(observation), np.asarray(environment.swarm.head), detector)
     cell = next(cell for cell in cells() if (cell.tier, cell.name) == (tier, name))
-    env = (SingleClusterEnv if cell.kind == "P1" else MultiClusterEnv)(**cell.env)
+    env = cell.make_env()
     swarm, detector = episode_seeds(seed, number)
     observation, _ = env.reset(seed=swarm)
     window = Window.from_observation(observation)
-    head = np.asarray(env.swarm.head) & (cell.kind not in ("silence", "shifted"))
+    head = np.asarray(env.swarm.head) & (not cell.empty)
     return Game(cell.kind, shifted_tracks(window, detector) if cell.kind == "shifted" else window, head, detector)
 
 
