@@ -15,14 +15,14 @@ import gymnasium as gym
 import numpy as np
 import torch
 from running import RESULTS, answer_help, write_csv
+from strategy_classes import MEMORY, follow_truly
 
 import usnet_env
 from detectors.neural_granger.inputs import build_samples
 from detectors.neural_granger.per_candidate import predict_from_own_history
 from detectors.studies.common import FOLLOW
-from usnet_env.swarm import FollowInputs, follow_strategies
+from usnet_env.swarm import follow_strategies
 
-MEMORY = 4
 EPISODES = 20
 SEED = 2022
 CELLS = (("iid", False), ("gauss_markov", True), ("waypoint", True))
@@ -31,22 +31,9 @@ HEADER = ("follow", "mobility", "head_jitter", "episode", "follower", "own_histo
 
 def predict_with_truth(env: object, window: usnet_env.Window, follow: str, followers: np.ndarray) -> np.ndarray:
     """norm(f) of every follower at every time, ``(n, T_ob - T_0, 3)``."""
-    strategy, head = follow_strategies()[follow], int(np.flatnonzero(env.swarm.head)[0])
-    rows = []
-    for t in range(MEMORY, window.observation_steps):
-        past = slice(t - 1, t - MEMORY - 1 if t > MEMORY else None, -1)
-        now = slice(t, t - MEMORY - 1 if t > MEMORY else None, -1)
-        count = len(followers)
-        wanted = strategy.direction(
-            FollowInputs(
-                own_position=window.position[now][:, followers].swapaxes(0, 1),
-                head_velocity=np.repeat(window.velocity[past][:, [head]], count, axis=1).swapaxes(0, 1),
-                head_position=np.repeat(window.position[now][:, [head]], count, axis=1).swapaxes(0, 1),
-                parameters=env.swarm.parameters,
-            )
-        )
-        rows.append(wanted / np.maximum(np.linalg.norm(wanted, axis=1, keepdims=True), 1e-6))
-    return np.stack(rows, axis=1)
+    strategy, swarm = follow_strategies()[follow], env.swarm
+    wanted = follow_truly(strategy, window, followers, swarm.leader[followers], swarm.parameters)
+    return wanted / np.maximum(np.linalg.norm(wanted, axis=2, keepdims=True), 1e-6)
 
 
 def main() -> None:

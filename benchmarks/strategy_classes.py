@@ -22,10 +22,10 @@ from detectors.follow_mixture.features import CLASSES, make_features
 from detectors.follow_mixture.motion import lagged, read_motion
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
-from usnet_env.swarm import FollowInputs
+from usnet_env.swarm import FollowInputs, FollowStrategy
 from usnet_env.swarm.follow import follow_strategy
 
-Floats = NDArray[np.float64]
+Floats, Indices = NDArray[np.float64], NDArray[np.intp]
 
 FILE = RESULTS / "follow_mixture" / "classes.csv"
 SEED = 7077
@@ -34,6 +34,35 @@ STEPS = 200  # two windows: many more rows than a law has numbers, also for one 
 #: R² from which a class counts as containing a strategy. The rest is then less than the followers' own noise, whose
 #: variance is 0.05² on each axis, beside some 0.3 of the direction: about 0.0075 of it.
 CONTAINED = 0.9925
+
+
+def follow_truly(
+    strategy: FollowStrategy, window: Window, followers: Indices, heads: Indices, parameters: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """The noise-free directions that a strategy gives.
+
+    Args:
+        strategy: the follow strategy.
+        window: its first :data:`MEMORY` steps are past only.
+        followers: indices ``(f,)``.
+        heads: indices ``(f,)`` of the followers' heads.
+        parameters: of the strategy in this episode.
+
+    Returns:
+        ``(f, T_ob - MEMORY, 3)``, not normalised.
+    """
+    directions = []
+    for step in range(MEMORY, window.observation_steps):
+        position = window.position[step - MEMORY : step + 1][::-1]
+        velocity = window.velocity[step - MEMORY : step][::-1]
+        inputs = FollowInputs(
+            own_position=position[:, followers].swapaxes(0, 1),
+            head_velocity=velocity[:, heads].swapaxes(0, 1),
+            head_position=position[:, heads].swapaxes(0, 1),
+            parameters=parameters,
+        )
+        directions.append(strategy.direction(inputs))
+    return np.stack(directions, axis=1)
 
 
 def fly(name: str, seed: int = SEED) -> tuple[Floats, Floats]:
@@ -52,18 +81,8 @@ def fly(name: str, seed: int = SEED) -> tuple[Floats, Floats]:
     motion = read_motion(window, np.arange(window.uavs))
     if motion is None:
         raise RuntimeError("the window must hold enough velocities for the detector's features")
-    directions = []
-    for step in range(MEMORY, STEPS):
-        position = window.position[step - MEMORY : step + 1][::-1]
-        velocity = window.velocity[step - MEMORY : step][::-1]
-        inputs = FollowInputs(
-            own_position=position[:, followers].swapaxes(0, 1),
-            head_velocity=velocity[:, heads].swapaxes(0, 1),
-            head_position=position[:, heads].swapaxes(0, 1),
-            parameters=parameters,
-        )
-        directions.append(strategy.direction(inputs))
-    return np.stack(directions, axis=1).astype(np.float64), lagged(motion.velocity, MEMORY)[heads]
+    directions = follow_truly(strategy, window, followers, heads, parameters).astype(np.float64)
+    return directions, lagged(motion.velocity, MEMORY)[heads]
 
 
 def explained(features: Floats, direction: Floats) -> float:
