@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
-from running import RESULTS, play_games, write_csv
+from running import RESULTS, make_parser, play_games, write_csv
 
 from usnet_env import Detection, Window
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
@@ -230,7 +230,7 @@ def measure(wanted: list[Cell], detectors: list[str], episodes: int | None, seed
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made = make_parser(__doc__)
     made.add_argument("--tier", nargs="*", help="only these tiers")
     made.add_argument("--cell", nargs="*", help="only cells whose names contain one of these")
     made.add_argument("--episodes", type=int, help="of each cell; by default the cell's own number")

@@ -10,14 +10,13 @@ may have learned how heads fly and not who leads. The swarms are those of the su
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from running import RESULTS, play_games
+from running import RESULTS, make_parser, play_games
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.metrics import roc_auc_score
 from sklearn.model_selection import GroupKFold
@@ -85,7 +84,7 @@ def play(cell: Mapping[str, Any], number: int) -> dict[str, Any]:
 
 def main() -> None:
     """Measure the cells that the file lacks."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--suite", nargs="+", default=["paper"])
     suites = [load_suite(name) for name in parser.parse_args().suite]
     games = [({"suite": suite.name, "cell": cell}, suite.version) for suite in suites for cell in suite.cells]

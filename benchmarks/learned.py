@@ -18,7 +18,7 @@ from follow_mixture import Cell, label_of
 from follow_mixture import cells as all_cells
 from follow_mixture import play as play_cell
 from follow_mixture_strategies import FIRST_EIGHT
-from running import RESULTS, SEED, play_games
+from running import RESULTS, SEED, make_parser, play_games
 
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.metrics import episode_metrics
@@ -77,7 +77,7 @@ def play_limit(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made = make_parser(__doc__)
     made.add_argument("--games", type=int, default=GAMES, help="of each cell and detector")
     made.add_argument("--detectors", nargs="*", help="by default all of the measurement")
     made.add_argument("--limits", action="store_true", help="short, noisy and empty windows and decoys instead")

@@ -30,6 +30,7 @@ SEED, GAMES = 60_613, 20
 SHARES, SIZES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4), (10, 30, 100)
 RANGES, NOISES = (10, 20, 40, 80, 160), (0.05, 0.2, 0.5)
 DETECTORS = ("directional-delays", "lagged-network", "net-lag-regression", "lagged-correlation", "follow-mixture")
+VALUES = ("value", "head_first")
 Cell = dict[str, Any]
 
 
@@ -63,31 +64,33 @@ def unit(vector: NDArray[Any]) -> NDArray[Any]:
     return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-12)
 
 
-def steer(cell: Mapping[str, Any], seed: int) -> dict[str, float | str]:
+def steer(cell: Mapping[str, Any], seed: int) -> dict[str, float]:
     """How well the minority steers; a share of 0 has one informed UAV with the weight 0."""
     weight = 0.5 if cell["share"] else 0.0
     follow = Informed(share=float(cell["share"]), preference=weight, alignment=60.0, attraction=60.0, attract=1.0)
     state, observed = fly(10, seed, follow=follow, uavs=int(cell["size"]), mobility="straight")
     course = state.reference_velocity[-1, 0]
-    return {"value": float(unit(observed.velocity[0].mean(axis=(0, 1))) @ course), "head_first": ""}
+    return {"value": float(unit(observed.velocity[0].mean(axis=(0, 1))) @ course)}
 
 
-def _detect(cell: Mapping[str, Any], seed: int, observed: ObservationBatch) -> Any:
+def rank_head(cell: Mapping[str, Any], seed: int, state: SwarmState, observed: ObservationBatch) -> float:
+    """Whether the head has the highest score of a detector; ties count as their share."""
     detector = make_detector(cell["detector"])
     detector.reset(seed)
-    return detector.detect(Window(observed.position[0], observed.velocity[0], observed.seen[0], observed.alive[0]))
+    window = Window(observed.position[0], observed.velocity[0], observed.seen[0], observed.alive[0])
+    scores = detector.detect(window).scores
+    best = scores == scores.max()
+    return float(state.head[best].sum() / best.sum())
 
 
-def find_leader(cell: Mapping[str, Any], seed: int) -> dict[str, float | str]:
-    """Whether the leader of a Vicsek flock of 20 UAVs has the highest score; ties count as their share."""
+def find_leader(cell: Mapping[str, Any], seed: int) -> dict[str, float]:
+    """Whether the leader of a Vicsek flock of 20 UAVs has the highest score."""
     follow = Vicsek(alignment=float(cell["range"]), noise=float(cell["noise"]))
     state, observed = fly(1, seed, follow=follow, uavs=20, mobility="smooth_turn")
-    scores = _detect(cell, seed, observed).scores
-    best = scores == scores.max()
-    return {"value": float(state.head[best].sum() / best.sum()), "head_first": ""}
+    return {"value": rank_head(cell, seed, state, observed)}
 
 
-def find_hierarchy(cell: Mapping[str, Any], seed: int) -> dict[str, float | str]:
+def find_hierarchy(cell: Mapping[str, Any], seed: int) -> dict[str, float]:
     """How well delays behind the head are found in a flock of 10 UAVs, and whether the head has the highest score."""
     follow = Pigeons(noise=float(cell["noise"]))
     state, observed = fly(2, seed, follow=follow, uavs=10, mobility="smooth_turn")
@@ -98,8 +101,6 @@ def find_hierarchy(cell: Mapping[str, Any], seed: int) -> dict[str, float | str]
         while state.source[above] != above:
             true[i] += own[above]
             above = state.source[above]
-    scores = _detect(cell, seed, observed).scores
-    best = scores == scores.max()
     course = unit(observed.velocity[0])
     head = int(np.flatnonzero(state.head)[0])
     lags = range(-12, 13)
@@ -107,16 +108,17 @@ def find_hierarchy(cell: Mapping[str, Any], seed: int) -> dict[str, float | str]
     for i in range(10):
         later, earlier = course[12:-12, i], course[:, head]
         found.append(lags[int(np.argmax([(later * earlier[12 - lag : len(course) - 12 - lag]).sum() for lag in lags]))])
-    return {"value": float(kendalltau(found, true).statistic), "head_first": float(state.head[best].sum() / best.sum())}
+    return {"value": float(kendalltau(found, true).statistic), "head_first": rank_head(cell, seed, state, observed)}
 
 
 def play(cell: Mapping[str, Any], number: int) -> dict[str, Any]:
     """One game of a setting."""
     function = {"minority": steer, "vicsek": find_leader, "hierarchy": find_hierarchy}[cell["experiment"]]
-    return {name: f"{value:.4f}" if value != "" else "" for name, value in function(cell, SEED + number).items()}
+    found = function(cell, SEED + number)
+    return {name: f"{found[name]:.4f}" if name in found else "" for name in VALUES}
 
 
 if __name__ == "__main__":
     answer_help(__doc__)
     games = [(cell, number) for cell in list_cells() for number in range(GAMES)]
-    play_games(RESULTS / "literature.csv", games, play, ("value", "head_first"), number="game")
+    play_games(RESULTS / "literature.csv", games, play, VALUES, number="game")

@@ -9,7 +9,6 @@ which it was not trained on. Its weights are kept as safetensors; if they exist,
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,7 +18,7 @@ import torch
 from gymnasium import spaces
 from learned import DETECTORS, KEPT
 from ppo_curve import Curve
-from running import RESULTS, SEED, play_games, write_csv
+from running import RESULTS, SEED, make_parser, play_games, write_csv
 from stable_baselines3 import PPO
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
@@ -184,7 +183,7 @@ def trained() -> EquivariantPolicy:
 
 def main() -> None:
     """Train and measure."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--games", type=int, default=GAMES, help="for each detector and follow strategy")
     games = parser.parse_args().games
     torch.set_num_threads(1)  # a program of its own, not the library: small networks wait for each other on more

@@ -21,10 +21,14 @@ SEED = 2022  # of the first game; seeds below 1000 are for tuning
 Cell = Mapping[str, Any]
 
 
+def make_parser(words: str | None) -> argparse.ArgumentParser:
+    """A parser of the command line whose ``--help`` shows the docstring of a script."""
+    return argparse.ArgumentParser(description=words, formatter_class=argparse.RawDescriptionHelpFormatter)
+
+
 def answer_help(words: str | None) -> None:
     """End a script without arguments that was called with ``--help``, after its docstring, or with any other."""
-    form = argparse.RawDescriptionHelpFormatter
-    argparse.ArgumentParser(description=words, formatter_class=form).parse_args()
+    make_parser(words).parse_args()
 
 
 def play_games(

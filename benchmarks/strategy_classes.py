@@ -10,13 +10,12 @@ law for each follower; each follower has its own constant. R² = 1 means that th
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
-from running import RESULTS, write_csv
+from running import RESULTS, make_parser, write_csv
 
 from detectors.follow_mixture.features import CLASSES, make_features
 from detectors.follow_mixture.motion import lagged, read_motion
@@ -109,7 +108,7 @@ def contained(rows: list[dict[str, str]]) -> bool:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--out", type=Path, default=FILE)
     out = parser.parse_args().out
     rows = [row for name in STRATEGIES for row in measure(name)]

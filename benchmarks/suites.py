@@ -11,12 +11,11 @@ A slow detector may have played the first episodes only (`--episodes`), as many 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
 from result_pages.suites import failures_file, read_failures, read_suite, rows_file
-from running import RESULTS, write_csv
+from running import RESULTS, make_parser, write_csv
 
 from usnet_env.evaluation import SuiteResult, load_suite
 from usnet_env.evaluation.report import group_rows
@@ -90,7 +89,7 @@ def _format(value: object) -> str:
 
 def main() -> None:
     """Pack the folders, suite by suite."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--add", action="store_true", help="keep the other detectors that the file holds")
     arguments = parser.parse_args()

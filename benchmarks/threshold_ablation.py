@@ -12,7 +12,6 @@ change; the rows without a change are the whole detector.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -24,7 +23,7 @@ from unittest.mock import patch
 import numpy as np
 from follow_mixture import cells, shifted_tracks
 from numpy.typing import NDArray
-from running import RESULTS, play_games
+from running import RESULTS, make_parser, play_games
 
 from detectors.follow_mixture import FollowMixture, delays, detector, evidence, fit, motion, pooling
 from detectors.follow_mixture.features import LEVELS
@@ -204,7 +203,7 @@ def play(game: Game, key: str) -> dict[str, Any]:
 
 def main() -> None:
     """List the changes, or play."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--games", type=int, default=4, help="of each cell")
     parser.add_argument("--tier", nargs="*", default=[*sorted({cell.tier for cell in cells()}), "field", "drift"])
     parser.add_argument("--random", type=int, default=120, help="random swarms")

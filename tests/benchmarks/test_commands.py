@@ -1,6 +1,5 @@
 """Every committed file of results has its commands, and their arguments are what the file records of itself."""
 
-import csv
 import json
 import shlex
 from collections import Counter
@@ -28,14 +27,9 @@ RESULTS = ROOT / "benchmarks" / "results"
 Key = tuple[Any, ...]
 
 
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 def keys_of(path: Path, columns: Iterable[str]) -> Counter[Key]:
     """How often each combination of the columns occurs in a file."""
-    return Counter(tuple(row[column] for column in columns) for row in rows_of(path))
+    return Counter(tuple(row[column] for column in columns) for row in read_csv(path))
 
 
 def words_of(name: str, program: str) -> list[list[str]]:
@@ -87,9 +81,7 @@ def test_commands_of_a_core_make_its_rows(name: str) -> None:
         for cell in follow_mixture.chosen(step)
         for episode in range(step.episodes)
     }
-    columns = ("tier", "cell", "detector", "seed", "episode")
-    rows = Counter(tuple(row[column] for column in columns) for row in read_csv(RESULTS / name))
-    assert rows == Counter(wanted)
+    assert keys_of(RESULTS / name, ("tier", "cell", "detector", "seed", "episode")) == Counter(wanted)
 
 
 @pytest.mark.parametrize("name", ["learned.csv", "learned_limits.csv"])
@@ -110,27 +102,17 @@ def test_commands_of_learned_make_its_rows(name: str) -> None:
     [
         ("multiagent_payoff.csv", multiagent_payoff, ("follow", "observer", "swarm")),
         ("multiagent_observers.csv", multiagent_observers, ("range", "observers", "fusion")),
+        ("gaps.csv", gaps, ("detector", "rule", "miss_rate")),
     ],
 )
-def test_multiagent_scripts_make_their_rows(name: str, module: Any, columns: tuple[str, ...]) -> None:
+def test_scripts_without_arguments_make_their_rows(name: str, module: Any, columns: tuple[str, ...]) -> None:
     assert words_of(name, f"python benchmarks/{Path(name).stem}.py") == [[]]
     wanted = {
         (*(str(cell[column]) for column in columns), str(seed))
         for cell in module.cells()
-        for seed in range(SEED, SEED + module.games(cell))
+        for seed in range(module.SEED, module.SEED + module.games(cell))
     }
     assert keys_of(RESULTS / name, (*columns, "seed")) == Counter(wanted)
-
-
-def test_the_rules_for_missed_samples_met_the_same_games() -> None:
-    assert words_of("gaps.csv", "python benchmarks/gaps.py") == [[]]
-    columns = ("detector", "rule", "miss_rate")
-    wanted = {
-        (*(str(cell[column]) for column in columns), str(seed))
-        for cell in gaps.cells()
-        for seed in range(gaps.SEED, gaps.SEED + gaps.games(cell))
-    }
-    assert keys_of(RESULTS / "gaps.csv", (*columns, "seed")) == Counter(wanted)
 
 
 def test_commands_of_multi_cluster_match_the_recorded_configuration() -> None:
