@@ -8,6 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError
@@ -188,7 +189,7 @@ def draw_hierarchy(scene: Scene, found: Detection, label: str) -> Figure:
     assert found.attention is not None
     figure, ((graph, tree),) = make_panels(14.0, 6.8, 1, 2)
     place = np.asarray(scene.window.position[-1, :, :2], np.float64)
-    _draw_attention_graph(graph, place, found.attention)
+    draw_links(graph, place, found.attention, _LEAST_WEIGHT, 5.0, colors=_ATTENTION, alpha=0.55)
     graph.set(xlabel="x in m", ylabel="y in m", title="Attention graph: lines as wide as the attention weight")
     graph.set_aspect("equal", adjustable="datalim")
     leaders = list_leaders(found.attention)
@@ -217,14 +218,22 @@ def draw_hierarchy(scene: Scene, found: Detection, label: str) -> Figure:
     return figure
 
 
-def _draw_attention_graph(axes: Axes, place: Floats, attention: Floats) -> None:
-    """Draw a line for every attention weight between two UAVs, as wide as the weight."""
+def draw_links(axes: Axes, place: NDArray[Any], attention: Floats, least: float, width: float, **look: Any) -> None:
+    """Draw a line for every attention weight between two UAVs, as wide as the weight.
+
+    Args:
+        axes: where to draw.
+        place: of the UAVs, ``(N, 2)``.
+        attention: ``(N, N)``.
+        least: lines of a smaller weight are not drawn.
+        width: of a line of weight 1, in points.
+        look: further arguments of ``LineCollection``.
+    """
     from matplotlib.collections import LineCollection
 
-    rows, columns = np.nonzero((attention > _LEAST_WEIGHT) & ~np.eye(len(attention), dtype=bool))
+    rows, columns = np.nonzero((attention > least) & ~np.eye(len(attention), dtype=bool))
     ends = np.stack([place[rows], place[columns]], axis=1)
-    widths = 5.0 * attention[rows, columns]
-    axes.add_collection(LineCollection(list(ends), linewidths=widths, colors=_ATTENTION, alpha=0.55, zorder=1))
+    axes.add_collection(LineCollection(list(ends), linewidths=width * attention[rows, columns], zorder=1, **look))
 
 
 def _place_levels(candidates: Mask) -> Floats:

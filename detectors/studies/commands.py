@@ -26,10 +26,10 @@ def reproduce() -> None:
     """Reproduce the tables and figures of the paper."""
 
 
-def _name(option: str, of: str, by_default: str, field: str | None = None) -> Option:
+def _name(option: str, field: str, of: str, by_default: str) -> Option:
     """An option with a name, which may repeat."""
     text = f"{of}; may repeat; by default {by_default}."
-    return click.option(*([option, field] if field else [option]), multiple=True, metavar="NAME", help=text)
+    return click.option(option, field, multiple=True, metavar="NAME", help=text)
 
 
 def _number(option: str, least: int, most: int, default: int | None, text: str) -> Option:
@@ -49,10 +49,9 @@ def _out(folder: str, of: str = "of the results") -> Option:
     return click.option("--out", default=folder, show_default=True, metavar="DIR", help=f"Folder {of}.")
 
 
-def _out_and_seed(folder: str, seed_of: str) -> Option:
-    """The options ``--out`` and ``--seed``: the folder of the results and the seed."""
-    seed = _number("--seed", 0, 2**31, 2022, f"Seed of the {seed_of}.")
-    return lambda command: _add_options(command, seed, _out(folder))
+def _seed(of: str, most: int = 2**31, default: int = 2022) -> Option:
+    """The option ``--seed``."""
+    return _number("--seed", 0, most, default, f"Seed of the {of}.")
 
 
 def _format(by_default: str) -> Option:
@@ -109,14 +108,14 @@ def _measurement(folder: str, unit: str, seed_of: str = "episodes") -> Option:
             click.echo(f"Rows, tables and picture are in {out}.", err=True)
 
         workers = _number("--workers", 1, 256, None, "Number of processes; by default the number of cores.")
-        return _add_options(called, workers, add_place, _format("PNG"), _out_and_seed(folder, seed_of))
+        return _add_options(called, workers, add_place, _format("PNG"), _seed(seed_of), _out(folder))
 
     return with_options
 
 
 @reproduce.command(short_help="Table of detection rates (P1).")
 @_measurement("runs/table2", "episodes")
-@_name("--detector", "Detector", "gassl, neural-granger and lagged-regression(clusters=1)", "detectors")
+@_name("--detector", "detectors", "Detector", "gassl, neural-granger and lagged-regression(clusters=1)")
 @_number("--episodes", 1, 1_000_000, None, "Episodes in each cell; by default 100 up to m=15, else 30.")
 @click.option("--cells", metavar="LIST", help="Cells such as f1:2,f4:15 or rows such as f1; by default all 70.")
 @_number("--decoys", 0, 1000, 0, "Number of decoys: UAVs without followers that fly like heads.")
@@ -130,8 +129,9 @@ def table2(out: Path, *, fast: bool, **options: Any) -> Reproduction[Any]:
 
 
 @reproduce.command(short_help="All figures, as PNG and PDF.")
-@_out_and_seed("runs/figures", "scenes, of the example and of the rows")
-@_name("--only", "Name of a figure", "all figures")
+@_out("runs/figures")
+@_seed("scenes, of the example and of the rows")
+@_name("--only", "only", "Name of a figure", "all figures")
 @_format("both")
 @click.option(
     "--results",
@@ -171,9 +171,9 @@ def figures(*, out: str, only: tuple[str, ...], formats: tuple[str, ...], result
 @reproduce.command(short_help="Purity of every clusterer.")
 @_measurement("runs/purity", "windows")
 @_number("--episodes", 1, 1_000_000, 30, "Episodes of each method.")
-@_name("--follow", "Follow strategy", "f1 to f7")
-@_name("--clusterer", "Clusterer", "all", "clusterers")
-@_name("--features", "Features: raw, scaled, velocities, gru-single, gru-mean or gru-series", "all")
+@_name("--follow", "follow", "Follow strategy", "f1 to f7")
+@_name("--clusterer", "clusterers", "Clusterer", "all")
+@_name("--features", "features", "Features: raw, scaled, velocities, gru-single, gru-mean or gru-series", "all")
 @click.option(
     "--count", "counts", multiple=True, metavar="NAME", help="How M is known: given or estimated; by default both."
 )
@@ -190,8 +190,8 @@ def purity(out: Path, **options: Any) -> Reproduction[Any]:
 
 @reproduce.command(short_help="P2 against follow strategy, M and N.")
 @_measurement("runs/rounds", "episodes")
-@_name("--study", "Study: follow, clusters, uavs or example", "all four", "studies")
-@_name("--detector", "Detector", "the detectors of the committed rows", "detectors")
+@_name("--study", "studies", "Study: follow, clusters, uavs or example", "all four")
+@_name("--detector", "detectors", "Detector", "the detectors of the committed rows")
 @click.option("--no-trivial", is_flag=True, help="Omit destroy-all, none, random and one-per-round.")
 @_number("--episodes", 1, 1_000_000, 30, "Episodes of each detector and swarm.")
 @_head_motion
@@ -241,11 +241,9 @@ def _training(folder: str, what: str, unit: str, seed_of: str, most: int, resume
 
         text = f"Resume from {resume_from} in --out."
         resume = click.option("--resume/--no-resume", default=True, show_default=True, help=text)
-        seed = _number("--seed", 0, most, 0, f"Seed of the {seed_of}.")
-        count = _number(
-            "--workers", 1, 10**4, 1, "Number of processes that draw swarms; the result does not depend on it."
-        )
-        return _add_options(called, resume, add_place, count, seed, _out(folder, f"for {what}"))
+        text = "Number of processes that draw swarms; the result does not depend on it."
+        count = _number("--workers", 1, 10**4, 1, text)
+        return _add_options(called, resume, add_place, count, _seed(seed_of, most, 0), _out(folder, f"for {what}"))
 
     return with_options
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Generic, TypedDict, TypeVar
 
+from usnet_env.config import unknown_name
 from usnet_env.evaluation.suite import Place
 from usnet_env.plugins import make_detector
 
@@ -42,6 +43,13 @@ class Reproduction(Generic[RowT]):
 def swarm_arguments(cell: Any, kind: type, skipped: int = 1) -> dict[str, Any]:
     """The arguments of a cell's environment: the fields of the class of cells after the first ones."""
     return {field.name: getattr(cell, field.name) for field in fields(kind)[skipped:]}
+
+
+def check_names(argument: str, names: Iterable[str], known: Collection[str]) -> None:
+    """Refuse a name that is not known."""
+    for name in names:
+        if name not in known:
+            raise unknown_name(argument, name, known)
 
 
 def check_detectors(names: Sequence[str], seed: int) -> None:

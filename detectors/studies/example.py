@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import usnet_env.envs  # noqa: F401  # registers the environments
+from detectors.studies.attention import draw_links
 from usnet_env.config import format_count
 from usnet_env.drawing import (
     HIT,
@@ -52,20 +53,13 @@ def play_example(detector: str, seed: int, *, clusters: int = 8, uavs: int = 185
     return record
 
 
-def _choose_rounds(rounds: int) -> list[int]:
-    """Choose the rounds to show: all of them, or the first ones and the last."""
-    if rounds <= _MOST_ROUNDS:
-        return list(range(1, rounds + 1))
-    return [*range(1, _MOST_ROUNDS), rounds]
-
-
 def draw_example(record: EpisodeRecord) -> Figure:
     """Draw an episode: the true clusters, the attention and candidates of its rounds, and the share of heads found.
 
     Args:
         record: the episode; rounds without attention have no lines.
     """
-    rounds = _choose_rounds(record.rounds)
+    rounds = [*range(1, min(record.rounds, _MOST_ROUNDS)), record.rounds]  # the first ones and the last
     panels = len(rounds) + 2
     columns = 2 if panels <= 4 else 3
     lines = -(-panels // columns)
@@ -93,18 +87,13 @@ def draw_example(record: EpisodeRecord) -> Figure:
 
 def _draw_attention_round(axes: Axes, record: EpisodeRecord, number: int, skipped: int) -> None:
     """Draw the UAVs of a round from above, lines as wide as the attention weights, and the candidates."""
-    from matplotlib.collections import LineCollection
-
     r = number - 1
     alive, head, candidates = record.alive[r], record.head, record.candidates[r]
     place = last_seen_position(record.position[r], record.seen[r] & alive)[:, :2]
     shown = np.isfinite(place[:, 0])
     if record.attention is not None:
-        weight = np.where(np.eye(record.uavs, dtype=bool), 0.0, record.attention[r]) * (shown & shown[:, None])
-        rows, others = np.nonzero(weight > _LEAST_WEIGHT)
-        ends = np.stack([place[rows], place[others]], axis=1)
-        widths = 3.0 * weight[rows, others]
-        axes.add_collection(LineCollection(list(ends), linewidths=widths, colors=_ATTENTION, alpha=0.45, zorder=1))
+        weight = record.attention[r] * (shown & shown[:, None])
+        draw_links(axes, place, weight, _LEAST_WEIGHT, 3.0, colors=_ATTENTION, alpha=0.45)
     colors, _ = cluster_colors(head, record.leader[r])
     followers, heads = shown & ~head, shown & head
     axes.scatter(

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from detectors.studies import attention, example, metric_learning, purity, rounds, table2
-from usnet_env.config import ArgumentError, quote, unknown_name
+from detectors.studies.common import check_names
+from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection
 from usnet_env.drawing import FORMATS, new_figure, write_figure
 from usnet_env.evaluation.suite import read_rows
@@ -128,9 +129,7 @@ def make_figures(
         ArgumentError: an unknown name, missing rows, or ``folder`` can't be written to.
         MissingExtraError: matplotlib is not installed.
     """
-    for name in only:
-        if name not in FIGURES:
-            raise unknown_name("only", name, FIGURES)
+    check_names("only", only, FIGURES)
     new_figure(1, 1)  # a missing matplotlib is reported before anything is computed
     names = [name for name in FIGURES if not only or name in only]
     files: list[Path] = []

@@ -18,7 +18,7 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.drawing import CLUSTER_COLORS, caption_figure
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation.episode import episode_seeds
-from usnet_env.evaluation.report import add_legend, format_markdown, keep_report, make_panels
+from usnet_env.evaluation.report import add_legend, format_markdown, group_rows, keep_report, make_panels
 from usnet_env.evaluation.suite import Game, Suite
 from usnet_env.objectives import head_in_cluster, purity
 from usnet_env.window import Window
@@ -143,12 +143,10 @@ def reproduce(
 
 def collect_curves(rows: Sequence[Row], start: str, online: bool) -> NDArray[np.float64]:
     """Collect the losses of one start, ``(trainings, steps)``; on line, the means over the follow strategies."""
-    chosen = [row for row in rows if row.start == start and bool(row.follow) == online]
-    total: dict[tuple[int, int], list[float]] = {}
-    for row in chosen:
-        total.setdefault((row.training, row.step), []).append(row.loss)
-    trainings, steps = ({key[k] for key in total} for k in (0, 1))
-    return np.array([[np.mean(total[a, b]) for b in sorted(steps)] for a in sorted(trainings)])
+    chosen = (row for row in rows if row.start == start and bool(row.follow) == online)
+    groups = group_rows(chosen, lambda row: (row.training, row.step))
+    trainings, steps = (sorted({key[k] for key in groups}) for k in (0, 1))
+    return np.array([[np.mean([row.loss for row in groups[a, b]]) for b in steps] for a in trainings])
 
 
 def compute_interval(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.util import find_spec
@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from detectors.clustering import make_clusterer
-from detectors.studies.common import FOLLOW, Reproduction, Running, describe_flight, name_flight, swarm_arguments
-from usnet_env.config import ArgumentError, unknown_name
+from detectors.studies import common
+from usnet_env.config import ArgumentError
 from usnet_env.drawing import COLORS, caption_figure
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import report
@@ -70,7 +70,7 @@ class Cell(Method):
 
     def make_env(self) -> MultiClusterEnv:
         """Make its environment."""
-        return MultiClusterEnv(**swarm_arguments(self, Cell, 3))
+        return MultiClusterEnv(**common.swarm_arguments(self, Cell, 3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,18 +110,16 @@ def list_methods(
         ArgumentError: a name is unknown, or needs PyTorch, which is not installed.
     """
     wanted = tuple(features) if features is not None else FEATURES if _has_gru() else FEATURES[:3]
+    clusterers, counts = tuple(clusterers), tuple(counts)
+    common.check_names("features", wanted, FEATURES)
+    common.check_names("clusterer", clusterers, CLUSTERERS)
+    common.check_names("count", counts, COUNTS)
     for name in wanted:
-        if name not in FEATURES:
-            raise unknown_name("features", name, FEATURES)
         if name.startswith("gru-") and not _has_gru():
             raise ArgumentError(f"features must be {', '.join(FEATURES[:3])} without PyTorch, got {name!r}.")
     found = []
     for clusterer in clusterers:
-        if clusterer not in CLUSTERERS:
-            raise unknown_name("clusterer", clusterer, CLUSTERERS)
         for count in counts:
-            if count not in COUNTS:
-                raise unknown_name("count", count, COUNTS)
             if (clusterer, count) != ("hdbscan", "given"):
                 own = ("velocities",) if clusterer == "lead-votes" else wanted
                 rules = CLUSTERERS[clusterer] if count == "estimated" else ("given",)
@@ -129,17 +127,15 @@ def list_methods(
     return found
 
 
+@cache
 def _make_features(name: str) -> Any:
     """Make the ``features`` argument of a clusterer."""
-    return _make_gru_features(name.removeprefix("gru-")) if name.startswith("gru-") else name
-
-
-@cache
-def _make_gru_features(mode: str) -> Callable[[Window], Any]:
+    if not name.startswith("gru-"):
+        return name
     from detectors.mc_gassl.features import gru_features  # they need PyTorch
     from detectors.mc_gassl.weights import load_meta_weights
 
-    return partial(gru_features, parameters=load_meta_weights(), mode=mode)
+    return partial(gru_features, parameters=load_meta_weights(), mode=name.removeprefix("gru-"))
 
 
 def cluster_windows(games: Sequence[Game[Cell]], seed: int) -> list[Row]:
@@ -167,7 +163,7 @@ def cluster_windows(games: Sequence[Game[Cell]], seed: int) -> list[Row]:
 def reproduce(
     folder: Path,
     *,
-    follow: Sequence[str] = FOLLOW,
+    follow: Sequence[str] = common.FOLLOW,
     methods: Sequence[Method] | None = None,
     clusters: int = 5,
     uavs: int = 82,
@@ -176,8 +172,8 @@ def reproduce(
     head_jitter: bool = False,
     seed: int = 2022,
     formats: Sequence[str] = ("png",),
-    **running: Unpack[Running],
-) -> Reproduction[Row]:
+    **running: Unpack[common.Running],
+) -> common.Reproduction[Row]:
     """Measure purity and head-in-cluster; after an interruption, the same call continues with the missing rows.
 
     Args:
@@ -192,7 +188,7 @@ def reproduce(
         head_jitter: whether the heads have the noise of the followers.
         seed: seed of the episodes. Nothing was tuned with the default seed, which the reports use.
         formats: of the picture, ``"png"`` and ``"pdf"``.
-        running: ``workers`` and ``progress``, see :class:`Running`.
+        running: ``workers`` and ``progress``, see :class:`~detectors.studies.common.Running`.
 
     Raises:
         ArgumentError: an argument is refused.
@@ -208,14 +204,14 @@ def reproduce(
     for cell in cells:
         cell.make_env()
     size = "" if (clusters, uavs) == (5, 82) else f"-M{clusters}N{uavs}"
-    path = folder / f"purity{size}{name_flight(cells[0])}-seed{seed}.csv"
+    path = folder / f"purity{size}{common.name_flight(cells[0])}-seed{seed}.csv"
     order = ("follow", "clusters", "uavs", "clusterer", "features", "count", "episode")
     suite = Suite(Cell, Row, partial(cluster_windows, seed=seed), order=order, digits=4)
     rows = suite.run(split_games(cells, episodes, _EPISODES_A_TASK), path, **running)
-    title = f"Purity and head-in-cluster, M={clusters}, N={uavs}, {describe_flight(cells[0])}"
+    title = f"Purity and head-in-cluster, M={clusters}, N={uavs}, {common.describe_flight(cells[0])}"
     kept = read_rows(path, Row)
     report.keep_report(path, report_methods(kept, title), draw_methods(kept, title), formats)
-    return Reproduction(rows, report_methods(rows, "Purity and head-in-cluster"))
+    return common.Reproduction(rows, report_methods(rows, "Purity and head-in-cluster"))
 
 
 _METRICS = {"purity": "Purity", "head_in_cluster": "Head-in-cluster"}

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from detectors.studies import common
-from usnet_env.config import ArgumentError, unknown_name
+from usnet_env.config import ArgumentError
 from usnet_env.drawing import COLORS, MARKERS, caption_figure, style_axes
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.evaluation import TRIVIAL, report
@@ -96,9 +96,7 @@ def list_cells(
     Raises:
         ArgumentError: no such study.
     """
-    for study in studies:
-        if study not in STUDIES:
-            raise unknown_name("study", study, STUDIES)
+    common.check_names("study", studies, STUDIES)
     swarms = dict.fromkeys(swarm for study in studies for swarm in STUDIES[study])
     return [Cell(detector, *swarm, mobility, head_jitter) for swarm in swarms for detector in dict.fromkeys(detectors)]
 
