@@ -6,6 +6,7 @@ OMP_NUM_THREADS=1 python benchmarks/multiagent_observers.py      # writes benchm
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
 from running import RESULTS, SEED, answer_help, play_games
@@ -38,14 +39,8 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
 
 def cells() -> list[dict[str, Any]]:
     """One observer that sees the whole swarm, and every range, number of observers and fusion rule."""
-    found: list[dict[str, Any]] = [{"range": EVERYTHING, "observers": 1, "fusion": "union"}]
-    found += [
-        {"range": reach, "observers": observers, "fusion": fusion}
-        for reach in RANGES
-        for observers in OBSERVERS
-        for fusion in FUSIONS
-    ]
-    return found
+    settings = [(EVERYTHING, 1, "union"), *product(RANGES, OBSERVERS, FUSIONS)]
+    return [{"range": reach, "observers": observers, "fusion": fusion} for reach, observers, fusion in settings]
 
 
 def games(cell: Mapping[str, Any]) -> int:

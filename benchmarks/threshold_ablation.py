@@ -73,14 +73,6 @@ def _share_free(search: Any, some: Any, assignment: Any, own: NDArray[np.float64
     return share_law(search, some, assignment, own + np.log(1.0 / fit.RARE - 1.0) * alone)
 
 
-def _four(*arguments: Any) -> int:
-    return 4
-
-
-def _many(*arguments: Any) -> int:
-    return 25
-
-
 def _everywhere(name: str, value: float) -> tuple[tuple[Any, str, Any], ...]:
     return tuple((module, name, value) for module in (fit, delays, pooling))
 
@@ -107,8 +99,12 @@ CHANGES = {
     "relay-never": Change(
         "no UAV that leads follows another, and none has a delay of its own", ((delays, "_RELAY", 1.0 - 1e-12),)
     ),
-    "delay-4": Change("delays of a UAV's own are at most 4 samples instead of 12", ((detector, "count_lags", _four),)),
-    "delay-25": Change("they are at most 25 samples, or a quarter of the window", ((detector, "count_lags", _many),)),
+    "delay-4": Change(
+        "delays of a UAV's own are at most 4 samples instead of 12", ((detector, "count_lags", lambda *arguments: 4),)
+    ),
+    "delay-25": Change(
+        "they are at most 25 samples, or a quarter of the window", ((detector, "count_lags", lambda *arguments: 25),)
+    ),
     "rows-a-lag": Change("the own past has all lags, however short the window is", ((evidence, "_ROWS_A_LAG", 1),)),
     "freedom": Change("all rows have the same weight, sharp turns too", ((evidence, "_FREEDOM", INFINITE),)),
     "white": Change(
