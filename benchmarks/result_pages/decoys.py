@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 from result_pages.text import Row, cost_of, exact_of, mean_of, page, share_of, table
 from result_pages.tiers import of, tier_rows
+from usnet_env.config import format_count
 
 DETECTORS = (
     "follow-mixture",
@@ -41,11 +42,10 @@ def lines_of(setting: str, rows: Sequence[Row], columns: Sequence[str]) -> list[
 def decoys() -> str:
     """By number of decoys and mobility."""
     lines = []
-    for count in ("1", "3", "10"):
+    for count in (1, 3, 10):
         for mobility, words in (("iid", "iid heads"), ("gauss_markov", "Gauss–Markov heads with jitter")):
             rows = [row for row in tier_rows("decoys") if row["variant"] == f"{mobility}-{count}"]
-            setting = f"{count} decoy{'s' if count != '1' else ''}, {words}"
-            lines += lines_of(setting, rows, ("exact", "J", "decoys", "named"))
+            lines += lines_of(f"{format_count(count, 'decoy')}, {words}", rows, ("exact", "J", "decoys", "named"))
     return table(("swarms, f1–f7", "detector", "n", "exact", "J_m", "decoys named", "UAVs named"), lines)
 
 

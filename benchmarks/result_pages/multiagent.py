@@ -7,7 +7,7 @@ from functools import cache
 
 from running import RESULTS, read_csv
 
-from result_pages.text import Row, mean_of, page, share_of, table
+from result_pages.text import Row, mean_of, page, picture, share_of, table
 from usnet_env.evaluation.report import group_rows
 
 
@@ -63,7 +63,7 @@ def text() -> str:
         "## A swarm trained by PPO",
         "All heads make the same choice; one training for each line.",
         trained(),
-        "![Learning curves](../../benchmarks/results/multiagent_ppo.png)",
+        picture("Learning curves", "multiagent_ppo.png"),
         "## Several observers",
         "`usnet_observers_v0`, f1, at most 20 rounds, all observers with `lagged-regression`. `range` is in metres.",
         observers(),

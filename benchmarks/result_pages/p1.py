@@ -5,7 +5,8 @@ from __future__ import annotations
 from running import RESULTS
 
 from detectors.studies.table2 import Row, fill_table, rate_of, read_paper, report_rates
-from result_pages.text import demoted, page, row_files, share, table
+from result_pages.text import demoted, page, picture, row_files, share, table
+from usnet_env.config import format_count
 from usnet_env.evaluation.report import group_rows
 from usnet_env.evaluation.suite import read_rows
 
@@ -39,15 +40,12 @@ def text() -> str:
     for path in FILES:
         rows = read_rows(path, Row)
         first = rows[0]
-        count = f"{first.decoys} decoy{'s' if first.decoys != 1 else ''}"
         parts += [
-            f"## {heads(first)} heads, {count}",
+            f"## {heads(first)} heads, {format_count(first.decoys, 'decoy')}",
             demoted(report_rates(fill_table(rows), "", with_paper=path.name.startswith("episodes-seed"))),
         ]
-        picture = path.with_suffix(".png")
-        if picture.exists():  # of the files with several detectors
-            link = f"../../benchmarks/results/table2/{picture.name}"
-            parts.append(f"![Rates against the number of followers]({link})")
+        if path.with_suffix(".png").exists():  # of the files with several detectors
+            parts.append(picture("Rates against the number of followers", f"table2/{path.stem}.png"))
     return page(
         "P1: detection rates",
         "One cluster, one window: how often the head is named, and no other UAV. The cells are those of the paper's "

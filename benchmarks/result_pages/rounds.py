@@ -6,7 +6,7 @@ from running import RESULTS
 
 from detectors.studies.common import describe_flight
 from detectors.studies.rounds import COLUMNS, Row, report_studies
-from result_pages.text import demoted, page, row_files
+from result_pages.text import demoted, page, picture, row_files
 from usnet_env.evaluation.suite import read_rows
 
 FILES = row_files(RESULTS / "rounds", "rounds")
@@ -22,7 +22,7 @@ def text() -> str:
         parts += [
             f"## {describe_flight(rows[0])}",
             demoted(report_studies(rows, "", with_paper=path.name.startswith("rounds-seed"), columns=columns)),
-            f"![Rounds, redundancy and J_m](../../benchmarks/results/rounds/{path.with_suffix('.png').name})",
+            picture("Rounds, redundancy and J_m", f"rounds/{path.stem}.png"),
         ]
     return page(
         "P2: rounds against strategy, M and N",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from running import RESULTS, read_csv
 
-from result_pages.text import Row, exact_of, mean_of, page, table
+from result_pages.text import Row, exact_of, mean_of, page, picture, table
 from usnet_env.drawing import caption_figure
 from usnet_env.evaluation import TRIVIAL, FrozenSuite, list_suites
 from usnet_env.evaluation.report import format_interval, group_rows, make_panels
@@ -136,8 +136,7 @@ def describe_suite(suite: FrozenSuite, rows: list[Row]) -> list[str]:
         *_list_short(suite, rows),
         *_list_failures(suite),
         *_compare_sizes(suite, rows),
-        f"![Heat map of {suite.name}: how often each detector is exact in each cell]"
-        f"(../../benchmarks/results/{_picture(suite)})",
+        picture(f"Heat map of {suite.name}: how often each detector is exact in each cell", _picture(suite)),
     ]
 
 

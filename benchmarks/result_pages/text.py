@@ -84,6 +84,11 @@ def page(title: str, *parts: str, files: Sequence[str] = ()) -> str:
     return "\n\n".join([NOTICE, f"# {title}", start, text]).strip() + "\n"
 
 
+def picture(words: str, file: str) -> str:
+    """A picture in the folder of results, with the words for those who can't see it."""
+    return f"![{words}](../../benchmarks/results/{file})"
+
+
 def table_alone(markdown: str) -> str:
     """A file that holds tables and no heading, for pages that include it."""
     return f"{NOTICE}\n\n{markdown}\n"

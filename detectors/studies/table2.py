@@ -21,7 +21,7 @@ from detectors.studies.common import (
     name_flight,
     swarm_arguments,
 )
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, format_count, quote
 from usnet_env.drawing import COLORS, MARKERS, caption_figure
 from usnet_env.envs import SingleClusterEnv
 from usnet_env.evaluation.report import (
@@ -276,7 +276,7 @@ def reproduce(
     path = folder / f"episodes{suffix}-seed{seed}.csv"
     rows = make_suite(seed).run(tasks, path, **running)
     table = fill_table(read_rows(path, Row))  # earlier measurements with the same seed stay in the table
-    title = f"Detection rate, one cluster, {mobility} heads, {decoys} decoy{'s' if decoys != 1 else ''}"
+    title = f"Detection rate, one cluster, {mobility} heads, {format_count(decoys, 'decoy')}"
     text = report_rates(table, title, not suffix)
     keep_report(path, text, draw_rates(table, title, not suffix), formats)
     return Reproduction(rows, text)
