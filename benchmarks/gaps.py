@@ -95,7 +95,7 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
             env = MultiClusterEnv(**P2, **swarm)
             window = Window.from_observation(env.reset(seed=episode_seeds(SEED, game)[0])[0])
             labels = make_clusterer(name, count=2).cluster(window, np.random.default_rng(game)).labels
-            value = purity(env.swarm.leader, labels)
+            value = purity(env.swarm.root, labels)
         else:
             env = SingleClusterEnv(**P1[name], **swarm) if name in P1 else MultiClusterEnv(**P2, **swarm)
             row = play_episode(env, as_agent(name), name, game, episode_seeds(SEED, game))

@@ -32,7 +32,7 @@ HEADER = ("follow", "mobility", "head_jitter", "episode", "follower", "own_histo
 def predict_with_truth(env: object, window: usnet_env.Window, follow: str, followers: np.ndarray) -> np.ndarray:
     """norm(f) of every follower at every time, ``(n, T_ob - T_0, 3)``."""
     strategy, swarm = follow_strategies()[follow], env.swarm
-    wanted = follow_truly(strategy, window, followers, swarm.leader[followers], swarm.parameters)
+    wanted = follow_truly(strategy, window, followers, swarm.root[followers], swarm.parameters)
     return wanted / np.maximum(np.linalg.norm(wanted, axis=2, keepdims=True), 1e-6)
 
 

@@ -69,7 +69,7 @@ def stepping(turns: int, **arguments: object) -> dict[str, object]:
 
 def spread(rng: np.random.Generator, roles: Roles) -> np.ndarray:
     """Positions at a density that doesn't depend on N: 10,000 UAVs fill the arena of 1000 m x 1000 m x 100 m."""
-    uavs = len(roles.leader)
+    uavs = len(roles.root)
     side = 1000.0 * np.sqrt(uavs / SIZES[-1])
     return rng.uniform(0.0, (side, side, 100.0), (uavs, 3))
 

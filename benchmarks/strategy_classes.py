@@ -75,7 +75,7 @@ def fly(name: str, seed: int = SEED) -> tuple[Floats, Floats]:
     window = Window.from_observation(observation)
     strategy = follow_strategy(name)
     followers = np.flatnonzero(~env.swarm.head)
-    heads = env.swarm.leader[followers]
+    heads = env.swarm.root[followers]
     parameters = strategy.draw(np.random.default_rng(seed))
     motion = read_motion(window, np.arange(window.uavs))
     if motion is None:

@@ -272,7 +272,8 @@ def _objectives() -> dict[str, Door]:
     head, leader = np.arange(8) < 1, np.zeros(8, int)
     values = {
         "head": head, "alive": np.ones(8, bool), "candidates": head, "candidates_per_round": head[None],
-        "scores": np.arange(8.0), "leader": leader, "clusters": leader, "estimate": leader, "root": False,
+        "scores": np.arange(8.0), "leader": leader, "clusters": leader, "estimate": leader, "root": leader,
+        "roots": False,
     }  # fmt: skip
     functions = {name: getattr(objectives, name) for name in objectives.__all__}
     return {

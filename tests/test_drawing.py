@@ -30,7 +30,7 @@ def scene(**changes):
         "seen": seen,
         "alive": alive,
         "head": np.isin(np.arange(UAVS), HEADS),
-        "leader": np.array([0, 0, 0, 0, 4, 4, 4, 4, 8]),
+        "root": np.array([0, 0, 0, 0, 4, 4, 4, 4, 8]),
         "decoy": np.arange(UAVS) == 8,
     }
     return values | changes
@@ -101,8 +101,8 @@ def test_the_legend_explains_what_is_there_and_no_more():
 
 def test_clusters_keep_their_colour_when_followers_change_sides():
     values = scene()
-    colors, _ = drawing.cluster_colors(values["head"], values["leader"])
-    later, _ = drawing.cluster_colors(values["head"], np.where(values["leader"] == 0, 4, values["leader"]))
+    colors, _ = drawing.cluster_colors(values["head"], values["root"])
+    later, _ = drawing.cluster_colors(values["head"], np.where(values["root"] == 0, 4, values["root"]))
     assert later[1] == colors[4] == later[4]
     assert colors[0] != colors[4]
     assert drawing.cluster_colors(values["head"], np.full(UAVS, -1))[0].tolist() == [drawing.NO_CLUSTER_COLOR] * UAVS

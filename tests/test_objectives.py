@@ -183,7 +183,7 @@ def test_purity_hides_a_misplaced_head_and_head_in_cluster_does_not():
         (lambda: objectives.average_precision([1, 0], [1.0]), "scores"),
         (lambda: objectives.average_precision([1, 0], [1.0, float("nan")]), "scores"),
         (lambda: objectives.purity([0, 0], [0.5, 1.0]), "clusters"),
-        (lambda: objectives.head_in_cluster([1, 0], [0], [0, 0]), "leader"),
+        (lambda: objectives.head_in_cluster([1, 0], [0], [0, 0]), "root"),
     ],
 )
 def test_bad_input_is_one_sentence_with_the_name(call, name):
@@ -209,10 +209,10 @@ def test_direct_leaders_and_heads_are_both_truths():
     """0 leads 1 and 2, 1 leads 3; 4 leads 5; 6 is alone."""
     truth = np.array([0, 0, 0, 1, 4, 4, -1])
     star = np.array([0, 0, 0, 0, 4, 4, 6])
-    assert objectives.leader_accuracy(truth, truth) == objectives.leader_accuracy(truth, truth, root=True) == 1
+    assert objectives.leader_accuracy(truth, truth) == objectives.leader_accuracy(truth, truth, roots=True) == 1
     assert objectives.leader_accuracy(truth, star) == 3 / 4
-    assert objectives.leader_accuracy(truth, star, root=True) == 1
-    assert objectives.leader_accuracy(truth, [-1] * 7) == objectives.leader_accuracy(truth, [-1] * 7, root=True) == 0
+    assert objectives.leader_accuracy(truth, star, roots=True) == 1
+    assert objectives.leader_accuracy(truth, [-1] * 7) == objectives.leader_accuracy(truth, [-1] * 7, roots=True) == 0
     assert objectives.leader_accuracy([-1, 1], [0, 0]) == 0
 
 

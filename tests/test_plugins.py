@@ -467,7 +467,7 @@ class Backwards(Lags):
     kappa = -1.0
 
 onwards = CompiledMobility(5, 1)
-corner = lambda rng, roles: np.zeros((len(roles.leader), 3))
+corner = lambda rng, roles: np.zeros((len(roles.root), 3))
 middle = lambda rng, observers: np.full((observers, 3), 500.0)
 both = Fusion("candidates", lambda votes, seen: votes.all(axis=0))
 """
@@ -508,7 +508,7 @@ both = Fusion("candidates", lambda votes, seen: votes.all(axis=0))
 def test_a_formation_and_a_placement_can_be_registered(monkeypatch):
     monkeypatch.setattr(FORMATIONS, "_registered", {})
     monkeypatch.setattr(PLACEMENTS, "_registered", {})
-    register_formation("line", lambda rng, roles: np.arange(len(roles.leader))[:, None] * np.ones(3))
+    register_formation("line", lambda rng, roles: np.arange(len(roles.root))[:, None] * np.ones(3))
     register_placement("origin", lambda rng, observers: np.zeros((observers, 3)))
     env = usnet_env.envs.MultiClusterEnv(formation="line", clusters=2, uavs=9)
     env.reset(seed=0)

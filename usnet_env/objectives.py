@@ -239,34 +239,34 @@ def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
     return float(np.sum((np.diff(recall, prepend=0.0) * precision)[::-1]))  # in its order: equal to the last bit
 
 
-def purity(leader: ArrayLike, clusters: ArrayLike) -> float:
-    """Purity of a clustering: share of the UAVs whose leader is the most frequent leader in their cluster.
+def purity(root: ArrayLike, clusters: ArrayLike) -> float:
+    """Purity of a clustering: share of the UAVs whose head is the most frequent head in their cluster.
 
-    The usual definition, (1/n) sum_k max_j |cluster k & class j|, where the class of a UAV is its leader (a head is its
-    own leader). The n UAVs are those with a leader; a UAV without a cluster counts as wrong.
+    The usual definition, (1/n) sum_k max_j |cluster k & class j|, where the class of a UAV is its head (that of a head
+    is the head itself). The n UAVs are those with a head; a UAV without a cluster counts as wrong.
 
     Args:
-        leader: ``(N,)`` int, index of the head that a UAV follows; a head's own index; -1: the UAV is not counted.
+        root: ``(N,)`` int, index of the head that a UAV follows; a head's own index; -1: the UAV is not counted.
         clusters: ``(N,)`` int, cluster label; -1: none.
 
     Returns:
-        A value from 0 to 1; 0 if no UAV has a leader. Purity says little about the heads: see
+        A value from 0 to 1; 0 if no UAV has a head. Purity says little about the heads: see
         :func:`head_in_cluster`.
     """
     label = _labels("clusters", clusters)
-    leaders = _labels("leader", leader, len(label))
-    counted = leaders >= 0
+    roots = _labels("root", root, len(label))
+    counted = roots >= 0
     if not counted.any():
         return 0.0
     most = sum(
-        np.unique(leaders[counted & (label == k)], return_counts=True)[1].max()
+        np.unique(roots[counted & (label == k)], return_counts=True)[1].max()
         for k in np.unique(label[counted])
         if k >= 0
     )
     return float(most / counted.sum())
 
 
-def head_in_cluster(head: ArrayLike, leader: ArrayLike, clusters: ArrayLike) -> float:
+def head_in_cluster(head: ArrayLike, root: ArrayLike, clusters: ArrayLike) -> float:
     """Share of the heads whose cluster is the one that holds most of their followers.
 
     Heads are few, so a clustering that puts all heads in wrong clusters still has a high purity. Here only heads
@@ -275,7 +275,7 @@ def head_in_cluster(head: ArrayLike, leader: ArrayLike, clusters: ArrayLike) -> 
 
     Args:
         head: ``(N,)`` bool.
-        leader: ``(N,)`` int, as in :func:`purity`.
+        root: ``(N,)`` int, as in :func:`purity`.
         clusters: ``(N,)`` int, cluster label; -1: none.
 
     Returns:
@@ -285,10 +285,10 @@ def head_in_cluster(head: ArrayLike, leader: ArrayLike, clusters: ArrayLike) -> 
     if heads.ndim != 1:
         raise ArgumentError(f"head must have shape (N,), got {heads.shape}.")
     uavs = heads.shape[-1]
-    leaders, label = _labels("leader", leader, uavs), _labels("clusters", clusters, uavs)
+    roots, label = _labels("root", root, uavs), _labels("clusters", clusters, uavs)
     correct = []
     for i in np.flatnonzero(heads):
-        followers = (leaders == i) & ~heads
+        followers = (roots == i) & ~heads
         if not followers.any():
             continue
         values, counts = np.unique(label[followers & (label >= 0)], return_counts=True)
@@ -324,13 +324,13 @@ def find_roots(leader: ArrayLike) -> Indices:
     return np.where(ends[root], root, -1)
 
 
-def leader_accuracy(leader: ArrayLike, estimate: ArrayLike, *, root: bool = False) -> float:
+def leader_accuracy(leader: ArrayLike, estimate: ArrayLike, *, roots: bool = False) -> float:
     """Share of the followers whose leader is the estimated one.
 
     Args:
         leader: ``(N,)`` int, index of the UAV that each follows directly; its own index or -1 if it follows none.
         estimate: ``(N,)`` int, the same of a detection.
-        root: whether to compare the heads of the trees instead of the direct leaders: where a chain of leaders ends.
+        roots: whether to compare the heads of the trees instead of the direct leaders: where a chain of leaders ends.
 
     Returns:
         A value from 0 to 1; 0 if no UAV follows another one.
@@ -338,14 +338,14 @@ def leader_accuracy(leader: ArrayLike, estimate: ArrayLike, *, root: bool = Fals
     Raises:
         ArgumentError: an argument has another shape or type.
     """
-    if not isinstance(root, bool):
-        raise ArgumentError(f"root must be True or False, got {quote(root)}.")
+    if not isinstance(roots, bool):
+        raise ArgumentError(f"roots must be True or False, got {quote(roots)}.")
     truth = _labels("leader", leader)
     found = _labels("estimate", estimate, len(truth))
     follows = (truth >= 0) & (truth != np.arange(len(truth)))
     if not follows.any():
         return 0.0
-    if root:
+    if roots:
         truth, found = find_roots(truth), np.where(found >= 0, find_roots(found), -1)
     return float((truth == found)[follows].mean())
 

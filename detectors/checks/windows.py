@@ -123,8 +123,8 @@ def set_heads(env: Any, heads: NDArray[np.intp]) -> None:
     state = env.unwrapped.get_state()
     head = np.zeros_like(state["swarm"]["head"])
     head[:, heads] = True
-    leader = np.where(head, np.arange(head.shape[1]), heads[0])
-    state["swarm"] |= {"head": head, "leader": leader}
+    root = np.where(head, np.arange(head.shape[1]), heads[0])
+    state["swarm"] |= {"head": head, "root": root}
     env.unwrapped.set_state(state)
 
 

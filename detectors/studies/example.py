@@ -65,7 +65,7 @@ def draw_example(record: EpisodeRecord) -> Figure:
     lines = -(-panels // columns)
     figure, panels_by_line = make_panels(5.6 * columns, 5.3 * lines + 1.1, lines, columns)
     grid: list[Axes] = list(panels_by_line.ravel())
-    truth = (record.alive[0], record.head, record.leader[0], record.decoy)
+    truth = (record.alive[0], record.head, record.root[0], record.decoy)
     clusters = int(record.head.sum())
     title = f"Truth: {clusters} clusters, {record.uavs} UAVs"
     draw_round(record.position[0], record.seen[0], *truth, axes=grid[0], title=title, legend=False)
@@ -94,7 +94,7 @@ def _draw_attention_round(axes: Axes, record: EpisodeRecord, number: int, skippe
     if record.attention is not None:
         weight = record.attention[r] * (shown & shown[:, None])
         draw_links(axes, place, weight, _LEAST_WEIGHT, 3.0, colors=_ATTENTION, alpha=0.45)
-    colors, _ = cluster_colors(head, record.leader[r])
+    colors, _ = cluster_colors(head, record.root[r])
     followers, heads = shown & ~head, shown & head
     axes.scatter(
         place[followers, 0], place[followers, 1], s=16, c=colors[followers], lw=0.3, edgecolors="white", zorder=2

@@ -99,7 +99,7 @@ def _list_games(training: int, start: str, episodes: int, steps: int) -> list[Ga
 def _draw_swarm(env: MultiClusterEnv, seed: int, episode: int) -> tuple[Window, NDArray[np.int64], Any]:
     """Draw an episode's swarm: its first window, the true cluster of every UAV, and the truth."""
     observation, _ = env.reset(seed=episode_seeds(seed, episode)[0])
-    labels = np.unique(env.swarm.leader, return_inverse=True)[1].astype(np.int64)
+    labels = np.unique(env.swarm.root, return_inverse=True)[1].astype(np.int64)
     return Window.from_observation(observation), labels, env.swarm
 
 
@@ -239,8 +239,8 @@ def draw_feature_spaces(
                 window, np.random.default_rng(seed)
             )
             assert found.features is not None
-            share = purity(truth.leader, found.labels)
-            placed = head_in_cluster(truth.head, truth.leader, found.labels)
+            share = purity(truth.root, found.labels)
+            placed = head_in_cluster(truth.head, truth.root, found.labels)
             _draw_feature_space(panel, found.features, labels, truth.head)
             panel.set_title(f"{name}, {when}\nK-Means: purity {share:.2f}, head-in-cluster {placed:.2f}", fontsize=10)
     add_legend(figure, [panel], clusters + 1)

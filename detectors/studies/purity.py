@@ -153,8 +153,8 @@ def cluster_windows(games: Sequence[Game[Cell]], seed: int) -> list[Row]:
         values: dict[str, Any] = {
             "seconds": time.perf_counter() - begun,
             "found": clustering.count,
-            "purity": purity(truth.leader, clustering.labels),
-            "head_in_cluster": head_in_cluster(truth.head, truth.leader, clustering.labels),
+            "purity": purity(truth.root, clustering.labels),
+            "head_in_cluster": head_in_cluster(truth.head, truth.root, clustering.labels),
         }
         made.append(Row(**vars(cell), episode=episode, **values))
     return made

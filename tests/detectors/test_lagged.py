@@ -246,7 +246,7 @@ def test_regression_finds_the_heads_that_orphans_joined(follow):
             for clusters in (None, 5):
                 detection = answer(LaggedRegression(clusters=clusters), Window.from_observation(observation))
                 assert np.array_equal(detection.candidates, swarm.head & swarm.alive)
-                assert np.array_equal(detection.leader[swarm.alive], swarm.leader[swarm.alive])
+                assert np.array_equal(detection.leader[swarm.alive], swarm.root[swarm.alive])
 
 
 @pytest.mark.parametrize("follow", ["f1", "f2", "f3", "f6"])

@@ -252,9 +252,9 @@ def test_rounds_orphans_and_masks():
     assert (info["round"], observation["round"][0], after.heads_left) == (1, 2, 2)
     assert observation["alive"][first] == 0
     assert not observation["seen"][:, first].any()
-    orphans = (swarm.leader == first) & ~swarm.head
-    assert after.head[after.leader[orphans]].all()
-    assert (after.leader[orphans] != first).all()
+    orphans = (swarm.root == first) & ~swarm.head
+    assert after.head[after.root[orphans]].all()
+    assert (after.root[orphans] != first).all()
     masks = env.unwrapped.action_masks().reshape(20, 2)
     assert masks[:, 0].all()
     np.testing.assert_array_equal(masks[:, 1], observation["alive"])
@@ -421,7 +421,7 @@ def test_truth_is_in_info_only_on_request():
     env = gym.make(MULTI, **SMALL, reveal_truth=True)
     _, info = env.reset(seed=0)
     np.testing.assert_array_equal(info["head"], env.unwrapped.swarm.head)
-    np.testing.assert_array_equal(info["leader"], env.unwrapped.swarm.leader)
+    np.testing.assert_array_equal(info["root"], env.unwrapped.swarm.root)
     assert info["heads_left"] == 3
     one_head = np.arange(20) == np.flatnonzero(info["head"])[0]
     *_, info = env.step(one_head)

@@ -107,11 +107,11 @@ def test_delayed_followers_repeat_earlier_steps_of_their_head(strategy, directio
     after, sighting, _ = flown(config, state, rngs, plan_of(2, delay=[3, 0]))
     v = sighting.velocity[0].astype(np.float64)
     for head, delay in zip(heads, (3, 0), strict=True):
-        for i in np.flatnonzero((state.leader[0] == head) & ~state.head[0]):
+        for i in np.flatnonzero((state.root[0] == head) & ~state.head[0]):
             for t in range(8, 60):
                 wanted = direction(v, head, t, delay)
                 np.testing.assert_allclose(v[t, i], wanted / np.linalg.norm(wanted), atol=1e-4)
-    np.testing.assert_array_equal(after.leader, state.leader)
+    np.testing.assert_array_equal(after.root, state.root)
 
 
 @pytest.mark.parametrize("strategy", [StayInRange(noise=0.0), Network(noise=0.0)])
@@ -122,7 +122,7 @@ def test_delayed_followers_see_old_positions_of_their_head(strategy):
     _, sighting, _ = flown(config, state, rngs, plan_of(2, delay=[2, 4]))
     place, v = sighting.position[0], sighting.velocity[0]
     for head, late in zip(heads, (2, 4), strict=True):
-        followers = np.flatnonzero((state.leader[0] == head) & ~state.head[0])
+        followers = np.flatnonzero((state.root[0] == head) & ~state.head[0])
         for t in range(10, 60):
             inputs = FollowInputs(
                 own_position=place[t - 8 : t + 1, followers][::-1].swapaxes(0, 1),
@@ -143,10 +143,10 @@ def test_decoys_fly_by_themselves_and_leave_their_head_a_follower():
     v = sighting.velocity[0]
     heads = np.flatnonzero(state.head[0])
     for i in np.flatnonzero(~state.head[0]):
-        follows = np.allclose(v[1:, i], v[:-1, state.leader[0, i]], atol=1e-5)
+        follows = np.allclose(v[1:, i], v[:-1, state.root[0, i]], atol=1e-5)
         assert follows != (i in who)
     for row, head in enumerate(heads):  # the nearest followers are selected
-        mine = np.flatnonzero((state.leader[0] == head) & ~state.head[0])
+        mine = np.flatnonzero((state.root[0] == head) & ~state.head[0])
         away = np.linalg.norm(state.position[0, mine] - state.position[0, head], axis=1)
         taken = np.isin(mine, who[rows == row])
         assert away[taken].max() <= away[~taken].min()
@@ -159,7 +159,7 @@ def test_the_role_of_a_decoy_lasts_one_window():
     _, sighting, _ = flown(config, after, rngs, plan_of(2))
     v = sighting.velocity[0]
     for i in np.flatnonzero(~state.head[0]):
-        np.testing.assert_allclose(v[1:, i], v[:-1, state.leader[0, i]], atol=1e-5)
+        np.testing.assert_allclose(v[1:, i], v[:-1, state.root[0, i]], atol=1e-5)
 
 
 def test_each_head_flies_the_mobility_it_chose():
@@ -206,7 +206,7 @@ def test_a_mix_of_one_law_is_that_law(name):
 def test_the_price_by_its_formula():
     _, state, _ = a_swarm(cluster_sizes=(6, 12))
     heads = np.flatnonzero(state.head[0])
-    led = np.array([((state.leader[0] == head) & ~state.head[0]).sum() for head in heads])
+    led = np.array([((state.root[0] == head) & ~state.head[0]).sum() for head in heads])
     offer = Manoeuvres(mobility_price=0.3, jitter_price=0.2, decoy_price=2.0, delay_price=0.1)
     got = compute_prices(offer, state, plan_of(2, mobility=[2, 0], jitter=[1, 0], decoys=[2, 1], delay=[0, 4]))
     expected = [(led[0] + 1) * 0.5 + 2.0 * 2, 2.0 * 1 + 0.1 * 4 * (led[1] - 1)]
@@ -302,7 +302,7 @@ def test_the_observation_of_a_head():
         seen = observations[f"head_{j}"]
         assert np.flatnonzero(seen["self"]).tolist() == [head]
         np.testing.assert_array_equal(seen["heads"], swarm.head)
-        followers = (swarm.leader == head) & ~swarm.head & swarm.alive
+        followers = (swarm.root == head) & ~swarm.head & swarm.alive
         np.testing.assert_array_equal(seen["followers"], followers)
         np.testing.assert_array_equal(seen["position"], swarm.position)
         np.testing.assert_array_equal(seen["alive"], swarm.alive)

@@ -111,7 +111,7 @@ def test_a_uav_that_was_never_seen_and_a_single_round(tmp_path):
     small = small_episode()
     seen = small.seen.copy()
     seen[:, :, 2] = False
-    values = {name: getattr(small, name)[:1] for name in ("position", "velocity", "alive", "leader", "candidates")}
+    values = {name: getattr(small, name)[:1] for name in ("position", "velocity", "alive", "root", "candidates")}
     values |= {name: getattr(small, name)[:1] for name in ("scores", "objective", "over_budget", "seconds")}
     values |= {name: getattr(small, name)[:1] for name in MIND}
     path = animate(small_episode(**values, seen=seen[:1]), tmp_path / "one.gif", frames=2)

@@ -84,8 +84,8 @@ def test_communication_links_lead_from_living_followers_to_living_heads(episode)
     assert episode.communication_links(1).tolist() == [[i, 0] for i in range(1, 5)] + [[i, 5] for i in range(6, 11)]
     assert episode.communication_links(2).tolist() == [[i, 5] for i in (1, 2, 4, 6, 7, 8, 9, 10)]  # 0 and 3 are gone
     headless = np.where(np.arange(UAVS) == DECOY, DECOY, -1)
-    leader = np.stack([episode.leader[0], headless])
-    assert small_episode(leader=leader).communication_links(2).shape == (0, 2)
+    leader = np.stack([episode.root[0], headless])
+    assert small_episode(root=leader).communication_links(2).shape == (0, 2)
 
 
 def test_the_found_hierarchy_links_to_candidates(episode):
@@ -182,8 +182,8 @@ def test_arrays_are_read_only(episode):
         ({"position": np.zeros((1, 1, 1, 3))}, "position"),
         ({"velocity": np.zeros((2, 3, UAVS, 3))}, "velocity"),
         ({"scores": np.full((ROUNDS, UAVS), np.nan)}, "scores"),
-        ({"leader": np.full((ROUNDS, UAVS), UAVS)}, "leader"),
-        ({"leader": np.full((ROUNDS, UAVS), 0.5)}, "leader"),
+        ({"root": np.full((ROUNDS, UAVS), UAVS)}, "root"),
+        ({"root": np.full((ROUNDS, UAVS), 0.5)}, "root"),
         ({"leader_estimate": np.full((ROUNDS, UAVS), -2)}, "leader_estimate"),
         ({"attention": np.zeros((ROUNDS, UAVS))}, "attention"),
         ({"attention": np.full((ROUNDS, UAVS, UAVS), np.inf)}, "attention"),

@@ -20,7 +20,7 @@ def titles(figure):
 def long_episode(rounds, **changes):
     """``rounds`` rounds without candidates."""
     small = small_episode()
-    repeated = ("position", "velocity", "seen", "leader", "scores", *MIND[:-1])
+    repeated = ("position", "velocity", "seen", "root", "scores", *MIND[:-1])
     values = {
         **{name: np.repeat(getattr(small, name)[:1], rounds, axis=0) for name in repeated},
         "alive": np.ones((rounds, UAVS), bool),

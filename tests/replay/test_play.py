@@ -55,7 +55,7 @@ def test_records_what_was_seen_true_and_answered():
         np.testing.assert_array_equal(record.velocity[r], observation["velocity"])
         np.testing.assert_array_equal(record.seen[r], observation["seen"])
         np.testing.assert_array_equal(record.alive[r], truth.alive)
-        np.testing.assert_array_equal(record.leader[r], truth.leader)
+        np.testing.assert_array_equal(record.root[r], truth.root)
         observation, _, over, _, info = twin.step(np.isin(np.arange(16), named).astype(np.int8))
         left = twin.unwrapped.swarm.heads_left
         assert (record.hits[r], record.redundant[r], record.heads_left[r]) == (info["hits"], info["redundant"], left)

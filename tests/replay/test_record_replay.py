@@ -53,7 +53,7 @@ def test_a_noted_detection_is_kept_whole(tmp_path):
     play(env, make_detector("lagged-correlation"), 5, note=True)
     found = EpisodeRecord.load(tmp_path / "episode-0.npz")
     same = record_episode(make(), make_detector("lagged-correlation"), 5, 1)
-    for name in ("position", "alive", "leader", "candidates", "scores", "clusters", "attention", "objective", "head"):
+    for name in ("position", "alive", "root", "candidates", "scores", "clusters", "attention", "objective", "head"):
         np.testing.assert_array_equal(getattr(found, name), getattr(same, name))
 
 

@@ -150,9 +150,7 @@ def test_attention_is_as_wide_as_its_weight_and_has_a_map_for_each_head(chunks):
         "velocity": np.zeros((1, 1, 600, 3)),
         "seen": np.ones((1, 2, 600), bool),
     }
-    rows = {
-        name: np.zeros((1, 600), kind) for name, kind in {"candidates": bool, "leader": int, "scores": float}.items()
-    }
+    rows = {name: np.zeros((1, 600), kind) for name, kind in {"candidates": bool, "root": int, "scores": float}.items()}
     masks = {"head": np.arange(600) == 0, "decoy": np.zeros(600, bool), "alive": np.ones((1, 600), bool)}
     values = large_episode(**blank, **rows, **masks, attention=large)
     ((_, reduced),) = attention_maps(values, 0)

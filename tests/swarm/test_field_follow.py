@@ -86,7 +86,7 @@ def test_delays_differ_between_followers():
     v, _ = flown(window)
     delay = table_of(state)[DELAY]
     followers = np.flatnonzero(~state.head)
-    measured = [best_delay(v[:, state.leader[i]], v[:, i]) for i in followers]
+    measured = [best_delay(v[:, state.root[i]], v[:, i]) for i in followers]
     np.testing.assert_array_equal(measured, delay[followers])
     assert len(set(measured)) > 5
 
@@ -96,7 +96,7 @@ def test_gains_and_noise_differ_between_followers():
     v, _ = flown(window)
     gain, delay = table_of(state)[GAIN], table_of(state)[DELAY].astype(int)
     for i in np.flatnonzero(~state.head)[:5]:
-        led, d = v[:, state.leader[i]], delay[i]
+        led, d = v[:, state.root[i]], delay[i]
         wanted = (1 - gain[i]) * v[d - 1 : -1, i] + gain[i] * led[: len(v) - d]
         error = v[d:, i] - unit(wanted)
         size = np.sqrt((error**2).sum(axis=1).mean() / 2) * np.linalg.norm(wanted, axis=1).mean()
@@ -125,7 +125,7 @@ def test_copies_obey_their_equation(name):
         above, late = links_of(state, i, model.links)
         for t in range(max(late), 90):
             clock = int(state.clock) + 12 + t
-            asked = {"part_time": state.leader[i], "partial_turns": i}.get(name)
+            asked = {"part_time": state.root[i], "partial_turns": i}.get(name)
             if asked is not None and hash_draw(salt[asked], clock // model.block) >= model.share:
                 wanted = v[t - 1, i]
             elif name == "cucker_smale":
@@ -154,10 +154,10 @@ def test_a_chain_of_command_has_its_depth(depth):
         a = i
         while not state.head[a]:
             a = state.source[a]
-        assert a == state.leader[i]
+        assert a == state.root[i]
         if depths[i]:
-            assert best_delay(v[:, state.leader[i]], v[:, i]) == depths[i]
-    np.testing.assert_array_equal(state.direct, state.source)
+            assert best_delay(v[:, state.root[i]], v[:, i]) == depths[i]
+    np.testing.assert_array_equal(state.leader, state.source)
 
 
 def test_pigeons_delays_add_up_along_the_hierarchy():
@@ -171,7 +171,7 @@ def test_pigeons_delays_add_up_along_the_hierarchy():
             total[i] += delay[a]
             a = state.source[a]
     followers = np.flatnonzero(~state.head & (total < 18))
-    measured = [best_delay(v[:, state.leader[i]], v[:, i]) for i in followers]
+    measured = [best_delay(v[:, state.root[i]], v[:, i]) for i in followers]
     np.testing.assert_array_equal(measured, total[followers])
     assert np.isin(state.source, np.flatnonzero(~state.head)).any()  # followers lead followers
 
@@ -179,15 +179,15 @@ def test_pigeons_delays_add_up_along_the_hierarchy():
 def test_a_hierarchical_flock_reaches_the_course_of_its_head():
     state, window = fly("cucker_smale", formation="around", mobility="straight", rounds=2)
     v, _ = flown(window)
-    along = (v[-20:] * v[-20:, state.leader]).sum(axis=-1)
+    along = (v[-20:] * v[-20:, state.root]).sum(axis=-1)
     assert along.min() > 0.95
     far = fly(CuckerSmale(scale=0.01), formation="around", mobility="straight")[1]
-    assert (far.velocity[0, -1] * far.velocity[0, -1][state.leader]).sum(axis=-1).min() < 0.9
+    assert (far.velocity[0, -1] * far.velocity[0, -1][state.root]).sum(axis=-1).min() < 0.9
 
 
 def copying(v, state, i):
     """The steps in which UAV i copies its leader, by the cosine."""
-    return (v[1:, i] * v[:-1, state.leader[i]]).sum(axis=1) > 0.95
+    return (v[1:, i] * v[:-1, state.root[i]]).sum(axis=1) > 0.95
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7])
@@ -195,7 +195,7 @@ def test_heads_lead_a_share_of_the_time(share):
     state, window = fly(PartTime(share=share), observation_steps=1500)
     v, _ = flown(window)
     for h in np.flatnonzero(state.head):
-        together = np.array([copying(v, state, i) for i in np.flatnonzero(state.leader == h) if i != h])
+        together = np.array([copying(v, state, i) for i in np.flatnonzero(state.root == h) if i != h])
         assert together.mean() == pytest.approx(share, abs=0.12)
         assert (together.std(axis=0) < 0.4).mean() > 0.9  # all followers of a head at the same time
 
@@ -220,7 +220,7 @@ def test_followers_fly_by_f1_to_f6(name):
     v, p = flown(window)
     salt, kinds = table_of(state)[SALT], set()
     for i in np.flatnonzero(~state.head)[::2]:
-        h = state.leader[i]
+        h = state.root[i]
         for t in range(4, 119):
             block = (int(state.clock) + 12 + t) // model.block
             kind = int(KINDS * hash_draw(salt[i], 0) if name == "mixed" else KINDS * hash_draw(salt[h], block))
@@ -243,7 +243,7 @@ def test_a_cluster_switches_within_a_window():
     state, window = fly(Switching(noise=0.0), observation_steps=300)
     v, _ = flown(window)
     for h in np.flatnonzero(state.head):
-        i = np.flatnonzero((state.leader == h) & ~state.head)[0]
+        i = np.flatnonzero((state.root == h) & ~state.head)[0]
         by_f1 = np.linalg.norm(v[1:, i] - v[:-1, h], axis=1) < 1e-3
         assert 0 < by_f1.mean() < 1
 
@@ -263,7 +263,7 @@ def test_formations_obey_their_equation():
     state, window = fly(model, formation="around", mobility="gauss_markov", rounds=2)
     v, p = flown(window)
     for i in np.flatnonzero(~state.head)[::4]:
-        h = state.leader[i]
+        h = state.root[i]
         for t in range(12, 90):
             gap = slot_gap(model, state, v, p, t, i, v[:, h], p[:, h])
             wanted = v[t - 1, h] + model.pull * gap / max(np.linalg.norm(gap), model.near)
@@ -277,7 +277,7 @@ def test_heads_are_in_front_in_the_middle_or_behind():
         state, window = fly(Frontness(place=place), **arguments)
         v, p = flown(window)
         gaps = [
-            (p[t, h] - p[t, (state.leader == h) & ~state.head]) @ unit(v[t - 12 : t, h].sum(axis=0))
+            (p[t, h] - p[t, (state.root == h) & ~state.head]) @ unit(v[t - 12 : t, h].sum(axis=0))
             for h in np.flatnonzero(state.head)
             for t in range(20, 200, 10)
         ]
@@ -300,8 +300,8 @@ def test_swarms_that_no_uav_leads_have_no_heads_and_one_round(name):
     env = MultiClusterEnv(follow=name, memory=12, clusters=2, uavs=24, reveal_truth=True, observation_steps=20)
     observation, info = env.reset(seed=0)
     assert not info["head"].any()
+    assert (info["root"][~env.swarm.bystander] == -1).all()
     assert (info["leader"][~env.swarm.bystander] == -1).all()
-    assert (info["direct"][~env.swarm.bystander] == -1).all()
     assert observation["seen"].all()
     candidates = np.zeros(24, np.int8)
     candidates[:2] = 1
@@ -398,7 +398,7 @@ def test_flocks_of_two_clusters_do_not_mix():
     config = SwarmConfig(follow="couzin", memory=12, clusters=2, uavs=24, formation="around")
     state = start(config, [np.random.default_rng(0)])
     head = np.flatnonzero(state.head[0])[0]
-    other = np.flatnonzero(state.leader[0] != head)
+    other = np.flatnonzero(state.root[0] != head)
     gone = np.zeros((1, 24), bool)
     gone[0, other] = True
     one = advance(config, state, [np.random.default_rng(1)])[1]
@@ -415,7 +415,7 @@ def test_an_informed_minority_steers_its_flock_and_more_of_it_steer_it_better():
             strategy = Informed(share=share, preference=0.5)
             state, window = fly(strategy, 4, seed, clusters=1, uavs=40, mobility="straight", formation="around")
             assert state.head.sum() == max(1, round(share * 40))
-            assert (state.leader[~state.head] == -1).all()
+            assert (state.root[~state.head] == -1).all()
             course = state.reference_velocity[-1, 0]
             cosines.append(float(unit(flown(window)[0].mean(axis=(0, 1))) @ course))
         accuracy.append(np.mean(cosines))
@@ -439,7 +439,7 @@ def test_a_predator_chases_and_the_flock_flees():
     assert state.bystander.sum() == 2
     assert not (state.bystander & state.head).any()
     for q in np.flatnonzero(state.bystander):
-        prey = np.flatnonzero(state.alive & ~state.bystander & (state.leader == state.source[q]))
+        prey = np.flatnonzero(state.alive & ~state.bystander & (state.root == state.source[q]))
         gaps = p[:-1, prey] - p[:-1, None, q]
         nearest = gaps[np.arange(len(v)), np.linalg.norm(gaps, axis=-1).argmin(axis=1)]
         assert (unit(nearest) * v[:, q]).sum(axis=1).mean() > 0.9
@@ -475,8 +475,8 @@ def test_in_independent_no_uav_follows_and_all_fly_by_the_mobility():
     state, window = fly("independent", **settings)
     v, p = flown(window)
     assert not state.head.any()
-    assert (state.leader[~state.bystander] == -1).all()
-    assert (state.direct == -1).sum() == 22
+    assert (state.root[~state.bystander] == -1).all()
+    assert (state.leader == -1).sum() == 22
     assert (correlate(v, range(5)) - 2 * np.eye(24)).max() < 0.6
     turns = (unit(v[1:]) * unit(v[:-1])).sum(axis=2).mean(axis=0)
     assert np.ptp(turns) < 0.05  # one mobility
@@ -493,7 +493,7 @@ def test_shifted_tracks_keep_their_steps_and_lose_their_heads(kinematics):
     state, window = fly("shifted", **settings)
     v, p = flown(window)
     assert not state.head.any()
-    assert (state.leader == -1).all()
+    assert (state.root == -1).all()
 
     class Unshifted(Shifted):
         shifts_tracks = False
@@ -565,9 +565,9 @@ def test_after_a_destruction_every_follower_has_a_living_leader(name):
         one, old = state.episode(), before.episode()
         for i in np.flatnonzero(one.alive & ~(one.head | one.decoy | one.bystander)):
             assert one.alive[one.source[i]]
-            assert one.head[one.leader[i]]
-            assert one.alive[one.leader[i]]
-            assert one.leader[one.source[i]] == one.leader[i]
+            assert one.head[one.root[i]]
+            assert one.alive[one.root[i]]
+            assert one.root[one.source[i]] == one.root[i]
             if one.alive[old.source[i]]:
                 assert one.source[i] == old.source[i]
         state, _ = advance(config, state, [rng])
@@ -577,13 +577,13 @@ def test_a_destroyed_sub_head_is_replaced_by_the_one_above_it():
     config = SwarmConfig(follow=Chain(depth=2), memory=12, clusters=1, uavs=15)
     state = start(config, [np.random.default_rng(0)])
     one = state.episode()
-    sub_head = next(i for i in range(15) if one.source[i] == one.leader[i] != i and (one.source == i).any())
+    sub_head = next(i for i in range(15) if one.source[i] == one.root[i] != i and (one.source == i).any())
     gone = np.zeros((1, 15), bool)
     gone[0, sub_head] = True
     after = destroy(state, gone).episode()
     led = np.flatnonzero(one.source == sub_head)
-    np.testing.assert_array_equal(after.source[led], one.leader[led])
-    np.testing.assert_array_equal(after.leader[led], one.leader[led])
+    np.testing.assert_array_equal(after.source[led], one.root[led])
+    np.testing.assert_array_equal(after.root[led], one.root[led])
 
 
 def test_bystanders_and_traffic_are_no_heads_and_follow_no_uav():
@@ -594,8 +594,8 @@ def test_bystanders_and_traffic_are_no_heads_and_follow_no_uav():
     one, v = state.episode(), window.velocity[0].astype(float)
     assert one.bystander.sum() == 11
     assert not (one.bystander & (one.head | one.decoy)).any()
-    np.testing.assert_array_equal(one.leader[one.bystander], np.flatnonzero(one.bystander))
-    assert not np.isin(one.leader[~one.bystander], np.flatnonzero(one.bystander)).any()
+    np.testing.assert_array_equal(one.root[one.bystander], np.flatnonzero(one.bystander))
+    assert not np.isin(one.root[~one.bystander], np.flatnonzero(one.bystander)).any()
     straight = np.ptp(v, axis=0).max(axis=1) < 1e-5
     assert straight.sum() == 6
     assert one.bystander[straight].all()
@@ -609,7 +609,7 @@ def test_bystanders_and_traffic_are_no_heads_and_follow_no_uav():
 def test_a_swarm_without_field_models_is_as_before():
     """The arrays that field models need have their defaults."""
     state = start_of(follow_strategy("f1"))
-    np.testing.assert_array_equal(state.source, state.leader)
-    np.testing.assert_array_equal(state.direct, state.leader)
+    np.testing.assert_array_equal(state.source, state.root)
+    np.testing.assert_array_equal(state.leader, state.root)
     assert not state.bystander.any()
     assert state.reference_position.shape[1] == state.kinematic_state.shape[1] == 0

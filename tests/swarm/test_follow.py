@@ -47,7 +47,7 @@ def test_noise_free_flight_obeys_the_row_of_table_2(name, formation):
     followers = np.flatnonzero(~swarm.head)
     near = 0
     for i in followers:
-        h = swarm.leader[i]
+        h = swarm.root[i]
         for t in range(3, 60):
             gap = p[t, h] - p[t, i]
             far = np.linalg.norm(gap) > 60.0
@@ -84,7 +84,7 @@ def test_compiled_flight_equals_the_general_loop(name):
             free = rng.standard_normal((steps, 3, 3)).astype(np.float32)
             velocity[b, memory:, state.free[b]] = (free / np.linalg.norm(free, axis=-1, keepdims=True)).swapaxes(0, 1)
         noise = rng.standard_normal((2, steps, 20, 3), dtype=np.float32)
-        flights.append(TrajectoryBatch(position, velocity, noise, motion, state.leader, state.parameters))
+        flights.append(TrajectoryBatch(position, velocity, noise, motion, state.root, state.parameters))
     strategy.fly(flights[0])
     FollowStrategy.fly(strategy, flights[1])
     np.testing.assert_allclose(flights[0].velocity, flights[1].velocity, atol=2e-4)
@@ -103,7 +103,7 @@ def test_followers_noise_has_the_table_s_size():
     swarm, window = fly("f1", observation_steps=3000)
     v = window.velocity[0].astype(float)
     i = np.flatnonzero(~swarm.head)[0]
-    led, flown = v[:-1, swarm.leader[i]], v[1:, i]
+    led, flown = v[:-1, swarm.root[i]], v[1:, i]
     along = (led * flown).sum(axis=1, keepdims=True)
     across = (flown - along * led) / along  # undo norm(): components in metres of v_{iL}
     assert np.sqrt((across**2).sum(axis=1).mean() / 2) == pytest.approx(0.05, rel=0.05)
@@ -143,7 +143,7 @@ def test_a_registered_function_is_used_by_name(registry):
     register_follow_strategy("mirror", mirror, lags=1, noise=0.0, equation="v = -v_L")
     swarm, window = fly("mirror")
     i = np.flatnonzero(~swarm.head)[0]
-    np.testing.assert_allclose(window.velocity[0, 1:, i], -window.velocity[0, :-1, swarm.leader[i]], atol=1e-5)
+    np.testing.assert_allclose(window.velocity[0, 1:, i], -window.velocity[0, :-1, swarm.root[i]], atol=1e-5)
     assert follow_strategies()["mirror"].equation == "v = -v_L"
 
 
@@ -210,7 +210,7 @@ def test_a_cell_of_a_notebook_can_run_again(registry):
     cell(-1.0, replace=True)
     state, window = fly("mine")
     follower = np.flatnonzero(~state.head)[0]
-    head = state.leader[follower]
+    head = state.root[follower]
     turned = (window.velocity[0, 1:, follower] * window.velocity[0, :-1, head]).sum(axis=-1)
     assert turned.max() < 0
 
@@ -299,5 +299,5 @@ def test_a_follower_keeps_its_number_when_others_are_destroyed(gone):
     for number, i in enumerate(first):
         if state.alive[0, i]:
             late = number % 3
-            copied = velocity[2 - late : -1 - late, state.leader[0, i]]
+            copied = velocity[2 - late : -1 - late, state.root[0, i]]
             np.testing.assert_allclose(velocity[3:, i], copied, atol=1e-5)

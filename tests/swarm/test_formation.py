@@ -34,15 +34,15 @@ def test_roles_are_consistent(seed, decoys):
     assert roles.decoy.sum() == decoys
     assert not (roles.head & roles.decoy).any()
     alone = roles.head | roles.decoy
-    assert (roles.leader[alone] == np.flatnonzero(alone)).all()
-    assert roles.head[roles.leader[~alone]].all()
-    assert np.bincount(roles.leader[~alone], minlength=30 + decoys)[roles.head].min() >= 2
+    assert (roles.root[alone] == np.flatnonzero(alone)).all()
+    assert roles.head[roles.root[~alone]].all()
+    assert np.bincount(roles.root[~alone], minlength=30 + decoys)[roles.head].min() >= 2
 
 
 def test_given_cluster_sizes_are_kept():
     state = start(SwarmConfig(clusters=3, uavs=15, cluster_sizes=(2, 7, 3)), [np.random.default_rng(0)]).episode()
     followers = ~state.head
-    assert sorted(np.bincount(state.leader[followers], minlength=15)[state.head]) == [2, 3, 7]
+    assert sorted(np.bincount(state.root[followers], minlength=15)[state.head]) == [2, 3, 7]
 
 
 def test_heads_sit_at_random_indices():
@@ -73,7 +73,7 @@ def test_uniform_fills_the_arena():
 def test_around_keeps_followers_within_60_metres():
     states, position = first_positions("around", 50)
     for state, p in zip(states, position, strict=True):
-        distance = np.linalg.norm(p - p[state.leader], axis=1)
+        distance = np.linalg.norm(p - p[state.root], axis=1)
         assert distance.max() <= 60.0 + 1e-3
         assert np.median(distance[~state.head]) == pytest.approx(60 * 0.5 ** (1 / 3), rel=0.15)
 
@@ -86,12 +86,12 @@ def test_orphans_take_the_nearest_remaining_head(seed, uavs, share):
     roles = draw_roles(rng, clusters, uavs, 0, None)
     alive = rng.random(uavs) >= share
     position = rng.uniform(0, 1000, (uavs, 3)).astype(np.float32)
-    leader = roles.leader.copy()
+    leader = roles.root.copy()
     remerge(roles.head[None], alive[None], roles.decoy[None], position[None], leader[None], leader[None].copy())
     remaining = np.flatnonzero(roles.head & alive)
     for i in range(uavs):
-        if roles.head[i] or not alive[i] or alive[roles.leader[i]]:
-            assert leader[i] == roles.leader[i]
+        if roles.head[i] or not alive[i] or alive[roles.root[i]]:
+            assert leader[i] == roles.root[i]
         elif len(remaining) == 0:
             assert leader[i] == -1
         else:

@@ -73,8 +73,8 @@ def test_false_tracks_begin_and_end_and_are_no_uavs():
     false = state.free[0, -12:]
     assert state.bystander[0, false].all()
     assert not (state.head | state.decoy)[0, false].any()
-    np.testing.assert_array_equal(state.leader[0, false], false)
-    assert not np.isin(np.delete(state.leader[0], false), false).any()
+    np.testing.assert_array_equal(state.root[0, false], false)
+    assert not np.isin(np.delete(state.root[0], false), false).any()
     seen = []
     for _ in range(2):
         state, window = advance(config, state, rngs)

@@ -78,15 +78,15 @@ def test_a_window_holds_one_regime_only():
     rngs = generators([3])
     state, _ = advance(config, start(config, rngs), rngs)
     head = np.flatnonzero(state.head[0])[0]
-    orphans = np.flatnonzero((state.leader[0] == head) & ~state.head[0])
+    orphans = np.flatnonzero((state.root[0] == head) & ~state.head[0])
     gone = np.zeros((1, 20), bool)
     gone[0, [head, orphans[0]]] = True
     state = destroy(state, gone)
-    assert state.leader[0, orphans[1]] not in (head, -1)
+    assert state.root[0, orphans[1]] not in (head, -1)
     after, window = advance(config, state, rngs)
     v = window.velocity[0].astype(float)
     for i in orphans[1:]:
-        new = state.leader[0, i]
+        new = state.root[0, i]
         past = np.concatenate([after.past_velocity[0, :0], v])[:, new]
         wanted = past[2:-1] + past[1:-2] + past[:-3]
         wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
@@ -120,7 +120,7 @@ def test_decoys_fly_like_heads_and_lead_nobody():
     state = start(config, rngs)
     _, window = advance(config, state, rngs)
     followers = ~(state.head[0] | state.decoy[0])
-    assert not np.isin(state.leader[0, followers], np.flatnonzero(state.decoy[0])).any()
+    assert not np.isin(state.root[0, followers], np.flatnonzero(state.decoy[0])).any()
     pitch = np.arcsin(window.velocity[0, :, :, 2])
     assert pitch[:, state.decoy[0]].std() == pytest.approx(np.sqrt(0.02), rel=0.3)
     assert window.velocity[0][:, state.decoy[0]].std(axis=1).min() > 0  # each flies its own way
@@ -150,7 +150,7 @@ def test_a_swarm_without_heads_does_not_fly_on():
     rngs = generators([0])
     state = start(config, rngs)
     state = destroy(state, state.head)
-    assert (state.leader[0][~state.head[0]] == -1).all()
+    assert (state.root[0][~state.head[0]] == -1).all()
     with pytest.raises(ArgumentError, match="state must have a living head"):
         advance(config, state, rngs)
     with pytest.raises(ArgumentError, match="rngs must hold one generator"):

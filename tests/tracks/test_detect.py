@@ -170,7 +170,7 @@ def test_out_and_record_write_all_files(run, folder, tmp_path):
     assert (record.rounds, record.uavs, record.labelled) == (7, 14, False)
     ids = record.config["ids"]
     assert {ids[i] for i in np.flatnonzero(record.head)} == {"bird-0", "bird-1"}
-    behind = record.leader[0] == ids.index("bird-0")
+    behind = record.root[0] == ids.index("bird-0")
     assert {ids[i] for i in np.flatnonzero(behind)} == {"bird-0", *(f"bird-{k}" for k in range(2, 14, 2))}
     tracks = read_tracks(folder / "merging.csv")
     np.testing.assert_allclose(record.position[1, 0, 0], tracks.position[100], atol=1e-3)

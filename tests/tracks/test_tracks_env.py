@@ -60,7 +60,7 @@ def test_the_truth_is_the_column_of_leaders(path):
         env.reset()
         truth = env.unwrapped.swarm
         heads.append(np.flatnonzero(truth.head).tolist())
-        assert set(truth.leader) == set(heads[-1])  # of the head, not of the direct leader
+        assert set(truth.root) == set(heads[-1])  # of the head, not of the direct leader
     assert heads == [[0, 1]] * 4 + [[0]] * 3
 
 

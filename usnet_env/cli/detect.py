@@ -393,14 +393,14 @@ def _make_record(
     position = np.zeros((rounds, window + 1, ids, 3), np.float32)
     velocity = np.zeros((rounds, window, ids, 3), np.float32)
     seen = np.zeros((rounds, window + 1, ids), bool)
-    leader, scores = np.full((rounds, ids), -1, np.int64), np.zeros((rounds, ids))
+    root, scores = np.full((rounds, ids), -1, np.int64), np.zeros((rounds, ids))
     candidates, reasons = np.zeros((rounds, ids), bool), []
     for r, (cut, answer, detected) in enumerate(kept):
         rows = cut.rows
         position[r][:, rows] = np.where(cut.window.seen[..., None], cut.window.position + cut.origin, 0.0)
         velocity[r][:, rows], seen[r][:, rows] = cut.window.velocity, cut.window.seen
         behind = _leaders_of(cut, detected)
-        leader[r, rows] = np.where(behind >= 0, rows[behind], -1)
+        root[r, rows] = np.where(behind >= 0, rows[behind], -1)
         candidates[r, rows] = behind == np.arange(len(rows))  # confirmed ones only
         scores[r, rows] = answer
         place = {each: int(row) for each, row in zip(cut.ids, rows, strict=True)}
@@ -410,7 +410,7 @@ def _make_record(
         velocity=velocity,
         seen=seen,
         alive=np.ones((rounds, ids), bool),
-        leader=leader,
+        root=root,
         candidates=candidates,
         scores=scores,
         objective=np.zeros(rounds),
@@ -418,7 +418,7 @@ def _make_record(
         decoy=np.zeros(ids, bool),
         over_budget=np.ones(rounds, bool),
         seconds=np.zeros(rounds),
-        leader_estimate=leader,
+        leader_estimate=root,
         reasons=reasons,
         env_id=title,
         detector=found.detector,

@@ -97,18 +97,18 @@ def limits_around(place: NDArray[np.float32], margin: float = 0.12) -> Limits:
     return x, y, (1 + margin) / 2 * max(float((high - low).max()), 1.0)
 
 
-def cluster_colors(head: NDArray[np.bool_], leader: NDArray[np.int64]) -> tuple[NDArray[np.str_], NDArray[np.int64]]:
+def cluster_colors(head: NDArray[np.bool_], root: NDArray[np.int64]) -> tuple[NDArray[np.str_], NDArray[np.int64]]:
     """The colour and the marker of every UAV by its head.
 
     Args:
         head: ``(N,)`` bool, H_0.
-        leader: ``(N,)`` int64, the head of each UAV; a head's own index; -1: no head.
+        root: ``(N,)`` int64, the head of each UAV; a head's own index; -1: no head.
 
     Returns:
         ``(N,)`` hexadecimal colours, which differ for 24 clusters, and ``(N,)`` int64 marker numbers (0 for the first
         nine clusters). Colour and marker together differ for 72 clusters.
     """
-    cluster = np.asarray(np.where((leader >= 0) & head[leader], np.cumsum(head)[leader] - 1, -1))
+    cluster = np.asarray(np.where((root >= 0) & head[root], np.cumsum(head)[root] - 1, -1))
     colors = np.where(cluster >= 0, np.array(CLUSTER_COLORS)[cluster % len(CLUSTER_COLORS)], NO_CLUSTER_COLOR)
     return colors, np.maximum(cluster, 0) // _CLUSTERS_PER_MARKER % len(_MARKERS)
 
@@ -133,12 +133,12 @@ def _draw_links(
     axes: Axes,
     place: NDArray[np.float32],
     linked: NDArray[np.bool_],
-    leader: NDArray[np.int64],
+    root: NDArray[np.int64],
     colors: NDArray[np.str_],
 ) -> None:
     from matplotlib.collections import LineCollection
 
-    ends = np.stack([place[linked, :2], place[leader[linked], :2]], axis=1)
+    ends = np.stack([place[linked, :2], place[root[linked], :2]], axis=1)
     axes.add_collection(LineCollection(list(ends), colors=colors[linked], alpha=0.28, linewidths=0.7, zorder=1))
 
 
@@ -151,7 +151,7 @@ def round_marks(
     place: NDArray[np.float32],
     alive: NDArray[np.bool_],
     head: NDArray[np.bool_],
-    leader: NDArray[np.int64],
+    root: NDArray[np.int64],
     decoy: NDArray[np.bool_],
     candidates: NDArray[np.bool_] | None = None,
     destroyed_at: NDArray[np.float32] | None = None,
@@ -162,7 +162,7 @@ def round_marks(
         place: ``(N, 3)`` metres, positions; NaN for UAVs that are not drawn.
         alive: ``(N,)`` bool, before the candidates are destroyed.
         head: ``(N,)`` bool, H_0.
-        leader: ``(N,)`` int64, as in :func:`cluster_colors`.
+        root: ``(N,)`` int64, as in :func:`cluster_colors`.
         decoy: ``(N,)`` bool.
         candidates: ``(N,)`` bool, or ``None`` before the first answer.
         destroyed_at: ``(N, 3)`` metres, positions of destroyed UAVs, NaN if unknown; ``None``: not drawn.
@@ -178,7 +178,7 @@ def round_marks(
     return {
         HEAD_MARK: shown & head,
         FOLLOWER_MARK: follower,
-        LINK_MARK: follower & (leader >= 0) & shown[leader],
+        LINK_MARK: follower & (root >= 0) & shown[root],
         DECOY_MARK: shown & decoy,
         HIT_MARK: none if candidates is None else candidates & target,
         REDUNDANT_MARK: none if candidates is None else candidates & ~target,
@@ -249,7 +249,7 @@ def draw_round(
     seen: NDArray[np.bool_],
     alive: NDArray[np.bool_],
     head: NDArray[np.bool_],
-    leader: NDArray[np.int64],
+    root: NDArray[np.int64],
     decoy: NDArray[np.bool_],
     candidates: NDArray[np.bool_] | None = None,
     *,
@@ -270,7 +270,7 @@ def draw_round(
         seen: ``(T_ob + 1, N)`` bool.
         alive: ``(N,)`` bool, before the candidates are destroyed.
         head: ``(N,)`` bool, H_0.
-        leader: ``(N,)`` int64, the head of each UAV; a head's or decoy's own index; -1: no head.
+        root: ``(N,)`` int64, the head of each UAV; a head's or decoy's own index; -1: no head.
         decoy: ``(N,)`` bool.
         candidates: ``(N,)`` bool, or ``None`` before the first answer.
         destroyed_at: ``(N, 3)`` metres, last positions of destroyed UAVs (NaN: unknown); ``None``: not drawn.
@@ -288,15 +288,15 @@ def draw_round(
     if axes is None:
         axes = new_figure(9.6, 7.2).add_axes((0.07, 0.08, 0.66, 0.86) if legend else (0.09, 0.08, 0.88, 0.86))
     place = last_seen_position(position, seen & alive)
-    marks = round_marks(place, alive, head, leader, decoy, candidates, destroyed_at)
+    marks = round_marks(place, alive, head, root, decoy, candidates, destroyed_at)
     everywhere = place
     if destroyed_at is not None:
         everywhere = np.asarray(np.where(marks[DESTROYED_MARK][:, None], destroyed_at, place))
     # The limits come first: otherwise they are computed anew for everything that is drawn.
     _set_up_axes(axes, limits_around(everywhere) if limits is None else limits, title)
     shown = np.isfinite(place[:, 0])
-    colors, marker = cluster_colors(head, leader)
-    _draw_links(axes, place, marks[LINK_MARK], leader, colors)
+    colors, marker = cluster_colors(head, root)
+    _draw_links(axes, place, marks[LINK_MARK], root, colors)
     _draw_tracks(axes, position[:, shown], (seen & alive)[:, shown], colors[shown])
 
     for number, shape in enumerate(_MARKERS):

@@ -240,13 +240,13 @@ def truth_info(swarm: SwarmState) -> dict[str, NDArray[Any]]:
         swarm: B swarms, or one without the leading axis.
 
     Returns:
-        ``head``, ``decoy`` ``(B, N)`` int8, ``leader``, ``direct`` ``(B, N)`` int64 and ``heads_left`` ``(B,)`` int64.
+        ``head``, ``decoy`` ``(B, N)`` int8, ``root``, ``leader`` ``(B, N)`` int64 and ``heads_left`` ``(B,)`` int64.
     """
     return {
         "head": swarm.head.astype(np.int8),
         "decoy": swarm.decoy.astype(np.int8),
+        "root": swarm.root,
         "leader": swarm.leader,
-        "direct": swarm.direct,
         "heads_left": swarm.heads_left,
     }
 

@@ -43,7 +43,7 @@ class OutputArguments(game.RenderArguments):
     """The arguments about the output of an environment: ``info`` and pictures."""
 
     reveal_truth: bool = Field(
-        False, description="``info`` also holds ``head``, ``decoy``, ``leader``, ``direct``, ``heads_left``"
+        False, description="``info`` also holds ``head``, ``decoy``, ``root``, ``leader``, ``heads_left``"
     )
 
 

@@ -54,8 +54,8 @@ def episode_metrics(problem: str, rounds: Sequence[PlayedRound[Answer]]) -> dict
         objective = objectives.multi_cluster_objective(head, fired)
     purity = together = None
     if answer.clusters is not None:
-        purity = objectives.purity(np.where(truth.decoy, -1, truth.leader), answer.clusters)
-        together = objectives.head_in_cluster(head, truth.leader, answer.clusters)
+        purity = objectives.purity(np.where(truth.decoy, -1, truth.root), answer.clusters)
+        together = objectives.head_in_cluster(head, truth.root, answer.clusters)
     values: dict[str, Any] = {
         "J": objective,
         "rounds": len(fired),
@@ -81,7 +81,7 @@ def record_metrics(record: Any) -> dict[str, float | int | None]:
     """
     rounds: list[PlayedRound[Answer]] = []
     for number, candidates in enumerate(record.candidates):
-        truth: Any = SimpleNamespace(head=record.head, decoy=record.decoy, leader=record.leader[number])
+        truth: Any = SimpleNamespace(head=record.head, decoy=record.decoy, root=record.root[number])
         clusters = None if record.clusters is None else record.clusters[number]
         answer = Answer(candidates, record.scores[number], clusters, float(record.seconds[number]))
         rounds.append(PlayedRound(None, truth, answer, {"over_budget": record.over_budget[number]}, truth))

@@ -221,11 +221,11 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         """Return the true state for a centralised critic, ``(10 N + 1,)`` float32.
 
         For each UAV: position (m), velocity (m/step), 1 if it is alive, 1 if it is a head, 1 if it is a decoy, and the
-        index of its leader (-1 if it has none). The last value is the number of rounds played.
+        index of its root (-1 if it has none). The last value is the number of rounds played.
         """
         game = self._current_game()
         swarm = self._reveal_swarm(game)
-        columns = [swarm.alive, swarm.head, swarm.decoy, swarm.leader]
+        columns = [swarm.alive, swarm.head, swarm.decoy, swarm.root]
         table = np.concatenate(
             [swarm.position, swarm.past_velocity[-1], np.stack(columns, axis=1).astype(np.float32)], axis=1
         )

@@ -181,18 +181,18 @@ class DelayedFollow(FollowStrategy):
             np.pad(array, widened) for array in (flight.position, flight.velocity, flight.noise)
         )
         behind = [(0, 0), (0, many)]
-        leader, source = np.pad(flight.leader, behind), np.pad(flight.source, behind)
+        root, source = np.pad(flight.root, behind), np.pad(flight.source, behind)
         for number, head in enumerate(heads):
             ghost, late = uavs + number, int(self.delay[head])
             position[:, late : flight.start + 1, ghost] = flight.position[:, : flight.start + 1 - late, head]
             velocity[:, late:, ghost] = flight.velocity[:, :-late, head]
-            for copied in (leader, source):
+            for copied in (root, source):
                 copied[copied == head] = ghost
                 copied[:, ghost] = ghost
         kind = np.pad(flight.motion, [(0, 0), (0, many)], constant_values=kernels.FREE)
         bystander = np.pad(flight.bystander, behind)
         self.strategy.fly(
-            TrajectoryBatch(position, velocity, noise, kind, leader, flight.parameters, source, bystander, flight.clock)
+            TrajectoryBatch(position, velocity, noise, kind, root, flight.parameters, source, bystander, flight.clock)
         )
         flight.position[...] = position[:, :, :uavs]
         flight.velocity[...] = velocity[:, :, :uavs]
@@ -200,7 +200,7 @@ class DelayedFollow(FollowStrategy):
 
 def _sort_followers(state: SwarmState, head: int) -> NDArray[np.intp]:
     """Return the living followers of a head, the nearest first; ``state`` is a batch of one."""
-    followers = np.flatnonzero((state.leader[0] == head) & state.alive[0] & ~state.head[0] & ~state.decoy[0])
+    followers = np.flatnonzero((state.root[0] == head) & state.alive[0] & ~state.head[0] & ~state.decoy[0])
     gap = state.position[0, followers] - state.position[0, head]
     return followers[np.argsort((gap * gap).sum(axis=1), kind="stable")]
 

@@ -184,12 +184,12 @@ def _make_record(
         "velocity": np.stack([each.sighting.velocity for each in rounds]),
         "seen": np.stack([each.sighting.seen for each in rounds]),
         "alive": np.stack([each.truth.alive for each in rounds]),
-        "leader": np.stack([each.truth.leader for each in rounds]),
+        "root": np.stack([each.truth.root for each in rounds]),
         "candidates": np.stack([each.candidates for each in rounds]),
         "scores": np.stack([each.scores for each in rounds]),
         "objective": np.array([each.objective for each in rounds]),
         "head": rounds[0].truth.head,
-        "decoy": env.swarm.decoy,  # of the whole episode; a decoy of one window has itself as leader in it
+        "decoy": env.swarm.decoy,  # of the whole episode; a decoy of one window has itself as root in it
         "over_budget": np.array([each.over_budget for each in rounds]),
         "seconds": np.array(seconds),
         "choices": choices if any(choices) else None,

@@ -224,7 +224,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         """Return the true swarm in the window; followers that were decoys in it count as decoys without a head."""
         truth = super()._reveal_swarm(state)
         truth.decoy[self._decoys] = True
-        truth.leader[self._decoys] = self._decoys
+        truth.root[self._decoys] = self._decoys
         return truth
 
     def _check_choice(self, agent: str, action: Any) -> Indices:
@@ -266,7 +266,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         head = int(np.flatnonzero(swarm.head[0])[row])
         own = np.zeros(self.config.uavs, np.int8)
         own[head] = 1
-        followers = (swarm.leader[0] == head) & swarm.alive[0] & ~swarm.head[0]
+        followers = (swarm.root[0] == head) & swarm.alive[0] & ~swarm.head[0]
         named = np.zeros(self.config.uavs, bool) if self.last_round is None else self.last_round.candidates
         return {
             "position": swarm.position[0].copy(),

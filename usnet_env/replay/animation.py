@@ -246,21 +246,21 @@ class Painter:
         """
         record, r = self.record, scene.round - 1
         head, candidates = record.head, record.candidates[r]
-        leader = record.leader[r]
+        root = record.root[r]
         if not record.labelled:  # the answer, once it is given
             head = candidates & (scene.phase >= _NAME)
-            leader = leader if scene.phase >= _NAME else np.full_like(leader, -1)
+            root = root if scene.phase >= _NAME else np.full_like(root, -1)
         gone = ~record.alive[r] | (record.fired[r] & (scene.phase >= _DESTROY))
         orphan = record.orphans[r] & (scene.phase >= _DESTROY)
-        new = record.leader[r + 1] if scene.phase == _REMERGE else np.full_like(leader, -1)
+        new = record.root[r + 1] if scene.phase == _REMERGE else np.full_like(root, -1)
         moved = orphan & (new >= 0)
-        end = place[np.maximum(leader, 0), :2]
+        end = place[np.maximum(root, 0), :2]
         end[moved] += np.float32(scene.turn) * (place[new[moved], :2] - end[moved])
-        colors = np.where(orphan, _ORPHAN, cluster_colors(head, leader)[0])
+        colors = np.where(orphan, _ORPHAN, cluster_colors(head, root)[0])
         if scene.turn == 1.0:  # the orphans have the colour of their new heads
             colors = np.where(moved, cluster_colors(head, new)[0], colors)
         follower = ~gone & ~head & ~record.decoy
-        linked = follower & (leader >= 0) & (~orphan | moved)
+        linked = follower & (root >= 0) & (~orphan | moved)
         links = np.stack([place[:, :2], end], axis=1)
         self._lines(self.truth, links[linked], colors=colors[linked], linewidths=0.7, alpha=0.4, zorder=1)
         self._lines(self.truth, path[~gone], colors=colors[~gone], linewidths=1.1, alpha=0.9, zorder=2)

@@ -21,7 +21,7 @@ from usnet_env.window import frozen_array
 __all__ = ["FORMAT_VERSION", "EpisodeRecord", "check_record"]
 
 MOST_SEED = 2**128 - 1  # the seeds that NumPy draws from the operating system have 128 bits
-_LINKS = "communication_links"  # derived from ``leader`` when a file is written, compared when it is read
+_LINKS = "communication_links"  # derived from ``root`` when a file is written, compared when it is read
 
 
 def _freeze_indices(name: str, value: Any, shape: tuple[int, int], high: int) -> NDArray[np.int64]:
@@ -43,10 +43,12 @@ def _convert_to_json(name: str, value: Mapping[str, Any]) -> dict[str, Any]:
     return plain
 
 
-def _list_links(leader: NDArray[np.int64], followers: NDArray[np.bool_], heads: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """``(L, 2)`` int64: the UAVs of ``followers`` ``(N,)`` whose ``leader`` ``(N,)`` is one of ``heads`` ``(N,)``."""
-    linked = np.flatnonzero(followers & (leader >= 0) & heads[leader] & (leader != np.arange(len(leader))))
-    return np.column_stack([linked, leader[linked]])
+def _list_links(
+    followed: NDArray[np.int64], followers: NDArray[np.bool_], heads: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """``(L, 2)`` int64: which of ``followers`` ``(N,)`` follow which of ``heads`` ``(N,)``."""
+    linked = np.flatnonzero(followers & (followed >= 0) & heads[followed] & (followed != np.arange(len(followed))))
+    return np.column_stack([linked, followed[linked]])
 
 
 def _convert_to_texts(name: str, value: Any, rounds: int) -> tuple[dict[str, str], ...]:
@@ -62,7 +64,7 @@ class EpisodeRecord:
     """One episode of R rounds with N UAVs: the observer's windows, the truth, and the detector's answers.
 
     Arrays are read-only copies. Their first axis counts the rounds, except in ``head`` and ``decoy``. ``alive`` and
-    ``leader`` hold for the window of the round, before the round's candidates are destroyed.
+    ``root`` hold for the window of the round, before the round's candidates are destroyed.
 
     The cluster graph of the paper's §II-A, (nodes, edges, X), is computed from these arrays:
     :meth:`communication_links` gives the edges, :meth:`topology_matrix` gives X of equation (5), and
@@ -73,7 +75,7 @@ class EpisodeRecord:
         velocity: ``(R, T_ob, N, 3)`` float32, metres per step, as observed.
         seen: ``(R, T_ob + 1, N)`` bool.
         alive: ``(R, N)`` bool.
-        leader: ``(R, N)`` int64, index of the head that each UAV truly follows; heads and decoys have their own index;
+        root: ``(R, N)`` int64, index of the head that each UAV truly follows; heads and decoys have their own index;
             -1: no head is left.
         candidates: ``(R, N)`` bool, Ĥ_r.
         scores: ``(R, N)`` float64, the detector's; higher is more head-like.
@@ -101,7 +103,7 @@ class EpisodeRecord:
         detector_seed: the detector's seed; ``None``: not seeded.
         config: the environment's arguments, as JSON holds them.
         versions: version of Python and of each package that computed the episode.
-        labelled: whether the truth is known. In recorded tracks it is not: then ``head`` and ``leader`` hold what the
+        labelled: whether the truth is known. In recorded tracks it is not: then ``head`` and ``root`` hold what the
             detector found, the UAVs that are candidates in a round and the candidate that each UAV follows.
 
     Raises:
@@ -112,7 +114,7 @@ class EpisodeRecord:
     velocity: NDArray[np.float32]
     seen: NDArray[np.bool_]
     alive: NDArray[np.bool_]
-    leader: NDArray[np.int64]
+    root: NDArray[np.int64]
     candidates: NDArray[np.bool_]
     scores: NDArray[np.float64]
     objective: NDArray[np.float64]
@@ -173,7 +175,7 @@ class EpisodeRecord:
             "features": (np.float32, (rounds, uavs, 2)),
             "observers": (np.float64, (None, 4)),
         }
-        highest = {"leader": uavs - 1, "clusters": 2**53, "leader_estimate": uavs - 1}
+        highest = {"root": uavs - 1, "clusters": 2**53, "leader_estimate": uavs - 1}
         absent = {item.name for item in fields(self) if item.default is None and getattr(self, item.name) is None}
         for name, (kind, shape) in forms.items():
             if name not in absent:
@@ -227,13 +229,13 @@ class EpisodeRecord:
     @property
     def decoys(self) -> NDArray[np.bool_]:
         """``(R, N)`` bool: living decoys, also those of one window in the game of evasion, which lead themselves."""
-        return self.alive & ~self.head & (self.decoy | (self.leader == np.arange(self.uavs)))
+        return self.alive & ~self.head & (self.decoy | (self.root == np.arange(self.uavs)))
 
     @property
     def orphans(self) -> NDArray[np.bool_]:
         """``(R, N)`` bool: living followers whose head is destroyed in the round."""
-        behind = np.take_along_axis(self.fired, np.maximum(self.leader, 0), axis=1)
-        return self.alive & ~self.fired & (self.leader >= 0) & behind
+        behind = np.take_along_axis(self.fired, np.maximum(self.root, 0), axis=1)
+        return self.alive & ~self.fired & (self.root >= 0) & behind
 
     @property
     def hits(self) -> NDArray[np.int64]:
@@ -284,7 +286,7 @@ class EpisodeRecord:
             ArgumentError: no such round.
         """
         r = self._index(number)
-        return _list_links(self.leader[r], self.alive[r], self.head & self.alive[r])
+        return _list_links(self.root[r], self.alive[r], self.head & self.alive[r])
 
     def hierarchy(self, number: int) -> NDArray[np.int64] | None:
         """The hierarchy graph that the detector found in a round: links to its candidates.
@@ -346,7 +348,7 @@ class EpisodeRecord:
             living = np.flatnonzero(self.head & self.alive[r])
             if not is_whole_number(head) or head not in living.tolist():
                 raise ArgumentError(f"head must be one of the living heads {quote(living)}, got {quote(head)}.")
-            members = np.flatnonzero(self.alive[r] & ((self.leader[r] == head) | (members == head)))
+            members = np.flatnonzero(self.alive[r] & ((self.root[r] == head) | (members == head)))
         first = t - past + 1
         position = self.position[r, first, members][:, :, None]
         velocity = np.moveaxis(self.velocity[r, first : t + 1][:, members], 0, -1)
@@ -399,10 +401,13 @@ class EpisodeRecord:
         most = None if max_bytes is None else whole_number("max_bytes", max_bytes, 1)
         where, words, arrays = read_episode_file(path, most)
         try:
-            links = arrays.pop(_LINKS) if words.pop("version") > 1 else None
+            version = words.pop("version")
+            links = arrays.pop(_LINKS) if version > 1 else None
+            if version < 5:
+                arrays["root"] = arrays.pop("leader")
             record = cls(**words, **arrays)
             if links is not None and not np.array_equal(links, record._all_links()):
-                raise ArgumentError(f"{_LINKS} must agree with leader; it does not.")
+                raise ArgumentError(f"{_LINKS} must agree with root; it does not.")
             return record
         except KeyError as error:
             raise ArgumentError(f"path must be an intact episode file, got {where}: {error} is missing.") from None

@@ -17,8 +17,9 @@ from usnet_env.files import as_path, atomic_write
 __all__ = ["FORMAT_VERSION", "read_episode_file", "write_episode_file"]
 
 #: Version 2 added ``attention`` and ``communication_links``, version 3 ``labelled``, version 4 ``attention_heads``,
-#: ``probability``, ``features``, ``reasons``, ``choices`` and ``observers``; older files are read as well.
-FORMAT_VERSION = 4
+#: ``probability``, ``features``, ``reasons``, ``choices`` and ``observers``. In version 5 ``leader`` became ``root``.
+#: Older files are read as well.
+FORMAT_VERSION = 5
 _FORMAT = "usnet-episode"
 _METADATA = "metadata"
 #: What :func:`read_episode_file` unpacks at most without ``max_bytes``: 256 MiB, or this multiple of the file's size.

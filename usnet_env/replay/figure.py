@@ -153,7 +153,7 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         axes = figure.add_axes((left / width, 1 - (top + _MAP) / total, _MAP / width, _MAP / total))
         head = record.head if record.labelled else record.candidates[r]
         candidates = record.candidates[r] if record.labelled else None
-        truth = (record.alive[r], head, record.leader[r], record.decoy)
+        truth = (record.alive[r], head, record.root[r], record.decoy)
         gone = record.last_position(number)
         title = escape_math(f"{part} {number}: {describe_round(record, number)}")
         draw_round(

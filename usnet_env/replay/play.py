@@ -197,7 +197,7 @@ def make_record(
         velocity=np.stack([window.velocity for window in windows]),
         seen=np.stack([window.seen for window in windows]),
         alive=np.stack([truth.alive for truth in truths]),
-        leader=np.stack([truth.leader for truth in truths]),
+        root=np.stack([truth.root for truth in truths]),
         candidates=np.stack([answer.candidates for answer in answers]),
         scores=np.stack([answer.scores for answer in answers]),
         objective=np.array([float(played.info["J"]) for played in rounds]),

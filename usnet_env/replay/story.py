@@ -188,7 +188,7 @@ def _tell_remerge(record: EpisodeRecord, number: int, names: Sequence[str]) -> s
     orphans = np.flatnonzero(record.orphans[r])
     if not len(orphans):
         return "No follower has lost its head."
-    moves = Counter(zip(record.leader[r][orphans].tolist(), record.leader[r + 1][orphans].tolist(), strict=True))
+    moves = Counter(zip(record.root[r][orphans].tolist(), record.root[r + 1][orphans].tolist(), strict=True))
     lines = [
         f"- {format_count(count, 'follower')} of {names[old]} "
         + (f"{'joins' if count == 1 else 'join'} {names[new]}" if new >= 0 else "stay without a head")

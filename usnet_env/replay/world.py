@@ -74,7 +74,7 @@ def _write_ground(scribe: Scribe) -> None:
 
 def _list_colors(record: EpisodeRecord, alpha: int) -> NDArray[np.uint8]:
     """``(R, 3, N, 4)``: the colours of all UAVs in the window, after the destruction and after the re-merge."""
-    colors = np.stack([lighten(cluster_colors(record.head, leader)[0], alpha) for leader in record.leader])
+    colors = np.stack([lighten(cluster_colors(record.head, root)[0], alpha) for root in record.root])
     grey = np.where(record.orphans[..., None], lighten([_ORPHAN], alpha), colors)
     remerged = np.concatenate([colors[1:], colors[-1:]])
     return np.stack([colors, grey, remerged], axis=1)
@@ -148,13 +148,13 @@ def _write_links(scribe: Scribe, filled: NDArray[np.float32], stages: list[int])
     decoys, orphans = record.decoys, record.orphans
     strips = []
     for r in range(record.rounds):
-        leader = record.leader[r]
-        linked = record.alive[r] & ~decoys[r] & (leader >= 0)
+        root = record.root[r]
+        linked = record.alive[r] & ~decoys[r] & (root >= 0)
         left = linked & ~record.fired[r] & ~orphans[r]
-        new = record.leader[r + 1] if r + 1 < record.rounds else leader
+        new = record.root[r + 1] if r + 1 < record.rounds else root
         merged = linked & ~record.fired[r] & (new >= 0) & ~record.fired[r][new]
-        drawn = [(filled[r, i], linked, leader) for i in (0, *stages)]
-        drawn += [(scribe.last[r], left, leader), (scribe.last[r], merged, new)]
+        drawn = [(filled[r, i], linked, root) for i in (0, *stages)]
+        drawn += [(scribe.last[r], left, root), (scribe.last[r], merged, new)]
         for at, who, behind in drawn:
             ends = np.stack([at[members], at[behind[members]]], axis=1)
             strips.append(np.where(who[members, None, None], ends, np.float32(np.nan)))

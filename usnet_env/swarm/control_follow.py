@@ -28,7 +28,7 @@ class Independent(FieldStrategy):
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """No UAV of a cluster has a head, and each is its own source."""
-        own = np.arange(len(roles.leader))
+        own = np.arange(len(roles.root))
         return replace(_behead(roles), source=own)
 
     def fly(self, flight: TrajectoryBatch) -> None:
@@ -68,6 +68,6 @@ class Shifted(FieldStrategy):
 
 
 def _behead(roles: Roles) -> Roles:
-    """The roles without heads: the UAVs of the clusters have the leader -1."""
+    """The roles without heads: the UAVs of the clusters have the root -1."""
     members = ~(roles.decoy | roles.bystander)
-    return replace(roles, head=np.zeros_like(roles.head), leader=np.where(members, -1, roles.leader))
+    return replace(roles, head=np.zeros_like(roles.head), root=np.where(members, -1, roles.root))

@@ -385,9 +385,9 @@ class Reference(Slots):
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """Every UAV of a cluster keeps a slot about the cluster's reference."""
-        source, leader = roles.source.copy(), roles.leader.copy()
+        source, root = roles.source.copy(), roles.root.copy()
         for cluster, head in enumerate(roles.drawn):
             members = np.append(roles.members(cluster), head)
-            source[members], leader[members] = len(source) + cluster, -1
+            source[members], root[members] = len(source) + cluster, -1
         none = np.zeros_like(roles.head)
-        return replace(roles, head=none, source=source, leader=leader, references=len(roles.drawn))
+        return replace(roles, head=none, source=source, root=root, references=len(roles.drawn))

@@ -55,7 +55,7 @@ class Flock(FieldStrategy):
             np.float32(self.standoff),
             np.float32(self.preference),
             self.table(flight),
-            flight.leader,
+            flight.root,
             flight.source,
             flight.bystander,
             *flight.flown,
@@ -95,7 +95,7 @@ class Informed(Couzin):
     """A Couzin flock with an informed minority: its heads fly in the flock, and also prefer a course that they know.
 
     The course is that of a reference, which flies by the swarm's mobility. The other UAVs have no head of their own:
-    their ``leader`` is -1.
+    their ``root`` is -1.
 
     Args:
         share: share of the UAVs of a cluster that are informed; at least one is.
@@ -111,13 +111,13 @@ class Informed(Couzin):
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """Draw the informed UAVs of each cluster, the drawn head first."""
-        head, source, leader = roles.head.copy(), roles.source.copy(), roles.leader.copy()
+        head, source, root = roles.head.copy(), roles.source.copy(), roles.root.copy()
         for cluster, first in enumerate(roles.drawn):
             members = np.append(first, rng.permutation(roles.members(cluster)))
             informed = members[: max(1, round(self.share * len(members)))]
-            source[members], leader[members] = len(source) + cluster, -1
-            head[informed], leader[informed] = True, informed
-        return replace(roles, head=head, source=source, leader=leader, references=len(roles.drawn))
+            source[members], root[members] = len(source) + cluster, -1
+            head[informed], root[informed] = True, informed
+        return replace(roles, head=head, source=source, root=root, references=len(roles.drawn))
 
 
 @dataclass(frozen=True)
@@ -137,11 +137,11 @@ class Predator(Couzin):
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """Draw the predator of each cluster."""
-        bystander, leader = roles.bystander.copy(), roles.leader.copy()
+        bystander, root = roles.bystander.copy(), roles.root.copy()
         for cluster in range(len(roles.drawn)):
             predator = rng.choice(roles.members(cluster))
-            bystander[predator], leader[predator] = True, predator
-        return replace(roles, bystander=bystander, leader=leader)
+            bystander[predator], root[predator] = True, predator
+        return replace(roles, bystander=bystander, root=root)
 
 
 @dataclass(frozen=True)
@@ -161,10 +161,10 @@ class Shepherd(Couzin):
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """The drawn head of each cluster becomes its driver."""
-        source, leader, bystander = roles.source.copy(), roles.leader.copy(), roles.bystander.copy()
+        source, root, bystander = roles.source.copy(), roles.root.copy(), roles.bystander.copy()
         for cluster, driver in enumerate(roles.drawn):
             members = roles.members(cluster)
-            source[members], leader[members] = driver, -1
+            source[members], root[members] = driver, -1
             source[driver], bystander[driver] = len(source) + cluster, True
         none = np.zeros_like(roles.head)
-        return replace(roles, head=none, source=source, leader=leader, bystander=bystander, references=len(roles.drawn))
+        return replace(roles, head=none, source=source, root=root, bystander=bystander, references=len(roles.drawn))

@@ -109,7 +109,7 @@ def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position,
 
 @compiled(fastmath=_FAST, error_model="numpy")
 def fly_flock(
-    ranges, weights, chaser, flight_range, flight_weight, standoff, preference, table, leader, source, bystander,
+    ranges, weights, chaser, flight_range, flight_weight, standoff, preference, table, root, source, bystander,
     motion, start, noise, position, velocity,
 ):  # fmt: skip
     """Followers fly by repulsion, or else by alignment and attraction, from the UAVs of their flock, and flee chasers.
@@ -123,7 +123,7 @@ def fly_flock(
         standoff: metres between a driver and the middle of its flock.
         preference: weight of the course of the flock's reference for its heads, where they fly in the flock.
         table: ``(B, COLUMNS, N)`` float32, the numbers of each UAV.
-        leader: ``(B, N)`` int64, the own index of a head.
+        root: ``(B, N)`` int64, the own index of a head.
         source: as in ``TrajectoryBatch``, like the arguments that follow.
         bystander: ``(B, N)`` bool.
         motion: ``(B, N + R)`` int8.
@@ -215,7 +215,7 @@ def fly_flock(
                         x, y, z = middle[f, 0] - px[c], middle[f, 1] - py[c], middle[f, 2] - pz[c]
                         scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
                         x, y, z = x * scale, y * scale, z * scale
-                    if preference > _ZERO and leader[b, i] == i:
+                    if preference > _ZERO and root[b, i] == i:
                         scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
                         x = scale * x + preference * velocity[b, t - 1, f, 0]
                         y = scale * y + preference * velocity[b, t - 1, f, 1]

@@ -89,7 +89,7 @@ class Lags(FollowStrategy):
             np.full(self.lags, self.kappa, np.float32),
             self.square,
             np.float32(self.noise),
-            trajectories.leader,
+            trajectories.root,
             *trajectories.flown,
         )
 
@@ -122,7 +122,7 @@ class StayInRange(FollowStrategy):
             np.float32(self.pull),
             np.float32(self.reach),
             np.float32(self.noise),
-            trajectories.leader,
+            trajectories.root,
             *trajectories.flown,
         )
 
@@ -176,7 +176,7 @@ class Network(FollowStrategy):
             trajectories.parameters,
             np.float32(self.position_scale),
             np.float32(self.noise),
-            trajectories.leader,
+            trajectories.root,
             *trajectories.flown,
         )
 

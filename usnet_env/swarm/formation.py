@@ -39,13 +39,13 @@ class Roles:
     Args:
         head: ``(N,)`` bool, H_0.
         decoy: ``(N,)`` bool.
-        leader: ``(N,)`` int64, the head of each follower; the own index of a head, decoy or bystander; -1 for a UAV of
+        root: ``(N,)`` int64, the head of each follower; the own index of a head, decoy or bystander; -1 for a UAV of
             a cluster that no UAV leads.
         bystander: ``(N,)`` bool, the UAVs that no head leads, decoys excluded: bystanders, traffic, and the predators
             and drivers of a follow strategy.
         traffic: ``(N,)`` bool, the bystanders that are civil traffic.
         clutter: ``(N,)`` bool, the bystanders that are false tracks, and no UAVs.
-        source: ``(N,)`` int64, the UAV that each UAV copies, at first its leader; from N on, a reference: a point
+        source: ``(N,)`` int64, the UAV that each UAV copies, at first its root; from N on, a reference: a point
             that flies like a head and that no sensor sees.
         drawn: ``(M,)`` int64, the heads as drawn, in the order of the clusters.
         references: R, number of references.
@@ -53,7 +53,7 @@ class Roles:
 
     head: Mask
     decoy: Mask
-    leader: Indices
+    root: Indices
     bystander: Mask
     traffic: Mask
     clutter: Mask
@@ -64,7 +64,7 @@ class Roles:
     def members(self, cluster: int) -> Indices:
         """The followers of a cluster, as drawn, in the order of their indices."""
         head = self.drawn[cluster]
-        return np.flatnonzero((self.leader == head) & (np.arange(len(self.leader)) != head))
+        return np.flatnonzero((self.root == head) & (np.arange(len(self.root)) != head))
 
 
 def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int) -> Indices:
@@ -109,9 +109,9 @@ def draw_roles(
     head[heads] = True
     decoy[decoy_indices] = True
     bystander[others] = bystander[civil] = in_traffic[civil] = bystander[false] = in_clutter[false] = True
-    leader = np.arange(uavs)
-    leader[followed] = np.repeat(heads, sizes)
-    return Roles(head, decoy, leader, bystander, in_traffic, in_clutter, leader.copy(), heads)
+    root = np.arange(uavs)
+    root[followed] = np.repeat(heads, sizes)
+    return Roles(head, decoy, root, bystander, in_traffic, in_clutter, root.copy(), heads)
 
 
 def draw_corridors(rng: np.random.Generator, uavs: int) -> tuple[Floats, Floats]:
@@ -131,18 +131,18 @@ def draw_corridors(rng: np.random.Generator, uavs: int) -> tuple[Floats, Floats]
 
 def _uniform(rng: np.random.Generator, roles: Roles) -> Floats:
     """All UAVs uniform in the arena."""
-    return rng.uniform(0.0, ARENA, (len(roles.leader), 3))
+    return rng.uniform(0.0, ARENA, (len(roles.root), 3))
 
 
 def _around(rng: np.random.Generator, roles: Roles) -> Floats:
     """Heads and decoys uniform in the arena, followers uniform in a ball of 60 m around their head."""
-    uavs = len(roles.leader)
+    uavs = len(roles.root)
     position = rng.uniform(0.0, ARENA, (uavs, 3))
     direction = rng.standard_normal((uavs, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     offset = AROUND_RADIUS * np.cbrt(rng.uniform(size=(uavs, 1))) * direction
     followers = ~(roles.head | roles.decoy | roles.bystander)
-    return np.where(followers[:, None], position[roles.leader] + offset, position)
+    return np.where(followers[:, None], position[roles.root] + offset, position)
 
 
 Formation = Callable[[np.random.Generator, Roles], Floats]

@@ -204,7 +204,7 @@ def _find_indices(motion, value, into):
 
 
 @compiled()
-def fly_lags(kappa, square, noise_scale, leader, motion, start, noise, position, velocity):
+def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, velocity):
     """f1 to f5: v_{i,t+1} = norm(sum_tau kappa_tau v_{iL,t-tau}^p + kappa_n n), with p = 2 where ``square``.
 
     The sum doesn't depend on the follower, so the loop computes it once per step and head. No velocity depends on the
@@ -230,7 +230,7 @@ def fly_lags(kappa, square, noise_scale, leader, motion, start, noise, position,
                     target[h, axis] = total
             for j in range(follower_count):
                 i = followers[j]
-                h = leader[b, i]
+                h = root[b, i]
                 x = target[h, 0] + noise_scale * noise[b, s, i, 0]
                 y = target[h, 1] + noise_scale * noise[b, s, i, 1]
                 z = target[h, 2] + noise_scale * noise[b, s, i, 2]
@@ -239,7 +239,7 @@ def fly_lags(kappa, square, noise_scale, leader, motion, start, noise, position,
 
 
 @compiled()
-def fly_range(kappa, pull, reach, noise_scale, leader, motion, start, noise, position, velocity):
+def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, position, velocity):
     """f6: norm(kappa_0 v_{iL,t} + kappa_n n + 1{|d| > kappa_r} kappa_p d / |d|), d = p_{iL,t} - p_{i,t}.
 
     Followers use the positions of the previous step, so the loop also updates the positions of all UAVs.
@@ -252,7 +252,7 @@ def fly_range(kappa, pull, reach, noise_scale, leader, motion, start, noise, pos
             t = start + s
             for j in range(follower_count):
                 i = followers[j]
-                h = leader[b, i]
+                h = root[b, i]
                 dx = position[b, t - 1, h, 0] - position[b, t - 1, i, 0]
                 dy = position[b, t - 1, h, 1] - position[b, t - 1, i, 1]
                 dz = position[b, t - 1, h, 2] - position[b, t - 1, i, 2]
@@ -288,7 +288,7 @@ def _tanh(x):
 
 
 @compiled()
-def fly_mlp(parameters, position_scale, noise_scale, leader, motion, start, noise, position, velocity):
+def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise, position, velocity):
     """f7: norm(MLP(P_{i,t+1}, V_{iL,t}, p_{iL,t-3}) + kappa_n n), one network per episode.
 
     A head's contribution to the hidden layer is the same for all its followers: it is computed once per step and head.
@@ -321,7 +321,7 @@ def fly_mlp(parameters, position_scale, noise_scale, leader, motion, start, nois
                             from_head[h, unit] += v * weights[row, unit]
             for j in range(follower_count):
                 i = followers[j]
-                h = leader[b, i]
+                h = root[b, i]
                 for axis in range(3):
                     own[axis] = (position[b, t, i, axis] - position[b, t - MLP_LAGS, h, axis]) * scale
                 for lag in range(MLP_LAGS):
@@ -359,7 +359,7 @@ def _nearest(position, i, heads, count):
 
 
 @compiled()
-def remerge(head, alive, apart, position, leader, source):
+def remerge(head, alive, apart, position, root, source):
     """Assign every living follower of a destroyed head to the nearest remaining head; -1 if no head remains.
 
     A follower that copied a destroyed follower copies the nearest living one above it, and joins a head only if there
@@ -370,10 +370,10 @@ def remerge(head, alive, apart, position, leader, source):
         alive: ``(B, N)`` bool.
         apart: ``(B, N)`` bool, the decoys and bystanders.
         position: ``(B, N, 3)`` float32, metres, the present positions.
-        leader: ``(B, N)`` int64, updated in place.
+        root: ``(B, N)`` int64, updated in place.
         source: ``(B, N)`` int64, the UAV that each UAV copies, updated in place.
     """
-    episodes, uavs = leader.shape
+    episodes, uavs = root.shape
     heads = np.empty(uavs, np.int64)
     for b in range(episodes):
         count = 0
@@ -396,4 +396,4 @@ def remerge(head, alive, apart, position, leader, source):
             above = source[b, i]
             while 0 <= above < uavs and source[b, above] != above:
                 above = source[b, above]
-            leader[b, i] = above if 0 <= above < uavs and head[b, above] else -1
+            root[b, i] = above if 0 <= above < uavs and head[b, above] else -1

@@ -70,7 +70,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     laws, all_uavs = _laws(config, count), uavs + references
     formation, kinematics = FORMATIONS.find(config.formation), config.kinematics_model
     head, decoy, bystander = (np.empty((episodes, uavs), bool) for _ in range(3))
-    leader, source = (np.empty((episodes, uavs), np.int64) for _ in range(2))
+    root, source = (np.empty((episodes, uavs), np.int64) for _ in range(2))
     free = np.empty((episodes, count), np.int64)
     mobility_state = np.empty((episodes, count, kernels.MOBILITY_STATE))
     kinematic_state = np.empty((episodes, all_uavs, kinematics.values), np.float32)
@@ -85,7 +85,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
         place = check_place("formation", formation(rng, drawn), uavs)
         roles = drawn if strategy is None else strategy.arrange(rng, drawn)
         head[b], decoy[b], bystander[b] = roles.head, roles.decoy, roles.bystander
-        leader[b], source[b] = roles.leader, roles.source
+        root[b], source[b] = roles.root, roles.source
         led = drawn.head if not references else False
         by_mobility = drawn.decoy | led if followed else ~drawn.bystander
         free[b] = np.concatenate(
@@ -117,7 +117,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
         head=head,
         decoy=decoy,
         alive=np.ones((episodes, uavs), bool),
-        leader=leader,
+        root=root,
         past_position=position[:, :, :uavs],
         past_velocity=velocity[:, :, :uavs],
         free=free,
@@ -174,7 +174,7 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
             velocity[part],
             noise[: part.stop - first],
             motion[part],
-            state.leader[part],
+            state.root[part],
             state.parameters[part],
             state.source[part],
             state.bystander[part],

@@ -26,7 +26,7 @@ class SwarmState:
         head: ``(B, N)`` bool, H_0, the heads at the start, destroyed or not; none in a swarm that no UAV leads.
         decoy: ``(B, N)`` bool.
         alive: ``(B, N)`` bool, false for destroyed UAVs.
-        leader: ``(B, N)`` int64, the head of each follower (-1: it has none); the own index of a head, decoy or
+        root: ``(B, N)`` int64, the head of each follower (-1: it has none); the own index of a head, decoy or
             bystander.
         past_position: ``(B, T_0 + 1, N, 3)`` float32, metres, oldest first; 0 for destroyed UAVs.
         past_velocity: ``(B, T_0, N, 3)`` float32, metres per step.
@@ -45,7 +45,7 @@ class SwarmState:
     head: Mask
     decoy: Mask
     alive: Mask
-    leader: Indices
+    root: Indices
     past_position: Singles
     past_velocity: Singles
     free: Indices
@@ -62,7 +62,7 @@ class SwarmState:
         position, velocity = self.past_position, self.past_velocity
         for name, default in (
             ("bystander", lambda: np.zeros_like(self.decoy)),
-            ("source", self.leader.copy),
+            ("source", self.root.copy),
             ("clock", lambda: np.zeros(self.alive.shape[:-1], np.int64)),
             ("kinematic_state", lambda: np.zeros((*self.alive.shape, 0), np.float32)),
             ("reference_position", lambda: np.zeros((*position.shape[:-2], 0, 3), np.float32)),
@@ -82,13 +82,13 @@ class SwarmState:
         return np.asarray((self.head & self.alive).sum(axis=-1))
 
     @property
-    def direct(self) -> Indices:
-        """``(B, N)`` int64, the UAV that each UAV copies directly; where :attr:`leader` is -1, -1."""
-        return np.where(self.leader >= 0, self.source, -1)
+    def leader(self) -> Indices:
+        """``(B, N)`` int64, the UAV that each UAV copies directly; where :attr:`root` is -1, -1."""
+        return np.where(self.root >= 0, self.source, -1)
 
     def roles(self) -> dict[str, NDArray[Any]]:
-        """``alive``, ``head``, ``decoy`` and ``leader`` by name, as pictures take them."""
-        return {name: getattr(self, name) for name in ("alive", "head", "decoy", "leader")}
+        """``alive``, ``head``, ``decoy`` and ``root`` by name, as pictures take them."""
+        return {name: getattr(self, name) for name in ("alive", "head", "decoy", "root")}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Copies of all arrays by name; ``SwarmState(**arrays)`` restores the state."""
@@ -133,10 +133,10 @@ def destroy(state: SwarmState, candidates: Mask) -> SwarmState:
             f"candidates must be a boolean array of shape {state.alive.shape}, got {quote(candidates)}."
         )
     alive = state.alive & ~candidates
-    leader, source = state.leader.copy(), state.source.copy()
+    root, source = state.root.copy(), state.source.copy()
     position, velocity = state.past_position.copy(), state.past_velocity.copy()
-    kernels.remerge(state.head, alive, state.decoy | state.bystander, state.position, leader, source)
+    kernels.remerge(state.head, alive, state.decoy | state.bystander, state.position, root, source)
     gone = state.alive & ~alive
     position.swapaxes(1, 2)[gone] = 0.0
     velocity.swapaxes(1, 2)[gone] = 0.0
-    return replace(state, alive=alive, leader=leader, source=source, past_position=position, past_velocity=velocity)
+    return replace(state, alive=alive, root=root, source=source, past_position=position, past_velocity=velocity)

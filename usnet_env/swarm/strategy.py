@@ -96,8 +96,8 @@ class FollowStrategy(ABC):
         for b in range(trajectories.episodes):
             position, velocity = trajectories.position[b], trajectories.velocity[b]
             followers = np.flatnonzero(trajectories.motion[b] == kernels.FOLLOWS)
-            heads = trajectories.leader[b, followers]
-            numbers = np.cumsum(trajectories.leader[b] != np.arange(len(trajectories.leader[b])))[followers] - 1
+            heads = trajectories.root[b, followers]
+            numbers = np.cumsum(trajectories.root[b] != np.arange(len(trajectories.root[b])))[followers] - 1
             for s in range(trajectories.steps):
                 t = lags + s
                 past = slice(t - 1, t - 1 - lags if t > lags else None, -1)

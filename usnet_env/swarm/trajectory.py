@@ -25,7 +25,7 @@ class TrajectoryBatch:
             steps of the free UAVs.
         noise: ``(B, S, N + R, 3)`` float32, the followers' n ~ N(0, I), before the scaling by kappa_n.
         motion: ``(B, N + R)`` int8, how each UAV moves: ``kernels.DESTROYED``, ``FREE`` or ``FOLLOWS``.
-        leader: ``(B, N)`` int64, the head of each follower.
+        root: ``(B, N)`` int64, the head of each follower.
         parameters: ``(B, P)`` float32, the follow strategy's parameters of each episode.
         source: ``(B, N)`` int64, the UAV or reference (from N on) that each UAV copies; for f1 to f7 its head.
         bystander: ``(B, N)`` bool, the UAVs that no head leads, decoys excluded.
@@ -36,7 +36,7 @@ class TrajectoryBatch:
     velocity: Singles
     noise: Singles
     motion: NDArray[np.int8]
-    leader: Indices
+    root: Indices
     parameters: Singles
     source: Indices = field(default_factory=lambda: np.empty((0, 0), np.int64))
     bystander: Mask = field(default_factory=lambda: np.empty((0, 0), bool))

@@ -169,7 +169,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             head=head,
             decoy=alive & ~head & ~follows,
             alive=alive,
-            leader=np.where(alive, roots, -1),
+            root=np.where(alive, roots, -1),
             past_position=last,
             past_velocity=np.zeros((0, uavs, 3), np.float32),
             free=np.flatnonzero(alive & ~follows),
@@ -184,7 +184,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             scores: ``(N,)`` of the answer.
         """
         truth = self.swarm
-        return {"group_leader_first": group_leader_accuracy(truth.leader, scores) if truth.head.any() else None}
+        return {"group_leader_first": group_leader_accuracy(truth.root, scores) if truth.head.any() else None}
 
     def action_masks(self) -> Mask:
         """``(2 N,)`` bool for maskable agents: for each id whether 0 and whether 1 is allowed."""

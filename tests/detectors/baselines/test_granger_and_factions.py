@@ -31,7 +31,7 @@ def test_heads_of_a_linear_strategy(kind):
         window, truth = swarm_window(seed, follow="f1")
         detection = answer(kind(), window)
         assert np.array_equal(detection.candidates, truth.head)
-        assert np.array_equal(detection.leader, truth.leader)
+        assert np.array_equal(detection.leader, truth.root)
 
 
 def test_granger_sees_beyond_the_own_past():
@@ -63,7 +63,7 @@ def test_followings_have_one_direction():
     network = build_following_network(window.velocity, window.velocity_seen, 4, 0.4)
     assert not ((network > 0) & (network.T > 0)).any()
     followers = np.flatnonzero(~truth.head)
-    assert (network[followers, truth.leader[followers]] > 0.9).all()
+    assert (network[followers, truth.root[followers]] > 0.9).all()
 
 
 def test_pagerank_is_a_distribution_that_favours_the_followed():

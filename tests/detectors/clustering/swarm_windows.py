@@ -15,7 +15,7 @@ def swarm_window(seed=0, **config):
     state, sighting = advance(settings, start(settings, rngs), rngs)
     truth = state.episode(0)
     arrays = (getattr(sighting, name)[0] for name in ("position", "velocity", "seen", "alive"))
-    return Window(*arrays), truth.head, truth.leader
+    return Window(*arrays), truth.head, truth.root
 
 
 def without(window, gone):

@@ -19,7 +19,7 @@ def test_all_heads_and_their_followers_in_one_window(follow):
         window, truth = swarm_window(seed, follow=follow)
         detection = answer(window)
         assert np.array_equal(detection.candidates, truth.head)
-        assert (detection.leader == truth.leader).mean() > 0.95
+        assert (detection.leader == truth.root).mean() > 0.95
         assert detection.extras["probability"][truth.head].min() > 0.5
         assert detection.scores[truth.head].min() > detection.scores[~truth.head].max()
 
@@ -135,9 +135,9 @@ def test_followers_of_one_head_are_a_group_and_heads_are_single():
     group = answer(window).extras["group"]
     assert (np.bincount(group)[group[truth.head]] == 1).all()
     for head in np.flatnonzero(truth.head):
-        own = group[(truth.leader == head) & ~truth.head]
+        own = group[(truth.root == head) & ~truth.head]
         assert (np.bincount(own).max() / len(own)) > 0.9
-        assert not np.isin(own, group[~truth.head & (truth.leader != head)]).any()
+        assert not np.isin(own, group[~truth.head & (truth.root != head)]).any()
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_large_swarms(seed, config):
     window, truth = swarm_window(seed, **config)
     detection = answer(window, policy="map")
     assert np.array_equal(detection.candidates, truth.head)
-    assert (detection.leader == np.where(truth.decoy, -1, truth.leader)).mean() > 0.99
+    assert (detection.leader == np.where(truth.decoy, -1, truth.root)).mean() > 0.99
     assert detection.attention is None
 
 
@@ -168,10 +168,10 @@ def test_heads_are_the_sources_of_chains_and_relays_are_not_named():
         assert not (relay & found.candidates).any()
         assert (found.leader[relay] >= 0).all()
         assert (root[found.extras["heads"]] == found.extras["heads"]).all()
-        right += int((found.leader == truth.direct)[relay].sum())
+        right += int((found.leader == truth.leader)[relay].sum())
         relays += int(relay.sum())
         known = (root >= 0) & ~truth.head
-        assert (root == truth.leader)[known].mean() > 0.8
+        assert (root == truth.root)[known].mean() > 0.8
     assert exact >= 6
     assert relays > 20
     assert right >= 0.75 * relays
@@ -188,7 +188,7 @@ def test_followers_with_delays_of_their_own_lead_to_their_head():
         found = answer(window, policy="map")
         exact += np.array_equal(found.candidates, truth.head)
         known = (found.extras["root"] >= 0) & ~truth.head
-        right.append((found.extras["root"] == truth.leader)[known].mean())
+        right.append((found.extras["root"] == truth.root)[known].mean())
         short += np.array_equal(answer(window, policy="map", max_lag=4).candidates, truth.head)
     assert exact >= 5
     assert exact > short  # the longest delay matters
@@ -281,7 +281,7 @@ def test_the_extras_describe_the_answer():
     assert extras["gain"][followers].min() > 0
     assert not extras["gain"][truth.head].any()
     assert len(extras["reasons"]) == 3
-    counts = [int((truth.leader[followers] == head).sum()) for head in extras["heads"]]
+    counts = [int((truth.root[followers] == head).sum()) for head in extras["heads"]]
     for count, reason in zip(counts, extras["reasons"], strict=True):
         assert re.fullmatch(
             rf"Its past predicts {count} followers at lag [12] \(evidence \d+ nats\)\.", reason
@@ -297,7 +297,7 @@ def test_the_reasons_name_the_lag(lag, mobility):
     heads = np.flatnonzero(truth.head)
     assert np.array_equal(extras["heads"], heads)
     for head, reason in zip(heads, extras["reasons"], strict=True):
-        count = int((truth.leader == head).sum()) - 1
+        count = int((truth.root == head).sum()) - 1
         assert re.fullmatch(rf"Its past predicts {count} followers at lag {lag} \(evidence \d+ nats\)\.", reason)
 
 

@@ -61,7 +61,7 @@ def test_the_topology_matrix_is_that_of_a_recorded_episode():
     for time in (3, 7, 11):
         np.testing.assert_array_equal(topology_matrix(window, time), episode.topology_matrix(1, time, memory=4))
         head = int(np.flatnonzero(episode.head)[0])
-        members = np.flatnonzero((episode.leader[0] == head) | (np.arange(9) == head))
+        members = np.flatnonzero((episode.root[0] == head) | (np.arange(9) == head))
         found = topology_matrix(window, time, members)
         np.testing.assert_array_equal(found, episode.topology_matrix(1, time, head=head, memory=4))
 

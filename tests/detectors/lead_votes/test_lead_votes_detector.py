@@ -41,9 +41,7 @@ def test_it_finds_all_heads_in_one_round(follow, arguments):
 def test_the_gate_stops_followers_that_a_wrong_clustering_proposes():
     env, window = game(observation_steps=100, uavs=24)
     head = env.swarm.head
-    without, gated = (
-        LeadVotes(clusterer=Known(env.swarm.leader, parts=2), gate=gate, **SHORT) for gate in (False, True)
-    )
+    without, gated = (LeadVotes(clusterer=Known(env.swarm.root, parts=2), gate=gate, **SHORT) for gate in (False, True))
     for detector in (without, gated):
         detector.reset(3)
     free, kept = without.detect(window), gated.detect(window)
@@ -53,7 +51,7 @@ def test_the_gate_stops_followers_that_a_wrong_clustering_proposes():
     np.testing.assert_array_equal(kept.candidates, head)
     assert (kept.candidates <= kept.extras["proposed"]).all()
     follower = ~head
-    np.testing.assert_array_equal(kept.leader[follower], env.swarm.leader[follower])
+    np.testing.assert_array_equal(kept.leader[follower], env.swarm.root[follower])
 
 
 def test_by_name():

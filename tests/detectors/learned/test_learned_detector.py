@@ -69,7 +69,7 @@ def test_turning_moving_and_measuring_otherwise_changes_no_feature(seed, metres)
 
 def test_a_pair_of_head_and_follower_stands_out_in_its_row():
     window, state = swarm(SwarmConfig(follow="f1", clusters=2, uavs=12, observation_steps=60), 3)
-    leader = state.leader[0]
+    leader = state.root[0]
     features = pair_features(window, np.arange(12))
     assert features.shape == (12, 12, PAIR_FEATURES)
     assert features.dtype == np.float32

@@ -39,4 +39,4 @@ def swarm_window(seed=0, **config):
     settings = SwarmConfig(**config)
     state, sighting = advance(settings, start(settings, rngs), rngs)
     arrays = (getattr(sighting, name)[0] for name in ("position", "velocity", "seen", "alive"))
-    return Window(*arrays), state.leader[0]
+    return Window(*arrays), state.root[0]

@@ -32,7 +32,7 @@ def test_it_finds_the_heads_if_the_clusters_are_right(clusters, uavs):
     found = []
     for seed in range(3):
         env, window = game(seed, clusters=clusters, uavs=uavs, observation_steps=100)
-        detector = McGassl(clusterer=Known(env.swarm.leader))
+        detector = McGassl(clusterer=Known(env.swarm.root))
         detector.reset(seed)
         answer = detector.detect(window)
         assert answer.candidates.sum() == clusters

@@ -23,7 +23,7 @@ def swarm(follow="f1", seed=0, **arguments):
     arguments = {"clusters": 2, "uavs": 12, "observation_steps": 100} | arguments
     env = gym.make("USNET/MultiCluster-v0", follow=follow, **arguments).unwrapped
     observation, _ = env.reset(seed=seed)
-    return samples([usnet_env.Window.from_observation(observation)]), torch.from_numpy(env.swarm.leader)
+    return samples([usnet_env.Window.from_observation(observation)]), torch.from_numpy(env.swarm.root)
 
 
 def generator(seed=0):
