@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 
 from running import RESULTS
@@ -39,25 +39,21 @@ HEADER = (
 
 @cache
 def _played() -> dict[str, dict[str, list[Row]]]:
-    """The rows of each suite by detector; only detectors that played all cells."""
-    found = {}
-    for name in SUITES:
-        suite = load_suite(name)
-        rows = group_rows(read_suite(suite), lambda row: row["detector"])
-        expected = suite.episodes * len(suite.cells)
-        short = [detector for detector, own in rows.items() if len(own) != expected]
-        if short:
-            raise ValueError(f"suite {name} must have {expected} rows of each detector, got another number of {short}.")
-        found[name] = rows
-    return found
+    """The rows of each suite by detector."""
+    return {name: group_rows(read_suite(load_suite(name)), lambda row: row["detector"]) for name in SUITES}
 
 
 def _line(name: str) -> tuple[str, ...]:
-    own = {suite: rows.get(name, []) for suite, rows in _played().items()}
+    def say(suite: str, describe: Callable[[list[Row]], str]) -> str:
+        rows, most = _played()[suite].get(name, []), max(map(len, _played()[suite].values()))
+        if not rows:
+            return "–"
+        return describe(rows) + (f"; {len(rows)}" if len(rows) < most else "")
+
     return (
         f"`{name}`",
-        *(exact_of(own[suite]) if own[suite] else "–" for suite in SUITES),
-        *(mean_of(own[suite], "J", 2) if own[suite] else "–" for suite in ("paper", "field")),
+        *(say(suite, exact_of) for suite in SUITES),
+        *(say(suite, lambda rows: mean_of(rows, "J", 2)) for suite in ("paper", "field")),
     )
 
 
@@ -75,20 +71,21 @@ def _name_best() -> str:
     """The detector that is exact most often in each suite."""
     best = []
     for suite, rows in _played().items():
-        name = max(rows, key=lambda each: sum(int(row["exact"]) for row in rows[each]))
+        name = max(rows, key=lambda each: sum(int(row["exact"]) for row in rows[each]))  # of those that played most
         best.append(f"`{suite}` `{name}`, {exact_of(rows[name])}")
     counts = [len(rows) for rows in _played().values()]
     return f"The best of the {min(counts)} to {max(counts)} detectors that played a suite: {'; '.join(best)}."
 
 
-def _describe_suites() -> str:
+def _describe_suites(short: bool) -> str:
     sizes = [f"`{name}` {len(suite.cells)} × {suite.episodes}" for name in SUITES for suite in [load_suite(name)]]
+    few = "" if short else " (fewer for slow detectors: n is behind a semicolon)"
     return (
         "In each [frozen suite](SUITES) all detectors meet the same swarms, and none is given the number of clusters. "
-        f"Cells × episodes, which is n: {', '.join(sizes)}. `paper` is the game of the paper, `controls` are swarms in "
-        "which the obvious answer is wrong, `sensing` has bad sensors, and in `field` leaders are late, weak, indirect "
-        "or hard to see. *Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, plus the "
-        "redundant candidates divided by N; lower is better, 1 is best. Intervals are 95 %. "
+        f"Cells × episodes, which is n: {', '.join(sizes)}{few}. `paper` is the game of the paper, `controls` are "
+        "swarms in which the obvious answer is wrong, `sensing` has bad sensors, and in `field` leaders are late, "
+        "weak, indirect or hard to see. *Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, "
+        "plus the redundant candidates divided by N; lower is better, 1 is best. Intervals are 95 %. "
         f"{SAME_SEEDS} A mean without an interval means that all values were equal. A name without arguments means the "
         "default settings; –: not played."
     )
@@ -134,7 +131,7 @@ _PAPER = (
 def summary(short: bool = False) -> str:
     """The tables of README.md; ``short``: for README.md, with fewer detectors."""
     names, suites = (DETECTORS, "docs/suites.md") if short else (_list_detectors(), "../suites.md")
-    about = _describe_suites().replace("SUITES", suites)
+    about = _describe_suites(short).replace("SUITES", suites)
     return "\n\n".join([f"{about} {_name_best()}", _compare_suites(names), _PAPER, _paper()])
 
 
