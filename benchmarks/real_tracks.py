@@ -19,6 +19,7 @@ from running import write_csv
 
 from usnet_env import make_detector
 from usnet_env.objectives import find_roots, group_leader_accuracy, leader_accuracy
+from usnet_env.plugins import detector_label
 from usnet_env.tracks import read_tracks
 from usnet_env.tracks.confirming import confirm_leaders
 
@@ -38,7 +39,7 @@ DETECTORS = (
     "factions",
     "follow-mixture",
     "follow-mixture(policy='map')",
-    "follow-mixture(policy='map', least_share=0.2)",
+    "follow-mixture(least_share=0.2, policy='map')",
     "learned",
     "learned(policy='map')",
 )
@@ -95,7 +96,7 @@ def main() -> None:
                 }
                 seed = crc32(f"{path.stem} {given} {k}".encode())
                 for name in arguments.detector or DETECTORS:
-                    rows.append({**about, "detector": name, **score(cuts[k], name, seed)})
+                    rows.append({**about, "detector": detector_label(name), **score(cuts[k], name, seed)})
     write_csv(arguments.out, rows)
 
 
