@@ -78,6 +78,14 @@ def test_empty_velocities_are_left_out(tmp_path):
     np.testing.assert_array_equal(read_tracks(path).velocity, [[1, 2, 0]] * 60)
 
 
+def test_one_velocity_without_the_other_is_not_read(tmp_path):
+    path = write_csv(tmp_path / "tracks.csv", [[*row, 1.0, 3.0] for row in ROWS], [*HEADER, "vx", "vz"])
+    read = read_tracks(path)
+    assert read.velocity is None
+    assert read.notes[0] == "Columns: id = id, t = t, x = x, y = y."
+    assert refusal(path, columns={"vx": "vx"}).startswith("columns must name the column vy of")
+
+
 @pytest.mark.parametrize("gap", [0, 1, 2])
 def test_a_gap_in_one_velocity_leaves_out_all_of_them(tmp_path, gap):
     velocities = [[1.0, 2.0, 3.0] for _ in ROWS]

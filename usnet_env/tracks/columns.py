@@ -44,6 +44,7 @@ ROLES: dict[str, tuple[str, ...]] = {
     "leader": ("leader", "leader_id", "head", "follows"),
 }  # fmt: skip
 #: The roles that tracks can be without.
+_VELOCITIES = ("vx", "vy", "vz")
 OPTIONAL = ("z", "vx", "vy", "vz", "leader")
 _PAIRS = (("x", "y"), ("lon", "lat"))
 _ALTERNATIVES = (_PAIRS, (("t",), ("frame",)))
@@ -146,8 +147,11 @@ def choose_columns(
     unused = {*_PAIRS[0], *_PAIRS[1]} - {*pair}
     if "t" in found and "frame" in found:
         unused.add("t" if "frame" in given and "t" not in given else "frame")
+    moves = [role for role in _VELOCITIES if role in given]  # of two velocities, one tells nothing without the other
+    if not {"vx", "vy"} <= found.keys() and not moves:
+        unused |= {*_VELOCITIES}
     found = {role: name for role, name in found.items() if role not in unused}
-    for role in ("id", *pair, "t"):
+    for role in ("id", *pair, "t", *(("vx", "vy") if moves else ())):
         if role not in found and not (role == "t" and "frame" in found):
             raise _missing(role, where, header, given)
     marks = ("visible", *_OUTLIERS, "manually_marked_valid") if is_movebank(header) else ()
