@@ -164,7 +164,7 @@ def test_the_file_holds_the_links_for_readers_without_this_class(tmp_path, episo
         assert own.tolist() == episode.communication_links(number).tolist()
 
 
-@pytest.mark.parametrize(("version", "absent"), [(1, ("attention", *LATER)), (3, LATER)])
+@pytest.mark.parametrize(("version", "absent"), [(1, ("attention", *LATER)), (3, LATER), (4, ())])
 def test_files_of_earlier_versions_still_open(version, absent):
     old = EpisodeRecord.load(DATA / f"episode-version-{version}.npz")
     assert same(old, small_episode(**dict.fromkeys(absent), versions=old.versions))
