@@ -80,14 +80,15 @@ def _name_best() -> str:
 def _describe_suites(short: bool) -> str:
     sizes = [f"`{name}` {len(suite.cells)} × {suite.episodes}" for name in SUITES for suite in [load_suite(name)]]
     few = "" if short else " (fewer for slow detectors: n is behind a semicolon)"
+    alone = "" if short else ", or that each cell has one episode"
     return (
         "In each [frozen suite](SUITES) all detectors meet the same swarms, and none is given the number of clusters. "
         f"Cells × episodes, which is n: {', '.join(sizes)}{few}. `paper` is the game of the paper, `controls` are "
         "swarms in which the obvious answer is wrong, `sensing` has bad sensors, and in `field` leaders are late, "
         "weak, indirect or hard to see. *Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, "
         "plus the redundant candidates divided by N; lower is better, 1 is best. Intervals are 95 %. "
-        f"{SAME_SEEDS} A mean without an interval means that all values were equal. A name without arguments means the "
-        "default settings; –: not played."
+        f"{SAME_SEEDS} A mean without an interval means that all values were equal{alone}. A name without arguments "
+        "means the default settings; –: not played."
     )
 
 

@@ -223,12 +223,13 @@ def _heat_map(suite: FrozenSuite, rows: list[Row]) -> Figure:
     axes.set_yticks(range(len(suite.cells)), list(suite.cells), fontsize=8.5, color="k")
     axes.tick_params(length=0)
     failed = " –: the detector failed there." if np.isnan(share).any() else ""
+    fewer = ", fewer where a column says so" if labels != order else ""
     caption_figure(
         figure,
         f"{suite.label}: in how many percent of the episodes is round 1 exact?",
         f"A row is a cell, a column is a detector; the best detector is on the left. Exact: all heads are named, "
-        f"and no other UAV. n = {suite.episodes} episodes in each entry, fewer where a column says so; the 95 % "
-        f"interval of a share of one half is ±{_half_width(suite.episodes):.0f} points.{failed}",
+        f"and no other UAV. n = {suite.episodes} episodes in each entry{fewer}; the 95 % interval of a share of "
+        f"one half is ±{_half_width(suite.episodes):.0f} points.{failed}",
     )
     return figure
 
