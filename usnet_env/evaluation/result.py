@@ -391,15 +391,6 @@ def _strata(results: Sequence[EvaluationResult], metric: str) -> dict[str, list[
     return found
 
 
-def _are_finite_numbers(values: Any) -> bool:
-    """Whether the values are an array ``(t,)`` of at least one finite number."""
-    try:
-        found = np.asarray(values, np.float64)
-    except (TypeError, ValueError):
-        return False
-    return found.ndim == 1 and bool(len(found)) and bool(np.isfinite(found).all())
-
-
 def interquartile_means(results: Sequence[EvaluationResult], metric: str = "J") -> dict[str, Interval]:
     """The mean of the middle half of all episodes of each detector, with its 95 % interval.
 
@@ -445,7 +436,7 @@ def performance_profiles(
     if thresholds is None:
         pooled = np.concatenate([values for own in strata.values() for values in own])
         thresholds = np.linspace(pooled.min(), pooled.max(), _THRESHOLDS).tolist()
-    elif not _are_finite_numbers(thresholds):
+    elif not statistics.are_finite_numbers(thresholds):
         raise ArgumentError(f"thresholds must be a list of at least one finite number, got {quote(thresholds)}.")
     lower = results[0]._lower_is_better(metric)
     return {label: statistics.performance_profile(own, thresholds, lower) for label, own in strata.items()}

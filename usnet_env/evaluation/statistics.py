@@ -264,6 +264,15 @@ def interquartile_mean(strata: Sequence[Sequence[float] | NDArray[np.float64]], 
     return Interval(mean, *_ends(np.concatenate(found), quantile))
 
 
+def are_finite_numbers(values: Any) -> bool:
+    """Whether the values are an array ``(t,)`` of at least one finite number."""
+    try:
+        found = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        return False
+    return found.ndim == 1 and bool(len(found)) and bool(np.isfinite(found).all())
+
+
 def performance_profile(
     strata: Sequence[Sequence[float] | NDArray[np.float64]],
     thresholds: Sequence[float] | NDArray[np.float64],
