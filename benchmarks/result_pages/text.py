@@ -85,7 +85,7 @@ def page(title: str, *parts: str, files: Sequence[str] = ()) -> str:
 
 
 def picture(words: str, file: str) -> str:
-    """A picture in the folder of results, with the words for those who can't see it."""
+    """A link to a picture in the folder of results; ``words`` describe the picture where it is not shown."""
     return f"![{words}](../../benchmarks/results/{file})"
 
 

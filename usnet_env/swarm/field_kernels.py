@@ -38,7 +38,7 @@ ALWAYS, EACH_CLUSTER, EACH_FOLLOWER = range(3)  # who draws whether to answer, b
 KINDS = 6  # the strategies that `fly_kinds` mixes: f1 to f6
 MOST_LINKS = 8  # of one follower in `fly_links`
 
-_ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
+_ONE, _ZERO = np.float32(1.0), np.float32(0.0)
 _MASK = np.uint64(0xFFFFFFFF)
 
 
@@ -57,12 +57,9 @@ def hash_draw(salt, block):
 @compiled(error_model="numpy")
 def finish_step(b, s, t, i, x, y, z, noise_scale, noise, position, velocity):
     """Write norm((x, y, z) + noise) as the velocity of UAV i in step t, and its next position."""
-    x, y, z = (
+    velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(
         x + noise_scale * noise[b, s, i, 0], y + noise_scale * noise[b, s, i, 1], z + noise_scale * noise[b, s, i, 2]
-    )  # fmt: skip
-    # Not by `norm`: where `fly_flock` compiles this function, it has its fast mathematics.
-    size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
-    velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = x * size, y * size, z * size
+    )
     for axis in range(3):
         position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
 

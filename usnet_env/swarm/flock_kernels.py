@@ -10,7 +10,7 @@ import numpy as np
 
 from usnet_env.compiling import compiled
 from usnet_env.swarm.field_kernels import NOISE, find_top, finish_step, move_free
-from usnet_env.swarm.kernels import DESTROYED, FOLLOWS
+from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, norm
 
 __all__ = ["DRIVER", "NO_CHASER", "PREDATOR", "fly_flock"]
 
@@ -103,8 +103,7 @@ def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position,
         x = middle[0] - back * ux - position[t, i, 0]
         y = middle[1] - back * uy - position[t, i, 1]
         z = middle[2] - back * uz - position[t, i, 2]
-    size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
-    return x * size, y * size, z * size
+    return norm(x, y, z)
 
 
 @compiled(fastmath=_FAST, error_model="numpy")
