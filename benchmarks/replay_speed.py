@@ -16,6 +16,7 @@ from pathlib import Path
 import gymnasium as gym
 import rerun  # noqa: F401  # its import is not measured
 from running import RESULTS, answer_help
+from speed_helpers import write_json
 
 import usnet_env.envs  # noqa: F401  # registers the environments
 from usnet_env import make_detector
@@ -58,7 +59,7 @@ def main() -> None:
         "memory_beyond_the_game_MB": round(peak[0] - before, 1),
         "versions": versions(["rerun-sdk"]),
     }
-    TARGET.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    write_json(TARGET, result)
     print(json.dumps(result, indent=2))
 
 

@@ -21,6 +21,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from speed_helpers import write_json
 
 from usnet_env.provenance import machine, versions
 
@@ -146,7 +147,7 @@ def main() -> None:
     out = Path(arguments.out)
     runs = json.loads(out.read_text(encoding="utf-8"))["runs"] if out.exists() else {}
     whole = {"what": __doc__.splitlines()[0], "window": LENGTH, "runs": {**runs, str(arguments.seed): result}}
-    out.write_text(json.dumps(whole, indent=2) + "\n", encoding="utf-8")
+    write_json(out, whole)
 
 
 if __name__ == "__main__":

@@ -233,5 +233,6 @@ def test_refusals_are_one_sentence(run, recorded, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # a message cuts a long path
     assert "broken.npz" in refusal(run, "replay", "broken.npz")
     (tmp_path / "run").mkdir()
+    assert "got no --screenshot" in refusal(run, "compare", one, one, "--step", "1")
     refused = refusal(run, "compare", "run", one)
     assert refused == "usnet: path must be an episode file, got the folder 'run'.\n"

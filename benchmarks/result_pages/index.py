@@ -14,7 +14,13 @@ from usnet_env.evaluation import load_suite
 from usnet_env.evaluation.report import format_interval, group_rows, mean_over_episodes
 from usnet_env.evaluation.suite import read_rows
 
-SUITES = ("paper", "controls", "sensing", "field")
+#: The suites of the table, and what is in them.
+SUITES = {
+    "paper": "the game of the paper",
+    "controls": "the obvious answer is wrong",
+    "sensing": "bad sensors",
+    "field": "leaders are late, weak, indirect or hard to see",
+}
 #: The rows of README.md's table; the index has every detector.
 DETECTORS = (
     "follow-mixture",
@@ -67,28 +73,30 @@ def _list_detectors() -> list[str]:
     return sorted(rows, key=lambda name: -sum(int(row["exact"]) for row in rows[name]))
 
 
-def _name_best() -> str:
-    """The detector that is exact most often in each suite."""
-    best = []
-    for suite, rows in _played().items():
-        name = max(rows, key=lambda each: sum(int(row["exact"]) for row in rows[each]))  # of those that played most
-        best.append(f"`{suite}` `{name}`, {exact_of(rows[name])}")
-    counts = [len(rows) for rows in _played().values()]
-    return f"The best of the {min(counts)} to {max(counts)} detectors that played a suite: {'; '.join(best)}."
+def _compare_best() -> str:
+    """What each suite holds, and the detector that is exact most often in it."""
+    lines = []
+    for name, about in SUITES.items():
+        rows, suite = _played()[name], load_suite(name)
+        best = max(rows, key=lambda each: sum(int(row["exact"]) for row in rows[each]))  # of those that played most
+        lines.append((f"`{name}`", about, f"{len(suite.cells)} × {suite.episodes}", f"`{best}`", exact_of(rows[best])))
+    counts = sorted({len(rows) for rows in _played().values()})
+    title = f"best of {' to '.join(map(str, counts[:1] + counts[1:][-1:]))} detectors"
+    return table(("suite", "swarms", "cells × episodes = n", title, "exact"), lines)
 
 
-def _describe_suites(short: bool) -> str:
-    sizes = [f"`{name}` {len(suite.cells)} × {suite.episodes}" for name in SUITES for suite in [load_suite(name)]]
-    few = "" if short else " (fewer for slow detectors: n is behind a semicolon)"
-    alone = "" if short else ", or that each cell has one episode"
+def _explain_columns(short: bool) -> str:
+    """What the columns of the tables mean."""
+    rules = (
+        "Intervals are 95 %; the [results](docs/results/index.md) explain them."
+        if short
+        else "n is behind a semicolon where a slow detector played fewer episodes. Intervals are 95 %. "
+        f"{SAME_SEEDS} A mean without an interval means that all values were equal, or that each cell has one episode."
+    )
     return (
-        "In each [frozen suite](SUITES) all detectors meet the same swarms, and none is given the number of clusters. "
-        f"Cells × episodes, which is n: {', '.join(sizes)}{few}. `paper` is the game of the paper, `controls` are "
-        "swarms in which the obvious answer is wrong, `sensing` has bad sensors, and in `field` leaders are late, "
-        "weak, indirect or hard to see. *Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, "
-        "plus the redundant candidates divided by N; lower is better, 1 is best. Intervals are 95 %. "
-        f"{SAME_SEEDS} A mean without an interval means that all values were equal{alone}. A name without arguments "
-        "means the default settings; –: not played."
+        "*Exact*: round 1 names all heads and no other UAV. J_m: the number of rounds, plus the redundant candidates "
+        "divided by N; lower is better, 1 is best. A name without arguments means the default settings; –: not "
+        f"played. {rules}"
     )
 
 
@@ -132,8 +140,11 @@ _PAPER = (
 def summary(short: bool = False) -> str:
     """The tables of README.md; ``short``: for README.md, with fewer detectors."""
     names, suites = (DETECTORS, "docs/suites.md") if short else (_list_detectors(), "../suites.md")
-    about = _describe_suites(short).replace("SUITES", suites)
-    return "\n\n".join([f"{about} {_name_best()}", _compare_suites(names), _PAPER, _paper()])
+    about = (
+        f"In a [frozen suite]({suites}) all detectors meet the same swarms. They are not given the number of clusters."
+    )
+    parts = (about, _compare_best(), _explain_columns(short), _compare_suites(names), _PAPER, _paper())
+    return "\n\n".join(parts)
 
 
 PAGES = (

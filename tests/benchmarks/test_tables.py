@@ -23,7 +23,8 @@ def test_readme_is_what_the_rows_give() -> None:
 
 
 def test_readme_has_at_most_eight_detectors_with_trivial_policies_and_the_paper_in_its_own_table() -> None:
-    _, detectors, _, paper = tables.index.summary(short=True).split("\n\n")
+    _, suites, _, detectors, _, paper = tables.index.summary(short=True).split("\n\n")
+    assert [line.split("|")[1].strip(" `") for line in suites.splitlines()[2:]] == list(tables.index.SUITES)
     lines = detectors.splitlines()[2:]
     assert len(lines) <= 8
     labels = ("follow-mixture`", "follow-mixture(policy='map')`", "learned(policy='map')`", "destroy-all`", "none`")

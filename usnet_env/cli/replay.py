@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -107,14 +107,36 @@ def _choose_episode(place: Path, episode: int | None) -> Path | None:
     return found[0] if len(found) == 1 else None
 
 
+def _screenshot_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Options of the commands that take a picture of a replay."""
+    options = (
+        click.option("--screenshot", metavar="PNG", help="Picture of the viewer to take; needs no screen."),
+        click.option("--round", "number", type=WholeNumber(1, 10**6), help="Round of the screenshot.  [default: 1]"),
+        click.option(
+            "--step", type=WholeNumber(0, 10**9), help="Step of its window.  [default: when the answer is given]"
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def _check_screenshot_options(screenshot: str | None, number: int | None, step: int | None) -> None:
+    """Refuse a round or a step without a screenshot, and a screenshot that is no PNG."""
+    if screenshot is None and (number, step) != (None, None):
+        raise ArgumentError("--round and --step must be given together with --screenshot, got no --screenshot.")
+    from usnet_env.replay.viewer import check_screenshot
+
+    if screenshot is not None:
+        check_screenshot(screenshot)
+
+
 @click.command(short_help="Show a recorded episode: replay, screenshot, animation.", epilog=_REPLAY_EXAMPLES)
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--episode", type=WholeNumber(0, 10**9), help="Number of the episode in a folder of several.")
 @click.option("--rrd", type=click.Path(path_type=Path), help="Replay to write.  [default: beside the file]")
 @click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
-@click.option("--screenshot", metavar="PNG", help="Picture of the viewer to take; needs no screen.")
-@click.option("--round", "number", type=WholeNumber(1, 10**6), help="Round of the screenshot.  [default: 1]")
-@click.option("--step", type=WholeNumber(0, 10**9), help="Step of its window.  [default: when the answer is given]")
+@_screenshot_options
 @click.option("--animation", metavar="GIF|MP4", help="Animation to write, .gif or .mp4.")
 def replay(
     path: Path,
@@ -131,14 +153,11 @@ def replay(
     PATH is an episode file (.npz), or the folder of a run or a demo. A folder with several episodes is listed, unless
     --episode chooses one.
     """
-    if screenshot is None and (number, step) != (None, None):
-        raise ArgumentError("--round and --step must be given together with --screenshot, got no --screenshot.")
+    _check_screenshot_options(screenshot, number, step)
     from usnet_env.replay import EpisodeRecord, animate, write_recording
     from usnet_env.replay.story import describe_outcome, describe_round, name_game
-    from usnet_env.replay.viewer import check_screenshot, find_time, find_viewer, open_replay, take_screenshot
+    from usnet_env.replay.viewer import find_time, find_viewer, open_replay, take_screenshot
 
-    if screenshot is not None:
-        check_screenshot(screenshot)
     file = _choose_episode(path, episode)
     if file is None:
         _list_episodes(_find_episodes(path))
@@ -182,17 +201,31 @@ def _list_episodes(files: Sequence[Path]) -> None:
 @click.argument("second", metavar="B.npz")
 @click.option("--rrd", default="comparison.rrd", show_default=True, metavar="FILE", help="Replay to write.")
 @click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
-def compare(first: str, second: str, rrd: str, open_viewer: bool) -> None:
+@_screenshot_options
+def compare(
+    first: str,
+    second: str,
+    rrd: str,
+    open_viewer: bool,
+    screenshot: str | None,
+    number: int | None,
+    step: int | None,
+) -> None:
     """Write one replay of two episode files that began with the same swarm."""
+    _check_screenshot_options(screenshot, number, step)
     from usnet_env.replay import EpisodeRecord, write_comparison
     from usnet_env.replay.story import describe_outcome
-    from usnet_env.replay.viewer import find_viewer, open_replay
+    from usnet_env.replay.viewer import find_time, find_viewer, open_replay, take_screenshot
 
     one, other = EpisodeRecord.load(first), EpisodeRecord.load(second)
+    longer = max(one, other, key=lambda record: record.rounds)
+    shown = None if screenshot is None else (screenshot, find_time(longer, number or 1, step))
     written = write_comparison(one, other, rrd)
     for record in (one, other):
         click.echo(f"{record.detector}: {describe_outcome(record)}")
-    click.echo(f"replay  {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
+    click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
+    if shown is not None:
+        click.echo(f"screenshot {take_screenshot([written], *shown)}")
     if open_viewer:
         open_replay(written)
 

@@ -87,6 +87,8 @@ def _draw_map(
     axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: DetectedWindow, date: str, origin: Floats
 ) -> dict[str, str]:
     """Draw one window; returns the marks that it shows, for the legend."""
+    from matplotlib.patheffects import Normal, Stroke
+
     uavs = len(cut.ids)
     leaders = {each.id for each in window.leaders}
     head = np.array([each in leaders for each in cut.ids])
@@ -98,8 +100,9 @@ def _draw_map(
     )  # fmt: skip
     place = last_seen_position(position, cut.window.seen)
     names = {each: i for i, each in enumerate(cut.ids)}
+    halo = [Stroke(linewidth=2.5, foreground="white"), Normal()]  # a name can be read where marks and tracks crowd
+    style: Any = {"textcoords": "offset points", "fontsize": 8, "weight": "bold", "zorder": 7, "path_effects": halo}
     for each in window.leaders[:_MOST_NAMES]:
-        style: Any = {"textcoords": "offset points", "fontsize": 8, "weight": "bold", "zorder": 7}
         axes.annotate(escape_math(str(each.id)), place[names[each.id], :2].tolist(), xytext=(7, 7), **style)
     present = round_marks(place, cut.window.alive, head, leader, none)
     return {mark: TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
