@@ -23,33 +23,43 @@ _SMALL = 64  # up to this size a flock is searched as a whole
 
 @compiled(error_model="numpy")
 def _hash_cell(x, y, z, size):
-    """The bucket of a cell; ``size`` is a power of two."""
-    return (x * 73856093 ^ y * 19349663 ^ z * 83492791) & (size - 1)
+    """The bucket of a cell; ``size`` is a power of two. Cells above each other have buckets side by side."""
+    return ((x * 73856093 ^ y * 19349663) + z) & (size - 1)
 
 
 @compiled(error_model="numpy")
-def _build_cells(first, last, p, width, cell, bucket, following):
-    """Sort the UAVs first..last-1 into cells: ``bucket`` holds the first UAV of each, ``following`` the next one."""
-    bucket[:] = -1
+def _build_cells(first, last, p, v, width, place, begin, cell, near_p, near_v):
+    """Sort the UAVs first..last-1 by the bucket of their cell, so that UAVs of a cell lie side by side in memory.
+
+    ``place`` gets the bucket of each UAV. ``begin[h]`` is where bucket h begins in ``cell``, ``near_p`` and ``near_v``.
+    """
+    begin[:] = 0
     for c in range(first, last):
+        x, y, z = int(np.floor(p[0, c] / width)), int(np.floor(p[1, c] / width)), int(np.floor(p[2, c] / width))
+        place[c] = _hash_cell(x, y, z, len(begin) - 1)
+        begin[place[c]] += 1
+    for h in range(1, len(begin)):
+        begin[h] += begin[h - 1]
+    for c in range(first, last):
+        begin[place[c]] -= 1
+        k = begin[place[c]]
         for axis in range(3):
-            cell[axis, c] = int(np.floor(p[axis, c] / width))
-        place = _hash_cell(cell[0, c], cell[1, c], cell[2, c], len(bucket))
-        following[c] = bucket[place]
-        bucket[place] = c
+            cell[axis, k] = int(np.floor(p[axis, c] / width))
+            near_p[axis, k], near_v[axis, k] = p[axis, c], v[axis, c]
 
 
 @compiled(error_model="numpy")
-def _sum_cells(a, p, v, repel, align, attract, cell, bucket, following):
-    """Sum over the UAVs in the 27 cells around UAV a: repulsion, alignment, attraction, and their three counts."""
-    x, y, z, outer = p[0, a], p[1, a], p[2, a], max(align, attract)
+def _sum_cells(x, y, z, width, repel, align, attract, begin, cell, p, v):
+    """Sum over the UAVs in the 27 cells around a place: repulsion, alignment, attraction, and their three counts."""
+    outer, size = max(align, attract), len(begin) - 1
+    cx, cy, cz = int(np.floor(x / width)), int(np.floor(y / width)), int(np.floor(z / width))
     rx, ry, rz, ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
     repelled, aligned, attracted = _ZERO, _ZERO, _ZERO
-    for i in range(cell[0, a] - 1, cell[0, a] + 2):
-        for j in range(cell[1, a] - 1, cell[1, a] + 2):
-            for k in range(cell[2, a] - 1, cell[2, a] + 2):
-                c = bucket[_hash_cell(i, j, k, len(bucket))]
-                while c >= 0:
+    for i in range(cx - 1, cx + 2):
+        for j in range(cy - 1, cy + 2):
+            for k in range(cz - 1, cz + 2):
+                h = _hash_cell(i, j, k, size)
+                for c in range(begin[h], begin[h + 1]):
                     dx, dy, dz = p[0, c] - x, p[1, c] - y, p[2, c] - z
                     square = dx * dx + dy * dy + dz * dz
                     # Two cells may share a bucket: a UAV counts in its own cell only.
@@ -64,7 +74,6 @@ def _sum_cells(a, p, v, repel, align, attract, cell, bucket, following):
                         if square < attract:
                             attracted += _ONE
                             ax, ay, az = ax + inverse * dx, ay + inverse * dy, az + inverse * dz
-                    c = following[c]
     return rx, ry, rz, ox, oy, oz, ax, ay, az, repelled, aligned, attracted
 
 
@@ -137,11 +146,12 @@ def fly_flock(
     p, v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     repel, align, attract = ranges[0] * ranges[0], ranges[1] * ranges[1], ranges[2] * ranges[2]
     outer, plain = max(ranges[1], ranges[2]), max(repel, attract) == _ZERO
-    cell, following = np.empty((3, uavs), np.int64), np.empty(uavs, np.int64)
+    cell, place = np.empty((3, uavs), np.int64), np.empty(uavs, np.int64)
+    near_p, near_v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     buckets = 1
     while buckets < 2 * uavs:
         buckets *= 2
-    bucket = np.empty(buckets, np.int64)
+    begin = np.empty(buckets + 1, np.int64)
     middle = np.zeros((width, 3), np.float32)
     chasers = np.empty(uavs, np.int64)
     for b in range(episodes):
@@ -167,7 +177,7 @@ def fly_flock(
                 if size > _SMALL:
                     while small < 2 * size:
                         small *= 2
-                    _build_cells(low, low + size, p, outer, cell, bucket[:small], following)
+                    _build_cells(low, low + size, p, v, outer, place, begin[: small + 1], cell, near_p, near_v)
                 for c in range(size):
                     i = order[low + c]
                     if motion[b, i] != FOLLOWS:
@@ -176,7 +186,7 @@ def fly_flock(
                     rx, ry, rz, repelled, aligned, attracted = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
                     if size > _SMALL:
                         rx, ry, rz, ox, oy, oz, ax, ay, az, repelled, aligned, attracted = _sum_cells(
-                            low + c, p, v, repel, align, attract, cell, bucket[:small], following
+                            px[c], py[c], pz[c], outer, repel, align, attract, begin[: small + 1], cell, near_p, near_v
                         )
                     elif plain:
                         for d in range(size):
