@@ -8,6 +8,7 @@ from sklearn.ensemble import RandomForestClassifier
 from sklearn.metrics import roc_auc_score
 
 from usnet_env.envs.wrappers import BoxMasks, MultiDiscreteCandidates
+from usnet_env.swarm.kinematics import KINEMATICS
 
 CASES = [
     {"follow": "f1"},
@@ -65,9 +66,20 @@ def test_rules_that_look_at_no_flight_hit_as_often_as_a_die(rule, case):
     assert binomtest(hits, 300, 1 / sides).pvalue > 1e-3
 
 
-def test_the_zeros_of_the_destroyed_tell_nothing():
-    """Sign bits of masked values are the same for what were heads, decoys and followers."""
-    env = gym.make("USNET/MultiCluster-v0", clusters=3, uavs=20, decoys=2, mobility="gauss_markov", miss_rate=0.1)
+@pytest.mark.parametrize("kinematics", KINEMATICS)
+@pytest.mark.parametrize("case", [{"follow": "f4", "miss_rate": 0.1}, {"follow": "f4"}, {"follow": "couzin"}])
+def test_the_zeros_of_the_destroyed_tell_nothing(kinematics, case):
+    """Positions, velocities and their signs are the same for what were heads, decoys and followers."""
+    env = gym.make(
+        "USNET/MultiCluster-v0",
+        clusters=3,
+        uavs=20,
+        decoys=2,
+        mobility="gauss_markov",
+        kinematics=kinematics,
+        memory=12,
+        **case,
+    )
     env.reset(seed=0)
     swarm = env.unwrapped.swarm
     action = np.zeros(20, np.int8)

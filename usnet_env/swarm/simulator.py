@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from usnet_env.arrays import Floats, Indices, Singles
+from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
@@ -221,9 +221,7 @@ def _fly(
     memory, gone = config.memory, motion == kernels.DESTROYED
     if isinstance(kinematics, Unit):
         _fly_free(flights, free, mobility_state, position, velocity, memory, slice(None), rngs, jitter)
-        if gone.any():
-            # Assignment instead of multiplication: the sign of a zero would show which of the destroyed UAVs were free.
-            velocity.swapaxes(1, 2)[gone, memory:] = 0.0
+        _stop(velocity[:, memory:], gone)
         if strategy is None:
             kernels.integrate(memory, position, velocity)
         else:
@@ -235,6 +233,7 @@ def _fly(
     for s in range(flight.steps):
         t, now = memory + s, slice(s, s + 1)
         _fly_free(flights, free, mobility_state, position, velocity, t, now, rngs, jitter[:, now])
+        _stop(velocity[:, t : t + 1], gone)
         if strategy is not None:
             strategy.fly(
                 replace(
@@ -246,6 +245,15 @@ def _fly(
                 )
             )
         kinematics.fly(t, motion, normals[:, s], kinematic_state, position, velocity)
+
+
+def _stop(velocity: Singles, gone: Mask) -> None:
+    """Destroyed UAVs ``(B, N + R)`` have the velocity 0, in place of that of ``(B, S, N + R, 3)``.
+
+    Assignment instead of multiplication: the sign of a zero would show which of them were free.
+    """
+    if gone.any():
+        velocity.swapaxes(1, 2)[gone] = 0.0
 
 
 JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no follow strategy to define it
