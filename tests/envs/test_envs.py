@@ -260,6 +260,15 @@ def test_rounds_orphans_and_masks():
     np.testing.assert_array_equal(masks[:, 1], observation["alive"])
 
 
+def test_the_window_after_the_last_round_is_in_the_observation_space():
+    env = MultiClusterEnv(clusters=2, uavs=12, mobility="straight", observation_steps=500, max_rounds=1)
+    for seed in range(6):
+        env.reset(seed=seed)
+        observation, _, _, truncated, _ = env.step(np.zeros(12, np.int8))
+        assert truncated
+        assert env.observation_space.contains(observation)
+
+
 def test_a_terminated_game_shows_an_empty_window_and_a_truncated_one_the_next():
     env = gym.make(MULTI, **SMALL, max_rounds=1)
     env.reset(seed=0)

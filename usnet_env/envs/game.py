@@ -102,7 +102,8 @@ class StepResult:
 def observation_space(config: SwarmConfig, rules: Rules) -> spaces.Dict:
     """The observation space of one environment: bounded boxes and masks."""
     instants, uavs = config.observation_steps + 1, config.uavs
-    far, fast = config.position_bound(rules.max_rounds), config.velocity_bound()
+    # After the last round of a truncated episode another window is observed.
+    far, fast = config.position_bound(rules.max_rounds + 1), config.velocity_bound()
     return spaces.Dict(
         {
             "position": spaces.Box(-far, far, (instants, uavs, 3), np.float32),

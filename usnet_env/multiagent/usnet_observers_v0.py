@@ -95,7 +95,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         self._flight = config.model_copy(update=every_step)
         noisiest = max(self._sensors, key=lambda sensor: sensor.position_noise)
         shape = dict(game.observation_space(noisiest, rules).spaces)
-        far = noisiest.position_bound(rules.max_rounds)
+        far = noisiest.position_bound(rules.max_rounds + 1)
         shape |= {"legal": spaces.MultiBinary(uavs), "place": spaces.Box(-far, far, (3,), np.float32)}
         size = self.sensor_config.message_size
         if size:
