@@ -393,6 +393,15 @@ def test_couzin_flocks_keep_together_and_apart():
     assert np.median(gaps[np.ix_(followers, followers)]) < Couzin().attraction
 
 
+@pytest.mark.parametrize("uavs", [64, 65])  # all UAVs are compared, and a cell list finds the neighbours
+def test_repulsion_reaches_farther_than_alignment_and_attraction(uavs):
+    model = Couzin(repulsion=30.0, alignment=10.0, attraction=5.0)
+    _, window = fly(model, formation="around", clusters=1, uavs=uavs)
+    _, p = flown(window)
+    gaps = np.linalg.norm(p[-1][:, None] - p[-1][None], axis=-1) + 1e9 * np.eye(uavs)
+    assert np.median(gaps.min(axis=0)) > 25.0
+
+
 def test_flocks_of_two_clusters_do_not_mix():
     """The flight of a cluster doesn't change if the other one is destroyed, head and all."""
     config = SwarmConfig(follow="couzin", memory=12, clusters=2, uavs=24, formation="around")

@@ -51,7 +51,7 @@ def _build_cells(first, last, p, v, width, place, begin, cell, near_p, near_v):
 @compiled(error_model="numpy")
 def _sum_cells(x, y, z, width, repel, align, attract, begin, cell, p, v):
     """Sum over the UAVs in the 27 cells around a place: repulsion, alignment, attraction, and their three counts."""
-    outer, size = max(align, attract), len(begin) - 1
+    outer, size = max(repel, align, attract), len(begin) - 1
     cx, cy, cz = int(np.floor(x / width)), int(np.floor(y / width)), int(np.floor(z / width))
     rx, ry, rz, ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
     repelled, aligned, attracted = _ZERO, _ZERO, _ZERO
@@ -145,7 +145,7 @@ def fly_flock(
     first = np.empty(width + 1, np.int64)
     p, v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     repel, align, attract = ranges[0] * ranges[0], ranges[1] * ranges[1], ranges[2] * ranges[2]
-    outer, plain = max(ranges[1], ranges[2]), max(repel, attract) == _ZERO
+    outer, plain = max(ranges[0], ranges[1], ranges[2]), max(repel, attract) == _ZERO
     cell, place = np.empty((3, uavs), np.int64), np.empty(uavs, np.int64)
     near_p, near_v = np.empty((3, uavs), np.float32), np.empty((3, uavs), np.float32)
     buckets = 1
