@@ -350,6 +350,7 @@ def test_the_observers_view_has_no_trace_of_roles():
         ),
         ({"follow": "shifted"}, "follow must be a follow strategy whose heads choose how to fly, got 'shifted'"),
         ({"follow": "f3", "memory": 6}, "memory must be at least 7 for follow='f3' and most_delay=4, got 6"),
+        ({"follow": "couzin", "memory": 16}, "most_delay must be 0 for follow='couzin', .*, got 4"),
         ({"max_cycles": 1}, "max_cycles must be None or a whole number from 2, got 1"),
         ({"render_mode": "human"}, "render_mode must be 'rgb_array' or None, got 'human'"),
         ({"uavs": 5}, "uavs must be at least"),

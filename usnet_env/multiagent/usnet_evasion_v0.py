@@ -17,6 +17,7 @@ from usnet_env.multiagent import base
 from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, count_followers, fly_window, select_decoys
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 from usnet_env.swarm.config import SensorArguments
+from usnet_env.swarm.flock_follow import Flock
 
 __all__ = ["env", "parallel_env", "raw_env"]
 
@@ -123,6 +124,11 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         if strategy.has_references or not strategy.has_followers or strategy.shifts_tracks:
             raise ArgumentError(
                 f"follow must be a follow strategy whose heads choose how to fly, got {quote(config.follow)}."
+            )
+        if most_delay and isinstance(strategy, Flock):
+            raise ArgumentError(
+                f"most_delay must be 0 for follow={quote(config.follow)}, whose followers fly by their neighbours and "
+                f"not by the past of their head, got {most_delay}."
             )
         if strategy.lags + most_delay > config.memory:
             raise ArgumentError(
