@@ -10,7 +10,7 @@ from pydantic import Field
 from detectors.baselines.networks import Flight, NetworkDetector, Pairs, correlate_flights
 from detectors.series.designs import centre_columns, centre_past, scale_to_unit
 from detectors.series.regressions import correlate_at_lag, correlate_over_lags, explain_pairs
-from usnet_env.arrays import Floats
+from usnet_env.arrays import Floats, Mask
 from usnet_env.compiling import compiled
 from usnet_env.detection import Tags
 
@@ -36,7 +36,7 @@ class DirectionalDelays(NetworkDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    def pairs(self, flight: Flight, lags: int) -> Pairs:
+    def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Correlate the directions of flight."""
         direction = _directions(flight.velocity)
         behind, delay = correlate_flights(direction, flight.seen, lags)
@@ -63,7 +63,7 @@ class LaggedNetwork(NetworkDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    def pairs(self, flight: Flight, lags: int) -> Pairs:
+    def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Correlate velocities, accelerations and directions."""
         later = flight.seen.copy()
         later[1:] &= flight.seen[:-1]
@@ -97,7 +97,7 @@ class NetLagRegression(NetworkDetector):
         ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
-    def pairs(self, flight: Flight, lags: int) -> Pairs:
+    def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Regress all pairs."""
         lags = max(1, min(lags, len(flight.velocity) // 8))
         target = centre_columns(flight.velocity[lags:], flight.seen[lags:])
@@ -128,7 +128,7 @@ class FrontMost(NetworkDetector):
 
     alike: Annotated[float, Field(ge=0, le=1)] = 0.5
 
-    def pairs(self, flight: Flight, lags: int) -> Pairs:
+    def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Compare the places of all pairs along their common velocity."""
         course = scale_to_unit(_directions(flight.velocity))
         behind = correlate_over_lags(course, course, lags)

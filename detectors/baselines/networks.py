@@ -98,12 +98,13 @@ class NetworkDetector(Detector):
     level: Annotated[float, Field(ge=1e-9, lt=1)] = 0.01
 
     @abstractmethod
-    def pairs(self, flight: Flight, lags: int) -> Pairs:
-        """Score all ordered pairs.
+    def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
+        """Score ordered pairs.
 
         Args:
             flight: n UAVs, at least 2.
             lags: the largest delay in steps, at least 1.
+            needed: ``(n, n)`` bool, symmetric: the pairs whose scores are read; others may get any. ``None``: all.
         """
 
     def detect(self, window: Window) -> Detection:
@@ -139,7 +140,7 @@ class NetworkDetector(Detector):
         if not rows.any():
             return _describe(window, living, pairs, np.inf)
         maxima = [
-            np.where(either, self._measure(each, lags).lead, -np.inf).max(axis=1)[rows]
+            np.where(either, self._measure(each, lags, either).lead, -np.inf).max(axis=1)[rows]
             for each in reverse_blocks(flight, lags, count)
         ]
         lead = np.where(related, pairs.lead, -np.inf)
@@ -147,13 +148,14 @@ class NetworkDetector(Detector):
         return _describe(window, living, replace(pairs, lead=lead), threshold)
 
     def _relate(self, flight: Flight, pairs: Pairs, lags: int, count: int) -> Mask:
-        half = np.arange(len(pairs.strength)) % 2 == 0
-        shifted = [self._measure(each, lags).strength for each in shift_half(flight, half, count // 2)]
-        by_chance = [np.where(half[:, None] != half, each, -np.inf).max(axis=1) for each in shifted]
+        half = split_flight(flight)
+        apart = half[:, None] != half
+        shifted = [self._measure(each, lags, apart).strength for each in shift_half(flight, half, count // 2)]
+        by_chance = [np.where(apart, each, -np.inf).max(axis=1) for each in shifted]
         return pairs.strength > _find_threshold(pairs.strength.max(axis=1), by_chance, self.level)
 
-    def _measure(self, flight: Flight, lags: int) -> Pairs:
-        pairs = self.pairs(flight, lags)
+    def _measure(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
+        pairs = self.pairs(flight, lags, needed)
         np.fill_diagonal(pairs.lead, -np.inf)
         np.fill_diagonal(pairs.strength, -np.inf)
         return pairs
@@ -166,6 +168,17 @@ def _read_flight(window: Window, living: Indices) -> Flight:
     middle = place.sum(axis=(0, 1)) / max(int(seen.sum()), 1)
     velocity = np.where(seen[..., None], window.velocity[:, living], 0.0).astype(np.float64)
     return Flight(velocity, np.where(seen[..., None], place - middle, 0.0), seen)
+
+
+def split_flight(flight: Flight) -> Mask:
+    """A half of the UAVs, ``(n,)``: every second one in the order of their changes of velocity.
+
+    The order of the UAVs in the window does not matter, nor do the directions of the axes and the unit of length.
+    """
+    changes = (np.diff(flight.velocity, axis=0) ** 2).sum(axis=(0, 2))
+    half = np.zeros(len(changes), bool)
+    half[np.argsort(changes, kind="stable")[::2]] = True
+    return half
 
 
 def shift_half(flight: Flight, half: Mask, count: int) -> Iterator[Flight]:

@@ -36,24 +36,28 @@ class TransferEntropy(NetworkDetector):
 
     neighbours: Annotated[int, Field(ge=1, le=20)] = 4
 
-    def pairs(self, flight: Flight, lags: int) -> Pairs:
+    def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Estimate the transfer entropy of all pairs, in nats."""
         _, delay = correlate_flights(flight.velocity, flight.seen, lags)
-        entropy = estimate_transfer_entropy(flight.velocity, flight.seen, delay, self.neighbours)
+        entropy = estimate_transfer_entropy(flight.velocity, flight.seen, delay, self.neighbours, needed)
         return Pairs(entropy, entropy - entropy.T, delay)
 
 
-def estimate_transfer_entropy(velocity: Floats, seen: Mask, delay: Indices, neighbours: int) -> Floats:
-    """Estimate the transfer entropy of all pairs.
+def estimate_transfer_entropy(
+    velocity: Floats, seen: Mask, delay: Indices, neighbours: int, needed: Mask | None = None
+) -> Floats:
+    """Estimate the transfer entropy of pairs.
 
     Args:
         velocity: ``(T, n, 3)``; of more than 200 times, 200 are used.
         seen: ``(T, n)`` bool.
         delay: ``(n, n)`` steps from j to i, at least 1.
         neighbours: k.
+        needed: ``(n, n)`` bool, the pairs that are estimated; by default all.
 
     Returns:
-        ``(n, n)`` nats; entry (i, j) is from j to i: 0 where a UAV never varies or too few times are seen.
+        ``(n, n)`` nats; entry (i, j) is from j to i: 0 where it is not needed, a UAV never varies or too few times are
+        seen.
     """
     unit = scale_to_unit(centre_columns(velocity, seen)) * np.sqrt(np.maximum(seen.sum(axis=0), 1))[:, None]
     series = np.ascontiguousarray(unit.swapaxes(0, 1), np.float32)
@@ -61,13 +65,14 @@ def estimate_transfer_entropy(velocity: Floats, seen: Mask, delay: Indices, neig
     rows = np.unique(np.linspace(first, len(velocity) - 1, min(_MOST_ROWS, len(velocity) - first)).astype(np.int64))
     entropy = np.zeros(delay.shape)
     table = digamma(np.arange(len(rows) + 2).clip(1))
-    _estimate(series, seen.T.copy(), delay, rows, neighbours, table, entropy)
+    wanted = np.ones(delay.shape, bool) if needed is None else needed
+    _estimate(series, seen.T.copy(), delay, rows, neighbours, table, wanted, entropy)
     moves = (series != 0).any(axis=(1, 2))
     return np.where(moves[:, None] & moves, entropy, 0.0)
 
 
 @compiled(fastmath={"nnan", "nsz", "arcp", "contract", "afn", "reassoc"}, error_model="numpy")
-def _estimate(series, seen, delay, rows, neighbours, table, entropy):  # type: ignore[no-untyped-def]  # Numba
+def _estimate(series, seen, delay, rows, neighbours, table, needed, entropy):  # type: ignore[no-untyped-def]  # Numba
     uavs, many = len(series), len(rows)
     present, own = np.empty((many, many), np.float32), np.empty((many, many), np.float32)
     past = np.empty((many, many), np.float32)
@@ -75,10 +80,12 @@ def _estimate(series, seen, delay, rows, neighbours, table, entropy):  # type: i
     good = np.empty(many, np.bool_)
     unseen = np.float32(1e30)
     for i in range(uavs):
+        if not needed[i].any():
+            continue
         _measure_distances(series[i], rows, present)
         _measure_distances(series[i], rows - 1, own)
         for j in range(uavs):
-            if i == j:
+            if i == j or not needed[i, j]:
                 continue
             late = delay[i, j]
             for r in range(many):

@@ -42,7 +42,7 @@ class Mflica(NetworkDetector):
     max_lag: Annotated[int, Field(ge=1, le=1000)] = 8
     series: Literal["position", "velocity"] = "position"
 
-    def pairs(self, flight: Flight, lags: int) -> Pairs:
+    def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Warp all pairs."""
         if self.series == "velocity":
             values = scale_to_unit(centre_columns(flight.velocity, flight.seen))

@@ -57,19 +57,19 @@ def check_permuting_uavs_permutes_the_answer(detector: Any) -> None:
 
 
 def _compare_orders(detector: Any, window: Window) -> float:
-    """p-value of equal detections for the UAVs of a window in their order and in reverse; 1 if they are equal."""
-    turned = permute_uavs(window, np.arange(window.uavs)[::-1])
+    """p-value of equal detections for the UAVs of a window in their order and in another one; 1 if they are equal."""
+    order = np.random.default_rng(SEED).permutation(window.uavs)  # the reverse order would keep pairs of neighbours
+    shuffled, back = permute_uavs(window, order), np.argsort(order)
 
-    def detect(seed: int, reverse: bool) -> tuple[Mask, Floats]:
+    def detect(seed: int, shuffle: bool) -> tuple[Mask, Floats]:
         """Candidates and scores in the order of the window."""
-        (answer,) = play_windows(copy_detector(detector), [turned if reverse else window], seed)
-        order = -1 if reverse else 1
-        return answer.candidates[::order], answer.scores[::order]
+        (answer,) = play_windows(copy_detector(detector), [shuffled if shuffle else window], seed)
+        return (answer.candidates[back], answer.scores[back]) if shuffle else (answer.candidates, answer.scores)
 
-    if _are_close(*detect(SEED, reverse=False), *detect(SEED, reverse=True)):
+    if _are_close(*detect(SEED, shuffle=False), *detect(SEED, shuffle=True)):
         return 1.0
-    here = [_summarise_detection(*detect(seed, reverse=False)) for seed in range(EPISODES)]
-    there = [_summarise_detection(*detect(seed, reverse=True)) for seed in range(EPISODES, 2 * EPISODES)]
+    here = [_summarise_detection(*detect(seed, shuffle=False)) for seed in range(EPISODES)]
+    there = [_summarise_detection(*detect(seed, shuffle=True)) for seed in range(EPISODES, 2 * EPISODES)]
     return compute_p_value(np.array(here), np.array(there))
 
 
