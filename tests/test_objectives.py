@@ -66,6 +66,14 @@ def test_single_cluster_objective_is_the_formula_but_for_the_empty_answer(uavs, 
     assert objectives.single_cluster_objective(np.arange(uavs) == leader, candidates) == expected
 
 
+@given(UAVS, st.data())
+def test_with_any_number_of_heads_the_single_cluster_objective_is_minus_the_redundant_candidates(uavs, data):
+    head, candidates = (data.draw(hnp.arrays(bool, uavs)) for _ in range(2))
+    wrong = -len(as_set(candidates) - as_set(head))
+    expected = wrong if candidates.any() else -1 if head.any() else 0
+    assert objectives.single_cluster_objective(head, candidates) == expected
+
+
 def test_the_optima_are_the_paper_s():
     head = np.array([True, False, True, False])
     assert objectives.multi_cluster_objective(head, head[None]) == 1.0
@@ -177,7 +185,7 @@ def test_purity_hides_a_misplaced_head_and_head_in_cluster_does_not():
         (lambda: objectives.f1(["a"], [1]), "head"),
         (lambda: objectives.exact(True, True), "head"),
         (lambda: objectives.redundancy([], np.empty((1, 0))), "head"),
-        (lambda: objectives.single_cluster_objective([1, 1], [1, 0]), "head"),
+        (lambda: objectives.single_cluster_objective([1, 1], [1, 0, 0]), "candidates"),
         (lambda: objectives.single_cluster_objective([1, 0], [float("nan"), 0]), "candidates"),
         (lambda: objectives.multi_cluster_objective([1, 0], [1, 0]), "candidates_per_round"),
         (lambda: objectives.average_precision([1, 0], [1.0]), "scores"),

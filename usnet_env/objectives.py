@@ -114,27 +114,26 @@ def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Count
 
 
 def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Ratios:
-    """P1's objective J_s = 1{i_L in C_1} - |C_1|, to be maximised; the maximum is 0.
+    """P1's objective J_s = |C_1 & H_0| - |C_1|, to be maximised; the maximum is 0.
 
-    The formula also gives 0 for an empty set of candidates. In P1 at least one candidate is required, so an empty set
-    scores -1, like a miss (decision (k) on docs/game.md).
+    With one head it is the paper's 1{i_L in C_1} - |C_1|. The formula also gives 0 for an empty set of candidates.
+    Where a UAV leads, at least one candidate is required, so an empty set scores -1, like a miss (decision (k) on
+    docs/game.md).
 
     Args:
-        head: ``(..., N)`` bool with one head each.
+        head: ``(..., N)`` bool, H_0: one head, or as many as the follow strategy has, none included.
         candidates: ``(..., N)`` bool.
 
     Returns:
         J_s, ``(...)`` float64.
 
     Raises:
-        ArgumentError: the number of heads is not 1, or the masks have different numbers of UAVs.
+        ArgumentError: the masks have different numbers of UAVs.
     """
     heads, chosen = _pair("head", head, "candidates", candidates)
-    if (heads.sum(axis=-1) != 1).any():
-        raise ArgumentError("head must hold exactly one head in P1, got another number.")
     count = chosen.sum(axis=-1)
-    hit = (heads & chosen).any(axis=-1)
-    return np.asarray(np.where(count > 0, hit.astype(float) - count, -1.0))
+    hits = (heads & chosen).sum(axis=-1)
+    return np.asarray(np.where(count > 0, hits - count, np.where(heads.any(axis=-1), -1.0, 0.0)))
 
 
 def precision(head: ArrayLike, candidates: ArrayLike) -> Ratios:

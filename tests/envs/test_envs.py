@@ -169,6 +169,23 @@ def test_the_price_of_p1_leaves_a_miss_at_one(price, expected):
     assert info["J"] == -3.0
 
 
+@pytest.mark.parametrize(("follow", "some"), [("informed", -1.0), ("shepherd", -1.5)])
+def test_the_price_of_p1_is_of_redundant_candidates_also_with_several_heads_or_none(follow, some):
+    env = gym.make(SINGLE, follow=follow, memory=12, observation_steps=12, redundancy_price=0.5)
+
+    def heads_and_two_others(swarm, r):
+        return (swarm.head | (np.cumsum(~swarm.head) <= 2) & ~swarm.head).astype(np.int8)
+
+    head, rounds, rewards, info, _ = play(env, 0, heads_and_two_others)
+    assert head.sum() != 1
+    assert rounds[0].sum() == head.sum() + 2
+    assert rewards == [some]
+    assert info["J"] == -2.0
+    _, _, rewards, info, _ = play(env, 0, lambda swarm, r: swarm.head.astype(np.int8))
+    assert rewards == [0.0] == [info["J"]]
+    assert info["success"] == 1
+
+
 def test_reward_terms_add_up_to_the_reward():
     for name in (SINGLE, MULTI):
         for _, reward, *_, info in episode(gym.make(name, redundancy_price=2.0), 0, 1)[1:]:

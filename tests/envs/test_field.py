@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from usnet_env import ArgumentError
+from usnet_env import ArgumentError, evaluate
 from usnet_env.envs import FieldEnv
 from usnet_env.envs.field import DISTRIBUTION
 from usnet_env.swarm import SwarmConfig
@@ -78,6 +78,18 @@ def test_the_next_episode_is_another_swarm():
         configs.append(env.config)
         env.reset()
     assert len({config.model_dump_json() for config in configs}) == 5
+
+
+@pytest.mark.parametrize("follow", ["informed", "shepherd", "reference", "independent", "shifted"])
+def test_one_cluster_with_several_heads_or_none_is_scored_as_it_is_played(follow):
+    arguments = {"follow": follow, "memory": 12, "observation_steps": 12}
+    env = gym.make("USNET/SingleCluster-v0", **arguments)
+    result = evaluate("USNET/SingleCluster-v0", ["destroy-all", "none"], episodes=2, env_kwargs=arguments)
+    for row in result.rows:
+        env.reset(seed=row["swarm_seed"])
+        assert row["heads"] == env.unwrapped.swarm.head.sum() != 1
+        named = np.full(env.action_space.shape, row["detector"] == "destroy-all", np.int8)
+        assert row["J"] == env.step(named)[-1]["J"]
 
 
 def test_a_vector_environment_has_no_pictures():

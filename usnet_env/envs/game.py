@@ -13,7 +13,7 @@ from pydantic import Field, field_validator
 
 from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.objectives import hits_and_redundant
+from usnet_env.objectives import hits_and_redundant, single_cluster_objective
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
 
 COUNTERS = ("rounds", "redundant", "terminated", "truncated")
@@ -192,13 +192,10 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
     rounds, total = state.rounds + 1, state.redundant + redundant
     price = rules.redundancy_price
     if rules.problem == "P1":
-        # J_s = 1{hit} - |C| is the sum of the cost of a miss and the cost of every candidate beyond the first.
-        shots = fired.sum(axis=1)
-        empty = -swarm.head.any(axis=1).astype(float)  # decision (k): -1, or 0 in a swarm that no UAV leads
-        missed = np.where(shots > 0, hits - 1.0, empty)
-        extra = -np.maximum(shots - 1, 0.0)
-        terms = {"reward_hit": missed, "reward_redundancy": price * extra}
-        objective = missed + extra
+        # J_s is the sum of the cost of an answer without a head and the cost of every other redundant candidate.
+        objective = single_cluster_objective(swarm.head, fired)
+        missed = np.where((hits > 0) | (objective == 0), 0.0, -1.0)
+        terms = {"reward_hit": missed, "reward_redundancy": price * (objective - missed)}
         terminated = np.ones(len(left), bool)
         truncated = np.zeros(len(left), bool)
     else:

@@ -264,15 +264,19 @@ class SingleClusterEnv(UsnetEnv):
     {observation}
 
     ## Rewards
-    J_s = 1{head hit} − |Ĥ_1|, where Ĥ_1 is the set of candidates: 0 for the head alone, −1 for one wrong candidate.
-    An empty set scores −1 (decision k; the formula would give it 0, the optimum). In general the reward is
-    1{hit} − 1 − `redundancy_price` · (|Ĥ_1| − 1), which is J_s at price 1. A set of more than `shot_budget` candidates
-    destroys no UAV and counts as an empty set.
+    J_s = |Ĥ_1 ∩ H_0| − |Ĥ_1|, where Ĥ_1 are the candidates and H_0 is the head: 0 for the head alone, −1 for one wrong
+    candidate. An empty set scores −1 (decision k; the formula would give it 0, the optimum). The reward is −1 for an
+    answer that names no head, plus `redundancy_price` times the rest of J_s; at price 1 it is J_s. A set of more than
+    `shot_budget` candidates destroys no UAV and counts as an empty set.
+
+    Some [field models](../field.md) have several heads or none. With several, J_s is minus the number of redundant
+    candidates, and a head that is not named costs nothing: report `recall_first` and `success` beside J. With none, the
+    empty set is the right answer and scores 0.
 
     {info}
     | `J` | J_s, at price 1 |
     | `over_budget` | 1 if the round had more candidates than `shot_budget` |
-    | `reward_hit` | the part of the reward for the hit: 0 if the head is a candidate, else −1 |
+    | `reward_hit` | the part of the reward for the hit: 0 if a head is a candidate or the answer is right, else −1 |
     | `reward_redundancy` | the rest of the reward: the price of redundant candidates |
 
     ## Starting State
