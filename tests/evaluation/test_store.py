@@ -8,11 +8,13 @@ import platform
 import shutil
 from functools import partial
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from sample_detectors import AllAlive, Base, Failing, Followed, Policy, RandomThird
 
 from usnet_env import ArgumentError, Detection, evaluate
+from usnet_env.envs import FieldEnv
 from usnet_env.evaluation import EvaluationError, EvaluationResult
 from usnet_env.evaluation.store import COLUMNS, write_text
 from usnet_env.swarm.follow import StayInRange
@@ -270,6 +272,28 @@ def test_follow_strategies_given_as_objects_do_not_share_rows(tmp_path):
     run(1.0)
     with pytest.raises(ArgumentError, match="different values of env_kwargs, environment"):
         run(2.0)
+
+
+def test_a_field_is_identified_by_its_arguments_and_never_by_what_it_drew(tmp_path):
+    arguments = {"observation_steps": 4, "max_rounds": 1}
+    drawing, fixed = (lambda: FieldEnv(**arguments)), (lambda: FieldEnv(**arguments, clusters=6))
+    assert drawing().config == fixed().config  # six is the most that can be drawn
+    evaluate(fixed(), "none", episodes=1, out=tmp_path / "fixed")
+    with pytest.raises(ArgumentError, match=r"with a run that has different values of env_kwargs\."):
+        evaluate(drawing(), "none", episodes=2, out=tmp_path / "fixed")
+    env = drawing()
+    evaluate(env, "none", episodes=2, out=tmp_path / "drawn")
+    resumed = evaluate(env, "none", episodes=3, out=tmp_path / "drawn")
+    assert untimed(resumed.rows) == untimed(evaluate(drawing(), "none", episodes=3).rows)
+
+
+def test_an_object_and_the_id_of_a_field_share_a_folder(tmp_path):
+    delays = "USNET/Field-Delays-v0"
+    for env_id, arguments in ((delays, {}), ("USNET/Field-v0", {"clusters": 3})):
+        evaluate(env_id, "none", episodes=1, env_kwargs=arguments, out=tmp_path / env_id)
+        assert len(evaluate(gym.make(env_id, **arguments), "none", episodes=2, out=tmp_path / env_id).rows) == 2
+    with pytest.raises(ArgumentError, match="different values of env_kwargs"):
+        evaluate(gym.make(delays, follow=None), "none", episodes=2, out=tmp_path / delays)
 
 
 def test_rows_of_another_seed_are_refused(tmp_path):

@@ -202,11 +202,17 @@ class FieldEnv(UsnetEnv):
     * v0: first version, distribution 1
     """
 
+    # With `rules`, these two identify a run; `config` doesn't, because it is drawn.
+    widest_config: SwarmConfig  # the bounds of the observation are those of this swarm
+    drawn_arguments: dict[str, Any]  # what can be drawn: None where it is, else the value that was given
+
     @takes_arguments(FieldArguments)
     def __init__(self, arguments: FieldArguments) -> None:
         self._arguments = arguments
-        config = arguments.make_config({**DISTRIBUTION.draw(np.random.default_rng(0)), **DISTRIBUTION.largest})
-        super().__init__(config, arguments.part(game.Rules, problem="P2"), arguments)
+        drawn = DISTRIBUTION.draw(np.random.default_rng(0))
+        self.widest_config = arguments.make_config({**drawn, **DISTRIBUTION.largest})
+        self.drawn_arguments = {name: getattr(arguments, name) for name in drawn}
+        super().__init__(self.widest_config, arguments.part(game.Rules, problem="P2"), arguments)
 
     def _draw_config(self) -> SwarmConfig:
         """Draw the swarm of the next episode. All parts are drawn, so a fixed one doesn't change the others."""

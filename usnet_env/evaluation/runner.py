@@ -115,7 +115,8 @@ def evaluate(
                 "env must know the leaders to score detectors, got tracks without a column 'leader' that names their "
                 "ids."
             )
-        config = _make_config(environment, arguments, detectors, run)
+        told = arguments if isinstance(env, str) else _find_fixed(environment)
+        config = _make_config(environment, told, detectors, run)
         worker = Worker(str(env), arguments, detectors, isolation, environment)
         more = dict.fromkeys(TRACK_METRICS if hasattr(environment.unwrapped, "score_answer") else (), "float | None")
         return play_run(worker, config, seeds, place, folder, run.progress, {**COLUMNS, **more})
@@ -186,12 +187,25 @@ def _make_label(detector: Any, isolate: bool) -> str:
     return type(detector).__name__ if isinstance(agent, PolicyAgent) else detector_label(detector)
 
 
+def _find_fixed(environment: gym.Env[Any, Any]) -> dict[str, Any]:
+    """The arguments of an environment object that would be drawn in each episode, as far as its id does not set them.
+
+    No other argument is needed to identify an environment object: its config and its rules show them.
+    """
+    found: Mapping[str, Any] = getattr(environment.unwrapped, "drawn_arguments", {})
+    registered = gym.registry.get(environment.spec.id) if environment.spec else None
+    own = registered.kwargs if registered else {}
+    return {name: value for name, value in found.items() if value != own.get(name)}
+
+
 def _make_config(
     environment: gym.Env[Any, Any], arguments: Mapping[str, Any], detectors: Mapping[str, Any], run: RunArguments
 ) -> dict[str, Any]:
     """Return the arguments of the run as plain values: runs with the same config have the same rows."""
     inner: Any = environment.unwrapped
     settings = {name: describe(getattr(inner, name)) for name in ("config", "rules") if hasattr(inner, name)}
+    if hasattr(inner, "widest_config"):  # its config is that of the last episode
+        settings["config"] = describe(inner.widest_config)
     return {
         "env": type(inner).__name__ if environment.spec is None else environment.spec.id,
         "env_kwargs": describe(arguments),
