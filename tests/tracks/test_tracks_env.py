@@ -1,6 +1,7 @@
 """``USNET/Tracks-v0``: recorded tracks window by window, scored by the file's leaders."""
 
 import csv
+import re
 from pathlib import Path
 
 import gymnasium as gym
@@ -97,6 +98,28 @@ def test_evaluate_scores_detectors_with_the_same_metrics_and_known_groups(path, 
     again = EvaluationResult.load(tmp_path / "run")
     assert again["none"]["group_leader_first"] == none["group_leader_first"]
     assert "group_leader_first" not in evaluate("USNET/SingleCluster-v0", "none", episodes=1)["none"]
+
+
+def test_a_run_is_of_the_content_of_its_file(path, tmp_path):
+    head, *rows = Path(path).read_text(encoding="utf-8").splitlines()
+    file, out = tmp_path / "tracks.csv", tmp_path / "run"
+
+    def play(lines, episodes):
+        file.write_text("\n".join([head, *lines]))
+        arguments = {"path": str(file), "step": 0.5}
+        return evaluate("USNET/Tracks-v0", "none", episodes=episodes, env_kwargs=arguments, out=out)
+
+    play(rows, 1)
+    assert len(play([*rows, "", ""], 2).rows) == 2  # the same tracks in other bytes
+    first = rows[0].split(",")
+    for changed in ([*first[:2], "7.5", *first[3:]], [*first[:4], rows[-1].split(",")[0]]):
+        with pytest.raises(ArgumentError, match=r"with a run of tracks with other content \(SHA-256 .{12}… instead of"):
+            play([",".join(changed), *rows[1:]], 3)
+    text = (out / "run.json").read_text(encoding="utf-8")
+    (out / "run.json").write_text(re.sub(r'"recording": "\w{64}",', "", text), encoding="utf-8")
+    assert len(EvaluationResult.load(out).rows) == 2
+    with pytest.raises(ArgumentError, match="with a run that does not say what its tracks held"):
+        play(rows, 3)
 
 
 def test_a_run_with_windows_without_leaders_is_loaded(path, tmp_path):

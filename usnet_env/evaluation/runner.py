@@ -206,10 +206,12 @@ def _make_config(
     settings = {name: describe(getattr(inner, name)) for name in ("config", "rules") if hasattr(inner, name)}
     if hasattr(inner, "widest_config"):  # its config is that of the last episode
         settings["config"] = describe(inner.widest_config)
+    recording = {"recording": inner.recording} if hasattr(inner, "recording") else {}  # SHA-256 of its content
     return {
         "env": type(inner).__name__ if environment.spec is None else environment.spec.id,
         "env_kwargs": describe(arguments),
         "environment": settings,
+        **recording,
         **describe_code(type(inner), settings),
         "detectors": list(detectors),
         "identities": [describe_detector(each) for each in detectors.values()],

@@ -368,6 +368,8 @@ def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -
     ]
     if different == ["code"]:
         others.insert(0, f"with other code of {' and '.join(differing_keys(there.get('code'), asked.get('code')))}")
+    elif different == ["recording"]:
+        others.insert(0, _describe_tracks(there.get("recording"), str(asked.get("recording"))))
     elif different:
         others.insert(0, f"that has different values of {', '.join(different)}")
     if others:
@@ -385,6 +387,13 @@ def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -
     together = identities | joining
     joined = {"detectors": list(together), "identities": list(together.values()), "episodes": asked["episodes"]}
     return there | joined
+
+
+def _describe_tracks(there: str | None, asked: str) -> str:
+    """Say how the tracks of a run differ from those that join it, by the SHA-256 of what was read."""
+    if there is None:
+        return "that does not say what its tracks held, because an earlier version wrote it"
+    return f"of tracks with other content (SHA-256 {there:.12}… instead of {asked:.12}…)"
 
 
 def _read_identities(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
 from typing import Annotated, Any, ClassVar
 
 import gymnasium as gym
@@ -85,6 +86,7 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
     def __init__(self, arguments: TracksArguments) -> None:
         self.config = arguments
         tracks = read_tracks(arguments.path, columns=arguments.columns)
+        self.recording = _hash_tracks(tracks)  # identifies a run: the file of a path may change
         self.tracks: Tracks = tracks.resample(arguments.step)
         self.windows = list(self.tracks.windows(arguments.window, arguments.stride))
         if not self.windows:
@@ -215,3 +217,14 @@ class TracksEnv(gym.Env[Observation, NDArray[np.int8]]):
             "start": self.tracks.file_time(self.cut.start),
             "end": self.tracks.file_time(self.cut.end),
         }
+
+
+def _hash_tracks(tracks: Tracks) -> str:
+    """SHA-256 of the ids, times, places and leaders that were read, as 64 hexadecimal digits.
+
+    The file itself is not hashed: a pipe can be read only once.
+    """
+    found = sha256(ascii(tracks.ids).encode())
+    for values in (tracks.offsets, tracks.time, tracks.origin, tracks.position, tracks.leader):
+        found.update(b"none" if values is None else np.ascontiguousarray(values).data)
+    return found.hexdigest()
