@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from usnet_env import ArgumentError, Detection
@@ -32,6 +33,17 @@ class Raising:
 
     def detect(self, window):
         raise RuntimeError("no answer today")
+
+
+class Sure:
+    """Names the first UAV, which leads."""
+
+    def reset(self, seed=None):
+        pass
+
+    def detect(self, window):
+        first = np.arange(window.uavs) == 0
+        return Detection(first, first * 1.0)
 
 
 @pytest.fixture
@@ -74,6 +86,26 @@ def test_a_suite_of_ones_own_is_played_kept_and_read(path, tmp_path):
     assert read.to_markdown("J") == played.to_markdown("J")
     more = evaluate_suite(path, "none", cells=["other"], episodes=3, isolate=False, out=tmp_path / "run")
     assert more.cell("other", "none", "rounds").mean == 3.0
+
+
+def test_a_suite_of_tracks_has_their_metrics_and_ranks_by_f1_as_its_cells_do(path, tmp_path):
+    rng = np.random.default_rng(1)
+    place = np.cumsum(np.cumsum(rng.normal(0, 0.1, (400, 2)), axis=0), axis=0)
+    rows = [f"b{i},{t},{place[t - 2 * i, 0]},{place[t - 2 * i, 1] + i},b0" for i in range(4) for t in range(10, 400)]
+    (tmp_path / "tracks.csv").write_text("\n".join(["id,t,x,y,leader", *rows]))
+    tracks = f"{{env: USNET/Tracks-v0, path: {tmp_path / 'tracks.csv'}, step: 1.0"
+    text = SUITE.replace("arguments: {clusters: 2, uavs: 12, observation_steps: 20, max_rounds: 3}\n", "")
+    path.write_text(text.replace("plain:", f"plain: {tracks}}}").replace("{follow: f4}", f"{tracks}, window: 60}}"))
+    played = evaluate_suite(path, ["none", "destroy-all", Sure()], isolate=False)
+    one = played.results["plain"]
+    assert played.cell("plain", "none", "J").mean < played.cell("plain", "destroy-all", "J").mean
+    for result in (played, one):
+        assert str(result.ranking().columns[1].header).startswith("F1↑")
+        assert list(result.ranking().columns[0].cells)[-1].plain == "none"
+    assert played.to_markdown("group_leader_first").splitlines()[-1] == "| all cells | 0.25 | 0.25 | 1.00 |"
+    path.write_text(path.read_text() + "  simulated: {env: USNET/SingleCluster-v0}\n")
+    mixed = evaluate_suite(path, "none", isolate=False, episodes=1).to_markdown("group_leader_first").splitlines()
+    assert mixed[-2:] == ["| simulated | – |", "| all cells | 0.25 |"]
 
 
 def test_a_detector_that_fails_in_a_cell_does_not_stop_the_others(path):

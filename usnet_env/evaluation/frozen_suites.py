@@ -30,8 +30,8 @@ from usnet_env.evaluation.report import format_interval, format_latex, format_ma
 from usnet_env.evaluation.result import EvaluationResult, Results, Summary, summarise
 from usnet_env.evaluation.runner import evaluate
 from usnet_env.evaluation.statistics import Interval
-from usnet_env.evaluation.store import COLUMNS, RUN, write_text
-from usnet_env.evaluation.table import RowTable
+from usnet_env.evaluation.store import COLUMNS, KEYS, RUN, write_text
+from usnet_env.evaluation.table import Columns, RowTable
 from usnet_env.files import as_path
 from usnet_env.progress import part_of
 
@@ -324,10 +324,17 @@ class SuiteResult(Results):
         result = self.results.get(name)
         if result is None:
             return None
-        result.check_metric(metric)
+        if metric not in self._columns or metric in KEYS:
+            raise unknown_name("metric", metric, [each for each in self._columns if each not in KEYS])
         if detector not in result or metric not in result[detector]:
             return None
         return Interval(**result[detector][metric])
+
+    @cached_property
+    def _columns(self) -> Columns:
+        """The columns of the rows of all cells; a cell may lack those that only some environments have."""
+        found = dict.fromkeys(name for result in self.results.values() for name in result.rows.columns)
+        return {**COLUMNS, **dict.fromkeys([name for name in found if name not in COLUMNS], "float | None")}
 
     @cached_property
     def summary(self) -> Summary:
@@ -336,11 +343,12 @@ class SuiteResult(Results):
         It has the form of ``EvaluationResult.summary``. Cells with the same number of episodes have the same weight.
         """
         complete = [each for each in self.detectors if all(self.cell(name, each, "J") for name in self._cells)]
-        pooled = RowTable(COLUMNS, (row for result in self.results.values() for row in result.rows))
+        lacking = dict.fromkeys(name for name in self._columns if name not in COLUMNS)
+        pooled = RowTable(self._columns, (lacking | row for result in self.results.values() for row in result.rows))
         return [entry for entry in summarise(pooled) if entry["detector"] in complete]
 
     def ranking(self) -> Table:
-        """The detectors by their mean J over all cells, as a table for a terminal of 80 columns."""
+        """The detectors by their mean J over all cells (in recorded tracks F1), as a table for 80 columns."""
         return tables.ranking_table(self.summary, f"{self.label}, {len(self.results)} cells")
 
     def to_markdown(self, metric: str = "exact") -> str:

@@ -36,8 +36,8 @@ def summarise(rows: RowTable) -> Summary:
 
     An entry is ``{"detector", "episodes", "metrics"}``. Each metric has its mean over all episodes, including those
     truncated at ``max_rounds``, and its 95 % interval; episodes of several cells with the same seed of the swarm are
-    one group. The cluster metrics use only the episodes whose first answer has clusters, and are absent if there is
-    none.
+    one group. A metric that an episode may lack uses only the episodes that have it, and is absent if there is none:
+    those of clusters need an answer with clusters, and those of tracks a window with a group.
     """
     entries = []
     labels = rows.column("detector")
@@ -48,7 +48,7 @@ def summarise(rows: RowTable) -> Summary:
             if name in KEYS:
                 continue
             values, groups = rows.column(name)[own].astype(np.float64), swarms
-            if name in OPTIONAL_METRICS:
+            if rows.columns[name] == "float | None":
                 values, groups = values[~np.isnan(values)], swarms[~np.isnan(values)]
                 if not len(values):
                     continue
