@@ -155,3 +155,16 @@ def test_the_sensor_of_a_batch_is_that_of_single_swarms():
     np.testing.assert_array_equal(windows.seen[3], window.seen[0])
     env = MultiClusterEnv(**config.model_dump())
     assert env.observation_space.contains(env.reset(seed=0)[0])
+
+
+def test_an_exchange_with_a_false_track_hides_no_uav():
+    arguments = {"clutter": 60, "uavs": 400}
+    truth, window = observed(**arguments), observed(**arguments, swap_rate=0.05)
+    uavs = np.flatnonzero(truth.seen[0].all(axis=0))
+    assert len(uavs) == 340
+    exchanged = 0
+    for uav in uavs:
+        shown = (window.position[0] == truth.position[0, :, uav, None]).all(axis=-1) & window.seen[0]
+        assert (shown.sum(axis=1) == 1).all()
+        exchanged += int(np.isin(shown.argmax(axis=1), uavs, invert=True).sum())
+    assert exchanged > 0

@@ -63,15 +63,28 @@ def sense(
     differenced = k > 1 or config.position_noise > 0 or config.swap_rate > 0
     if k > 1:
         position = position[:, ::k]
+    # All random numbers are drawn first: a fault of the sensor does not depend on the other faults.
+    swaps = [rng.random(position.shape[1:3]) < config.swap_rate for rng in rngs] if config.swap_rate > 0 else []
+    noise: Singles = np.empty(position.shape if config.position_noise > 0 else 0, np.float32)
+    for row, rng in zip(noise, rngs, strict=True) if config.position_noise > 0 else ():
+        rng.standard_normal(out=row, dtype=np.float32)
+    seen = np.broadcast_to(alive[:, None], position.shape[:3]).copy()
+    if config.miss_rate > 0:
+        for row, rng in zip(seen, rngs, strict=True):
+            row &= _detect(rng.random(row.shape, dtype=np.float32), config.miss_rate, config.miss_burst)
+    if config.partial_tracks > 0:
+        for row, rng in zip(seen, rngs, strict=True):
+            row &= _cover(rng, row.shape[0], row.shape[1], config.partial_tracks)
+    present = np.broadcast_to(alive[:, None], position.shape[:3]).copy()
+    if config.clutter and clutter is not None:
+        for row, rng, false in zip(present, rngs, clutter, strict=True):
+            row[:, false] &= _appear(rng, row.shape[0], len(false))
     if config.swap_rate > 0:
-        shown = np.empty_like(position)
-        for b, rng in enumerate(rngs):
-            shown[b] = _swap(position[b], alive[b], config.swap_rate, rng)
-        position = shown
+        holder = np.stack([_swap(*each, alive[b]) for b, each in enumerate(zip(position, present, swaps, strict=True))])
+        position = np.take_along_axis(position, holder[..., None], axis=2)
+        present = np.take_along_axis(present, holder, axis=2)
+    seen &= present
     if config.position_noise > 0:
-        noise: Singles = np.empty(position.shape, np.float32)
-        for row, rng in zip(noise, rngs, strict=True):
-            rng.standard_normal(out=row, dtype=np.float32)
         if config.noise_memory > 0:
             keep = np.float32(config.noise_memory)
             for t in range(1, noise.shape[1]):
@@ -89,16 +102,6 @@ def sense(
         velocity = np.diff(position, axis=1)
         if k > 1:
             velocity /= np.float32(k)
-    seen = np.broadcast_to(alive[:, None], position.shape[:3]).copy()
-    if config.miss_rate > 0:
-        for row, rng in zip(seen, rngs, strict=True):
-            row &= _detect(rng.random(row.shape, dtype=np.float32), config.miss_rate, config.miss_burst)
-    if config.partial_tracks > 0:
-        for row, rng in zip(seen, rngs, strict=True):
-            row &= _cover(rng, row.shape[0], row.shape[1], config.partial_tracks)
-    if config.clutter and clutter is not None:
-        for row, rng, false in zip(seen, rngs, clutter, strict=True):
-            row[:, false] &= _appear(rng, row.shape[0], len(false))
     if config.miss_rate > 0 or config.partial_tracks > 0 or config.clutter:
         # `where` instead of a product: a product with 0 would keep the sign of the hidden value.
         position = np.where(seen[..., None], position, np.float32(0.0))
@@ -162,19 +165,25 @@ def _appear(rng: np.random.Generator, instants: int, tracks: int) -> Mask:
     return np.asarray((time >= begin) & (time < begin + length))
 
 
-def _swap(position: Singles, alive: Mask, rate: float, rng: np.random.Generator) -> Singles:
-    """Positions ``(T_ob + 1, N, 3)`` by observed identity; a UAV switches at most once in an instant."""
-    swaps = (rng.random(position.shape[:2]) < rate) & alive
-    holder = np.arange(len(alive))  # the true UAV of each observed one
-    shown = np.empty_like(position)
+def _swap(position: Singles, present: Mask, swaps: Mask, alive: Mask) -> Indices:
+    """Whose track each identity shows, ``(T_ob + 1, N)`` int64; a UAV switches at most once in an instant.
+
+    Args:
+        position: ``(T_ob + 1, N, 3)`` metres.
+        present: ``(T_ob + 1, N)`` bool; a false track switches only where it is present.
+        swaps: ``(T_ob + 1, N)`` bool, the identities that switch if another one is near.
+        alive: ``(N,)`` bool.
+    """
+    holder = np.arange(len(alive))  # the true UAV of each identity
+    shown = np.empty(swaps.shape, np.int64)
     for t, place in enumerate(position):
-        free = alive.copy()
-        for i in np.flatnonzero(swaps[t]):
+        free = alive & present[t][holder]
+        for i in np.flatnonzero(swaps[t] & free):
             distance = np.linalg.norm(place[holder] - place[holder[i]], axis=1)
             distance[~free | (np.arange(len(alive)) == i)] = np.inf
             j = int(distance.argmin())
             if free[i] and distance[j] <= SWAP_RANGE:
                 holder[i], holder[j] = holder[j], holder[i]
                 free[i] = free[j] = False
-        shown[t] = place[holder]
+        shown[t] = holder
     return shown
