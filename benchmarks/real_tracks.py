@@ -57,7 +57,7 @@ def score(cut, name: str, seed: int) -> dict:
     named = np.flatnonzero(answer.candidates)
     found = answer.leader if answer.leader is not None else np.full(window.uavs, -1)
     led = [np.flatnonzero((find_roots(found) == i) & (np.arange(window.uavs) != i)).tolist() for i in named]
-    sure = confirm_leaders(window, named, led)
+    sure, _ = confirm_leaders(window, named, led)
     return {
         "uavs": window.uavs,
         "heads": int(head.sum()),

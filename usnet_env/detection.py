@@ -45,7 +45,8 @@ class Detection:
         candidates: ``(N,)`` bool, the UAVs to destroy in this round (the paper's Ĥ_r).
         scores: ``(N,)`` float64, finite; a higher score means a more likely head.
         clusters: ``(N,)`` int64, a cluster label for each UAV (-1: no cluster), or ``None``.
-        leader: ``(N,)`` int64, the UAV that each UAV follows, its head or a relay (-1: none), or ``None``.
+        leader: ``(N,)`` int64, the UAV that each UAV follows, its head or a relay (-1: none), or ``None``. A head has
+            its own index or -1; if it is a candidate, any other index is read as its own.
         attention: ``(N, N)`` float64; row i has the attention weights of UAV i on all UAVs, or ``None``.
         extras: further results by name; ``"probability"``, ``(N,)`` from 0 to 1, is that of being a head.
 

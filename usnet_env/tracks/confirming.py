@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Mask
 from usnet_env.window import Window
 
-__all__ = ["LEAST_STEPS", "LEVEL", "confirm_lead", "confirm_leaders", "find_followers"]
+__all__ = ["LEAST_STEPS", "LEVEL", "confirm_lead", "confirm_leaders", "find_followers", "keep_group"]
 
 _LAGS = 4  # steps; the step of resampled tracks puts delays at 1 to 4 of them
 _BLOCKS = 8
@@ -21,16 +21,50 @@ LEAST_STEPS = 2 * _BLOCKS
 LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leader
 _LEVEL_OUTSIDE = 0.5
 _NEAREST, _SHIFTS = 5, 6
+_SHIFTS_OF_FOLLOWERS, _DEVIATIONS = 19, 3.0
+_LEAST_SHIFT = 3 * _LAGS  # a smaller shift leaves a part of the likeness at some lag
+_MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 
 
 def confirm_leaders(
     window: Window, leaders: Sequence[int] | NDArray[np.integer[Any]], followers: Sequence[Sequence[int]]
-) -> Mask:
-    """Which of c leaders are confirmed, ``(c,)`` bool: by :func:`confirm_lead`, and not by :func:`find_followers`."""
-    sure = ~find_followers(window, leaders, followers)
+) -> tuple[Mask, list[list[int]]]:
+    """Confirm c leaders and their followers.
+
+    Returns:
+        Which leaders are confirmed, ``(c,)`` bool: by :func:`confirm_lead` with those followers that
+        :func:`keep_group` keeps, and not by :func:`find_followers`; and these followers of each leader.
+    """
+    kept = [keep_group(window, int(leader), led) for leader, led in zip(leaders, followers, strict=True)]
+    sure = ~find_followers(window, leaders, kept)
     for k in map(int, np.flatnonzero(sure)):
-        sure[k] = confirm_lead(window, int(leaders[k]), followers[k])
-    return np.asarray(sure)
+        sure[k] = confirm_lead(window, int(leaders[k]), kept[k])
+    return np.asarray(sure), kept
+
+
+def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[int]:
+    """The followers that move like their leader, or like others that do.
+
+    The likeness of a follower is the inverse hyperbolic tangent (Fisher's z) of the largest correlation of its velocity
+    with those of the leader and of the followers kept so far, at any lag up to 4. A follower is kept if its likeness
+    exceeds the mean of those after 19 circular shifts in time by 3 of their standard deviations. The likeness does not
+    depend on who is first, so the choice does not favour a lead. All stay in a window of fewer than 32 steps, and where
+    none is kept: then single followers are too unlike for this test.
+    """
+    steps = window.observation_steps
+    if steps < 2 * LEAST_STEPS:
+        return list(followers)
+    unit = _scale(window.velocity, window.velocity_seen)
+    late = np.linspace(_LEAST_SHIFT, steps - _LEAST_SHIFT, _SHIFTS_OF_FOLLOWERS).astype(int)
+    group, left = [leader], np.array(followers, np.int64)
+    new = group
+    while len(new) and len(left):
+        found = np.array([_correlate(np.roll(unit[:, left], k, axis=0), unit[:, new]).max(axis=1) for k in (0, *late)])
+        like, *by_chance = np.arctanh(np.clip(found, -_MOST_ALIKE, _MOST_ALIKE))
+        kept = like > np.mean(by_chance, axis=0) + _DEVIATIONS * np.std(by_chance, axis=0)
+        new, left = left[kept].tolist(), left[~kept]
+        group += new
+    return sorted(group[1:]) or list(followers)
 
 
 def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:

@@ -199,7 +199,7 @@ def find_leaders(
         followers = [_followers(detection, int(head)) for head in heads]
         rejected = heads[:0]
         if confirm:
-            confirmed = confirm_leaders(cut.window, heads, followers)
+            confirmed, followers = confirm_leaders(cut.window, heads, followers)
             rejected, heads = heads[~confirmed], heads[confirmed]
             followers = [led for led, kept in zip(followers, confirmed, strict=True) if kept]
         groups_here = [
@@ -263,9 +263,13 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when
 
 
 def _followers(detection: Detection, head: int) -> list[int]:
-    """Indices of those that follow a head, directly or through others; without leaders, those in its cluster."""
+    """Indices of those that follow a head, directly or through others; without leaders, those in its cluster.
+
+    A detector may give the head a leader, such as the UAV that is most similar to it; a candidate follows no UAV.
+    """
     if detection.leader is not None:
-        behind = find_roots(detection.leader) == head
+        leader = np.where(detection.candidates, np.arange(len(detection.leader)), detection.leader)
+        behind = find_roots(leader) == head
     elif detection.clusters is not None and detection.clusters[head] >= 0:
         behind = detection.clusters == detection.clusters[head]
     else:
