@@ -33,7 +33,9 @@ class Policy(Config):
     round_price: Annotated[float, Field(gt=0)] | None = None
 
 
-def choose(probability: Floats, alive: Mask, policy: Policy, tie: Floats, doubt: float = 0.0) -> Mask:
+def choose(
+    probability: Floats, alive: Mask, policy: Policy, tie: Floats, doubt: float = 0.0, most: int | None = None
+) -> Mask:
     """Choose the candidates.
 
     P2: another round costs ``round_price`` and a redundant candidate ``redundancy_price`` / N. Another round is needed
@@ -50,6 +52,7 @@ def choose(probability: Floats, alive: Mask, policy: Policy, tie: Floats, doubt:
         policy: the objective and the rule.
         tie: ``(N,)`` random numbers that order equal probabilities.
         doubt: the probability that the fit is wrong, from 0 to 1.
+        most: the largest number of heads, if it is known; no more UAVs are named.
 
     Returns:
         ``(N,)`` bool, living UAVs only.
@@ -62,7 +65,7 @@ def choose(probability: Floats, alive: Mask, policy: Policy, tie: Floats, doubt:
     sure = np.clip(probability[order], 0.0, 1.0)
     anybody = np.full(len(order), sure.mean())
     p = (1.0 - doubt) * sure + doubt * anybody
-    budget = len(order) if policy.shot_budget is None else min(policy.shot_budget, len(order))
+    budget = min(limit for limit in (len(order), policy.shot_budget, most) if limit is not None)
     if policy.policy == "map":
         count = int((p > 0.5).sum())
         if policy.objective == "P1":

@@ -28,7 +28,7 @@ class FollowMixture(Detector):
     policy chooses the candidates. docs/follow_mixture.md describes the method.
 
     Args:
-        clusters: an upper bound on the number of heads, or ``None``; the number is estimated.
+        clusters: the largest number of heads, and of candidates, or ``None``; the number of heads is estimated.
         memory: the number of past velocities of a head that the strategy may use, at least 1.
         max_lag: the longest individual delay of a follower, in samples; a quarter of the window at most.
         max_delay: the longest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
@@ -123,7 +123,7 @@ class FollowMixture(Detector):
             scores[window.alive] -= scores[window.alive].min()
         extras |= {"probability": probability, "doubt": doubt, "gain": gain, "group": group, "root": root}
         extras["relay"] = np.isin(np.arange(window.uavs), leader) & (leader >= 0) & (leader != np.arange(window.uavs))
-        candidates = choose(probability, window.alive, arguments, rng.random(window.uavs), doubt)
+        candidates = choose(probability, window.alive, arguments, rng.random(window.uavs), doubt, arguments.clusters)
         return Detection(candidates=candidates, scores=scores, clusters=clusters, leader=leader, extras=extras)
 
 

@@ -260,10 +260,14 @@ def test_no_head_is_named_in_a_large_swarm_if_no_uav_follows():
     assert not answer(window, policy="map").candidates.any()
 
 
-def test_at_most_so_many_heads_are_found():
+@pytest.mark.parametrize("policy", ["cost", "map"])
+def test_at_most_so_many_heads_are_found_and_named(policy):
     window, _ = swarm_window(789, uavs=40, clusters=4)
-    assert len(answer(window).extras["heads"]) == 4
-    assert len(answer(window, clusters=2).extras["heads"]) == 2
+    assert len(answer(window, policy=policy).extras["heads"]) == 4
+    for most in (1, 2):
+        found = answer(window, clusters=most, policy=policy)
+        assert len(found.extras["heads"]) == most
+        assert 1 <= found.candidates.sum() <= most
 
 
 def test_the_extras_describe_the_answer():
