@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from detectors.parameters import Parameters
 from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError, optional_seed
-from usnet_env.detection import Detection, Tags
+from usnet_env.detection import Detection, Tags, fit_window
 from usnet_env.window import Window
 
 
@@ -128,5 +128,5 @@ class DetectorPolicy:
         if not self._begun or (episode_start is not None and bool(np.any(episode_start))):
             self.detector.reset(int(self._seeds.integers(2**31)))
             self._begun = True
-        detection = self.detector.detect(Window.from_observation(observation))
+        detection = self.detector.detect(fit_window(self.detector, Window.from_observation(observation)))
         return detection.candidates.astype(np.int8), state

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
-from usnet_env.window import frozen_array
+from usnet_env.window import Window, frozen_array
 
 _ROUNDING = 1e-6  # probabilities in single precision may exceed 1 by so much
 
@@ -26,7 +26,7 @@ class Tags:
         uses_positions: whether an answer depends on positions where no sample is missing.
         takes_clusters: whether an argument gives the number of clusters M.
         needs_unit_speed: whether answers depend on the unit of length, because the detector was made for UAVs that fly
-            about 1 m per step. :func:`usnet_env.tracks.find_leaders` scales windows for such detectors.
+            about 1 m per step. Windows of recorded tracks are scaled for such detectors.
     """
 
     needs: tuple[str, ...] = ()
@@ -87,3 +87,17 @@ def read_tags(detector: Any) -> Tags:
     """The tags of a detector or of its class; the default ones if it declares none."""
     tags = getattr(detector, "tags", None)
     return tags if isinstance(tags, Tags) else Tags()
+
+
+def fit_window(detector: Any, window: Window) -> Window:
+    """The window as a detector receives it: scaled if it is of recorded tracks and the detector needs unit speed.
+
+    In the unit of length of the scaled window, the root mean square of all seen velocities is 1 per step. Any other
+    window is returned as it is.
+    """
+    if window.step is None or not read_tags(detector).needs_unit_speed:
+        return window
+    seen = window.velocity_seen
+    speed = float(np.sqrt((window.velocity[seen].astype(np.float64) ** 2).sum(axis=-1).mean())) if seen.any() else 0.0
+    unit = speed or 1.0
+    return replace(window, position=window.position / unit, velocity=window.velocity / unit)

@@ -2,6 +2,7 @@
 
 import csv
 import re
+import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -10,8 +11,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from track_files import example
 
-from usnet_env import ArgumentError, Window, evaluate
+from usnet_env import ArgumentError, Window, evaluate, make_detector
 from usnet_env.evaluation import EvaluationResult
+from usnet_env.replay import record_episode
 from usnet_env.tracks import read_tracks
 
 
@@ -142,6 +144,46 @@ def test_without_leaders_groups_are_not_scored(path, tmp_path):
     result = evaluate("USNET/Tracks-v0", "none", episodes=2, env_kwargs=bare)["none"]
     assert "group_leader_first" not in result
     assert result["J"]["mean"] == 1
+
+
+@pytest.fixture(scope="module")
+def large(path, tmp_path_factory):
+    """The same tracks in another unit of length: each number is 1,024 times as large."""
+    place = tmp_path_factory.mktemp("tracks") / "large.csv"
+    with open(path, newline="", encoding="utf-8") as file:
+        head, *rows = csv.reader(file)
+    with open(place, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([head, *([*row[:2], *(1024 * float(x) for x in row[2:4]), row[4]] for row in rows)])
+    return str(place)
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+def test_detectors_made_for_unit_speed_do_not_depend_on_the_unit_of_length(path, large, isolate):
+    if isolate and sys.platform == "win32":
+        pytest.skip("needs Linux or macOS")
+    found = []
+    for file in (path, large):
+        arguments = {"path": file, "step": 0.5}
+        whole = evaluate(
+            "USNET/Tracks-v0",
+            "lagged-regression",
+            episodes=3,
+            env_kwargs=arguments,
+            isolate=isolate,
+            secret="0" * 32 if isolate else None,
+        )
+        found.append([[row[name] for name in ("swarm_seed", "J", "f1_first", "ap_first")] for row in whole.rows])
+    assert found[0] == found[1]
+
+
+def test_recorded_play_and_policies_scale_windows_too(path, large):
+    detector = make_detector("lagged-regression")
+    small, big = (record_episode(make(file), detector, 0, 0) for file in (path, large))
+    np.testing.assert_allclose(big.scores, small.scores, rtol=1e-4)
+    np.testing.assert_allclose(big.velocity, 1024 * small.velocity, rtol=1e-3, atol=1)  # as it was seen
+    observation, _ = make(large).reset(seed=0)
+    action, _ = detector.as_policy().predict(observation)
+    np.testing.assert_array_equal(action, small.candidates[0])
 
 
 @pytest.mark.parametrize(

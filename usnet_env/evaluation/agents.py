@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, fit_window
 from usnet_env.plugins import make_detector
 from usnet_env.registry import named_parameters
 from usnet_env.window import Window
@@ -64,7 +64,7 @@ class DetectorAgent:
 
     def answer(self, observation: Any) -> Answer:
         """Return the detector's answer; only the call of ``detect`` is timed."""
-        window = Window.from_observation(observation)
+        window = fit_window(self.detector, Window.from_observation(observation))
         begin = time.perf_counter()
         detection = self.detector.detect(window)
         seconds = time.perf_counter() - begin

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, fit_window
 from usnet_env.evaluation.agents import Agent, Answer, DetectorAgent, RefusedArgumentError, as_agent
 from usnet_env.evaluation.errors import not_started
 from usnet_env.evaluation.parts import send
@@ -65,7 +65,7 @@ def _detect(agent: Agent, observation: Any) -> tuple[dict[str, Any], Arrays]:
     """The whole detection of a detector as plain data, in the detector's process."""
     if not isinstance(agent, DetectorAgent):
         raise ArgumentError("detector must have the method detect(window), got a policy.")
-    found = agent.detector.detect(Window.from_observation(observation))
+    found = agent.detector.detect(fit_window(agent.detector, Window.from_observation(observation)))
     if not isinstance(found, Detection):
         raise ArgumentError(f"detect must return a usnet_env.Detection, got {quote(found)}.")
     arrays = {name: getattr(found, name) for name in ("candidates", "scores", "clusters", "leader", "attention")}

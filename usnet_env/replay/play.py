@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, describe_arguments, optional_seed, plain_text, quote
-from usnet_env.detection import Detection
+from usnet_env.detection import Detection, fit_window
 from usnet_env.envs.play import PlayedRound, play_rounds
 from usnet_env.plugins import DetectorLike, detector_label
 from usnet_env.provenance import versions
@@ -154,9 +154,9 @@ def record_episode(
 
     def answer(observation: Any, truth: SwarmState) -> Detection:
         windows.append(Window.from_observation(observation))
-        uavs = windows[-1].uavs
+        uavs, given = windows[-1].uavs, fit_window(detector, windows[-1])
         began = time.perf_counter()
-        detection = detector.detect(windows[-1])
+        detection = detector.detect(given)
         seconds.append(time.perf_counter() - began)
         if not isinstance(detection, Detection) or detection.candidates.shape != (uavs,):
             raise ArgumentError(f"detector must answer a Detection for {uavs} UAVs, got {quote(detection)}.")

@@ -14,14 +14,14 @@ from scipy.special import bdtrc
 
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
-from usnet_env.detection import Detection, read_tags
+from usnet_env.detection import Detection, fit_window
 from usnet_env.objectives import find_roots
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
 from usnet_env.registry import describe_error
 from usnet_env.tracks.confirming import LEVEL, confirm_leaders
 from usnet_env.tracks.links import Link, find_links
 from usnet_env.tracks.tracks import Tracks
-from usnet_env.tracks.windows import TrackWindow, scale_to_unit_speed
+from usnet_env.tracks.windows import TrackWindow
 
 __all__ = ["DetectedWindow", "FoundLeaders", "Leader", "find_leaders"]
 
@@ -248,8 +248,7 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when
     """
     try:
         player.reset(int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0]))
-        unit = read_tags(player).needs_unit_speed
-        detection = player.detect(scale_to_unit_speed(cut.window) if unit else cut.window)
+        detection = player.detect(fit_window(player, cut.window))
     except ArgumentError:
         raise
     except Exception as error:  # a detector may raise anything

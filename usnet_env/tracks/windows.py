@@ -15,7 +15,7 @@ from usnet_env.window import Window
 if TYPE_CHECKING:
     from usnet_env.tracks.tracks import Tracks
 
-__all__ = ["TrackWindow", "count_windows", "cut_windows", "scale_to_unit_speed"]
+__all__ = ["TrackWindow", "count_windows", "cut_windows"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,15 +109,6 @@ def _cut(tracks: Tracks, number: NDArray[np.int64], first: int, length: int, lea
         leader=None if tracks.leader is None else _usual_leaders(tracks.leader[inside], column, rows),
         left_out=left_out,
     )
-
-
-def scale_to_unit_speed(window: Window) -> Window:
-    """The window in a unit of length in which the root mean square of all seen velocities is 1 per step."""
-    seen = window.velocity_seen
-    speed = float(np.sqrt((window.velocity[seen].astype(np.float64) ** 2).sum(axis=-1).mean())) if seen.any() else 0.0
-    unit = speed or 1.0
-    arrays = (window.position / unit, window.velocity / unit, window.seen, window.alive)
-    return Window(*arrays, window.round, window.step)
 
 
 def _usual_leaders(leader: NDArray[np.int64], column: NDArray[np.intp], rows: NDArray[np.intp]) -> NDArray[np.int64]:
