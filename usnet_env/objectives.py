@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
+from usnet_env.detection import Detection
 from usnet_env.window import as_array
 
 __all__ = [
@@ -321,6 +322,21 @@ def find_roots(leader: ArrayLike) -> Indices:
         root = root[root]
     ends = (direct < 0) | (direct == own)
     return np.where(ends[root], root, -1)
+
+
+def list_followers(detection: Detection, head: int) -> list[int]:
+    """Indices of those that follow a head, directly or through others; without leaders, those in its cluster.
+
+    A detector may give the head a leader, such as the UAV that is most similar to it; a candidate follows no UAV.
+    """
+    if detection.leader is not None:
+        leader = np.where(detection.candidates, np.arange(len(detection.leader)), detection.leader)
+        behind = find_roots(leader) == head
+    elif detection.clusters is not None and detection.clusters[head] >= 0:
+        behind = detection.clusters == detection.clusters[head]
+    else:
+        return []
+    return [int(i) for i in np.flatnonzero(behind) if i != head]
 
 
 def leader_accuracy(leader: ArrayLike, estimate: ArrayLike, *, roots: bool = False) -> float:

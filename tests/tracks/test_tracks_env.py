@@ -13,7 +13,8 @@ from track_files import example
 
 from usnet_env import ArgumentError, Window, evaluate, make_detector
 from usnet_env.evaluation import EvaluationResult
-from usnet_env.replay import record_episode
+from usnet_env.replay import EpisodeRecord, RecordReplay, record_episode, write_comparison
+from usnet_env.replay.story import describe_outcome
 from usnet_env.tracks import read_tracks
 
 
@@ -74,15 +75,48 @@ def test_a_seed_draws_a_window(path):
     assert len(set(starts)) > 4
 
 
-def test_tracks_without_leaders_can_be_played_but_not_scored(tmp_path):
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """The tracks without the column of leaders."""
+    place = tmp_path_factory.mktemp("tracks") / "plain.csv"
     lines = [[*row[:4]] for row in example().merging()]
-    with open(tmp_path / "plain.csv", "w", newline="", encoding="utf-8") as file:
+    with open(place, "w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([["id", "t", "x", "y"], *lines])
-    env = make(str(tmp_path / "plain.csv"))
+    return str(place)
+
+
+def test_tracks_without_leaders_can_be_played_but_not_scored(plain):
+    env = make(plain)
     env.reset()
     assert env.step(np.zeros(14, np.int8))[2]
     with pytest.raises(ArgumentError, match=r"^env must know .* without a column 'leader' that names their ids\.$"):
-        evaluate("USNET/Tracks-v0", "none", episodes=1, env_kwargs={"path": str(tmp_path / "plain.csv")})
+        evaluate("USNET/Tracks-v0", "none", episodes=1, env_kwargs={"path": plain})
+
+
+def test_a_record_of_tracks_without_leaders_holds_what_was_found(path, plain, tmp_path):
+    detector = make_detector("directional-delays")
+    known = record_episode(make(path), detector, 0, 0)
+    found = record_episode(make(plain), detector, 0, 0)
+    with RecordReplay(make(plain), tmp_path / "played") as env:
+        observation, _ = env.reset(seed=0)
+        env.note(answer := detector.detect(Window.from_observation(observation)))
+        env.step(answer.candidates.astype(np.int8))
+    played = EpisodeRecord.load(tmp_path / "played" / "episode-0.npz")
+    assert known.labelled
+    assert known.objective > 0
+    for record in (found, played):
+        assert not record.labelled
+        np.testing.assert_array_equal(record.head, answer.candidates)
+        np.testing.assert_array_equal(np.unique(record.root[0]), np.flatnonzero(answer.candidates))
+        assert [int(each.sum()) for each in (record.decoys, record.fired, record.objective)] == [0, 0, 0]
+        assert "the truth is unknown" in describe_outcome(record)
+    np.testing.assert_array_equal(found.root, known.root)  # of these tracks the detector finds all leaders
+
+
+def test_records_of_the_same_tracks_without_leaders_are_compared(plain, tmp_path):
+    pytest.importorskip("rerun")
+    one, other = (record_episode(make(plain), make_detector(name), 0, 0) for name in ("none", "directional-delays"))
+    assert write_comparison(one, other, tmp_path / "both.rrd").exists()
 
 
 def test_evaluate_scores_detectors_with_the_same_metrics_and_known_groups(path, tmp_path):

@@ -148,11 +148,15 @@ def arrange_comparison(scribes: Sequence[Scribe], labels: Sequence[str]) -> rrb.
     """The layout of a recording of two episodes on the same swarm, side by side."""
     import rerun.blueprint as rrb
 
-    columns = []
+    columns, labelled = [], all(scribe.record.labelled for scribe in scribes)
+    shown = (("heads_left", "Heads left"), ("J", "J so far")) if labelled else (("leaders", "Leaders named"),)
     for scribe, label in zip(scribes, labels, strict=True):
-        told = rrb.TextDocumentView(origin=f"/{scribe.root}{ROUND}", name=f"{label}: this round")
-        views = [_space(scribe, f"{label}: answer", True), _space(scribe, f"{label}: verdict", False)]
-        columns.append(rrb.Vertical(*views, told, row_shares=[3, 3, 2]))
+        part = name_round(scribe.record).lower()
+        told = rrb.TextDocumentView(origin=f"/{scribe.root}{ROUND}", name=f"{label}: this {part}")
+        views = [_space(scribe, f"{label}: verdict" if labelled else label, False)]
+        if labelled:
+            views.insert(0, _space(scribe, f"{label}: answer", True))
+        columns.append(rrb.Vertical(*views, told, row_shares=[3] * len(views) + [2]))
     longest = max(scribes, key=lambda scribe: scribe.record.rounds)
     curves = [
         _curve(
@@ -160,8 +164,8 @@ def arrange_comparison(scribes: Sequence[Scribe], labels: Sequence[str]) -> rrb.
             [f"/{scribe.root}{GAME}/{name}" for scribe in scribes],
             f"{title}: {labels[0]} blue, {labels[1]} yellow",
         )
-        for name, title in (("heads_left", "Heads left"), ("J", "J so far"))
+        for name, title in shown
     ]
     about = rrb.TextDocumentView(origin=f"/{ABOUT}", name="What you see")
-    side = rrb.Vertical(about, *curves, row_shares=[2, 1, 1])
+    side = rrb.Vertical(about, *curves, row_shares=[2] + [1] * len(curves))
     return _frame(rrb.Horizontal(*columns, side, column_shares=[4, 4, 2]), shares=[1])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from usnet_env.config import ArgumentError, describe_arguments, optional_seed, plain_text, quote
 from usnet_env.detection import Detection, fit_window
 from usnet_env.envs.play import PlayedRound, play_rounds
+from usnet_env.objectives import list_followers
 from usnet_env.plugins import DetectorLike, detector_label
 from usnet_env.provenance import versions
 from usnet_env.replay.episode import EpisodeRecord
@@ -108,6 +109,16 @@ def _list_reasons(answers: Sequence[Detection]) -> list[dict[str, str]] | None:
     return rounds if any(rounds) else None
 
 
+def _find_roots(answer: Detection) -> NDArray[np.int64]:
+    """``(N,)``: the candidate that each UAV follows by the answer; a candidate has its own index, -1: none."""
+    root = np.full(len(answer.candidates), -1, np.int64)
+    heads = np.flatnonzero(answer.candidates)
+    for head in heads.tolist():
+        root[list_followers(answer, head)] = head
+    root[heads] = heads
+    return root
+
+
 def record_episode(
     env: gym.Env[Any, Any],
     detector: DetectorLike,
@@ -120,7 +131,8 @@ def record_episode(
 ) -> EpisodeRecord:
     """Play one episode to its end, and record the windows, the truth and the answers.
 
-    The detector receives windows only. The truth is read from ``env.unwrapped.swarm``.
+    The detector receives windows only. The truth is read from ``env.unwrapped.swarm``. Where it is unknown, as in
+    recorded tracks without leaders, the record is not ``labelled`` and holds what the detector found.
 
     Args:
         env: an environment of this project; wrappers must keep the form of observations and actions.
@@ -188,22 +200,29 @@ def make_record(
     *,
     keep_attention: bool = True,
 ) -> EpisodeRecord:
-    """The record of the rounds of an episode; the arguments are those of :func:`record_episode`."""
+    """The record of the rounds of an episode; the arguments are those of :func:`record_episode`.
+
+    If the truth is unknown, the heads and roots are those of the answers, there are no decoys, J is 0, and the record
+    says of every round that no UAV was destroyed.
+    """
     truths, answers = [played.truth for played in rounds], [played.answer for played in rounds]
     windows = [Window.from_observation(played.observation) for played in rounds]
     game: Any = env.unwrapped
+    labelled = bool(getattr(game, "labelled", True))
+    candidates = np.stack([answer.candidates for answer in answers])
+    roots = [truth.root for truth in truths] if labelled else [_find_roots(answer) for answer in answers]
     return EpisodeRecord(
         position=np.stack([window.position for window in windows]),
         velocity=np.stack([window.velocity for window in windows]),
         seen=np.stack([window.seen for window in windows]),
         alive=np.stack([truth.alive for truth in truths]),
-        root=np.stack([truth.root for truth in truths]),
-        candidates=np.stack([answer.candidates for answer in answers]),
+        root=np.stack(roots),
+        candidates=candidates,
         scores=np.stack([answer.scores for answer in answers]),
-        objective=np.array([float(played.info["J"]) for played in rounds]),
-        head=truths[0].head,
-        decoy=truths[0].decoy,
-        over_budget=np.array([bool(played.info["over_budget"]) for played in rounds]),
+        objective=np.array([float(played.info["J"]) if labelled else 0.0 for played in rounds]),
+        head=truths[0].head if labelled else np.asarray(candidates.any(axis=0)),
+        decoy=truths[0].decoy if labelled else np.zeros(candidates.shape[1], bool),
+        over_budget=np.array([bool(played.info["over_budget"]) or not labelled for played in rounds]),
         seconds=np.array(seconds),
         clusters=_stack([answer.clusters for answer in answers], absent=-1),
         leader_estimate=_stack([answer.leader for answer in answers], absent=-1),
@@ -219,4 +238,5 @@ def make_record(
         detector_seed=detector_seed,
         config=describe_arguments(game.config) | describe_arguments(game.rules),
         versions=versions(),
+        labelled=labelled,
     )

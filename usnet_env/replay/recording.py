@@ -105,7 +105,8 @@ def write_comparison(first: EpisodeRecord, second: EpisodeRecord, path: str | os
         MissingExtraError: rerun-sdk is not installed.
     """
     records = [check_record(first), check_record(second)]
-    if not np.array_equal(first.position[0], second.position[0]) or not np.array_equal(first.head, second.head):
+    same = np.array_equal(first.position[0], second.position[0]) and first.labelled == second.labelled
+    if not same or (first.labelled and not np.array_equal(first.head, second.head)):  # else they are those found
         raise ArgumentError("second must begin with the same swarm as first, got an episode with another first window.")
     names = [record.detector or f"detector {letter}" for record, letter in zip(records, "AB", strict=True)]
     labels = [f"{letter} {name}" if names[0] == names[1] else name for letter, name in zip("AB", names, strict=True)]

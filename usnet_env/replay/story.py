@@ -260,6 +260,15 @@ def explain_comparison(records: Sequence[EpisodeRecord], labels: Sequence[str]) 
     """Explain a recording of two episodes in Markdown."""
     rows = "\n".join(f"- **{label}:** {describe_outcome(each)}" for label, each in zip(labels, records, strict=True))
     first = records[0]
+    if not first.labelled:
+        return f"""# Two detectors, the same tracks
+
+{first.env_id or "An episode"}: {first.uavs} recorded tracks. The truth is not known.
+
+{rows}
+
+**Press play.** Colours, links and marks show what each detector found.
+"""
     return f"""# Two detectors, one swarm
 
 {first.env_id or "An episode"}, seed {first.seed}: {first.uavs} UAVs, {format_count(int(first.head.sum()), "head")}.

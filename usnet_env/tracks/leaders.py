@@ -15,7 +15,7 @@ from scipy.special import bdtrc
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, format_count, quote, whole_number
 from usnet_env.detection import Detection, fit_window
-from usnet_env.objectives import find_roots
+from usnet_env.objectives import list_followers
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
 from usnet_env.registry import describe_error
 from usnet_env.tracks.confirming import LEVEL, confirm_leaders
@@ -196,7 +196,7 @@ def find_leaders(
         detection = _answer(player, cut, seed, number, f"from {start} to {end}")
         heads = np.flatnonzero(detection.candidates)
         heads = heads[np.argsort(-detection.scores[heads], kind="stable")]
-        followers = [_followers(detection, int(head)) for head in heads]
+        followers = [list_followers(detection, int(head)) for head in heads]
         rejected = heads[:0]
         if confirm:
             confirmed, followers = confirm_leaders(cut.window, heads, followers)
@@ -259,21 +259,6 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when
     if not isinstance(detection, Detection) or len(detection.candidates) != len(cut.ids):
         raise ArgumentError(f"detector must answer a Detection for {len(cut.ids)} UAVs, got {quote(detection)}.")
     return detection
-
-
-def _followers(detection: Detection, head: int) -> list[int]:
-    """Indices of those that follow a head, directly or through others; without leaders, those in its cluster.
-
-    A detector may give the head a leader, such as the UAV that is most similar to it; a candidate follows no UAV.
-    """
-    if detection.leader is not None:
-        leader = np.where(detection.candidates, np.arange(len(detection.leader)), detection.leader)
-        behind = find_roots(leader) == head
-    elif detection.clusters is not None and detection.clusters[head] >= 0:
-        behind = detection.clusters == detection.clusters[head]
-    else:
-        return []
-    return [int(i) for i in np.flatnonzero(behind) if i != head]
 
 
 def _probabilities(detection: Detection) -> NDArray[np.float64] | None:
