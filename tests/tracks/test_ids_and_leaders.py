@@ -128,6 +128,16 @@ def write_gpx(path, north, *names):
     return path
 
 
+def test_tracks_of_one_name_in_a_gpx_file_are_several_ids(tmp_path):
+    read = read_tracks(write_gpx(tmp_path / "log.gpx", 0, "Walk", "Rex", "Walk", "", "Walk-3"))
+    assert read.ids == ("Walk-1", "Rex", "Walk-3-3", "log-4", "Walk-3")
+    assert np.diff(read.offsets).tolist() == [4] * 5
+    unnamed = write_gpx(tmp_path / "log.gpx", 0, "", "log-1")
+    assert read_tracks(unnamed).ids == ("log-1-1", "log-1-2")
+    several = [unnamed, write_gpx(tmp_path / "new.gpx", 1, "Rex", "Rex"), write_gpx(tmp_path / "old.gpx", 2, "Rex-2")]
+    assert read_tracks(several).ids == ("log-1-1", "log-1-2", "Rex-1", "Rex-2 (new.gpx)", "Rex-2 (old.gpx)")
+
+
 def test_tracks_of_one_name_in_several_gpx_files_are_several_ids(tmp_path):
     logs = [write_gpx(tmp_path / f"log{k}.gpx", k, "ACTIVE LOG", *["Rex"][:k]) for k in range(2)]
     assert read_tracks(logs).ids == ("ACTIVE LOG (log0.gpx)", "ACTIVE LOG (log1.gpx)", "Rex")

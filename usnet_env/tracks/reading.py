@@ -43,7 +43,8 @@ def read_tracks(
 
     Args:
         path: the file or files. Files without ids (ULog) hold one track each, whose id is the name of the file. The
-            tracks of one name in several GPX or ULog files are different ids, which have the file's name added.
+            tracks of one name in several GPX or ULog files are different ids, which have the file's name added; in one
+            GPX file they have their number added.
         columns: names of columns by role, where they can't be guessed: ``id``, ``t`` (seconds or timestamps) or
             ``frame``, ``x`` and ``y`` (metres) or ``lon`` and ``lat`` (degrees), ``z``, ``vx``, ``vy``, ``vz``,
             ``leader``. ``""`` leaves out a column that tracks can be without. A height is left out where it is missing
