@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from track_files import Sure, rows_of, straight, write_csv
 
+from usnet_env import ArgumentError
 from usnet_env.tracks import Tracks, find_leaders, read_tracks
 
 QUICK = ("--detector", "lagged-regression")
@@ -52,6 +53,37 @@ def test_milliseconds_since_1970_are_exact(tmp_path):
     rows = [[row[0], 1278580320000 + 100 * k // 3, *row[2:]] for k, row in enumerate(rows_of(straight()))]
     read = read_tracks(write_csv(tmp_path / "tracks.csv", rows), time_unit=0.001)
     np.testing.assert_allclose(read.time, np.round(read.time, 3), atol=1e-12)
+
+
+def write_times(folder, kind, times):
+    """A file of two tracks with these whole numbers as times."""
+    columns = {"id": ["a", "b"] * len(times), "t": np.repeat(times, 2), "x": np.arange(2.0 * len(times))}
+    columns["y"] = columns["x"] % 2
+    path = folder / f"tracks.{kind}"
+    if kind == "csv":
+        return write_csv(path, list(zip(*(list(each) for each in columns.values()), strict=True)), list(columns))
+    if kind == "npz":
+        np.savez(path, **columns)
+    else:
+        pytest.importorskip("pyarrow.parquet").write_table(pytest.importorskip("pyarrow").table(columns), path)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["csv", "npz", "parquet"])
+@pytest.mark.parametrize("unit", [10**6, 10**9])
+def test_microseconds_and_nanoseconds_since_1970_are_read_from_every_format(tmp_path, kind, unit):
+    begin = 1717000000 * unit + unit // 10
+    path = write_times(tmp_path, kind, begin + np.arange(20) * (unit // 10))
+    read = read_tracks(path, time_unit=1 / unit)
+    np.testing.assert_allclose(read.time[:20], np.arange(20) / 10, rtol=1e-15)
+    assert [read.file_time(k / 10) for k in (0, 3)] == [begin, begin + 3 * unit // 10]
+
+
+@pytest.mark.parametrize("kind", ["csv", "npz"])
+def test_times_are_limited_in_every_format(tmp_path, kind):
+    path = write_times(tmp_path, kind, np.array([0.0, 2e19]))
+    with pytest.raises(ArgumentError, match=r"^t must be a number from -1e\+19 to 1e\+19, got 2e\+19 in row 4 of "):
+        read_tracks(path)
 
 
 def test_parquet_keeps_nanoseconds_to_the_microsecond(tmp_path):

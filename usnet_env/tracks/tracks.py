@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -346,8 +347,8 @@ def assemble(
 
 
 def _count_decimals(number: float) -> int:
-    """How many decimals float64 has at this size, at most 9."""
-    return min(_DIGITS, max(0, int(-np.log10(np.spacing(abs(number))))))
+    """How many decimals float64 has at this size, at most 9; -3 if it has whole thousands."""
+    return min(_DIGITS, math.floor(-np.log10(np.spacing(abs(number)))))
 
 
 def _is_frozen(value: Any, dtype: type, shape: tuple[int | None, ...]) -> bool:

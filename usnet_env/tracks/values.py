@@ -15,9 +15,10 @@ from usnet_env.config import ArgumentError, quote
 __all__ = ["is_none", "read_numbers", "read_times"]
 
 _NO_VALUE = {"", "na", "n/a", "nan", "null", "none", "nat"}
-_LIMITS = {"lon": 360.0, "lat": 90.0}  # degrees
+_LONGEST = 1e19  # of times: nanoseconds since 1970 until the year 2286
+_LIMITS = {"lon": 360.0, "lat": 90.0, "t": _LONGEST, "frame": _LONGEST}  # lon and lat: degrees
 _EPOCH, _MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=1)
-_LARGEST = 1e15  # of numbers in a file: float64 has no fractions beyond
+_LARGEST = 1e15  # of other numbers in a file: float64 has no fractions beyond
 
 
 def is_none(value: Any) -> bool:
@@ -37,17 +38,16 @@ def read_times(values: Any, role: str, about: Callable[[str, int], str]) -> tupl
         ``(rows,)`` numbers, NaN where there is none, and whether they are timestamps.
 
     Raises:
-        ArgumentError: a value is neither a number nor a timestamp, or another kind than the first one.
+        ArgumentError: a value is neither a number nor a timestamp, or another kind than the first one, or too large.
     """
     if isinstance(values, np.ndarray) and values.dtype.kind == "M":
         half = np.timedelta64(500, "ns") if values.dtype == "datetime64[ns]" else np.timedelta64(0, "us")
         rounded = (values + half).astype("datetime64[us]").astype(np.float64)
         return np.where(np.isnat(values), np.nan, rounded), True
-    if isinstance(values, np.ndarray):
-        return values.astype(np.float64), False
-    first = next((each for each in values if not is_none(each)), "0")
-    if isinstance(first, datetime) or not _is_number(first):
-        return _timestamps(values, role, about), True
+    if not isinstance(values, np.ndarray):
+        first = next((each for each in values if not is_none(each)), "0")
+        if isinstance(first, datetime) or not _is_number(first):
+            return _timestamps(values, role, about), True
     return read_numbers(values, role, about), False
 
 
