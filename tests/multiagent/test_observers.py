@@ -11,7 +11,10 @@ from small_games import SMALL, small
 import usnet_env  # noqa: F401  # registers the single-agent environments
 from usnet_env import ArgumentError, Window
 from usnet_env.multiagent import Fusion, fusions, register_fusion, usnet_observers_v0
+from usnet_env.multiagent.play import play_game
+from usnet_env.multiagent.policies import RandomObserver
 from usnet_env.multiagent.sensors import SensorConfig, merge_sightings, placements
+from usnet_env.replay import EpisodeRecord
 from usnet_env.swarm.formation import ARENA
 
 
@@ -93,10 +96,20 @@ def test_each_observer_has_its_own_noise_and_the_swarm_flies_the_same():
 def test_merged_sightings_hold_what_any_observer_saw():
     env = small("observers", position_noise=0.0)
     env.reset(seed=0)
-    merged = merge_sightings(env._sightings)
+    merged = merge_sightings(env._sightings, 1)
     truth = usnet_observers_v0.parallel_env(**SMALL, observers=1, sensing_range=1e5).reset(seed=0)[0]["observer_0"]
     np.testing.assert_array_equal(merged.seen, np.any([one.seen for one in env._sightings], axis=0))
     np.testing.assert_array_equal(merged.position, truth["position"] * merged.seen[..., None])
+
+
+@pytest.mark.parametrize("sample_every", [1, 3])
+def test_a_record_has_the_velocity_of_a_uav_whose_ends_two_observers_saw(sample_every):
+    env = usnet_observers_v0.parallel_env(**SMALL, observers=4, miss_rate=0.2, sample_every=sample_every)
+    record = EpisodeRecord(**play_game(env, {"observer": RandomObserver()}, seed=0).record)
+    both = record.seen[:, 1:] & record.seen[:, :-1]
+    moved = np.diff(record.position, axis=1) / sample_every
+    np.testing.assert_allclose(record.velocity[both], moved[both], atol=1e-3)
+    assert not record.velocity[~both].any()
 
 
 # --- votes -----------------------------------------------------------------------------------------------------------

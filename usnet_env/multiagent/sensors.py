@@ -113,11 +113,15 @@ def sense_window(observer: Observer, position: Singles, velocity: Singles, alive
     )
 
 
-def merge_sightings(sightings: Sequence[ObservationBatch]) -> ObservationBatch:
+def merge_sightings(sightings: Sequence[ObservationBatch], sample_every: int) -> ObservationBatch:
     """Merge the sightings of all observers: each sample is that of the first observer that saw the UAV.
+
+    A velocity is that of the first observer that saw both of its ends. If none did, it is the difference of the merged
+    positions, divided by the number of steps between them.
 
     Args:
         sightings: K sightings without a leading axis.
+        sample_every: k, steps from one sample to the next.
 
     Returns:
         One sighting, for pictures and records; no agent receives it.
@@ -130,6 +134,8 @@ def merge_sightings(sightings: Sequence[ObservationBatch]) -> ObservationBatch:
         both = other.seen[1:] & other.seen[:-1]
         velocity = np.where(moved[..., None], velocity, other.velocity)
         seen, moved = seen | other.seen, moved | both
+    apart = seen[1:] & seen[:-1] & ~moved  # two observers saw the two ends
+    velocity = np.where(apart[..., None], np.diff(position, axis=0) / np.float32(sample_every), velocity)
     return ObservationBatch(position, velocity, seen, first.alive.copy())
 
 

@@ -174,7 +174,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
             position, velocity = truth["position"][0], truth["velocity"][0]
             alive = truth["alive"][0].astype(bool)
             self._sightings = [sense_window(observer, position, velocity, alive) for observer in self._observers]
-        self._sighting = merge_sightings(self._sightings)
+        self._sighting = merge_sightings(self._sightings, self.config.sample_every)
 
     def _observations(self) -> dict[str, Observation]:
         observations = {}
