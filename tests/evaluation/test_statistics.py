@@ -155,6 +155,12 @@ def test_groups_of_one_and_independent_values_change_nothing():
     assert alike.high - alike.low < 1.4 * (rate_interval(values).high - rate_interval(values).low)
 
 
+@given(st.floats(-1e6, 1e6), st.lists(st.integers(1, 6), min_size=1, max_size=8))
+def test_equal_values_in_groups_of_several_sizes_have_no_interval(value, sizes):
+    groups = np.repeat(np.arange(len(sizes)), sizes)
+    assert mean_interval([value] * len(groups), groups=groups) == (value, value, value)
+
+
 def test_where_all_are_equal_a_group_counts_as_one_value():
     assert rate_interval(np.ones(60), np.arange(60) % 6) == rate_interval(np.ones(6))
     with pytest.raises(ArgumentError, match="groups must have one entry for each of the 3 values, got 2"):

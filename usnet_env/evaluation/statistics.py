@@ -162,12 +162,12 @@ def mean_interval(
     Raises:
         ArgumentError: there is no value, or one is not finite.
     """
-    sample = _check_sample(values)
-    if groups is not None:
-        sample = _mean_by_group(sample, groups)
-    if (sample == sample[0]).all():
-        constant = float(sample[0])
-        return Interval(constant, constant, constant)
+    given = _check_sample(values)
+    sample = given if groups is None else _mean_by_group(given, groups)
+    for same in (given, sample):  # the first one, too: groups of several sizes differ by rounding
+        if (same == same[0]).all():
+            constant = float(same[0])
+            return Interval(constant, constant, constant)
     rng, n = np.random.default_rng(seed), len(sample)
     quantile = _wide_quantile(n, confidence=confidence)
     if n > _MOST_RESAMPLED:
