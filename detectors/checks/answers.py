@@ -75,8 +75,8 @@ def check_scores_are_finite(detector: Any) -> None:
     for window in (draw_window(detector), make_hovering_window(detector), simulate_missing_samples(detector, seed=1)):
         (answer,) = play_windows(copy_detector(detector), [window])
         require(bool(np.isfinite(answer.scores).all()), "scores must be finite, got NaN or infinity.")
-        if "probability" in answer.extras:
-            value = np.asarray(answer.extras["probability"])
+        if (probability := answer.extras.get("probability")) is not None:
+            value = np.asarray(probability)
             require(
                 value.shape == (window.uavs,) and bool(((value >= 0) & (value <= 1)).all()),
                 f"extras['probability'] must hold {window.uavs} numbers from 0 to 1, got {quote(value)}.",

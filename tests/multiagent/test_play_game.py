@@ -144,6 +144,8 @@ def test_scores_for_a_vote():
     np.testing.assert_allclose(vote(candidates=candidates, scores=[0.0, 2.0, 1.0, -1.0]), [1, 1, 0, 0])
     sure = {"probability": np.array([0.9, 0.3, 0.2, 0.0])}
     np.testing.assert_allclose(vote(candidates=candidates, scores=scores, extras=sure), [0.9, 0.3, 0.2, 0], rtol=1e-6)
+    none = vote(candidates=candidates, scores=scores, extras={"probability": None})
+    np.testing.assert_array_equal(none, vote(candidates=candidates, scores=scores))
     assert not vote(candidates=[False] * 4, scores=scores).any()
 
 

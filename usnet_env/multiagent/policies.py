@@ -149,8 +149,8 @@ class DetectorObserver(Policy):
 
 def _scale_scores(detection: Detection, named: Mask) -> Floats:
     """Convert a detector's scores to numbers from 0 to 1."""
-    if "probability" in detection.extras:
-        return np.clip(np.asarray(detection.extras["probability"], np.float64), 0.0, 1.0)
+    if (probability := detection.extras.get("probability")) is not None:
+        return np.clip(np.asarray(probability, np.float64), 0.0, 1.0)
     lowest = detection.scores[named].min() if named.any() else 0.0
     if lowest <= 0:  # a ratio of such scores has no meaning: vote with the candidates
         return named.astype(np.float64)

@@ -135,6 +135,14 @@ class ProbabilityAboveOne(Good):
         return Detection(answer.candidates, answer.scores, extras={"probability": np.full(window.uavs, 1.5)})
 
 
+class NoProbability(Good):
+    """Not broken: ``Detection`` takes ``None`` for an answer without probabilities."""
+
+    def detect(self, window):
+        answer = super().detect(window)
+        return Detection(answer.candidates, answer.scores, extras={"probability": None})
+
+
 class LosesAWindow(Good):
     def detect_batch(self, windows):
         return [self.detect(window) for window in windows][:3]

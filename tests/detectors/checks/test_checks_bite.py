@@ -94,6 +94,11 @@ def test_the_good_one_passes():
     assert failures(broken.Good()) == {}
 
 
+def test_a_probability_of_none_is_no_mistake():
+    (check,) = [check for check in CHECKS if check.__name__ == "check_scores_are_finite"]
+    check(broken.NoProbability())
+
+
 def test_every_check_has_a_mistake():
     assert {name for name, *_ in MISTAKES} == {check.__name__ for check in CHECKS}
 
