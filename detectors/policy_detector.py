@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from detectors.base import Detector
@@ -28,14 +29,17 @@ def observation_of(window: Window) -> Observation:
 
     Returns:
         ``position`` ``(T_ob + 1, N, 3)`` and ``velocity`` ``(T_ob, N, 3)`` float32, ``seen`` ``(T_ob + 1, N)`` and
-        ``alive`` ``(N,)`` int8, ``round`` ``(1,)`` float32. All arrays are writable copies.
+        ``alive`` ``(N,)`` int8, ``round`` ``(1,)`` float32, and for recorded tracks ``step`` ``(1,)`` float32, seconds.
+        All arrays are writable copies.
     """
+    step = {} if window.step is None else {"step": np.array([window.step], np.float32)}
     return {
         "position": window.position.copy(),
         "velocity": window.velocity.copy(),
         "seen": window.seen.astype(np.int8),
         "alive": window.alive.astype(np.int8),
         "round": np.array([window.round], np.float32),
+        **step,
     }
 
 
@@ -62,8 +66,9 @@ class PolicyDetector(Detector):
         policy: the policy. It must not hold an environment: give ``model.policy`` of a Stable-Baselines3 model, not the
             model.
         observe: function that converts a window to the observation of the policy, for policies that were trained in a
-            wrapped environment; ``None``: :func:`observation_of`. It must be defined at the top level of a module for
-            the detector to be picklable.
+            wrapped environment; ``None``: :func:`observation_of`, but without ``step`` if the policy has an
+            ``observation_space`` that lacks it. It must be defined at the top level of a module for the detector to be
+            picklable.
         threshold: threshold on the scores for the third interface: 0 for logits, 0.5 for probabilities.
 
     Raises:
@@ -88,7 +93,7 @@ class PolicyDetector(Detector):
     def detect(self, window: Window) -> Detection:
         """Return the policy's deterministic action on the window as a detection."""
         self.check_arguments()
-        observation = (self.observe or observation_of)(window)
+        observation = (self.observe or self._observe)(window)
         if callable(getattr(self.policy, "predict", None)):
             candidates, scores = self._act_by_predict(observation, window)
         elif hasattr(self.policy, "in_keys") and hasattr(self.policy, "out_keys"):
@@ -97,6 +102,13 @@ class PolicyDetector(Detector):
             scores = _to_scores(self._call_policy(_to_tensors(observation, self.policy)), window.uavs)
             candidates = scores > self.threshold
         return Detection(candidates=candidates & window.alive, scores=scores)
+
+    def _observe(self, window: Window) -> Observation:
+        """The parts of the observation; a policy that was trained in a simulation would refuse ``step``."""
+        observation, space = observation_of(window), getattr(self.policy, "observation_space", None)
+        if isinstance(space, spaces.Dict) and "step" not in space.spaces:
+            observation.pop("step", None)
+        return observation
 
     def _act_by_predict(self, observation: Any, window: Window) -> tuple[Mask, Floats]:
         predict = self.policy.predict

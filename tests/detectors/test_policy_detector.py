@@ -1,5 +1,6 @@
 """Policies as detectors: Stable-Baselines3's, TorchRL's, a plain module, and a detector there and back."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -64,6 +65,25 @@ def test_the_observation_is_the_environments():
             assert ours[key].flags.writeable
         assert env.observation_space.contains(ours)
         observation, *_ = env.step(np.eye(UAVS, dtype=np.int8)[0])
+
+
+def test_the_step_of_recorded_tracks_is_kept_for_policies_that_know_it():
+    simulated = a_window()
+    recorded = replace(simulated, step=0.5)
+    assert Window.from_observation(observation_of(recorded)).step == 0.5
+    assert Window.from_observation(observation_of(simulated)).step is None
+
+    class Seeing(Bits):
+        def predict(self, observation, **more):
+            self.seen = set(observation)
+            return super().predict(observation, **more)
+
+    policy = Seeing()
+    PolicyDetector(policy).detect(recorded)
+    assert "step" in policy.seen
+    policy.observation_space = gym.make("USNET/MultiCluster-v0", **SMALL).observation_space
+    PolicyDetector(policy).detect(recorded)
+    assert policy.seen == set(policy.observation_space.spaces)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.int8, bool, np.int64])
