@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Indices, Mask
+from usnet_env.tracks.values import is_none
 
-__all__ = ["LabelBook", "Labels", "find_labels", "to_labels", "to_text"]
+__all__ = ["LabelBook", "Labels", "find_labels", "match_leaders", "to_labels", "to_text"]
 
+_MOST_NAMED = 3  # leaders without a track
 _DECIMAL = re.compile(r"[+-]?[0-9]+(\.[0-9]*)?")
 
 
@@ -157,6 +159,37 @@ def find_labels(labels: Iterable[str | int], known: Sequence[str | int]) -> Indi
         number = None if text in same else _to_number(text)
         found.append(same.get(text, -1) if number is None else equal.get(number, -1))
     return np.array(found, np.int64)
+
+
+def match_leaders(
+    index: NDArray[np.integer[Any]],
+    labels: Sequence[str | int],
+    codes: NDArray[np.integer[Any]],
+    ids: Sequence[str | int],
+    where: str = "",
+) -> tuple[Indices | None, list[str]]:
+    """Which id each sample follows.
+
+    Args:
+        index: ``(S,)`` which of the labels names the leader of each sample.
+        labels: the different labels of leaders.
+        codes: ``(S,)`` index of the id of each sample.
+        ids: the N ids.
+        where: names the column in a sentence, such as ``" in column leader"``.
+
+    Returns:
+        ``(S,)`` index of each sample's leader, -1 for none; ``None`` if none of those that are named has a track. And a
+        sentence about each kind of leader that was not found.
+    """
+    known, notes = find_labels(labels, ids), []
+    unknown = [label for label, k in zip(labels, known, strict=True) if k < 0 and not is_none(label)]
+    if unknown:
+        names = ", ".join(map(str, unknown[:_MOST_NAMED]))
+        notes.append(f"Leaders without a track: {len(unknown)} ({names}).")
+        if (known < 0).all():
+            return None, [*notes, f"No leader{where} has a track: it is not known who leads."]
+    leader = known[index]
+    return np.where(leader == codes, -1, leader), notes
 
 
 def _to_number(text: str) -> Decimal | None:

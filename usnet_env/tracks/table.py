@@ -16,15 +16,14 @@ from usnet_env.config import ArgumentError, quote
 from usnet_env.tracks.columns import OPTIONAL, read_marks
 from usnet_env.tracks.degrees import to_local_metres
 from usnet_env.tracks.formats import Block
-from usnet_env.tracks.labels import LabelBook, Labels, find_labels, to_labels
+from usnet_env.tracks.labels import LabelBook, Labels, match_leaders, to_labels
 from usnet_env.tracks.tracks import Clock, Tracks, assemble
-from usnet_env.tracks.values import is_none, read_numbers, read_times
+from usnet_env.tracks.values import read_numbers, read_times
 
 __all__ = ["Table"]
 
 _NUMBERS = ("x", "y", "lon", "lat", "z", "vx", "vy", "vz")
 _TOGETHER = (("z",), ("vx", "vy", "vz"))  # the optional numbers; one without the others of its group is of no use
-_MOST_NAMED = 3  # leaders without a track
 
 
 class Table:
@@ -204,17 +203,10 @@ class Table:
         named = self._take("leader")
         if named is None:
             return None
-        labels = self._leaders.names()
-        known = find_labels(labels, ids)
-        unknown = [label for label, k in zip(labels, known, strict=True) if k < 0 and not is_none(label)]
-        if unknown:
-            names = ", ".join(map(str, unknown[:_MOST_NAMED]))
-            notes.append(f"Leaders without a track: {len(unknown)} ({names}).")
-            if (known < 0).all():
-                notes.append(f"No leader in column {self._names['leader']} has a track: it is not known who leads.")
-                return None
-        leader = known[named]
-        return np.where(leader == codes, -1, leader)
+        where = f" in column {self._names['leader']}"
+        leader, more = match_leaders(named, self._leaders.names(), codes, ids, where)
+        notes += more
+        return leader
 
 
 class _Places:

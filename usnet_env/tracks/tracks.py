@@ -15,6 +15,7 @@ from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote, real_number, whole_number
 from usnet_env.tracks.findings import TrackReport, find_problems
 from usnet_env.tracks.jumps import leave_out_spikes
+from usnet_env.tracks.labels import match_leaders
 from usnet_env.tracks.resampling import choose_step, resample_positions
 from usnet_env.tracks.windows import TrackWindow, cut_windows
 from usnet_env.window import as_array, frozen_array
@@ -120,10 +121,12 @@ class Tracks:
         """Make tracks of S samples in any order.
 
         Args:
-            ids: ``(S,)`` id of each sample.
+            ids: ``(S,)`` id of each sample, texts or whole numbers; if both, all are texts.
             time: ``(S,)`` seconds.
             position: ``(S, 2)`` or ``(S, 3)`` metres.
-            leader: ``(S,)`` the id that each id follows, its own or an unknown id for none; ``None``: not known.
+            leader: ``(S,)`` the id that each id follows, its own or ``""`` for none; ``None``: not known. As in files,
+                a leader is the id of the same text, or else of an equal number. One without a track counts as none, and
+                ``notes`` name it; if none of them has a track, it is not known who leads.
 
         Raises:
             ArgumentError: lengths differ, values are not finite numbers, or an id has two samples at one time.
@@ -134,13 +137,12 @@ class Tracks:
         samples = len(places)
         places = frozen_array("position", places, np.float64, (samples, places.shape[1]))
         seconds = frozen_array("time", time, np.float64, (samples,))
-        code: dict[str | int, int] = {}
-        codes = np.array([code.setdefault(each, len(code)) for each in _read_ids("ids", ids, samples)], np.int64)
-        led = None
+        codes, names = _read_ids("ids", ids, samples)
+        led: Indices | None = None
+        notes: list[str] = []
         if leader is not None:
-            led = np.array([code.get(each, -1) for each in _read_ids("leader", leader, samples)], np.int64)
-            led = np.where(led == codes, -1, led)
-        return assemble(tuple(code), codes, seconds, list(places.T), None, led, Clock(), "metres", ())
+            led, notes = match_leaders(*_read_ids("leader", leader, samples), codes, names)
+        return assemble(names, codes, seconds, list(places.T), None, led, Clock(), "metres", tuple(notes))
 
     @property
     def samples(self) -> int:
@@ -244,8 +246,8 @@ class Tracks:
         return self.clock.file_time(seconds)
 
 
-def _read_ids(name: str, value: Any, samples: int) -> list[str | int]:
-    """The ids of all samples, texts or whole numbers.
+def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str | int, ...]]:
+    """Which of the different ids each sample has, ``(S,)``, and these ids: whole numbers if all are, otherwise texts.
 
     Raises:
         ArgumentError: there are none, another number of them, or other values among them.
@@ -256,7 +258,10 @@ def _read_ids(name: str, value: Any, samples: int) -> list[str | int]:
     plain = ids.tolist()
     if not all(isinstance(each, str | int) and not isinstance(each, bool) for each in plain):
         raise ArgumentError(f"{name} must hold texts or whole numbers, got {quote(value)}.")
-    return plain
+    if len({isinstance(each, str) for each in plain}) > 1:  # NumPy makes texts of them, too, unless they are objects
+        plain = [str(each) for each in plain]
+    code: dict[str | int, int] = {}
+    return np.array([code.setdefault(each, len(code)) for each in plain], np.int64), tuple(code)
 
 
 def _name_samples(one: int, other: int) -> str:
