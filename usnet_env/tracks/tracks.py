@@ -194,7 +194,7 @@ class Tracks:
                 id has two samples.
         """
         if max_gap is not None:
-            max_gap = real_number("max_gap", max_gap, 0.0, _LONGEST_STEP)
+            max_gap = real_number("max_gap", max_gap, _SHORTEST_STEP, _LONGEST_STEP)
         if not isinstance(keep_spikes, bool):
             raise ArgumentError(f"keep_spikes must be True or False, got {quote(keep_spikes)}.")
         tracks = self if keep_spikes else leave_out_spikes(self)
