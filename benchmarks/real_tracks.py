@@ -18,6 +18,7 @@ import numpy as np
 from running import write_csv
 
 from usnet_env import make_detector
+from usnet_env.detection import fit_window
 from usnet_env.objectives import find_roots, group_leader_accuracy, leader_accuracy
 from usnet_env.plugins import detector_label
 from usnet_env.tracks import read_tracks
@@ -50,7 +51,7 @@ def score(cut, name: str, seed: int) -> dict:
     detector, window = make_detector(name), cut.window
     detector.reset(seed)
     begun = time.perf_counter()
-    answer = detector.detect(window)
+    answer = detector.detect(fit_window(detector, window))
     seconds = time.perf_counter() - begun
     roots = find_roots(cut.leader)
     head = np.isin(np.arange(window.uavs), roots[roots != np.arange(window.uavs)])
