@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 
 from result_pages import (
+    clusters,
     cores,
     decoys,
     index,
@@ -60,6 +61,8 @@ PAGES = {
     # Tables alone, which pages of docs include.
     "benchmarks/results/learned.md": lambda: table_alone(learned.games()),
     "benchmarks/results/ppo_observer.md": lambda: table_alone(learned.trained()),
+    "benchmarks/results/detector_seconds.md": lambda: table_alone(clusters.detectors()),
+    "benchmarks/results/engine_costs.md": lambda: table_alone(clusters.engine()),
     "benchmarks/results/multiagent_payoff.md": lambda: table_alone(multiagent.payoff()),
     "benchmarks/results/multiagent_ppo.md": lambda: table_alone(multiagent.trained()),
     "benchmarks/results/multiagent_observers.md": lambda: table_alone(multiagent.observers()),

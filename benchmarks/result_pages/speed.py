@@ -124,7 +124,7 @@ def engine() -> list[str]:
 
 
 def _size(measured: dict[str, float], name: str) -> tuple[str, str, str]:
-    return f"{measured[name]:,}", f"{measured['seconds']:.0f}", f"{measured['bytes'] / 1e6:.0f}"
+    return f"{measured[name]:,}", f"{measured['seconds']:.1f}", f"{measured['bytes'] / 1e6:.0f}"
 
 
 def text() -> str:
