@@ -33,7 +33,9 @@ def text() -> str:
         "each in a separate process; M was not given. *Exact* is the share of episodes in which round 1 names all "
         "heads and no other UAV. Seconds are the median of one answer; the rows were played on several days, on shared "
         "machines of different speed, so seconds are rough. "
-        "[Another page](suites_cells.md) has the numbers of each cell.",
+        "[Another page](suites_cells.md) has the numbers of each cell. The swarms are not new to `follow-mixture`: its "
+        "rules were changed after looks at its rows of `field`, `controls` and `sensing`, and it then played the same "
+        "swarms again.",
         *parts,
         files=files,
     )
@@ -50,7 +52,8 @@ def cells_text() -> str:
         "and after the semicolon n. *One track* is the area under the curve of a classifier that sees the track of one "
         "UAV at a time: 0.5 is chance, and at 1 every head can be recognised without looking at any other UAV. A "
         "detector may then have learned how heads fly, and not who leads; no detector of this project is trained on "
-        "these cells.",
+        "these cells. The classifier is trained and tested on swarms of the tuning seed of each suite, and not on "
+        "those that the detectors met.",
         *parts,
         files=[*(rows_file(suite) for suite, _ in _played()), "leak_probe.csv"],
     )
