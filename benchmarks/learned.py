@@ -47,7 +47,8 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     return {name: round(metrics[name], 5) for name in KEPT}
 
 
-def unseen_cells() -> list[dict[str, str]]:
+def strategy_cells() -> list[dict[str, str]]:
+    """The cells of the follow strategies, and the detectors that play them."""
     games = product(DETECTORS, SWARMS, FOLLOW)
     return [{"swarm": swarm, "follow": follow, "detector": detector} for detector, swarm, follow in games]
 
@@ -86,7 +87,7 @@ def parser() -> argparse.ArgumentParser:
 
 def chosen(arguments: argparse.Namespace) -> list[dict[str, str]]:
     """The cells that the command line asks for."""
-    cells = limit_cells() if arguments.limits else unseen_cells()
+    cells = limit_cells() if arguments.limits else strategy_cells()
     wanted = {label_of(name) for name in arguments.detectors} if arguments.detectors else None
     return [cell for cell in cells if wanted is None or cell["detector"] in wanted]
 

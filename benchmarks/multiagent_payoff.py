@@ -30,7 +30,7 @@ VALUES = ("J", "price", "swarm_payoff", "rounds", "success", "first_hits", "firs
 
 
 def games(cell: Mapping[str, Any]) -> int:
-    """How many games a cell has; fewer with follow-mixture, which is slow against such swarms."""
+    """How many games a cell has; fewer with follow-mixture, whose former core was slow against such swarms."""
     return 20 if cell["observer"] == "follow-mixture" else 40
 
 

@@ -87,9 +87,10 @@ def text() -> str:
         "`learned` was trained with labels on random follow strategies; it shows what labels are worth. M = 5, N = "
         "82; no detector is given M. Episodes end after 20 rounds; destroying all UAVs costs J_m = 1.94. n is that of "
         "each detector in the line.",
-        "Seeds 2022 to 2041. `learned` was not tuned on them, with one exception: an earlier network failed on "
-        "`products` with tuning seeds, and features were added for that reason. `follow-mixture` was developed "
-        "further after rows of an earlier build had been published for these seeds, so they are not new to it. "
+        "The seed is 2022, with the episodes 0 to 19; the column `seed` of `learned.csv` is 2022 plus the number of "
+        "the episode. `learned` was not tuned on this seed. But `products` is no unseen strategy: an earlier network "
+        "failed on it with tuning seeds, and features were added for that reason. `follow-mixture` was developed "
+        "further after rows of an earlier build had been published for this seed, so these swarms are not new to it. "
         "Half of the eight other strategies lie inside its [feature classes](strategies.md).",
         games(),
         "## Harder swarms",
