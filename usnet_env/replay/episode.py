@@ -63,8 +63,8 @@ def _convert_to_texts(name: str, value: Any, rounds: int) -> tuple[dict[str, str
 class EpisodeRecord:
     """One episode of R rounds with N UAVs: the observer's windows, the truth, and the detector's answers.
 
-    Arrays are read-only copies. Their first axis counts the rounds, except in ``head`` and ``decoy``. ``alive`` and
-    ``root`` hold for the window of the round, before the round's candidates are destroyed.
+    Arrays are read-only copies. Their first axis counts the rounds, except in ``head``, ``decoy`` and ``observers``.
+    ``alive`` and ``root`` hold for the window of the round, before the round's candidates are destroyed.
 
     The cluster graph of the paper's §II-A, (nodes, edges, X), is computed from these arrays:
     :meth:`communication_links` gives the edges, :meth:`topology_matrix` gives X of equation (5), and
