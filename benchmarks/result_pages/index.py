@@ -8,6 +8,7 @@ from functools import cache
 from running import RESULTS
 
 from detectors.studies import rounds, table2
+from result_pages import p1
 from result_pages.suites import read_suite
 from result_pages.text import SAME_SEEDS, Row, exact_of, mean_of, page, share, table
 from usnet_env.evaluation import load_suite
@@ -80,15 +81,22 @@ def _compare_best() -> str:
         rows, suite = _played()[name], load_suite(name)
         best = max(rows, key=lambda each: sum(int(row["exact"]) for row in rows[each]))  # of those that played most
         lines.append((f"`{name}`", about, f"{len(suite.cells)} × {suite.episodes}", f"`{best}`", exact_of(rows[best])))
-    counts = sorted({len(rows) for rows in _played().values()})
-    title = f"best of {' to '.join(map(str, counts[:1] + counts[1:][-1:]))} detectors"
+    settings = [len(rows) for rows in _played().values()]
+    detectors = [len({label.partition("(")[0] for label in rows}) for rows in _played().values()]
+    title = f"best of {_range(settings)} settings of {_range(detectors)} detectors"
     return table(("suite", "swarms", "cells × episodes = n", title, "exact"), lines)
+
+
+def _range(counts: Sequence[int]) -> str:
+    """One count, or the least and the largest."""
+    return " to ".join(map(str, sorted({min(counts), max(counts)})))
 
 
 def _explain_columns(short: bool) -> str:
     """What the columns of the tables mean."""
     rules = (
-        "Intervals are 95 %; the [results](docs/results/index.md) explain them."
+        "Intervals are 95 %; the [results pages](docs/results/index.md) explain them, and have all detectors, tables "
+        "and figures."
         if short
         else "n is behind a semicolon where a slow detector played fewer episodes. Intervals are 95 %. "
         f"{SAME_SEEDS} A mean without an interval means that all values were equal, or that each cell has one episode."
@@ -105,22 +113,34 @@ def _paper() -> str:
     rates = [rate.mean for (_, followers), rate in table2.read_paper().items() if followers == 2]
     low, high = rounds.read_paper()["follow"].bounds("J", 82)
     single = f"{100 * sum(rates) / len(rates):.1f} %; 7,000"
-    lines = [("the paper", single, "–", f"{low:.2f}–{high:.2f}; –")]
-    measured = []
+    measured, guessed = [], []
     for name, sizes in (("episodes-seed2022.csv", (2,)), ("episodes-decoys1-seed2022.csv", (2, 15))):
-        found = table2.rate_of(
+        played = [
             row
             for row in read_rows(RESULTS / "table2" / name, table2.Row)
             if row.detector == "gassl" and row.followers in sizes
-        )
-        measured.append(f"{share(found[1])}; {found[0]}" if found else "–")
-    games = [
-        row
-        for row in read_rows(RESULTS / "rounds" / "rounds-seed2022.csv", rounds.Row)
-        if row.detector == "mc-gassl" and (row.clusters, row.uavs) == (5, 82)
+        ]
+        count, rate = table2.rate_of(played)
+        measured.append(f"{share(rate)}; {count}")
+        guessed.append(f"{100 * p1.chance(played):.1f} %, computed")
+    games = group_rows(
+        (
+            row
+            for row in read_rows(RESULTS / "rounds" / "rounds-seed2022.csv", rounds.Row)
+            if (row.clusters, row.uavs) == (5, 82)
+        ),
+        lambda row: row.detector,
+    )
+
+    def cost(name: str) -> str:
+        return f"{format_interval(mean_over_episodes(games[name], 'J'), short=True)}; {len(games[name])}"
+
+    lines = [
+        ("the paper", single, "–", f"{low:.2f}–{high:.2f}; –"),
+        ("`gassl` and `mc-gassl`, as printed", *measured, cost("mc-gassl")),
+        ("`random`, one UAV a round", *guessed, cost("random")),
+        ("`destroy-all`", "0 %, computed", "0 %, computed", cost("destroy-all")),
     ]
-    cost = f"{format_interval(mean_over_episodes(games, 'J'), short=True)}; {len(games)}" if games else "–"
-    lines.append(("`gassl` and `mc-gassl`, as printed", *measured, cost))
     header = (
         "the paper's algorithms",
         "P1, m = 2, no decoy: head alone named",

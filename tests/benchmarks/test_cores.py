@@ -11,7 +11,7 @@ from running import read_csv
 
 def row(cell: str, episode: int, **values: object) -> dict[str, str]:
     known = {"tier": cell.partition(" ")[0], "cell": cell.partition(" ")[2], "detector": "follow-mixture"}
-    known |= {"seed": "4242", "episode": episode, "J": 1.0, "exact": 1, "seconds": 0.1}
+    known |= {"seed": "4242", "episode": episode, "uavs": 10, "heads": 1, "J": 1.0, "exact": 1, "seconds": 0.1}
     return dict.fromkeys(follow_mixture.COLUMNS, "") | {name: str(value) for name, value in (known | values).items()}
 
 
@@ -48,14 +48,21 @@ def test_only_episodes_that_both_played_count_in_the_order_of_the_tiers() -> Non
 def test_a_line_has_both_cores_and_the_cell_that_is_worse_by_most() -> None:
     paper, short, single = cells_of(cores.compare(cores.paired(FORMER, PRESENT), lambda row: (row["tier"],)))
     assert paper[:2] == ["paper", "1"]
-    assert paper[6:] == ["+0.000 (+0.000 to +0.000)", "0.500", "0.250", "none"]
+    assert paper[6:] == ["1.900", "+0.000 (+0.000 to +0.000)", "0.500", "0.250", "none"]
     assert short[:2] == ["short", "3"]
     assert short[2].startswith("66.7 %")
     assert short[3].startswith("66.7 %")
     assert short[4:6] == ["1.333", "1.167"]
-    assert short[6].startswith("-0.167")
-    assert short[9] == "f2-T8: 0.500"
-    assert single[9] == "f1-m2-d0: 1.000"  # J_s is better when higher
+    assert short[7].startswith("-0.167")
+    assert short[10] == "f2-T8: 0.500"
+    assert single[10] == "f1-m2-d0: 1.000"  # J_s is better when higher
+
+
+@pytest.mark.parametrize(
+    ("cell", "heads", "cost"), [("paper f1", 5, 1.5), ("P1 f1-m8-d1", 1, -9.0), ("silence none-iid-jitter", 0, 10.0)]
+)
+def test_cost_of_destroying_all_follows_from_the_numbers_of_uavs_and_heads(cell: str, heads: int, cost: float) -> None:
+    assert cores._cost_of_all(row(cell, 0, heads=heads)) == cost
 
 
 def test_rows_of_all_tiers_are_packed_into_one_file(tmp_path: Path) -> None:

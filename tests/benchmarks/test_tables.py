@@ -5,7 +5,10 @@ from pathlib import Path
 
 import pytest
 import tables
-from result_pages import tiers
+from result_pages import p1, real_tracks, tiers
+
+from detectors.studies import table2
+from usnet_env.evaluation import load_suite
 
 ROOT = Path(__file__).parents[2]
 LONG = {"docs/results/purity.md", "docs/results/p1.md", "docs/results/follow_mixture_cells.md"}
@@ -33,7 +36,25 @@ def test_readme_has_at_most_eight_detectors_with_trivial_policies_and_the_paper_
     assert [line.split("|")[1].strip() for line in paper.splitlines()[2:]] == [
         "the paper",
         "`gassl` and `mc-gassl`, as printed",
+        "`random`, one UAV a round",
+        "`destroy-all`",
     ]
+
+
+def test_trivial_rows_are_computed_from_what_the_rows_hold() -> None:
+    swarms = [table2.Cell("gassl", "f1", m, d) for m, d in ((2, 0), (2, 1), (15, 1))]
+    assert p1.chance(swarms) == pytest.approx((1 / 3 + 1 / 4 + 1 / 17) / 3)
+    windows = [{"recording": "a", "uavs": "2", "heads": "1"}, {"recording": "b", "uavs": "4", "heads": "1"}]
+    none, everything = real_tracks._computed(windows)
+    assert none[:5] == ("`none`, computed", "2; 2", "0.38", "0.00", "–")
+    assert everything[3].startswith("3.00")
+    assert everything[4] == "33%"
+
+
+def test_every_suite_says_how_many_settings_of_how_many_detectors_it_compares() -> None:
+    names = {row["detector"] for row in tables.suites.read_suite(load_suite("field"))}
+    detectors = {name.partition("(")[0] for name in names}
+    assert f"best of {len(names)} settings of {len(detectors)} detectors" in README
 
 
 def test_readme_without_markers_is_refused() -> None:
