@@ -150,4 +150,6 @@ def test_unknown_name_lists_the_known_and_hints_at_the_nearest():
     assert str(unknown_name("follow", "f11", ["f2", "f1"])) == (
         "follow must be one of f1, f2, got 'f11' (did you mean 'f1'?)."
     )
+    assert str(unknown_name("follow", "F2", ["f2", "f1"])).endswith("got 'F2' (did you mean 'f2'?).")
+    assert str(unknown_name("metric", "j", ["J", "rounds"])).endswith("got 'j' (did you mean 'J'?).")
     assert str(unknown_name("follow", None, ["f1"])) == "follow must be one of f1, got None."

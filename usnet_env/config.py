@@ -142,9 +142,10 @@ def named_values(name: str, value: Any) -> dict[str, Any]:
 
 
 def suggest_name(got: object, known: Collection[str]) -> str:
-    """Ask for the most similar known name, as the end of a sentence; an empty text if none is similar."""
-    near = get_close_matches(got, known, n=1) if isinstance(got, str) else []
-    return f" (did you mean {near[0]!r}?)" if near else ""
+    """Ask for the most similar known name, in any case, as the end of a sentence; an empty text if none is similar."""
+    by_case = {name.casefold(): name for name in known}
+    near = get_close_matches(got.casefold(), by_case, n=1) if isinstance(got, str) else []
+    return f" (did you mean {by_case[near[0]]!r}?)" if near else ""
 
 
 def unknown_name(argument: str, got: object, known: Iterable[str]) -> ArgumentError:
