@@ -264,6 +264,16 @@ def test_bad_arguments_are_one_sentence(changes, words):
     assert all(word in str(refused.value) for word in words)
 
 
+def test_the_command_says_which_options_go_with_a_secret(run):
+    words = ["evaluate", "--detector", "none", "--episodes", "1"]
+    status, out, err = run(*words, "--secret", "zz")
+    assert (status, out) == (2, "")
+    assert err == "usnet: --secret gives the seeds of an isolated run: it needs --isolate or --suite.\n"
+    refused = "usnet: secret must be None or 32 hexadecimal digits (0 to 9, a to f), got 'zz'.\n"
+    for isolated in (["--isolate"], ["--suite", "paper"]):
+        assert run(*words, "--secret", "zz", *isolated) == (2, "", refused)
+
+
 def test_a_wrong_name_or_what_cannot_be_sent_is_refused_and_leaves_nothing(tmp_path):
     with pytest.raises(ArgumentError, match=r"^detector must be one of .*'lagged-regresion'"):
         evaluate(MULTI, "lagged-regresion", episodes=1, env_kwargs=SMALL, isolate=True, out=tmp_path / "run")

@@ -120,6 +120,8 @@ def evaluate(
         raise click.UsageError("--suite gives the environments: it goes without --env and --set.")
     if cells and suite is None:
         raise click.UsageError("--cell names a cell of a suite: it needs --suite.")
+    if how["secret"] is not None and not isolate and suite is None:
+        raise click.UsageError("--secret gives the seeds of an isolated run: it needs --isolate or --suite.")
     if record is not None:
         if suite is not None:
             raise click.UsageError("--record keeps episodes of one environment: it goes without --suite.")

@@ -36,7 +36,7 @@ def make_secret(secret: Any) -> str:
     if secret is None:
         return token_hex(16)
     if not isinstance(secret, str) or not re.fullmatch("[0-9a-f]{32}", secret):
-        raise ArgumentError(f"secret must be None or 32 hexadecimal digits, got {quote(secret)}.")
+        raise ArgumentError(f"secret must be None or 32 hexadecimal digits (0 to 9, a to f), got {quote(secret)}.")
     return secret
 
 
