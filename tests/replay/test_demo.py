@@ -82,6 +82,15 @@ def test_refuses_in_one_sentence_and_writes_nothing(tmp_path, arguments, name):
     assert not (tmp_path / "demo").exists()
 
 
+def test_a_folder_that_cannot_be_written_is_refused_before_the_game(tmp_path, monkeypatch):
+    monkeypatch.setattr(demo, "record_episode", None)  # a game would be an error
+    (tmp_path / "file").write_text("mine")
+    for place in (tmp_path / "file", tmp_path / "file" / "demo"):
+        with pytest.raises(ArgumentError, match=r"^out must be a folder that can be written, got '.*: [\w ]+\.$"):
+            run(place)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
 def test_the_game_of_the_demo_has_an_error_and_a_recovery(tmp_path, monkeypatch):
     """Without arguments: three to five rounds, a redundant candidate or a missed head, and all heads in the end."""
     for name in ("write_recording", "write_picture", "write_episode_page"):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ from rich.console import Console
 import usnet_env.envs  # noqa: F401  # registers the environments
 from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.drawing import MissingExtraError
-from usnet_env.files import as_path
-from usnet_env.plugins import detector_label, make_detector
+from usnet_env.files import FileLock, as_path
+from usnet_env.plugins import DetectorLike, detector_label, make_detector
 from usnet_env.replay.figure import write_picture
 from usnet_env.replay.page import write_episode_page
 from usnet_env.replay.play import Round, record_episode
@@ -81,15 +82,31 @@ def run_demo(
         raise ArgumentError(f"paper_example must be True or False, got {quote(paper_example)}.")
     console = console or Console()
     folder = as_path("out", out)
-
-    def say(text: str = "", style: str | None = None) -> None:
-        console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
-
     seed = whole_number("seed", (PAPER_SEED if paper_example else SEED) if seed is None else seed, 0)
     usual = "mc-gassl" if paper_example else "lagged-correlation"
     player = make_detector(usual if detector is None else detector)
     game = (PAPER_EXAMPLE if paper_example else DEMO) | arguments
-    env = gym.make("USNET/MultiCluster-v0", **game)
+    with closing(gym.make("USNET/MultiCluster-v0", **game)) as env, _reserve(folder):
+        return _play(env, game, seed, player, folder, console)
+
+
+def _reserve(folder: Path) -> FileLock:
+    """Keep the folder for this game, before it is played: a folder that can't be written should not cost a game."""
+    try:
+        return FileLock(folder / "episode.npz")
+    except OSError as error:
+        reason = error.strerror or error
+        raise ArgumentError(f"out must be a folder that can be written, got {quote(str(folder))}: {reason}.") from None
+
+
+def _play(
+    env: gym.Env[Any, Any], game: Mapping[str, Any], seed: int, player: DetectorLike, folder: Path, console: Console
+) -> dict[str, Path]:
+    """Play the game, print it, and write its files; the result is that of :func:`run_demo`."""
+
+    def say(text: str = "", style: str | None = None) -> None:
+        console.print(text, style=style, markup=False, highlight=False, soft_wrap=True)
+
     detector_seed = int(np.random.SeedSequence(seed, spawn_key=(1,)).generate_state(1)[0])
     say("Who leads this swarm?", style="bold")
     say(
@@ -98,8 +115,8 @@ def run_demo(
     )
     say()
     say(_ROW.format("round", "candidates", "heads hit", "redundant", "heads left", "seconds"), style="dim")
-    with env, console.status("playing the episode"):
-        record = record_episode(env, player, int(seed), detector_seed, lambda this: say(_format_row(this)))
+    with console.status("playing the episode"):
+        record = record_episode(env, player, seed, detector_seed, lambda this: say(_format_row(this)))
     say(f"\n{describe_outcome(record)}\n", style="bold")
 
     written = {"episode": record.save(folder / "episode.npz")}
