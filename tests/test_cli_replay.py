@@ -205,6 +205,30 @@ def test_the_page_of_a_run_has_the_ranking_and_links_to_its_episodes(run, record
     assert "has the lowest J" in text or "have the lowest" in text
 
 
+def test_a_screenshot_alone_leaves_no_replay(run, recorded, tmp_path, monkeypatch):
+    pytest.importorskip("rerun")
+    opened = []
+
+    def take(recordings, path, seconds):  # in place of the viewer, which needs a graphics driver
+        opened.append([(each, each.stat().st_size) for each in recordings])
+        return path
+
+    monkeypatch.setattr("usnet_env.replay.viewer.take_screenshot", take)
+    shutil.copy(recorded / "episodes" / "one-per-round-0.npz", tmp_path / "episode.npz")
+    words = ("replay", tmp_path, "--screenshot", tmp_path / "a.png")
+    status, out, err = run(*words)
+    assert (status, err) == (0, "")
+    assert "replay  " not in out
+    assert out.endswith(f"screenshot {tmp_path / 'a.png'}\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["episode.npz"]
+    ((written, size),) = opened.pop()
+    assert size > 1000
+    assert not written.exists()
+    assert run(*words, "--rrd", tmp_path / "kept.rrd")[0] == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"episode.npz", "kept.rrd"}
+    assert opened == [[(tmp_path / "kept.rrd", (tmp_path / "kept.rrd").stat().st_size)]]
+
+
 def refusal(run, *words):
     status, out, err = run(*words)
     assert (status, out) == (2, "")

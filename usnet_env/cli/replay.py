@@ -6,8 +6,9 @@ import html
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -134,7 +135,11 @@ def _check_screenshot_options(screenshot: str | None, number: int | None, step: 
 @click.command(short_help="Show a recorded episode: replay, screenshot, animation.", epilog=_REPLAY_EXAMPLES)
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--episode", type=WholeNumber(0, 10**9), help="Number of the episode in a folder of several.")
-@click.option("--rrd", type=click.Path(path_type=Path), help="Replay to write.  [default: beside the file]")
+@click.option(
+    "--rrd",
+    type=click.Path(path_type=Path),
+    help="Replay to write.  [default: beside the file; none if only --screenshot or --animation is given]",
+)
 @click.option("--open", "open_viewer", is_flag=True, help="Open the replay in the Rerun viewer.")
 @_screenshot_options
 @click.option("--animation", metavar="GIF|MP4", help="Animation to write, .gif or .mp4.")
@@ -170,9 +175,13 @@ def replay(
     click.echo(describe_outcome(record))
     if animation is not None:
         click.echo(f"animation  {animate(record, animation)}")
-    if animation is None or rrd is not None or open_viewer or shown is not None:
-        written = write_recording(record, rrd or file.with_suffix(".rrd"))
-        click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
+    keep = rrd is not None or open_viewer or (animation is None and shown is None)
+    with ExitStack() as stack:
+        if keep:
+            written = write_recording(record, rrd or file.with_suffix(".rrd"))
+            click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
+        elif shown is not None:  # the viewer needs a replay for its picture
+            written = write_recording(record, Path(stack.enter_context(TemporaryDirectory()), "episode.rrd"))
         if shown is not None:
             click.echo(f"screenshot {take_screenshot([written], *shown)}")
         if open_viewer:
