@@ -92,6 +92,14 @@ def make_environment(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any,
     return env
 
 
+def check_labelled(env: gym.Env[Any, Any]) -> None:
+    """Refuse an environment of recorded tracks whose leaders are unknown, since no answer can be scored there."""
+    if not getattr(env.unwrapped, "labelled", True):
+        raise ArgumentError(
+            "env must know the leaders to score detectors, got tracks without a column 'leader' that names their ids."
+        )
+
+
 def describe_environments() -> dict[str, str]:
     """Describe each id of this package in one line, and each PettingZoo game by its module's name.
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
@@ -22,7 +23,7 @@ from pydantic import Field, field_validator
 
 from usnet_env.config import ArgumentError, Config, quote, unknown_name
 from usnet_env.evaluation import tables
-from usnet_env.evaluation.environments import make_environment
+from usnet_env.evaluation.environments import check_labelled, make_environment
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.evaluation.identity import describe
 from usnet_env.evaluation.metrics import RATES
@@ -125,11 +126,21 @@ def load_suite(suite: str | PathLike[str]) -> FrozenSuite:
             raise ArgumentError(f"{cell} must map names to arguments, got {quote(own)} {text}.")
         if cell != "arguments":
             arguments = {**shared, **(own or {})}
-            cells[cell] = Cell(env=arguments.pop("env", env), arguments=arguments)
+            with _name_cell(cell, f"of {path.name}"):
+                cells[cell] = Cell(env=arguments.pop("env", env), arguments=arguments)
     content |= {"name": name, "digest": sha256(data).hexdigest(), "cells": cells}
     if missing := sorted(FrozenSuite.model_fields.keys() - content):
         raise ArgumentError(f"suite must have {', '.join(missing)}, got none {text}.")
     return FrozenSuite(**content)
+
+
+@contextmanager
+def _name_cell(name: str, where: str) -> Iterator[None]:
+    """Name the cell in the message of an argument that is refused."""
+    try:
+        yield
+    except ArgumentError as error:
+        raise ArgumentError(f"{str(error).removesuffix('.')}, in the cell {quote(name)} {where}.") from None
 
 
 def evaluate_suite(
@@ -172,8 +183,12 @@ def evaluate_suite(
     for name in ("env", "env_kwargs"):
         if name in how:
             raise ArgumentError(f"{name} must not be given, because the suite gives it, got {quote(how[name])}.")
-    for cell in chosen.cells.values():  # a fault in the last cell should not end a run of hours
-        make_environment(cell.env, cell.arguments).close()
+    for name, cell in chosen.cells.items():  # a fault in the last cell should not end a run of hours
+        with (
+            _name_cell(name, f"of the suite {chosen.name}"),
+            closing(make_environment(cell.env, cell.arguments)) as env,
+        ):
+            check_labelled(env)
     folder = None if out is None else as_path("out", out)
     results: dict[str, EvaluationResult] = {}
     failures = _read_failures(folder)

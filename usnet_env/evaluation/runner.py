@@ -12,7 +12,7 @@ import gymnasium as gym
 from usnet_env.config import ArgumentError, named_values, plain_text, quote
 from usnet_env.evaluation.agents import PolicyAgent, as_agent
 from usnet_env.evaluation.engine import Place, RunArguments, choose_place, play_run
-from usnet_env.evaluation.environments import is_usnet, make_environment
+from usnet_env.evaluation.environments import check_labelled, is_usnet, make_environment
 from usnet_env.evaluation.identity import describe, describe_code, describe_detector
 from usnet_env.evaluation.isolation import make_secret
 from usnet_env.evaluation.metrics import TRACK_METRICS
@@ -110,11 +110,7 @@ def evaluate(
             stack.callback(environment.close)
         else:
             environment = _check_environment(env, arguments, place)
-        if not getattr(environment.unwrapped, "labelled", True):
-            raise ArgumentError(
-                "env must know the leaders to score detectors, got tracks without a column 'leader' that names their "
-                "ids."
-            )
+        check_labelled(environment)
         told = arguments if isinstance(env, str) else _find_fixed(environment)
         config = _make_config(environment, told, detectors, run)
         worker = Worker(str(env), arguments, detectors, isolation, environment)
