@@ -136,15 +136,29 @@ def test_a_folder_of_a_suite_says_which_suite_it_is(path, tmp_path):
     out = tmp_path / "own"
     evaluate_suite(path, "none", isolate=False, out=out)
     read = SuiteResult.load(out)
-    assert read.suite is None
-    assert list(read.results) == ["other", "plain"]  # by name
-    assert read.cell("plain", "none", "J").mean == 3.0
+    assert read.suite == load_suite(path)
+    assert list(read.results) == ["plain", "other"]
+    described = (out / "suite.json").read_text()
+    (out / "suite.json").write_text("{}")
+    with pytest.raises(ArgumentError, match=r"^folder must hold a suite\.json of a suite, got another one in '"):
+        SuiteResult.load(out)
+    other = described.replace('"f4"', '"f5"')  # with another suite, the folder does not say what all runs are
+    for text in (other, None):  # an earlier version wrote none
+        (out / "suite.json").unlink() if text is None else (out / "suite.json").write_text(text)
+        read = SuiteResult.load(out)
+        assert read.suite is None
+        assert list(read.results) == ["other", "plain"]  # by name
+        assert read.cell("plain", "none", "J").mean == 3.0
+    evaluate_suite(path, "none", isolate=False, out=out)  # resumes
+    assert (out / "suite.json").read_text() == described
     played = evaluate_suite(
         "controls", "none", cells=["decoys", "independent"], episodes=1, isolate=False, out=tmp_path / "controls"
     )
     read = SuiteResult.load(tmp_path / "controls")
     assert read.suite == load_suite("controls")
     assert read.to_markdown() == played.to_markdown()
+    (tmp_path / "controls" / "suite.json").unlink()
+    assert SuiteResult.load(tmp_path / "controls").suite == load_suite("controls")
     with pytest.raises(ArgumentError, match=r"^folder must hold runs of a suite, got "):
         SuiteResult.load(tmp_path / "controls" / "decoys")
 
@@ -155,6 +169,9 @@ def test_a_suite_has_a_page_of_its_tables(run, path, tmp_path):
     assert (status, err) == (0, "")
     assert out == f"page  {tmp_path / 'own' / 'report.html'}\n"
     text = (tmp_path / "own" / "report.html").read_text()
+    assert "<title>Detectors on own (version 2)</title>" in text
+    assert "own (version 2), 2 cells</caption>" in text
+    assert "not been played" not in text
     assert "none has a J_m of 3.000 in every episode." in text
     assert "<td>plain</td><td>0 (0–66) %</td>" in text
     assert "no answer today" in text
@@ -162,6 +179,48 @@ def test_a_suite_has_a_page_of_its_tables(run, path, tmp_path):
     status, _, err = run("replay", tmp_path / "own")
     assert status == 2
     assert "the folder of a suite, which has none; `usnet report` writes a page of its tables." in err
+
+
+class Stopped(Sure):
+    """Is interrupted in one of its episodes."""
+
+    def __init__(self, episode):
+        self.episode, self.begun = episode, 0
+
+    def reset(self, seed=None):
+        self.begun += 1
+        if self.begun == self.episode:
+            raise KeyboardInterrupt
+
+
+def test_an_interrupted_suite_says_what_has_not_been_played(run, path, tmp_path):
+    out = tmp_path / "runs"
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_suite(path, {"none": "none", "x": Stopped(3)}, isolate=False, episodes=4, out=out)
+    assert run("report", out)[0] == 0
+    text = (out / "report.html").read_text()
+    assert "Detectors on own (version 2)" in text
+    assert "own (version 2), 1 of 2 cells" in text
+    assert "<p>1 of 2 cells has not been played: other.</p>" in text
+    assert "<p>plain: Episodes are missing: none has 3 and x has 2 of 4.</p>" in text
+    assert repr(SuiteResult.load(out)) == "<SuiteResult of own (version 2), 1 of 2 cells, 2 detectors>"
+    again = Stopped(3)
+    again.begun = 3  # plays to the end
+    evaluate_suite(path, {"none": "none", "x": again}, isolate=False, episodes=4, out=out)
+    assert run("report", out)[0] == 0
+    assert "missing" not in (out / "report.html").read_text()
+
+
+def test_one_cell_is_a_cell(path):
+    played = evaluate_suite("controls", "none", cells=["decoys"], episodes=1, isolate=False)
+    total = len(played.suite.cells)
+    assert str(played.ranking().title).startswith(f"controls (version 2), 1 of {total} cells, 1 episode of each")
+    path.write_text(SUITE.partition("  other:")[0])
+    assert (
+        evaluate_suite(path, "none", isolate=False)
+        ._repr_html_()
+        .startswith("<table><caption>own (version 2), 1 cell</caption>")
+    )
 
 
 def test_a_suite_in_which_all_fail_has_an_empty_ranking_and_no_status_0(run, path, tmp_path, monkeypatch):
@@ -279,7 +338,7 @@ def test_arguments_that_a_suite_does_not_take_are_refused(path, changes, message
         evaluate_suite(path, "none", **changes)
 
 
-@pytest.mark.parametrize("name", ["../../esc", "a/b", "..", ".hidden", "failures.yaml", "'1'", "3"])
+@pytest.mark.parametrize("name", ["../../esc", "a/b", "..", ".hidden", "failures.yaml", "suite.json", "'1'", "3"])
 def test_a_cell_cannot_be_a_path(path, tmp_path, name):
     path.write_text(SUITE.replace("plain:", f"{name}:"))
     if name == "'1'":

@@ -87,6 +87,19 @@ def test_the_repr_is_a_line_and_html_is_escaped():
     )
 
 
+def test_a_run_that_was_interrupted_says_how_many_episodes_are_missing():
+    found = from_values(a=[1.0, 2.0], b=[1.0, None], c=[4.0, 5.0])
+    config = {**found.config, "detectors": ["a", "b", "c", "d", "e"], "episodes": 3000, "failures": {"e": "e failed."}}
+    result = EvaluationResult(found.rows, found.summary, config)
+    assert repr(result).endswith(": 3 detectors, 1 to 2 of 3000 episodes each; 1 failed>")
+    assert str(result.ranking().title).startswith("USNET/Made-v0, 1 to 2 of 3000 episodes of each detector")
+    sentence = "<p>Episodes are missing: a has 2, b has 1, c has 2 and d has 0 of 3000.</p>"
+    assert sentence in result._repr_html_()
+    whole = EvaluationResult(found.rows, found.summary, {**config, "detectors": ["a", "c"], "episodes": 2})
+    assert "missing" not in whole._repr_html_()
+    assert "1 to 2 episodes each" in repr(whole)
+
+
 def test_markdown_and_latex_hold_the_means_and_intervals():
     result = from_values(**{"a|b": [2.0, 2.0], "c_d(x=1)": [3.0, 3.0]})
     assert result.to_markdown(["J", "success"]) == (

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import yaml
 from pydantic import Field, field_validator
 
-from usnet_env.config import ArgumentError, Config, quote, unknown_name
+from usnet_env.config import ArgumentError, Config, format_count, quote, unknown_name
 from usnet_env.evaluation import tables
 from usnet_env.evaluation.environments import check_labelled, make_environment
 from usnet_env.evaluation.errors import EvaluationError
@@ -31,7 +31,8 @@ from usnet_env.evaluation.report import format_interval, format_latex, format_ma
 from usnet_env.evaluation.result import EvaluationResult, Results, Summary, summarise
 from usnet_env.evaluation.runner import evaluate
 from usnet_env.evaluation.statistics import Interval
-from usnet_env.evaluation.store import COLUMNS, KEYS, RUN, write_text
+from usnet_env.evaluation.store import COLUMNS, KEYS, RUN
+from usnet_env.evaluation.suite_folder import FAILURES, SUITE, read_failures, read_suite, write_failures, write_suite
 from usnet_env.evaluation.table import Columns, RowTable
 from usnet_env.files import as_path
 from usnet_env.progress import part_of
@@ -41,10 +42,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 _FOLDER = files("usnet_env.evaluation") / "suites"
-_FAILURES = "failures.yaml"  # in the folder of a run: which detector failed in which cell
 _CELL = re.compile(r"\w[\w .,=+-]*")  # a folder of a run has the name of its cell
-
-Failures = dict[str, dict[str, str]]  # by cell and by detector
 
 
 class Cell(Config):
@@ -72,7 +70,7 @@ class FrozenSuite(Config):
     @classmethod
     def _check_names(cls, cells: Any) -> Any:
         for name in cells if isinstance(cells, Mapping) else ():
-            if not isinstance(name, str) or not _CELL.fullmatch(name) or name == _FAILURES:
+            if not isinstance(name, str) or not _CELL.fullmatch(name) or name in (SUITE, FAILURES):
                 raise ArgumentError(
                     "cells must have names of letters, digits, spaces and '_.,=+-' that begin with a letter or a "
                     f"digit, got {quote(name)}."
@@ -191,7 +189,7 @@ def evaluate_suite(
             check_labelled(env)
     folder = None if out is None else as_path("out", out)
     results: dict[str, EvaluationResult] = {}
-    failures = _read_failures(folder)
+    failures = {} if folder is None else read_failures(folder)
     played = list(dict.fromkeys(cells or chosen.cells))
     for number, name in enumerate(played, 1):
         cell, failed, asked = chosen.cells[name], {}, chosen.episodes if episodes is None else episodes
@@ -213,6 +211,9 @@ def evaluate_suite(
             failed = dict(error.failures)
             if error.result is not None:
                 results[name] = error.result
+        finally:  # not before: a call that is refused leaves nothing
+            if folder is not None and (folder / name / RUN).exists():
+                write_suite(folder, _describe_suite(chosen))
         # Failures of an earlier call stay until the detector has played all episodes.
         summary = results[name].summary if name in results else []
         complete = {entry["detector"] for entry in summary if entry["episodes"] >= asked}
@@ -220,28 +221,32 @@ def evaluate_suite(
         if kept | failed:
             failures[name] = kept | failed
         if folder is not None:
-            write_text(folder / _FAILURES, yaml.safe_dump(failures, allow_unicode=True))
+            write_failures(folder, failures)
     return SuiteResult(chosen, results, {cell: failures[cell] for cell in played if cell in failures})
 
 
-def _read_failures(folder: Path | None) -> Failures:
-    """The failures of earlier calls with the same folder.
+def _describe_suite(suite: FrozenSuite) -> dict[str, Any]:
+    """The fields of a suite as a mapping."""
+    cells = {name: {"env": cell.env, "arguments": cell.arguments} for name, cell in suite.cells.items()}
+    return {name: getattr(suite, name) for name in FrozenSuite.model_fields} | {"cells": cells}
 
-    Raises:
-        ArgumentError: the file holds something else.
-    """
-    path = None if folder is None else folder / _FAILURES
-    if path is None or not path.exists():
-        return {}
+
+def _restore_suite(folder: Path) -> FrozenSuite | None:
+    """The suite that was played last in a folder; ``None`` if an earlier version wrote it."""
+    fields = read_suite(folder)
+    if fields is None:
+        return None
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-        return {cell: dict(own) for cell, own in content.items()}
-    except (yaml.YAMLError, UnicodeDecodeError, AttributeError, TypeError, ValueError):
-        raise ArgumentError(f"out must hold a {_FAILURES} of a suite, got a broken one in {str(folder)!r}.") from None
+        return FrozenSuite(**fields | {"cells": {name: Cell(**cell) for name, cell in fields["cells"].items()}})
+    except (ArgumentError, AttributeError, KeyError, TypeError):
+        raise ArgumentError(f"folder must hold a {SUITE} of a suite, got another one in {str(folder)!r}.") from None
 
 
-def _find_suite(runs: Mapping[str, EvaluationResult]) -> FrozenSuite | None:
-    """The suite of this package that has these runs as cells, with the same arguments; one with their seed first."""
+def _find_suite(runs: Mapping[str, EvaluationResult], kept: FrozenSuite | None) -> FrozenSuite | None:
+    """The suite that has these runs as cells, with the same arguments: the one that the folder names.
+
+    Without it, or if other suites were played in the folder too, a suite of this package, one with their seed first.
+    """
 
     def has(suite: FrozenSuite, name: str, config: Mapping[str, Any]) -> bool:
         cell = suite.cells.get(name)
@@ -250,9 +255,10 @@ def _find_suite(runs: Mapping[str, EvaluationResult]) -> FrozenSuite | None:
         return bool(json.loads(json.dumps(describe(cell.arguments))) == config["env_kwargs"])
 
     configs = {name: run.config for name, run in runs.items()}
-    found = [each for each in list_suites().values() if all(has(each, *one) for one in configs.items())]
+    known = [each for each in (kept, *list_suites().values()) if each is not None]
+    found = [each for each in known if all(has(each, *one) for one in configs.items())]
     seeds = {config["seed"] for config in configs.values()}
-    return min(found, key=lambda suite: not {suite.seed, suite.tuning_seed} & seeds, default=None)
+    return min(found, key=lambda suite: (suite is not kept, not {suite.seed, suite.tuning_seed} & seeds), default=None)
 
 
 @dataclass(frozen=True, repr=False)
@@ -260,7 +266,7 @@ class SuiteResult(Results):
     """The results of a suite.
 
     Args:
-        suite: the suite; ``None`` if :meth:`load` has read it from a folder, and it is no suite of this package.
+        suite: the suite; ``None`` if :meth:`load` cannot tell it from a folder of an earlier version.
         results: the result of each cell that was played.
         failures: why a detector has no result in a cell, by cell and by the label of the detector.
     """
@@ -275,8 +281,9 @@ class SuiteResult(Results):
 
         Args:
             folder: the folder.
-            suite: as of :func:`evaluate_suite`; ``None``: the suite of this package whose cells are the runs of the
-                folder. If there is none, the cells are all runs of the folder, in the order of their names.
+            suite: as of :func:`evaluate_suite`; ``None``: the suite that the folder names, or a suite of this package
+                whose cells are the runs of the folder. If there is none, the cells are all runs of the folder, in the
+                order of their names.
 
         Raises:
             ArgumentError: the folder holds no run of a cell, or a file in it is broken.
@@ -288,9 +295,9 @@ class SuiteResult(Results):
         if not results:
             of = "a suite" if chosen is None else f"the suite {chosen.name}"
             raise ArgumentError(f"folder must hold runs of {of}, got {quote(str(root))}.")
-        if chosen is None and (chosen := _find_suite(results)):
+        if chosen is None and (chosen := _find_suite(results, _restore_suite(root))):
             results = {name: results[name] for name in chosen.cells if name in results}
-        known = _read_failures(root)
+        known = read_failures(root)
         failures = {}
         for cell in chosen.cells if chosen else dict.fromkeys([*results, *known]):
             run = results.get(cell)
@@ -306,12 +313,29 @@ class SuiteResult(Results):
         return "suite" if self.suite is None else self.suite.label
 
     def __repr__(self) -> str:
-        return f"<SuiteResult of {self.label}: {len(self.results)} cells, {len(self.detectors)} detectors>"
+        return f"<SuiteResult of {self._title}, {format_count(len(self.detectors), 'detector')}>"
 
     def _repr_html_(self) -> str:
-        """The ranking, the table of the cells and the failures, for a notebook."""
-        title = f"{self.label}, {len(self.results)} cells"
-        return tables.html_table(self.summary, title) + tables.html_cells(*self._table("exact"), self.failures)
+        """The ranking, the table of the cells, what has not been played and the failures, for a notebook."""
+        ranking, cells = tables.html_table(self.summary, self._title), tables.html_cells(*self._table("exact"))
+        notes = [f"{cell}: {why}" for cell, own in self.failures.items() for why in own.values()]
+        return ranking + cells + tables.html_notes([*self._list_gaps(), *notes])
+
+    @property
+    def _title(self) -> str:
+        """The suite and the number of its cells that have a result."""
+        total = len(self._cells if self.suite is None else self.suite.cells)
+        cells = format_count(total, "cell")
+        return f"{self.label}, {cells if len(self.results) == total else f'{len(self.results)} of {cells}'}"
+
+    def _list_gaps(self) -> list[str]:
+        """What has not been played, in one sentence for the cells, and one for the episodes of each other cell."""
+        cells = [] if self.suite is None else list(self.suite.cells)
+        absent = [name for name in cells if name not in self._cells]
+        have = "has" if len(absent) == 1 else "have"
+        lack = f"{len(absent)} of {format_count(len(cells), 'cell')} {have} not been played: {', '.join(absent)}."
+        own = {name: tables.describe_gap(result.summary, result.config) for name, result in self.results.items()}
+        return [lack] * bool(absent) + [f"{name}: {gap}" for name, gap in own.items() if gap]
 
     def list_results(self) -> list[EvaluationResult]:
         """The result of each cell."""
@@ -364,7 +388,7 @@ class SuiteResult(Results):
 
     def ranking(self) -> Table:
         """The detectors by their mean J over all cells (in recorded tracks F1), as a table for 80 columns."""
-        return tables.ranking_table(self.summary, f"{self.label}, {len(self.results)} cells")
+        return tables.ranking_table(self.summary, self._title)
 
     def to_markdown(self, metric: str = "exact") -> str:
         """A table with a line for each cell and a column for each detector: the mean of a metric and its interval.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from os import PathLike
 from typing import TYPE_CHECKING, Any, overload
 
@@ -191,16 +190,16 @@ class EvaluationResult(Results):
         return f"<EvaluationResult of {self._title()}>"
 
     def _repr_html_(self) -> str:
-        """The ranking, for a notebook."""
-        failed = "".join(f"<p>{escape(why)}</p>" for why in self.failures.values())
-        return tables.html_table(self.summary, self._title()) + failed
+        """The ranking, which episodes are missing, and the failures, for a notebook."""
+        notes = [tables.describe_gap(self.summary, self.config), *self.failures.values()]
+        return tables.html_table(self.summary, self._title()) + tables.html_notes(notes)
 
     def list_results(self) -> list[EvaluationResult]:
         """This result alone."""
         return [self]
 
     def _title(self) -> str:
-        played = tables.describe_episodes(self.summary)
+        played = tables.describe_episodes(self.summary, self.config.get("episodes"))
         failed = f"; {len(self.failures)} failed" if self.failures else ""
         return f"{self.config['env']}: {format_count(len(self.summary), 'detector')}, {played} each{failed}"
 
@@ -239,7 +238,7 @@ class EvaluationResult(Results):
         An arrow after a heading points to the better values; where all values are equal, a mean has no interval.
         :meth:`table` has all metrics.
         """
-        return tables.ranking_table(self.summary, self.config["env"])
+        return tables.ranking_table(self.summary, self.config["env"], self.config.get("episodes"))
 
     def conclusion(self) -> str:
         """State in one sentence which detector has the best J, and which others these episodes do not separate from it.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -197,12 +197,29 @@ def html_table(summary: Summary, title: str) -> str:
     return f"<table><caption>{escape(title)}</caption>{body}</table><p>{escape(conclude(summary))}</p>"
 
 
-def html_cells(header: Sequence[str], lines: Sequence[Sequence[str]], failures: Mapping[str, Mapping[str, str]]) -> str:
-    """The table of the cells of a suite in HTML, and why detectors have no result in some of them."""
+def html_cells(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """The table of the cells of a suite in HTML."""
     rows = [(tag, line) for tag, own in (("th", [header]), ("td", lines)) for line in own]
     body = "".join(f"<tr>{''.join(f'<{tag}>{escape(text)}</{tag}>' for text in line)}</tr>" for tag, line in rows)
-    said = "".join(f"<p>{escape(f'{cell}: {text}')}</p>" for cell, own in failures.items() for text in own.values())
-    return f"<table>{body}</table>{said}"
+    return f"<table>{body}</table>"
+
+
+def html_notes(notes: Iterable[str]) -> str:
+    """Sentences below a table in HTML; empty ones are left out."""
+    return "".join(f"<p>{escape(note)}</p>" for note in notes if note)
+
+
+def describe_gap(summary: Summary, config: Mapping[str, Any]) -> str:
+    """State in one sentence which detectors of a run have not played all episodes; an empty text if all have.
+
+    Args:
+        summary: of the run.
+        config: of the run, with ``detectors``, ``episodes`` and ``failures``; detectors that have failed are left out.
+    """
+    played, asked = {entry["detector"]: entry["episodes"] for entry in summary}, config.get("episodes", 0)
+    labels = [label for label in config.get("detectors", ()) if label not in config.get("failures", {})]
+    missing = [f"{label} has {played.get(label, 0)}" for label in labels if played.get(label, 0) < asked]
+    return f"Episodes are missing: {_join(missing)} of {asked}." if missing else ""
 
 
 def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Table:
@@ -225,21 +242,34 @@ def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Tab
     return table
 
 
-def describe_episodes(summary: Summary) -> str:
-    """The number of episodes of each detector: ``20 episodes``, or ``5 to 20 episodes``."""
+def describe_episodes(summary: Summary, asked: int | None = None) -> str:
+    """The number of episodes of each detector: ``20 episodes``, or ``5 to 20 episodes``, ``5 of 20 episodes``.
+
+    Args:
+        summary: of the run.
+        asked: episodes of the whole run, if they are known.
+    """
     episodes = sorted({entry["episodes"] for entry in summary}) or [0]
     most = format_count(episodes[-1], "episode")
+    if asked is not None and episodes[-1] < asked:
+        most = f"{episodes[-1]} of {format_count(asked, 'episode')}"
     return most if len(episodes) == 1 else f"{episodes[0]} to {most}"
 
 
-def ranking_table(summary: Summary, env: str) -> Table:
-    """The detectors by their J, best first, and their main metrics, for a terminal of 80 columns."""
+def ranking_table(summary: Summary, env: str, asked: int | None = None) -> Table:
+    """The detectors by their J, best first, and their main metrics, for a terminal of 80 columns.
+
+    Args:
+        summary: of a run or a suite.
+        env: what was played.
+        asked: episodes of the whole run, if they are known.
+    """
     from rich.box import SIMPLE_HEAD
     from rich.text import Text
 
     from usnet_env.evaluation.split_table import SplitTable
 
-    title = f"{env}, {describe_episodes(summary)} of each detector: means, best first"
+    title = f"{env}, {describe_episodes(summary, asked)} of each detector: means, best first"
     table = SplitTable(title=title, box=SIMPLE_HEAD, title_justify="left", show_edge=False, padding=0)
     table.add_column("detector", overflow="fold")
     best = _first_metric(summary)
