@@ -30,6 +30,17 @@ class Counts:
         candidates = np.arange(window.uavs) < len(CALLS) // 2  # another number in each round that is ever played
         return Detection(candidates & window.alive, candidates)
 """
+ALL_OR_NONE = """
+from usnet_env import Detection
+
+
+class AllOrNone:
+    def reset(self, seed=None):
+        self.all = seed % 2 == 0
+
+    def detect(self, window):
+        return Detection(window.alive & self.all, window.alive)
+"""
 STOPS = """
 from pathlib import Path
 from usnet_env import Detection
@@ -203,6 +214,25 @@ def test_the_page_of_a_run_has_the_ranking_and_links_to_its_episodes(run, record
     assert text.count("<section>") == 4
     assert "one-per-round-2.npz" in text
     assert "has the lowest J" in text or "have the lowest" in text
+
+
+def test_the_worst_windows_of_recorded_tracks_have_the_lowest_f1(run, tmp_path, monkeypatch):
+    """Their J is best where no id is named."""
+    pytest.importorskip("rerun")
+    monkeypatch.setattr(sys.modules["usnet_env.cli.replay"], "_MOST_FAILURES", 1)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "all_or_none.py").write_text(ALL_OR_NONE)
+    lines = (f"{i},{t},{t * (1 + i)},{i},0" for i in range(4) for t in range(100))
+    (tmp_path / "tracks.csv").write_text("\n".join(["id,t,x,y,leader", *lines]))
+    where = ["--set", f"path={tmp_path / 'tracks.csv'}", "step=1", "window=20"]
+    words = ["evaluate", "--env", "USNET/Tracks-v0", *where, "--detector", "all_or_none:AllOrNone", "--episodes", "6"]
+    assert run(*words, "--backend", "serial", "--out", tmp_path / "run", "--record", "worst")[0] == 0
+    assert {row["recall_first"] for row in EvaluationResult.load(tmp_path / "run").rows} == {0.0, 1.0}
+    (path,) = (tmp_path / "run" / "episodes").iterdir()
+    assert not EpisodeRecord.load(path).candidates.any()
+    status, out, _ = run("replay", tmp_path / "run")
+    assert status == 0
+    assert "0 of 1 head found in 1 window with 0 redundant candidates: F1 = 0.000 (1 is best)" in out
 
 
 def test_a_screenshot_alone_leaves_no_replay(run, recorded, tmp_path, monkeypatch):

@@ -102,6 +102,9 @@ def test_a_suite_of_tracks_has_their_metrics_and_ranks_by_f1_as_its_cells_do(pat
     assert played.cell("plain", "none", "J").mean < played.cell("plain", "destroy-all", "J").mean
     for result in (played, one):
         assert str(result.ranking().columns[1].header).startswith("F1↑")
+        names = [str(column.header).partition("↑")[0] for column in result.ranking().columns]
+        assert names == ["detector", "F1", "redundancy↓", "exact", "group leaders", "s↓"]
+        assert result._repr_html_().count("<th>F1↑") == 1
         assert list(result.ranking().columns[0].cells)[-1].plain == "none"
     assert played.to_markdown("group_leader_first").splitlines()[-1] == "| all cells | 0.25 | 0.25 | 1.00 |"
     path.write_text(path.read_text() + "  simulated: {env: USNET/SingleCluster-v0}\n")

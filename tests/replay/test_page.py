@@ -6,11 +6,18 @@ import html
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
+import gymnasium as gym
+import numpy as np
 import pytest
 from small_episode import MIND, small_episode
 
+from usnet_env import make_detector
+from usnet_env.replay import EpisodeRecord, record_episode
+from usnet_env.replay.animation import scenes
 from usnet_env.replay.page import write_episode_page, write_page
+from usnet_env.replay.story import explain_replay, tell_round
 
 pytest.importorskip("matplotlib")
 
@@ -38,7 +45,7 @@ def test_the_page_holds_everything_and_loads_nothing(page):
     text = page.read_text()
     assert not re.search(r"""(src|href)=["'](?!data:image/png;base64,|episode\.npz)""", text)
     assert "http" not in re.sub("base64,[^'\"]*", "", text)
-    words = html.unescape(re.sub("<[^>]*>", " ", text))
+    words = read_words(text)
     assert "All 2 heads found in 2 rounds with 1 redundant candidate: J = 2.083" in words
     assert "redundant. Adds 2 nats." in words
     assert page.stat().st_size < 1_000_000
@@ -65,6 +72,45 @@ def test_names_cannot_break_the_page(tmp_path):
     text = write_page("a < b", {"x": record}, tmp_path / "e.html").read_text()
     assert "&lt;b&gt;&amp;amp;&lt;/script&gt;" in text
     assert "<title>a &lt; b</title>" in text
+
+
+@pytest.fixture(scope="module")
+def tracks(tmp_path_factory):
+    """A file of four birds: bird-0 flies ahead, and the others fly its way later."""
+    rng = np.random.default_rng(1)
+    at = np.cumsum(np.cumsum(rng.normal(0, 0.1, (200, 2)), axis=0), axis=0)
+    rows = [f"bird-{i},{t},{at[t - 2 * i, 0]},{at[t - 2 * i, 1] + i},bird-0" for i in range(4) for t in range(10, 200)]
+    path = tmp_path_factory.mktemp("tracks") / "birds.csv"
+    path.write_text("\n".join(["id,t,x,y,leader", *rows]))
+    return path
+
+
+def read_words(text):
+    return html.unescape(re.sub("<[^>]*>", " ", re.sub("base64,[^'\"]*", "", text)))
+
+
+def test_a_page_of_recorded_tracks_says_what_is_true_of_them(tracks, tmp_path):
+    env = gym.make("USNET/Tracks-v0", path=tracks, step=1.0)
+    records = {name: record_episode(env, make_detector(name), 0, 1) for name in ("none", "destroy-all")}
+    loaded = {name: EpisodeRecord.load(each.save(tmp_path / f"{name}.npz")) for name, each in records.items()}
+    text = read_words(write_page("tracks", loaded, tmp_path / "tracks.html").read_text())
+    body = text[text.index("A detector looks") : text.index("const box")]
+    assert "The truth is what the file says of the leaders." in body
+    ending = "redundant candidates: F1 = {} (1 is best), group leaders 0.25."
+    assert f"0 of 1 head found in 1 window with 0 {ending.format('0.000')}" in body
+    assert f"1 of 1 head found in 1 window with 3 {ending.format('0.400')}" in body
+    assert "Without candidates no head is hit. 1 head not found: F1 = 0.00 (1 is best)." in body
+    assert "bird-0" in body
+    assert not re.search(r"\bUAVs?\b|destroyed|\bJ\b|[Rr]ound", body)
+    for record in loaded.values():
+        assert not record.destroyed.any()
+        told = [*tell_round(record, 1, list("abcd")), explain_replay(record), *(each.text for each in scenes(record))]
+        assert not re.search(r"\bUAVs?\b|are destroyed|\bJ\b|[Rr]ound", " ".join(told))
+    config = {name: value for name, value in loaded["none"].config.items() if name not in ("ids", "start", "end")}
+    earlier = replace(loaded["none"], config=config)  # as an earlier version wrote it
+    text = read_words(write_page("tracks", {"x": earlier}, tmp_path / "earlier.html").read_text())
+    assert " track 0 " in text
+    assert "F1 = 0.000 (1 is best)" in text
 
 
 @pytest.mark.slow

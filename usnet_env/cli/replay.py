@@ -193,13 +193,16 @@ def _list_episodes(files: Sequence[Path]) -> None:
     from rich.table import Table
 
     from usnet_env.replay import EpisodeRecord
+    from usnet_env.replay.story import name_score
 
+    records = [EpisodeRecord.load(file) for file in files]
+    scores = [name_score(record) for record in records]
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for name in ("file", "detector", "seed", "rounds", "J", "heads left"):
+    names = " or ".join(dict.fromkeys(name for name, _ in scores))
+    for name in ("file", "detector", "seed", "rounds", names, "heads left"):
         table.add_column(name, overflow="fold")
-    for file in files:
-        record = EpisodeRecord.load(file)
-        score = [f"{record.objective[-1]:.3f}", record.heads_left[-1]] if record.labelled else ["–", "–"]
+    for record, file, (_, value) in zip(records, files, scores, strict=True):
+        score = ["–" if value is None else f"{value:.3f}", record.heads_left[-1] if record.labelled else "–"]
         numbers = ("–" if record.seed is None else record.seed, record.rounds, *score)
         table.add_row(str(file), record.detector, *map(str, numbers))
     show(table)
@@ -312,11 +315,12 @@ def _choose_rows(result: EvaluationResult, wanted: str) -> list[dict[str, Any]]:
     every = _EVERY.match(wanted)
     if every:
         return [row for row in result.rows if row["episode"] % int(every[1]) == 0]
-    chosen = []
+    from usnet_env.evaluation.tables import first_metric
+
+    chosen, metric = [], first_metric(result.summary)
     for entry in result.summary:
         rows = [row for row in result.rows if row["detector"] == entry["detector"] and not row["exact"]]
-        better = 1 if "Single" in str(result.config["env"]) else -1  # J_s is 0 at best, J_m is lowest at best
-        chosen += sorted(rows, key=lambda row: (better * row["J"], row["episode"]))[:_MOST_FAILURES]
+        chosen += sorted(rows, key=lambda row: (-metric.sign * row[metric.column], row["episode"]))[:_MOST_FAILURES]
     return chosen
 
 

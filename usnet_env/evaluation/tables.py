@@ -29,6 +29,7 @@ HEADINGS = {
     "seconds_per_round": "seconds↓\nper round",
     "purity_first": "purity↑\nin round 1",
     "head_in_cluster_first": "head in cluster↑\nin round 1",
+    "group_leader_first": "group leaders↑\nin round 1",
 }
 
 #: Columns of the ranked table after J, with the arrow that points to the better values.
@@ -37,6 +38,13 @@ RANKING = {
     "redundancy": "redundancy↓",
     "exact": "exact↑",
     "f1_first": "F1↑",
+    "seconds_per_round": "s↓",
+}
+#: The same after F1, in recorded tracks, which have one round.
+TRACK_RANKING = {
+    "redundancy": "redundancy↓",
+    "exact": "exact↑",
+    "group_leader_first": "group leaders↑",
     "seconds_per_round": "s↓",
 }
 
@@ -56,7 +64,11 @@ def _format_objective(value: float) -> str:
     return f"{value:.3f}" if abs(value) < 10 else f"{value:.2f}"
 
 
-def _format_short(name: str, value: float) -> str:
+def _format_short(entry: Mapping[str, Any], name: str) -> str:
+    """A detector's mean of a metric with few digits; ``–`` where it has none."""
+    if name not in entry["metrics"]:
+        return "–"
+    value = entry["metrics"][name]["mean"]
     if name == "seconds_per_round" and 0 < value < 0.01:
         return "<0.01"
     return f"{value:.1f}" if name == "rounds" or value >= 100 else f"{value:.2f}"
@@ -67,7 +79,7 @@ def _join(names: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
-class _First(NamedTuple):
+class FirstMetric(NamedTuple):
     """The metric by which detectors are ranked: its column, its name, and 1 if low values are good, otherwise -1."""
 
     column: str
@@ -76,21 +88,30 @@ class _First(NamedTuple):
 
     @property
     def heading(self) -> str:
+        """The name with the arrow that points to the better values."""
         return f"{self.name}{'↓' if self.sign == 1 else '↑'}"
 
 
-def _first_metric(summary: Summary) -> _First:
+def _is_of_tracks(summary: Summary) -> bool:
+    """Whether recorded tracks were played."""
+    return any(name in entry["metrics"] for entry in summary for name in TRACK_METRICS)
+
+
+def first_metric(summary: Summary) -> FirstMetric:
     """J; in recorded tracks F1, since J of their one round does not count the heads that are missed."""
-    if any(name in entry["metrics"] for entry in summary for name in TRACK_METRICS):
-        return _First("f1_first", "F1", -1)
-    return _objective(summary)
+    return FirstMetric("f1_first", "F1", -1) if _is_of_tracks(summary) else _objective(summary)
 
 
-def _objective(summary: Summary) -> _First:
+def _ranking_columns(summary: Summary) -> dict[str, str]:
+    """The columns of the ranked table after the first metric, with their headings."""
+    return TRACK_RANKING if _is_of_tracks(summary) else RANKING
+
+
+def _objective(summary: Summary) -> FirstMetric:
     """J_m of P2, which is at least 1 and is to be low; or J_s of P1, which is at most 0 and is to be high."""
     if not summary or summary[0]["metrics"]["J"]["mean"] > 0:
-        return _First("J", "J_m", 1)
-    return _First("J", "J_s", -1)
+        return FirstMetric("J", "J_m", 1)
+    return FirstMetric("J", "J_s", -1)
 
 
 def objective_name(summary: Summary) -> str:
@@ -100,7 +121,7 @@ def objective_name(summary: Summary) -> str:
 
 def rank(summary: Summary) -> list[Mapping[str, Any]]:
     """The entries of the summary, best mean of the first metric first, then the highest F1, then in the order given."""
-    best = _first_metric(summary)
+    best = first_metric(summary)
 
     def place(entry: Mapping[str, Any]) -> tuple[float, float]:
         metrics = entry["metrics"]
@@ -185,12 +206,12 @@ def html_table(summary: Summary, title: str) -> str:
     """The ranking as a table in HTML, with the sentence about the best detector."""
     if not summary:
         return f"<p>{escape(title)}</p>"
-    best = _first_metric(summary)
-    headings = ["detector", "episodes", f"{best.heading} (95 % interval)", *RANKING.values()]
+    best, columns = first_metric(summary), _ranking_columns(summary)
+    headings = ["detector", "episodes", f"{best.heading} (95 % interval)", *columns.values()]
     lines = ["".join(f"<th>{escape(heading)}</th>" for heading in headings)]
     for entry in rank(summary):
         cells = _cells(entry, [best.column], "{} ({} to {})")
-        cells += [_format_short(name, entry["metrics"][name]["mean"]) for name in RANKING]
+        cells += [_format_short(entry, name) for name in columns]
         texts = [entry["detector"], str(entry["episodes"]), *cells]
         lines.append("".join(f"<td>{escape(text)}</td>" for text in texts))
     body = "".join(f"<tr>{line}</tr>" for line in lines)
@@ -272,13 +293,12 @@ def ranking_table(summary: Summary, env: str, asked: int | None = None) -> Table
     title = f"{env}, {describe_episodes(summary, asked)} of each detector: means, best first"
     table = SplitTable(title=title, box=SIMPLE_HEAD, title_justify="left", show_edge=False, padding=0)
     table.add_column("detector", overflow="fold")
-    best = _first_metric(summary)
-    for heading in (f"{best.heading} (95 % int.)", *RANKING.values()):
+    best, columns = first_metric(summary), _ranking_columns(summary)
+    for heading in (f"{best.heading} (95 % int.)", *columns.values()):
         table.add_column(heading, justify="right", no_wrap=True)
     for entry in rank(summary):
-        metrics = entry["metrics"]
         cells = _cells(entry, [best.column], "{} ({}–{})", form=_format_objective)
-        cells += [_format_short(name, metrics[name]["mean"]) for name in RANKING]
+        cells += [_format_short(entry, name) for name in columns]
         table.add_row(Text(entry["detector"]), *cells)  # Text is not parsed as Rich markup
     return table
 
@@ -291,7 +311,7 @@ def conclude(summary: Summary) -> str:
     if not summary:
         return "No detector has played all episodes."
     first, *others = rank(summary)
-    column, objective, sign = _first_metric(summary)
+    column, objective, sign = first_metric(summary)
     best = first["metrics"][column]
     mean, low, high = (_format_objective(best[name]) for name in ("mean", "low", "high"))
     if best["low"] == best["high"]:

@@ -22,7 +22,14 @@ from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, last_seen_position, new_figure
 from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.episode import EpisodeRecord, check_record
-from usnet_env.replay.story import describe_answer, describe_ending, describe_remerge, describe_verdict, name_round
+from usnet_env.replay.story import (
+    describe_answer,
+    describe_ending,
+    describe_remerge,
+    describe_verdict,
+    name_round,
+    name_score,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +42,7 @@ _WIDTH, _HEIGHT, _DPI = 9.6, 6.0, 100  # inches, pixels per inch
 _PANEL, _LEFT, _BOTTOM = 4.55, 0.2, 0.52  # inches: side of a map, margins
 _WATCH, _NAME, _DESTROY, _REMERGE, _END = range(5)
 _PHASES = ("Watch", "Name", "Destroy", "Re-merge", "End")
-_TRACK_PHASES = ("Watch", "Find")
+_TRACK_PHASES, _KNOWN_PHASES = ("Watch", "Find"), ("Watch", "Find", "Compare")
 _PHASE_PLACES = (1.4, 2.25, 3.05, 4.0, 5.1)  # inches
 _STEP_SECONDS, _READ_SECONDS, _END_SECONDS = 0.09, 1.7, 3.5
 _LINK_FRAMES = 5  # frames in which orphans turn to their new heads
@@ -52,7 +59,7 @@ class Scene:
 
     Args:
         round: from 1.
-        phase: 0 watch, 1 name, 2 destroy, 3 re-merge, 4 end of the game.
+        phase: 0 watch, 1 name, 2 destroy (in recorded tracks: compare with the truth), 3 re-merge, 4 end of the game.
         seconds: how long the frame stays.
         text: one sentence about what happens.
         score: hits, redundant candidates and J so far.
@@ -70,12 +77,14 @@ class Scene:
 
 
 def _score(record: EpisodeRecord, played: int) -> str:
-    """Hits, redundant candidates and J after ``played`` rounds; nothing where the truth is unknown."""
+    """Hits, redundant candidates and J (or F1) after ``played`` rounds; nothing where the truth is unknown."""
     if not record.labelled:
         return ""
     hits, redundant = int(record.hits[:played].sum()), int(record.redundant[:played].sum())
-    objective = f"{record.objective[played - 1]:.2f}" if played else "–"
-    return f"hits {hits} of {int(record.head.sum())}     redundant {redundant}     J {objective}"
+    name, value = name_score(record)
+    value = value if record.recorded else record.objective[played - 1]
+    score = f"{value:.2f}" if played else "–"
+    return f"hits {hits} of {int(record.head.sum())}     redundant {redundant}     {name} {score}"
 
 
 def name_answer(record: EpisodeRecord) -> str:
@@ -97,7 +106,7 @@ def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
     for r in range(record.rounds):
         number, before, after = r + 1, _score(record, r), _score(record, r + 1)
         watch = f"The detector watches {samples - 1} steps. To it, all UAVs look alike."
-        if not record.labelled:
+        if record.recorded:
             watch = f"The detector watches {samples - 1} steps of recorded tracks."
         for grown in np.unique(np.linspace(1, samples, frames).round().astype(int)):
             yield Scene(number, _WATCH, _STEP_SECONDS, watch, before, int(grown))
@@ -105,6 +114,10 @@ def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
         seconds = _END_SECONDS if last else _READ_SECONDS
         yield Scene(number, _NAME, seconds, describe_answer(record, number), before, samples)
         if not record.labelled:
+            continue
+        if record.recorded:
+            text = f"{describe_verdict(record, number)} {describe_ending(record)}"
+            yield Scene(number, _DESTROY, _END_SECONDS, text, after, samples)
             continue
         yield Scene(number, _DESTROY, _READ_SECONDS, describe_verdict(record, number), after, samples)
         if number == record.rounds:
@@ -146,7 +159,7 @@ class Painter:
         axes = self.figure.add_axes((left / _WIDTH, _BOTTOM / _HEIGHT, _PANEL / _WIDTH, _PANEL / _HEIGHT))
         known = self.record.position[self.record.seen & self.record.alive[:, None]][:, :2]
         low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.ones(2))
-        least = 1.0 if self.record.labelled else 1e-6  # tracks may be smaller than a metre
+        least = 1e-6 if self.record.recorded else 1.0  # tracks may be smaller than a metre
         middle, half = (low + high) / 2, 0.54 * max(float((high - low).max()), least)
         axes.set_xlim(middle[0] - half, middle[0] + half)
         axes.set_ylim(middle[1] - half, middle[1] + half)
@@ -181,6 +194,8 @@ class Painter:
         }
         if not self.record.labelled:
             keys = {"leader": keys["head"], "follower, colour of its leader": keys["follower, colour of its head"]}
+        elif self.record.recorded:
+            del keys["destroyed"]
         if self.record.decoy.any():
             keys["decoy"] = mark(marker="D", color="white", markeredgecolor="black", markersize=6)
         self.figure.legend(
@@ -193,8 +208,9 @@ class Painter:
             self.header.append(self.figure.text(x / _WIDTH, 1 - y / _HEIGHT, text, va="baseline", **style))
 
         write(_LEFT, 0.33, f"{name_round(self.record)} {scene.round}", fontsize=15, weight="bold")
-        right = 0.0 if self.record.labelled else 0.35  # the word "Window" is longer than "Round"
-        for phase, word in enumerate(_PHASES if self.record.labelled else _TRACK_PHASES):
+        right = 0.35 if self.record.recorded else 0.0  # the word "Window" is longer than "Round"
+        known = _KNOWN_PHASES if self.record.recorded else _PHASES
+        for phase, word in enumerate(known if self.record.labelled else _TRACK_PHASES):
             now = phase == scene.phase
             style: dict[str, Any] = {"weight": "bold", "color": _NAMED} if now else {"color": "#A0A0A0"}
             write(_PHASE_PLACES[phase] + right, 0.33, word, fontsize=11.5, **style)
@@ -222,7 +238,7 @@ class Painter:
     def _draw_observed(self, scene: Scene, place: NDArray[np.float32], path: NDArray[np.float32]) -> None:
         """The left map: equal dots and tracks, rings around the candidates."""
         record, r = self.record, scene.round - 1
-        gone = ~record.alive[r] | (record.fired[r] & (scene.phase >= _DESTROY))
+        gone = ~record.alive[r] | (record.destroyed[r] & (scene.phase >= _DESTROY))
         self._lines(self.observed, path[~gone], colors=_UNKNOWN, linewidths=0.9, alpha=0.75, zorder=2)
         self._scatter(self.observed, place, ~gone, s=17, c=_UNKNOWN, edgecolors="white", linewidths=0.4, zorder=3)
         self._draw_destroyed(self.observed, scene, place)
@@ -237,7 +253,7 @@ class Painter:
         self._scatter(axes, record.last_position(scene.round), ~record.alive[r], c="#B0B0B0", **style)
         if scene.phase >= _DESTROY:
             style |= {"s": 70, "linewidths": 1.9, "zorder": 7}
-            self._scatter(axes, place, record.fired[r], c="black", **style)
+            self._scatter(axes, place, record.destroyed[r], c="black", **style)
 
     def _draw_truth(self, scene: Scene, place: NDArray[np.float32], path: NDArray[np.float32]) -> None:
         """The right map: clusters in colour, links to the heads, the verdict, and the orphans' new heads.
@@ -250,7 +266,7 @@ class Painter:
         if not record.labelled:  # the answer, once it is given
             head = candidates & (scene.phase >= _NAME)
             root = root if scene.phase >= _NAME else np.full_like(root, -1)
-        gone = ~record.alive[r] | (record.fired[r] & (scene.phase >= _DESTROY))
+        gone = ~record.alive[r] | (record.destroyed[r] & (scene.phase >= _DESTROY))
         orphan = record.orphans[r] & (scene.phase >= _DESTROY)
         new = record.root[r + 1] if scene.phase == _REMERGE else np.full_like(root, -1)
         moved = orphan & (new >= 0)

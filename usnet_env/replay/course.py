@@ -39,7 +39,7 @@ def write_course(scribe: Scribe) -> None:
     texts = [text for number in range(1, record.rounds + 1) for text in tell_round(record, number, scribe.names)]
     rows = clock.list_rows([0, clock.answer, clock.destroy, clock.remerge])
     scribe.send(ROUND, rr.TextDocument, rows, 1, text=texts, media_type=["text/markdown"] * len(texts))
-    if not record.labelled:
+    if record.recorded:
         _write_curve(scribe, "leaders", np.append([0.0], record.candidates.sum(axis=1)))
         return
     heads, hits = max(int(record.head.sum()), 1), np.cumsum(record.hits)
@@ -79,7 +79,7 @@ def _write_lanes(scribe: Scribe) -> None:
         for r in np.flatnonzero(record.alive[:, head]).tolist():
             answer = "named: hit" if record.candidates[r, head] else "not named"
             states += [(r, 0, "watched"), (r, clock.answer, answer)]
-            if record.fired[r, head]:
+            if record.destroyed[r, head]:
                 states.append((r, clock.destroy, "destroyed"))
         _write_lane(scribe, f"head_{scribe.names[head]}", states)
 

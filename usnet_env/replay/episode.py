@@ -207,7 +207,7 @@ class EpisodeRecord:
             raise ArgumentError(
                 f"decoy must exclude the heads, got UAVs {quote(np.flatnonzero(self.head & self.decoy))} as both."
             )
-        left = self.alive & ~self.fired
+        left = self.alive & ~self.destroyed
         if not np.array_equal(self.alive[1:], left[:-1]):
             raise ArgumentError("alive must be, in every later round, what the previous round left; it is not.")
 
@@ -222,6 +222,17 @@ class EpisodeRecord:
         return int(self.position.shape[2])
 
     @property
+    def recorded(self) -> bool:
+        """Whether the episode is of recorded tracks, with the truth or without: nothing in them is destroyed."""
+        # Files that an earlier version wrote of this environment have no ids.
+        return not self.labelled or "ids" in self.config or self.env_id == "USNET/Tracks-v0"
+
+    @property
+    def destroyed(self) -> NDArray[np.bool_]:
+        """``(R, N)`` bool: UAVs that are destroyed in each round."""
+        return self.fired & (not self.recorded)
+
+    @property
     def fired(self) -> NDArray[np.bool_]:
         """``(R, N)`` bool: candidates that were shot at; none in a round over budget."""
         return self.candidates & ~self.over_budget[:, None]
@@ -234,8 +245,8 @@ class EpisodeRecord:
     @property
     def orphans(self) -> NDArray[np.bool_]:
         """``(R, N)`` bool: living followers whose head is destroyed in the round."""
-        behind = np.take_along_axis(self.fired, np.maximum(self.root, 0), axis=1)
-        return self.alive & ~self.fired & (self.root >= 0) & behind
+        behind = np.take_along_axis(self.destroyed, np.maximum(self.root, 0), axis=1)
+        return self.alive & ~self.destroyed & (self.root >= 0) & behind
 
     @property
     def hits(self) -> NDArray[np.int64]:

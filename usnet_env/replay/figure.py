@@ -82,14 +82,14 @@ def _draw_scores(axes: Axes, record: EpisodeRecord, number: int) -> None:
         axes.set_ylim(0, 1)
         axes.text(0.5, 0.6, "All scores are 0.", transform=axes.transAxes, ha="center", color="#555555")
     rotation = 0 if len(bars) <= _BARS_WITH_LEVEL_NUMBERS else 90
-    names = [str(i) if record.labelled else escape_math(name_uav(record, i)) for i in bars]
+    names = [escape_math(name_uav(record, i)) if record.recorded else str(i) for i in bars]
     axes.set_xticks(rank, names, fontsize=7.5, rotation=rotation)
     axes.tick_params(axis="y", labelsize=8, colors="#555555")
     axes.yaxis.set_major_formatter("{x:.3g}")  # a common exponent above the axis would push the title away
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     living = int(record.alive[r].sum())
-    noun, tick = ("living UAVs", "UAV's number") if record.labelled else ("ids", "id")
+    noun, tick = ("ids", "id") if record.recorded else ("living UAVs", "UAV's number")
     shown = f"{len(bars)} of {living}" if len(bars) < living else "all"
     axes.set_title(f"Scores: {shown} {noun}, highest first, with the {tick}", fontsize=9.5, loc="left")
 
@@ -124,6 +124,12 @@ def draw_episode(record: EpisodeRecord) -> Figure:
             f"{record.uavs} recorded tracks, seen from above. Stars are the leaders that were found in the window, and "
             "dots are the others, in the colour of the leader that they follow. The truth is unknown."
         )
+    elif record.recorded:
+        about = (
+            f"{record.uavs} recorded tracks, seen from above. As the file says, every follower (dot) follows a head "
+            "(star of its colour). The detector receives the tracks, but not the stars, colours and links, and names "
+            "candidates for the heads."
+        )
     played, part = f"{name_game(record)}: ", name_round(record)
     left_out = (
         f" The picture shows {len(panels)} of {record.rounds} {part.lower()}s." if len(panels) < record.rounds else ""
@@ -140,7 +146,7 @@ def draw_episode(record: EpisodeRecord) -> Figure:
 
     places = [last_seen_position(record.position[n - 1], record.seen[n - 1]) for n in panels]
     shown = [
-        place if record.labelled else record.position[n - 1][record.seen[n - 1]]
+        record.position[n - 1][record.seen[n - 1]] if record.recorded else place
         for place, n in zip(places, panels, strict=True)
     ]
     limits = [limits_around(place) for place in shown]

@@ -122,12 +122,15 @@ def arrange_views(scribe: Scribe) -> rrb.Blueprint:
     about = rrb.TextDocumentView(origin=f"{root}{ABOUT}", name="What you see")
     told = rrb.TextDocumentView(origin=f"{root}{ROUND}", name=f"This {name_round(record).lower()}")
     texts = rrb.Vertical(about, told, row_shares=[3, 2])
+    leaders = _curve(scribe, [f"{root}{GAME}/leaders"], "Leaders named")
     if not record.labelled:
-        leaders = _curve(scribe, [f"{root}{GAME}/leaders"], "Leaders named")
         views = rrb.Horizontal(_space(scribe, "The tracks", detector=False), texts, column_shares=[5, 2])
         return _frame(views, rrb.Horizontal(*_panels(scribe), leaders), shares=[3, 1])
     seen = _space(scribe, "What the detector sees and answers", detector=True)
     truth = _space(scribe, "The truth", detector=False)
+    if record.recorded:
+        views = rrb.Horizontal(seen, truth, texts, column_shares=[4, 4, 3])
+        return _frame(views, rrb.Horizontal(*_panels(scribe), leaders), shares=[3, 1])
     unit = rrb.ScalarAxis(range=(-0.05, 1.05))
     count = rrb.ScalarAxis(range=(-0.3, float(record.head.sum()) + 0.3))
     shares = [f"{root}{GAME}/{name}" for name in ("precision", "recall")]
@@ -149,7 +152,6 @@ def arrange_comparison(scribes: Sequence[Scribe], labels: Sequence[str]) -> rrb.
     import rerun.blueprint as rrb
 
     columns, labelled = [], all(scribe.record.labelled for scribe in scribes)
-    shown = (("heads_left", "Heads left"), ("J", "J so far")) if labelled else (("leaders", "Leaders named"),)
     for scribe, label in zip(scribes, labels, strict=True):
         part = name_round(scribe.record).lower()
         told = rrb.TextDocumentView(origin=f"/{scribe.root}{ROUND}", name=f"{label}: this {part}")
@@ -158,14 +160,15 @@ def arrange_comparison(scribes: Sequence[Scribe], labels: Sequence[str]) -> rrb.
             views.insert(0, _space(scribe, f"{label}: answer", True))
         columns.append(rrb.Vertical(*views, told, row_shares=[3] * len(views) + [2]))
     longest = max(scribes, key=lambda scribe: scribe.record.rounds)
+    shown = {"leaders": "Leaders named"} if longest.record.recorded else {"heads_left": "Heads left", "J": "J so far"}
     curves = [
         _curve(
             longest,
             [f"/{scribe.root}{GAME}/{name}" for scribe in scribes],
             f"{title}: {labels[0]} blue, {labels[1]} yellow",
         )
-        for name, title in shown
+        for name, title in shown.items()
     ]
     about = rrb.TextDocumentView(origin=f"/{ABOUT}", name="What you see")
-    side = rrb.Vertical(about, *curves, row_shares=[2] + [1] * len(curves))
+    side = rrb.Vertical(about, *curves, row_shares=[2, *[1] * len(curves)])
     return _frame(rrb.Horizontal(*columns, side, column_shares=[4, 4, 2]), shares=[1])

@@ -16,6 +16,7 @@ import numpy as np
 
 from usnet_env.config import format_count
 from usnet_env.files import as_path, atomic_write
+from usnet_env.objectives import f1
 from usnet_env.replay.animation import Painter, name_answer, reduce_colors, scenes
 from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.story import (
@@ -25,6 +26,7 @@ from usnet_env.replay.story import (
     explain_uav,
     mark_words,
     name_game,
+    name_kind,
     name_round,
     name_uav,
     rank_scores,
@@ -100,12 +102,14 @@ _ABOUT = (
     "A swarm of UAVs flies in clusters, in which followers follow a head. A detector watches equal dots, and names the "
     "heads. The UAVs that it names are destroyed, and followers without a head join another one."
 )
-_ABOUT_TRACKS = "A detector looks for leaders and their followers in windows of recorded tracks. The truth is unknown."
+_ABOUT_TRACKS = "A detector looks for leaders and their followers in windows of recorded tracks."
+_TRUTH, _NO_TRUTH = "The truth is what the file says of the leaders.", "The truth is unknown."
 _KEY = (
     "<p class='soft key'><span>blue ring: candidate</span><span>star: head</span><span>dot: follower, in the colour of "
     "its head</span><span>green ring: hit</span><span>orange square: redundant</span><span>dashed ring: head that was "
-    "not named</span><span>cross: destroyed</span></p>"
+    "not named</span>{more}</p>"
 )
+_GAME_KEY, _KNOWN_KEY = _KEY.format(more="<span>cross: destroyed</span>"), _KEY.format(more="")
 _FOUND_KEY = (
     "<p class='soft key'><span>star: leader that was found</span><span>dot: follower, in the colour of its leader"
     "</span><span>grey dot: no leader was found</span></p>"
@@ -139,16 +143,18 @@ def _list_frames(record: EpisodeRecord, most: int) -> list[dict[str, object]]:
 def _write_rounds(record: EpisodeRecord) -> str:
     if not record.labelled:
         return ""
+    scores = f1(record.head, record.candidates) if record.recorded else record.objective
     rows = "".join(
         f"<tr><td>{r + 1}</td><td>{record.candidates[r].sum()}</td><td>{record.hits[r]}</td>"
-        f"<td>{record.redundant[r]}</td><td>{record.heads_left[r]}</td><td>{record.objective[r]:.3f}</td>"
+        f"<td>{record.redundant[r]}</td><td>{record.heads_left[r]}</td><td>{scores[r]:.3f}</td>"
         f"<td>{record.seconds[r]:.2f}</td></tr>"
         for r in range(record.rounds)
     )
-    names = ("round", "candidates", "heads hit", "redundant", "heads left", "J so far", "seconds")
+    part, last = name_round(record), ("heads not named", "F1") if record.recorded else ("heads left", "J so far")
+    names = (part.lower(), "candidates", "heads hit", "redundant", *last, "seconds")
     heading = "".join(f"<th>{name}</th>" for name in names)
     made = f"<table><thead><tr>{heading}</tr></thead><tbody>{rows}</tbody></table>"
-    return f"<h3>Rounds</h3><div class='scroll'>{made}</div>"
+    return f"<h3>{part}s</h3><div class='scroll'>{made}</div>"
 
 
 def _write_scores(record: EpisodeRecord, number: int) -> str:
@@ -171,7 +177,7 @@ def _write_episode(name: str, link: str | None, record: EpisodeRecord, most: int
     frames = _list_frames(record, most)
     last = frames[-1]
     data = json.dumps(frames).replace("<", "\\u003c")
-    by, part = html.escape(name_game(record)), name_round(record).lower()
+    by, part, kind = html.escape(name_game(record)), name_round(record).lower(), name_kind(record)
     more = f" The pictures show the first {format_count(most, part)}." if record.rounds > most else ""
     file = "" if link is None else f" Episode file: <a href='{html.escape(link, quote=True)}'>{html.escape(link)}</a>."
     maps = "".join(
@@ -179,15 +185,17 @@ def _write_episode(name: str, link: str | None, record: EpisodeRecord, most: int
         for side, alt in (("seen", "What the detector sees"), ("truth", name_answer(record)))
     )
     scores = "".join(_write_scores(record, number) for number in range(1, min(record.rounds, most) + 1))
+    key = _FOUND_KEY if not record.labelled else _KNOWN_KEY if record.recorded else _GAME_KEY
     return f"""<section><h2>{html.escape(name)}</h2>
 <p>{by}. {html.escape(describe_outcome(record))}{more}{file}</p>
 <div data-frames="{len(frames)}"><script type="application/json">{data}</script>
 <div class="now"><b>{last["title"]}</b> <span class="soft">{last["score"]}</span><p>{last["text"]}</p>
 <div><button>Play</button><input type="range" min="0" max="{len(frames) - 1}" value="{len(frames) - 1}"
 aria-label="frame"></div></div>
-<div class="maps">{maps}</div></div>{_KEY if record.labelled else _FOUND_KEY}
+<div class="maps">{maps}</div></div>{key}
 {_write_rounds(record)}
-<h3>Scores</h3><p class="soft">Highest first; each with the mark of the UAV and the reason of the detector.</p>{scores}
+<h3>Scores</h3>
+<p class="soft">Highest first; each with the mark of the {kind} and the reason of the detector.</p>{scores}
 </section>"""
 
 
@@ -219,7 +227,9 @@ def write_page(
     sections = [
         _write_episode(name, (links or {}).get(name), check_record(each), most) for name, each in records.items()
     ]
-    about = _ABOUT if all(each.labelled for each in records.values()) else _ABOUT_TRACKS
+    about = _ABOUT
+    if any(each.recorded for each in records.values()):
+        about = f"{_ABOUT_TRACKS} {_TRUTH if all(each.labelled for each in records.values()) else _NO_TRUTH}"
     shown = f"<p>{about} This page has {format_count(len(records), 'recorded episode')}.</p>" if records else ""
     page = f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">

@@ -190,6 +190,15 @@ def check_environment(env: Any) -> None:
         raise ArgumentError(f"env must be a USNET environment, got {quote(env)}.")
 
 
+def _describe_tracks(game: Any, rounds: Sequence[PlayedRound[Detection]]) -> dict[str, Any]:
+    """What the record of recorded tracks has beside arguments: the ids, the step and the times of the windows."""
+    tracks = getattr(game, "tracks", None)
+    if tracks is None:
+        return {}
+    times = {name: [played.info[name] for played in rounds] for name in ("start", "end")}
+    return {"ids": list(tracks.ids), "step": tracks.step, "frame": tracks.frame, **times}
+
+
 def make_record(
     env: gym.Env[Any, Any],
     rounds: Sequence[PlayedRound[Detection]],
@@ -236,7 +245,7 @@ def make_record(
         seed=seed,
         detector=label,
         detector_seed=detector_seed,
-        config=describe_arguments(game.config) | describe_arguments(game.rules),
+        config=describe_arguments(game.config) | describe_arguments(game.rules) | _describe_tracks(game, rounds),
         versions=versions(),
         labelled=labelled,
     )

@@ -107,7 +107,7 @@ class Scribe:
         self.rr, self.record, self.stream, self.root, self.color = rerun, record, stream, root, color
         self.clock = Clock(record)
         self.boxes = _box(record)
-        self.span = max(*(float((high - low).max()) for low, high in self.boxes), 1.0 if record.labelled else 1e-6)
+        self.span = max(*(float((high - low).max()) for low, high in self.boxes), 1e-6 if record.recorded else 1.0)
         self.scale = self.span / _USUAL_SPAN
         self.last = np.stack([last_seen_position(*each) for each in zip(record.position, record.seen, strict=True)])
         self.marks = [mark_words(record, number) for number in range(1, record.rounds + 1)]

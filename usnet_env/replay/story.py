@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import format_count
+from usnet_env.objectives import f1, group_leader_accuracy
 from usnet_env.replay.episode import EpisodeRecord
 
 #: What a UAV is in a round: a candidate that is a head, one that is not, a head that is no candidate, or another UAV;
@@ -22,12 +23,31 @@ _FEWEST_SCORES, _MOST_SCORES, _UNMARKED = 12, 40, 5
 def name_uav(record: EpisodeRecord, uav: int) -> str:
     """Name a UAV: its id in the file of recorded tracks, or its number."""
     ids = record.config.get("ids")
-    return f"UAV {uav}" if ids is None else str(ids[uav])
+    if ids is None:
+        return f"{'track' if record.recorded else 'UAV'} {uav}"
+    return str(ids[uav])
+
+
+def name_kind(record: EpisodeRecord) -> str:
+    """The word for what moves: a UAV, or an id of recorded tracks."""
+    return "id" if record.recorded else "UAV"
 
 
 def name_round(record: EpisodeRecord) -> str:
     """The word for a part of an episode: a round of a game, or a window of recorded tracks."""
-    return "Round" if record.labelled else "Window"
+    return "Window" if record.recorded else "Round"
+
+
+def name_score(record: EpisodeRecord) -> tuple[str, float | None]:
+    """Name and value of the score: J of the game, or F1 of recorded tracks; ``None`` if the truth is not known.
+
+    J of recorded tracks does not count: they have one round, in which a missed head costs nothing.
+    """
+    if not record.labelled:
+        return "F1", None
+    if record.recorded:
+        return "F1", float(f1(record.head, record.candidates[0]))
+    return "J", float(record.objective[-1])
 
 
 def name_game(record: EpisodeRecord) -> str:
@@ -40,12 +60,12 @@ def describe_round(record: EpisodeRecord, number: int) -> str:
     """Describe a round (from 1) in a few words."""
     r = number - 1
     named = int(record.candidates[r].sum())
+    start, end = (record.config.get(name, [None] * record.rounds)[r] for name in ("start", "end"))
+    when = "" if start is None else f"{start} to {end}: "
     if not record.labelled:
-        start, end = (record.config.get(name, [None] * record.rounds)[r] for name in ("start", "end"))
-        when = "" if start is None else f"{start} to {end}: "
         return f"{when}{format_count(named, 'leader')} found"
-    candidates = format_count(named, "candidate")
-    left = f"{format_count(int(record.heads_left[r]), 'head')} left"
+    candidates = f"{when}{format_count(named, 'candidate')}"
+    left = f"{format_count(int(record.heads_left[r]), 'head')} {'not named' if record.recorded else 'left'}"
     if record.over_budget[r]:
         return f"{candidates}, over the shot budget: no UAV destroyed, {left}"
     hits, redundant = int(record.hits[r]), int(record.redundant[r])
@@ -53,7 +73,7 @@ def describe_round(record: EpisodeRecord, number: int) -> str:
 
 
 def describe_outcome(record: EpisodeRecord) -> str:
-    """Describe in one sentence how the episode ended, with its J."""
+    """Describe in one sentence how the episode ended, with its J; in recorded tracks with F1 and group leaders."""
     heads, left = int(record.head.sum()), int(record.heads_left[-1])
     if not record.labelled:
         windows = format_count(record.rounds, "window")
@@ -61,9 +81,27 @@ def describe_outcome(record: EpisodeRecord) -> str:
     all_found = heads > 1 and not left
     found = f"All {heads} heads found" if all_found else f"{heads - left} of {format_count(heads, 'head')} found"
     redundant = format_count(int(record.redundant.sum()), "redundant candidate")
+    if record.recorded:
+        score = f"{_tell_score(record, 3)}{_tell_group_leaders(record)}"
+        found = found if heads else "No id leads"
+        return f"{found} in {format_count(record.rounds, 'window')} with {redundant}: {score}."
     sense = "J_m, lower is better" if record.problem == "P2" else "J_s, 0 is best"
     rounds = format_count(record.rounds, "round")
     return f"{found} in {rounds} with {redundant}: J = {record.objective[-1]:.3f} ({sense})."
+
+
+def _tell_score(record: EpisodeRecord, digits: int) -> str:
+    """The score that counts, and which value is best, in a few words."""
+    name, value = name_score(record)
+    best = 1 if record.recorded or record.problem == "P2" else 0
+    return f"{name} = {value:.{digits}f} ({best} is best)"
+
+
+def _tell_group_leaders(record: EpisodeRecord) -> str:
+    """The share of the known groups whose head has the highest score, as the end of a sentence on recorded tracks."""
+    if not record.head.any():
+        return ""
+    return f", group leaders {group_leader_accuracy(record.root[0], record.scores[0]):.2f}"
 
 
 def rank_scores(record: EpisodeRecord, number: int) -> NDArray[np.intp]:
@@ -98,7 +136,7 @@ def describe_answer(record: EpisodeRecord, number: int) -> str:
     named = int(record.candidates[number - 1].sum())
     if not record.labelled:
         return f"It finds {format_count(named, 'leader')}."
-    return f"It names {format_count(named, 'UAV')} as {'a head' if named == 1 else 'heads'}."
+    return f"It names {format_count(named, name_kind(record))} as {'a head' if named == 1 else 'heads'}."
 
 
 def describe_verdict(record: EpisodeRecord, number: int) -> str:
@@ -108,11 +146,12 @@ def describe_verdict(record: EpisodeRecord, number: int) -> str:
     if record.over_budget[r]:
         return f"{named} candidates exceed the shot budget: no UAV is destroyed."
     if not named:
-        return "Without candidates no UAV is destroyed."
+        return f"Without candidates no {'head is hit' if record.recorded else 'UAV is destroyed'}."
     right = f"{hits} {'is a head' if hits == 1 else 'are heads'} (hit)"
     wrong = f"{redundant} {'is' if redundant == 1 else 'are'} not (redundant)"
     parts = [right] * (hits > 0) + [wrong] * (redundant > 0)
-    return f"{', '.join(parts)}. {'It is' if named == 1 else f'All {named} are'} destroyed."
+    end = "" if record.recorded else f" {'It is' if named == 1 else f'All {named} are'} destroyed."
+    return f"{', '.join(parts)}.{end}"
 
 
 def describe_remerge(record: EpisodeRecord, number: int) -> str:
@@ -125,9 +164,12 @@ def describe_remerge(record: EpisodeRecord, number: int) -> str:
 def describe_ending(record: EpisodeRecord) -> str:
     """The outcome of the game in one sentence."""
     left = int(record.heads_left[-1])
-    result = "All heads are destroyed" if not left else f"{format_count(left, 'head')} not found"
-    best = "1 is best" if record.problem == "P2" else "0 is best"
-    return f"{result} after {format_count(record.rounds, 'round')}: J = {record.objective[-1]:.2f} ({best})."
+    done = "found" if record.recorded else "destroyed"
+    result = f"{format_count(left, 'head')} not found" if left else f"All heads are {done}"
+    if record.recorded and not record.head.any():
+        result = "No id leads here"
+    rounds = "" if record.recorded else f" after {format_count(record.rounds, 'round')}"
+    return f"{result}{rounds}: {_tell_score(record, 2)}."
 
 
 def explain_uav(record: EpisodeRecord, number: int, uav: int) -> str:
@@ -135,14 +177,14 @@ def explain_uav(record: EpisodeRecord, number: int, uav: int) -> str:
     r = number - 1
     if record.reasons is not None and (own := record.reasons[r].get(str(uav))):
         return own
-    others = record.alive[r] & (np.arange(record.uavs) != uav)
+    others, kind = record.alive[r] & (np.arange(record.uavs) != uav), name_kind(record)
     parts = []
     if record.leader_estimate is not None:
         behind = int((record.leader_estimate[r][others] == uav).sum())
         parts.append(format_count(behind, "follower"))
     if record.attention is not None and record.attention[r].any():
         weight = float(record.attention[r][others, uav].sum())
-        parts.append(f"receives attention {weight:.3g} (sum over the other {format_count(int(others.sum()), 'UAV')})")
+        parts.append(f"receives attention {weight:.3g} (sum over the other {format_count(int(others.sum()), kind)})")
     if not parts:
         rank = int((record.scores[r][record.alive[r]] > record.scores[r, uav]).sum()) + 1
         parts.append(f"score rank {rank} of {int(record.alive[r].sum())}")
@@ -160,7 +202,7 @@ def tell_round(record: EpisodeRecord, number: int, names: Sequence[str]) -> tupl
     r = number - 1
     steps = record.position.shape[1] - 1
     start = f"**Round {number} of {record.rounds}:** the detector watches {steps} steps. To it, all UAVs look alike."
-    if not record.labelled:
+    if record.recorded:
         start = f"**Window {number} of {record.rounds}:** {steps} steps."
     if record.choices is not None and record.choices[r]:
         lines = [f"- {agent}, {text}" for agent, text in record.choices[r].items()]
@@ -205,12 +247,13 @@ def _link(path: str, word: str) -> str:
 def explain_replay(record: EpisodeRecord) -> str:
     """Explain a recording in Markdown."""
     by = f"**{record.detector or 'A detector'}** on {record.env_id or 'an episode'}"
+    tracks = f"{record.uavs} recorded tracks in {format_count(record.rounds, 'window')}."
     if not record.labelled:
         return f"""# Leaders and followers
 
 {by}. {describe_outcome(record)}
 
-{record.uavs} recorded tracks in {format_count(record.rounds, "window")}. **Press play.** The truth is not known:
+{tracks} **Press play.** The truth is not known:
 colours, links and marks show what the detector found.
 
 - {_link("world/verdict/leader", "leader")}, green spheres: leaders in this window
@@ -225,7 +268,8 @@ colours, links and marks show what the detector found.
         f"- {_link('world/verdict/missed', 'missed')}, white spheres: heads that it did not name",
         f"- {_link('world/swarm/destroyed', 'destroyed')}: grey crosses",
     ]
-    present = {word for number in range(1, record.rounds + 1) for word in mark_words(record, number)} | {"destroyed"}
+    present = {word for number in range(1, record.rounds + 1) for word in mark_words(record, number)}
+    present |= set() if record.recorded else {"destroyed"}
     lines = [line for line in lines if line.partition("[")[2].partition("]")[0] in present]
     if record.decoys.any():
         lines.append(f"- {_link('world/swarm/decoys', 'decoys')}, yellow diamonds: fly like heads, without followers")
@@ -235,13 +279,16 @@ colours, links and marks show what the detector found.
     attention = (
         f", {_link('world/found/attention', 'attention')} as white lines" if record.attention is not None else ""
     )
+    game = f"""{record.uavs} UAVs fly in {format_count(int(record.head.sum()), "cluster")}; in each, the followers
+follow one head. **Press play.** In each round the detector watches and names candidates; these are destroyed, and their
+followers join another head."""
+    if record.recorded:
+        game = f"{tracks} **Press play.** The detector watches and names heads; nothing is destroyed."
     return f"""## Who leads this swarm?
 
 {by}, seed {record.seed}. {describe_outcome(record)}
 
-{record.uavs} UAVs fly in {format_count(int(record.head.sum()), "cluster")}; in each, the followers follow one head.
-**Press play.** In each round the detector watches and names candidates; these are destroyed, and their followers join
-another head.
+{game}
 
 **Left: what the detector sees**, equal dots. With the answer: {_link("world/found/candidates", "candidates")}, blue
 spheres; {_link("world/found/uavs", "groups")} that it found in colours of its own, larger for a higher {size};
@@ -269,12 +316,14 @@ def explain_comparison(records: Sequence[EpisodeRecord], labels: Sequence[str]) 
 
 **Press play.** Colours, links and marks show what each detector found.
 """
+    kind = "tracks" if first.recorded else "UAVs"
+    end = "" if first.recorded else " The swarms differ after a round in which other UAVs were destroyed."
     return f"""# Two detectors, one swarm
 
-{first.env_id or "An episode"}, seed {first.seed}: {first.uavs} UAVs, {format_count(int(first.head.sum()), "head")}.
+{first.env_id or "An episode"}, seed {first.seed}: {first.uavs} {kind}, {format_count(int(first.head.sum()), "head")}.
 
 {rows}
 
 **Press play.** Above: what each detector sees, and its answer. In the middle: the truth, with hits (green), redundant
-candidates (orange boxes) and missed heads (white). The swarms differ after a round in which other UAVs were destroyed.
+candidates (orange boxes) and missed heads (white).{end}
 """

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from usnet_env.drawing import cluster_colors
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.scribe import MARK_COLORS, Scribe, lighten, parse_color
-from usnet_env.replay.story import MISSED, OTHER, REDUNDANT
+from usnet_env.replay.story import MISSED, OTHER, REDUNDANT, name_uav
 
 WORLD = "world"
 SWARM, VERDICT, OBSERVERS = f"{WORLD}/swarm", f"{WORLD}/verdict", f"{WORLD}/observers"
@@ -40,7 +40,7 @@ def write_world(scribe: Scribe) -> None:
     stages, points = _choose_stages(scribe)
     _write_tracks(scribe, filled, stages, points)
     _write_links(scribe, filled, stages)
-    if record.labelled:
+    if not record.recorded:
         _write_destroyed(scribe)
     _write_marks(scribe)
     if record.observers is not None:
@@ -88,13 +88,13 @@ def _write_points(scribe: Scribe, path: str, who: NDArray[np.bool_], radius: flo
         return
     shown = record.seen & (record.alive & who)[:, None]
     place = np.where(shown[..., None], record.position, np.float32(np.nan))[:, :, members]
-    left = (record.alive & who & ~record.fired)[:, members, None]
+    left = (record.alive & who & ~record.destroyed)[:, members, None]
     after = np.where(left, scribe.last[:, members], np.float32(np.nan))[:, None]
     rows = clock.list_rows([*range(clock.samples), clock.destroy])
     every = np.concatenate([place, after], axis=1).reshape(-1, 3)
     look = {
         "radii": [radius * scribe.scale],
-        "labels": [f"UAV {scribe.names[i]}" for i in members],
+        "labels": [name_uav(record, i) for i in members.tolist()],
         "show_labels": False,
     }
     scribe.send(path, scribe.rr.Points3D, rows, len(members), look, positions=every)
@@ -150,9 +150,9 @@ def _write_links(scribe: Scribe, filled: NDArray[np.float32], stages: list[int])
     for r in range(record.rounds):
         root = record.root[r]
         linked = record.alive[r] & ~decoys[r] & (root >= 0)
-        left = linked & ~record.fired[r] & ~orphans[r]
+        left = linked & ~record.destroyed[r] & ~orphans[r]
         new = record.root[r + 1] if r + 1 < record.rounds else root
-        merged = linked & ~record.fired[r] & (new >= 0) & ~record.fired[r][new]
+        merged = linked & ~record.destroyed[r] & (new >= 0) & ~record.destroyed[r][new]
         drawn = [(filled[r, i], linked, root) for i in (0, *stages)]
         drawn += [(scribe.last[r], left, root), (scribe.last[r], merged, new)]
         for at, who, behind in drawn:
@@ -183,7 +183,7 @@ def _write_destroyed(scribe: Scribe) -> None:
     strips, lengths = [], []
     for r in range(record.rounds):
         place = record.last_position(r + 1)
-        for gone in (~record.alive[r], ~record.alive[r] | record.fired[r]):
+        for gone in (~record.alive[r], ~record.alive[r] | record.destroyed[r]):
             at = place[gone & np.isfinite(place[:, 0])]
             lengths.append(2 * len(at))
             strips.append((at[:, None, None] + 1.8 * SMALL * np.float32(scribe.scale) * _CROSS).reshape(-1, 2, 3))
