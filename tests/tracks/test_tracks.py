@@ -238,6 +238,23 @@ def test_clocks_that_disagree_are_reported():
     assert "another rate" in str(Tracks.from_samples(ids.tolist(), slower, flat).report())
 
 
+def random_intervals(means, samples=400):
+    """Tracks whose intervals are drawn from half to three halves of a mean, one for each id."""
+    rng = np.random.default_rng(4)
+    times = [np.cumsum(mean * rng.uniform(0.5, 1.5, samples)) for mean in means]
+    ids = np.repeat([f"uav-{i}" for i in range(len(means))], samples).tolist()
+    places = wandering(steps=samples, uavs=len(means))[..., :2].swapaxes(0, 1).reshape(-1, 2)
+    return Tracks.from_samples(ids, np.concatenate([each - each[0] for each in times]), places)
+
+
+def test_ids_have_another_rate_only_if_their_scattered_intervals_show_it():
+    report = random_intervals([0.4] * 8).report()
+    assert [each.kind for each in report.warnings] == ["uneven sampling"]
+    report = random_intervals([0.4] * 7 + [0.5]).report()
+    assert "1 id is sampled at another rate than every 0." in str(report)
+    assert "uav-7." in str(report)
+
+
 @pytest.mark.parametrize(
     ("factor", "expected"), [(1.0, None), (3.6, "another unit"), (-1.0, "contradict"), (0.0, "contradict")]
 )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from usnet_env.arrays import Floats, Mask
 from usnet_env.config import format_count
@@ -25,6 +26,7 @@ _MOST_JUMPS = 2000  # compared with each other for exchanged ids
 _AGREEMENT = 0.3  # velocities agree with positions if half of them differ by less than this share
 _SYNCHRONOUS, _PHASE = 0.6, 0.1  # share of ids that are sampled at the same times, up to this part of an interval
 _MOST_NAMED = 3
+_LEVEL = 0.01  # probability that chance alone makes the rate of one id in a file look different
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,24 @@ def typical_intervals(tracks: Tracks) -> Floats:
     return typical
 
 
+def _bound_intervals(tracks: Tracks) -> tuple[Floats, Floats]:
+    """The ends of a confidence interval of each id's median interval, ``(N,)`` seconds each; NaN where none exists.
+
+    The interval lies between two order statistics: the number of intervals below the median is binomial whatever their
+    distribution is. So ids with scattered intervals have a wide one, and ids with equal intervals one of no width.
+    All N intervals hold together with the probability 1 - ``_LEVEL``.
+    """
+    low, high = (np.full(len(tracks.ids), np.nan) for _ in range(2))
+    quantile = -float(ndtri(_LEVEL / (2 * len(tracks.ids))))
+    for i, (first, last) in enumerate(zip(tracks.offsets[:-1], tracks.offsets[1:], strict=True)):
+        count = int(last - first) - 1
+        rank = int(np.floor((count - quantile * np.sqrt(max(count, 0))) / 2))  # how many lie below the lower end
+        if count > 0 and rank > 0:
+            sorted_intervals = np.sort(np.diff(tracks.time[first:last]))
+            low[i], high[i] = sorted_intervals[rank - 1], sorted_intervals[count - rank]
+    return low, high
+
+
 def _count_whole(tracks: Tracks) -> int:
     """Number of ids whose first and last samples are within 1 % of the beginning and the end."""
     filled = np.flatnonzero(np.diff(tracks.offsets) > 0)
@@ -123,7 +143,10 @@ def _place(tracks: Tracks, sample: int) -> str:
 
 def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> Iterator[Finding]:
     """Find ids with another sampling rate, with samples between those of the others, or at other times altogether."""
-    rate = np.flatnonzero(np.isfinite(typical) & (np.abs(typical - usual) > 0.01 * usual))
+    low, high = _bound_intervals(tracks)
+    middle = int(np.argmin(np.where(np.isfinite(low), np.abs(typical - usual), np.inf)))  # an id of the usual rate
+    other = (low > high[middle]) | (high < low[middle])
+    rate = np.flatnonzero(other & (np.abs(typical - usual) > 0.01 * usual))
     if len(rate):
         sentence = f"{_count(len(rate), 'id')} sampled at another rate than every {usual:g} s: {_name(tracks, rate)}."
         if 2 * len(rate) > np.isfinite(typical).sum():  # no rate is the usual one
