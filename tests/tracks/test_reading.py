@@ -1,8 +1,10 @@
 """Tracks from files: every format, guessed and mapped columns, and files that are refused in one sentence."""
 
 import gzip
+import os
 import struct
 import sys
+import threading
 import zipfile
 
 import numpy as np
@@ -287,7 +289,7 @@ def test_wrong_encodings_are_refused_by_row(tmp_path):
     assert "row 2 holds the byte 0xF6" in refusal(path)
     assert read_tracks(path, encoding="latin-1").ids == ("möwe", "b")
     path.write_text("id,t,x,y\na,0,1,2\nb,0,1,2\n", encoding="utf-16")
-    assert "UTF-16" in refusal(path)
+    assert refusal(path).endswith("in UTF-16; save it as UTF-8.")
     path.write_text("id,t,x,y\na,0,1,2\nb,0,1,2\n", encoding="utf-8-sig")
     assert read_tracks(path, encoding="utf-8-sig").ids == read_tracks(path).ids
     assert read_tracks(path).samples == 2
@@ -327,6 +329,26 @@ def test_files_that_expand_without_bound_are_refused(tmp_path):
     table = pyarrow.table({"id": ["a"] * 10**5, "t": np.zeros(10**5), "x": np.zeros(10**5), "y": np.zeros(10**5)})
     parquet.write_table(table, tmp_path / "zeros.parquet")
     assert "max_bytes" in refusal(tmp_path / "zeros.parquet", max_bytes=10**6)
+
+
+def test_a_gzip_bomb_is_refused_before_its_rows_are_read(tmp_path):
+    path, blocks = tmp_path / "rows.csv.gz", []
+    with gzip.open(path, "wb") as file:
+        file.write(b"id,t,x,y\n" + b"a,0,1,2\n" * 200_000)
+    assert "max_bytes must be at least" in refusal(path, max_bytes=10**6, progress=blocks.append)
+    assert blocks == []
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+@pytest.mark.parametrize("pack", [bytes, gzip.compress])
+def test_a_pipe_is_read(tmp_path, pack):
+    path = write_csv(tmp_path / "tracks.csv", rows_of(straight()))
+    os.mkfifo(tmp_path / "pipe")
+    writer = threading.Thread(target=(tmp_path / "pipe").write_bytes, args=(pack(path.read_bytes()),))
+    writer.start()
+    read = read_tracks(tmp_path / "pipe")
+    writer.join()
+    np.testing.assert_array_equal(read.position, read_tracks(path).position)
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,20 @@ def is_zip(path: Path) -> bool:
         return file.read(4) == _ZIP
 
 
+def _check_gzip(file: IO[bytes], path: Path, most: int) -> None:
+    """Refuse a gzip file that expands to more than ``most`` bytes, before the slow work on its rows begins.
+
+    The size in its trailer may be that of its last part only, or wrong, so the bytes are expanded and counted.
+    """
+    with gzip.open(file) as expanded:
+        size = 0
+        while part := expanded.read(_LONGEST_ROW):
+            size += len(part)
+            if size > most:
+                raise _too_large(path, most)
+    file.seek(0)
+
+
 class _Limited(io.RawIOBase):
     """Reads a stream of unknown size, and refuses to go on after ``most`` bytes."""
 
@@ -84,10 +98,11 @@ def open_expanded(path: Path, max_bytes: int | None) -> Iterator[IO[bytes]]:
     """
     try:
         with path.open("rb") as file:
-            magic = file.read(4)
-            file.seek(0)
+            magic = file.peek(4)[:4]  # a pipe can't be read again
             most = expanded_limit(path, max_bytes)
             if magic[:2] == _GZIP:
+                if file.seekable():
+                    _check_gzip(file, path, most)
                 with gzip.open(file) as expanded:
                     yield io.BufferedReader(_Limited(expanded, path, most), 2**16)
             elif magic == _ZIP:
@@ -142,7 +157,7 @@ def read_lines(file: IO[bytes], path: Path, encoding: str) -> Iterator[str]:
         number += 1
         if number == 1:
             if raw[:2] in _UTF_16:
-                raise ArgumentError(f"path must be a text file in {encoding}, got {where} in UTF-16.")
+                raise ArgumentError(f"path must be a text file in {encoding}, got {where} in UTF-16; save it as UTF-8.")
             raw = raw.removeprefix(b"\xef\xbb\xbf")
         if len(raw) >= _LONGEST_ROW:
             raise ArgumentError(

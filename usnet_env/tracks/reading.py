@@ -116,4 +116,5 @@ def _open_blocks(path: Path, options: ReadOptions) -> Iterator[Block]:
             raise ArgumentError(f"path must be a CSV, Parquet, NPZ, GPX or ULog file, got {where}; save it as CSV.")
         yield from reader(path, options)
     except OSError as error:
-        raise ArgumentError(f"path must be a file that can be read, got {where}: {error.strerror or error}.") from None
+        why = str(error.strerror or error).rstrip(".")
+        raise ArgumentError(f"path must be a file that can be read, got {where}: {why}.") from None
