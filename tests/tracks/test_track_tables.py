@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -127,6 +128,18 @@ def test_tables_and_json_have_the_same_fields(run, tmp_path):
     led = sum(each["id"] == found["leaders"][0]["id"] for window in found["windows"] for each in window["leaders"])
     assert found["leaders"][0]["share"] == pytest.approx(led / len(found["windows"]))
     assert f"{led / len(found['windows']):.0%}" in out.partition("Over the file")[2]
+
+
+def test_ids_with_semicolons_can_be_read_from_a_cell(run, tmp_path):
+    names, places = ["a", "b;c", "d\\"], flying(lag=2)
+    rows = [[names[k], t * 0.5, *map(float, places[t, k])] for t in range(600) for k in range(3)]
+    words = ("--step", "0.5", "--unconfirmed", "--out", tmp_path)
+    assert run("detect", write_csv(tmp_path / "tracks.csv", rows), *QUICK, *words)[0] == 0
+    with open(tmp_path / "windows.csv", newline="", encoding="utf-8") as file:
+        cells = [row["followers"] for row in csv.DictReader(file) if row["id"] == "a"]
+    assert r"b\;c;d\\" in cells
+    ids = {tuple(re.sub(r"\\(.)", r"\1", each) for each in re.findall(r"(?:\\.|[^;\\])+", cell)) for cell in cells}
+    assert ("b;c", "d\\") in ids
 
 
 def test_the_titles_of_a_picture_fit_their_maps(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,7 @@ def write_tables(found: FoundLeaders, folder: Path, ids: Sequence[str | int]) ->
     """Write ``windows``, ``leaders`` and ``links`` as CSV, and as Parquet if pyarrow is installed.
 
     The types of the Parquet columns depend on the ids and times of the tracks only, not on what was found. In CSV,
-    lists are joined by semicolons.
+    lists are joined by semicolons; a semicolon or a backslash in an id has a backslash before it.
 
     Args:
         found: the leaders.
@@ -80,7 +81,12 @@ def _write_csv(path: Path, rows: Sequence[dict[str, Any]], columns: Sequence[str
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
         for row in rows:
-            writer.writerow({k: ";".join(map(str, v)) if isinstance(v, list) else v for k, v in row.items()})
+            writer.writerow({k: _join(v) if isinstance(v, list) else v for k, v in row.items()})
+
+
+def _join(ids: Sequence[str | int]) -> str:
+    """A list in one cell, from which it can be read again whatever the ids are."""
+    return ";".join(re.sub(r"([;\\])", r"\\\1", str(each)) for each in ids)
 
 
 def _write_parquet(path: Path, rows: Sequence[dict[str, Any]], columns: dict[str, str], types: dict[str, str]) -> None:
