@@ -105,7 +105,7 @@ def main() -> None:
     for make in (flock, merging, leaderless, shepherd):
         with open(f"{make.__name__}.csv", "w", newline="", encoding="utf-8") as file:
             csv.writer(file).writerows([["id", "t", "x", "y", "leader"], *make()])
-        print(f"{make.__name__}.csv: {make.__doc__}")
+        print(f"{make.__name__}.csv: {(make.__doc__ or '').replace('``', '')}")
 
 
 if __name__ == "__main__":

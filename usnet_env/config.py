@@ -48,6 +48,11 @@ def format_count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def format_number(value: float, digits: int = 6) -> str:
+    """Format a number with some significant digits, and from 1 to 10**12 without an exponent: ``880``, ``0.5``."""
+    return f"{float(f'{value:.{digits}g}'):.12g}"
+
+
 def quote(value: object) -> str:
     """Format ``value`` for an error message: its ``repr`` on one line of at most 80 characters.
 

@@ -26,6 +26,14 @@ def folder(tmp_path_factory):
     return place
 
 
+def test_the_example_says_what_it_wrote_in_plain_text(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    example().main()
+    printed = capsys.readouterr().out
+    assert "A flock in which all others follow bird-0 after 1 to 3 steps." in printed
+    assert "`" not in printed
+
+
 def leaders_by_window(found):
     return [[leader.id for leader in window.leaders] for window in found.windows]
 
@@ -242,8 +250,8 @@ def test_a_leader_that_chance_may_have_made_is_called_so(folder):
     tracks = read_tracks(folder / "flock.csv").resample(0.5)
     (once,) = find_leaders(tracks, Once([1])).leaders
     assert (
-        once.reason == "Leads group 1 in 1 of 5 windows. By chance, a group without a leader has as many with "
-        "probability 0.23."
+        once.reason == "Leads group 1 in 1 of 5 windows. By chance, a group without a leader has a confirmed leader "
+        "in as many windows with probability 0.23."
     )
     (always,) = find_leaders(tracks, Once(range(5))).leaders
     assert always.reason == "Leads group 1 in 5 of 5 windows."

@@ -161,6 +161,14 @@ def test_the_step_is_longer_where_positions_are_noisy():
     assert "Warning: the step is this long because of the noise" in noisy.notes[-1]
 
 
+@pytest.mark.parametrize("factor", [1, 440, 86400])
+def test_seconds_have_no_exponent(factor):
+    tracks = dense(wandering(noise=0.2), step=0.5 * factor)
+    even = tracks.resample()
+    assert f"after about {factor} s (median" in even.notes[-1].replace("86000", "86400")  # two digits
+    assert not re.search(r"\de[+-]", " ".join([*even.notes, str(tracks.report())]))
+
+
 def test_where_no_id_follows_the_sampling_interval_stays():
     rng = np.random.default_rng(0)
     places = np.cumsum(rng.normal(size=(600, 5, 3)), axis=0)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from usnet_env.arrays import Floats, Mask
-from usnet_env.config import format_count
+from usnet_env.config import format_count, format_number
 from usnet_env.tracks.jumps import JUMP, find_jumps
 
 if TYPE_CHECKING:
@@ -69,8 +69,8 @@ def find_problems(tracks: Tracks) -> TrackReport:
     usual = float(np.median(typical[np.isfinite(typical)])) if np.isfinite(typical).any() else 0.0
     span = " to ".join(str(tracks.file_time(each)) for each in (0.0, tracks.duration))
     facts = (
-        f"{ids} ids, {tracks.samples} samples from {span} ({tracks.duration:g} s), one every {usual:g} s; "
-        f"{tracks.dimensions}-D, {tracks.frame}.",
+        f"{ids} ids, {tracks.samples} samples from {span} ({format_number(tracks.duration)} s), "
+        f"one every {format_number(usual)} s; {tracks.dimensions}-D, {tracks.frame}.",
         f"{_count_whole(tracks)} of {ids} ids are there from the beginning to the end.",
         *tracks.notes,
     )
@@ -148,10 +148,13 @@ def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> Iterator[Find
     other = (low > high[middle]) | (high < low[middle])
     rate = np.flatnonzero(other & (np.abs(typical - usual) > 0.01 * usual))
     if len(rate):
-        sentence = f"{_count(len(rate), 'id')} sampled at another rate than every {usual:g} s: {_name(tracks, rate)}."
+        sentence = (
+            f"{_count(len(rate), 'id')} sampled at another rate than every {format_number(usual)} s: "
+            f"{_name(tracks, rate)}."
+        )
         if 2 * len(rate) > np.isfinite(typical).sum():  # no rate is the usual one
-            least, most = np.nanmin(typical), np.nanmax(typical)
-            sentence = f"The ids are sampled at different rates, every {least:.3g} to {most:.3g} s."
+            least, most = (format_number(each, 3) for each in (np.nanmin(typical), np.nanmax(typical)))
+            sentence = f"The ids are sampled at different rates, every {least} to {most} s."
         yield Finding("clocks", sentence, len(rate))
     filled = np.flatnonzero(np.diff(tracks.offsets) > 0)
     first, last = tracks.time[tracks.offsets[filled]], tracks.time[tracks.offsets[filled + 1] - 1]
@@ -185,7 +188,7 @@ def _find_gaps(tracks: Tracks, interval: Floats, inner: Mask, typical: Floats) -
         longest = int(gaps[interval[gaps].argmax()])
         sentence = (
             f"{_count(len(gaps), 'gap')} longer than {_GAP:g} typical intervals; the longest takes "
-            f"{interval[longest]:g} s, after {_place(tracks, longest)}."
+            f"{format_number(interval[longest])} s, after {_place(tracks, longest)}."
         )
         yield Finding("gaps", sentence, len(gaps))
 
@@ -202,7 +205,7 @@ def _find_uneven(tracks: Tracks, interval: Floats, inner: Mask, typical: Floats)
 def _find_jumps(tracks: Tracks) -> Iterator[Finding]:
     """Find single samples off the track, other jumps, and pairs of ids that exchange their places."""
     jumps = find_jumps(tracks)
-    fast = f"more than {JUMP:g} times as fast as 95 % of the steps ({jumps.usual:.3g} m/s)"
+    fast = f"more than {JUMP:g} times as fast as 95 % of the steps ({format_number(jumps.usual, 3)} m/s)"
     if len(jumps.spikes):
         count = len(jumps.spikes)
         who = "1 sample is a spike" if count == 1 else f"{count} samples are spikes"
@@ -215,7 +218,8 @@ def _find_jumps(tracks: Tracks) -> Iterator[Finding]:
     if len(steps):
         fastest, count = int(steps[jumps.speed[steps].argmax()]), len(steps)
         what = "1 step is a jump" if count == 1 else f"{count} steps are jumps"
-        sentence = f"{what}, {fast}; the fastest has {jumps.speed[fastest]:.3g} m/s, after {_place(tracks, fastest)}."
+        speed = format_number(jumps.speed[fastest], 3)
+        sentence = f"{what}, {fast}; the fastest has {speed} m/s, after {_place(tracks, fastest)}."
         yield Finding("jumps", sentence, count)
     pairs = _find_exchanges(tracks, jumps.steps[:_MOST_JUMPS])
     if pairs:

@@ -338,7 +338,8 @@ def _summarise(
         # The probability that a group without a leader has a confirmed one in as many of its windows.
         chance = 0.0 if seen is None else float(bdtrc(count - 1, int(seen[head]), LEVEL))
         if chance > _UNLIKELY:
-            reason += f" By chance, a group without a leader has as many with probability {chance:.2g}."
+            what = "By chance, a group without a leader has a confirmed leader in as many windows"
+            reason += f" {what} with probability {chance:.2g}."
         share = count / len(windows)
         found.append(Leader(ids[head], probability if sure else None, tuple(behind), reason, group, score, share))
     return tuple(found)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, format_number, quote
 from usnet_env.tracks.findings import typical_intervals
 from usnet_env.tracks.jumps import close_jumps
 
@@ -174,23 +174,23 @@ def choose_step(tracks: Tracks) -> tuple[float, tuple[str, ...]]:
     best = next(k for k, lead in enumerate(leads) if lead.mean >= _NEARLY * largest) if largest else 0
     factor, lead = factors[best], leads[best]
     step = factor * interval
-    sampled = "the sampling interval" if factor == 1 else f"{factor:g} sampling intervals of {interval:g} s"
+    sampled = "the sampling interval"
+    if factor > 1:
+        sampled = f"{factor:g} sampling intervals of {format_number(interval)} s"
     reasons = []
+    noisy = f"the noise of the positions is about {format_number(noise, 2)} m"
     if needed > 1:
-        reasons.append(
-            f"the noise of the positions is about {noise:.2g} m, and the movement exceeds it twice in "
-            f"{needed * interval:g} s"
-        )
+        reasons.append(f"{noisy}, and the movement exceeds it twice in {format_number(needed * interval)} s")
     elif noise:
-        reasons.append(f"the noise of the positions is about {noise:.2g} m, less than half of the movement in a step")
+        reasons.append(f"{noisy}, less than half of the movement in a step")
     if not largest:
         reasons.append("no id follows another with a significant delay, so delays have no part in the choice")
-        return step, (f"The step is {step:g} s, {sampled}: {'; '.join(reasons)}.",)
+        return step, (f"The step is {format_number(step)} s, {sampled}: {'; '.join(reasons)}.",)
     reasons.append(
-        f"it is the shortest that shows clearly who follows: an id follows another after about {lead.lag * step:.2g} s "
-        f"(median of {lead.followers})"
+        "it is the shortest that shows clearly who follows: an id follows another after about "
+        f"{format_number(lead.lag * step, 2)} s (median of {lead.followers})"
     )
-    sentences = [f"The step is {step:g} s, {sampled}: {'; '.join(reasons)}."]
+    sentences = [f"The step is {format_number(step)} s, {sampled}: {'; '.join(reasons)}."]
     if lead.lag < _SHORT_LAG:
         sentences.append(
             "Warning: this delay is shorter than the step, so direct leaders and delays can't be told; a shorter step= "

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask
-from usnet_env.config import ArgumentError, quote, real_number, whole_number
+from usnet_env.config import ArgumentError, format_number, quote, real_number, whole_number
 from usnet_env.tracks.findings import TrackReport, find_problems
 from usnet_env.tracks.jumps import leave_out_spikes
 from usnet_env.tracks.labels import match_leaders
@@ -203,7 +203,7 @@ class Tracks:
             step, why = choose_step(tracks)
         else:
             step = real_number("step", step, _SHORTEST_STEP, _LONGEST_STEP)
-            why = (f"The step of {step:g} s was given.",)
+            why = (f"The step of {format_number(step)} s was given.",)
         offsets, time, position, leader = resample_positions(tracks, step, max_gap)
         if spikes:
             left_out = "1 spike was" if spikes == 1 else f"{spikes} spikes were"
