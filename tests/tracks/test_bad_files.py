@@ -46,9 +46,9 @@ def write_bomb(path):
 
 
 BAD = {
-    "a missing column": (csv_of(head="id,t,x,u"), "column y of"),
-    "a missing column of Parquet": (parquet_of(y=None), "column y of"),
-    "a column twice": (csv_of(head="id,t,x,x"), "columns must name the column y"),
+    "a missing column": (csv_of(head="id,t,x,u"), "for y, such as"),
+    "a missing column of Parquet": (parquet_of(y=None), "for y; no name among"),
+    "a column twice": (csv_of(head="id,t,x,x"), "for y; no name among"),
     "a column of coordinates twice": (csv_of(head="id,t,x,x,y", lines=["a,0,1,1,2"]), "2 columns 'x' for x"),
     "a column of marks twice": (
         csv_of(head="id,t,x,y,visible,visible,tag-local-identifier", lines=[f"{line},true,false,1" for line in LINES]),

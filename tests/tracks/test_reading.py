@@ -228,9 +228,9 @@ def test_a_missing_package_is_named(tmp_path, monkeypatch):
 
 
 BAD = {
-    "no id": ("t,x,y\n0,1,2\n", "column id"),
-    "no x": ("id,t,y\na,1,2\n", "column x"),
-    "no time": ("id,x,y\na,1,2\n", "column t"),
+    "no id": ("t,x,y\n0,1,2\n", "for id;"),
+    "no x": ("id,t,y\na,1,2\n", "for x;"),
+    "no time": ("id,x,y\na,1,2\n", "for t (or frame);"),
     "no names": ("1,0,1,2\n1,1,2,3\n", "row 1"),
     "NaN": ("id,t,x,y\na,0,1,2\nb,0,nan,2\n", "row 3 of column 'x'"),
     "empty cell": ("id,t,x,y\na,0,1,2\nb,0,1,\n", "row 3 of column 'y'"),

@@ -28,12 +28,15 @@ def test_half_a_pair_of_coordinates_is_not_read(tmp_path, lonely, height):
     assert (read.frame, read.dimensions) == ("metres", 3 if height else 2)
 
 
-def test_the_pair_that_the_caller_names_is_read(tmp_path):
+def test_the_pair_that_the_caller_names_is_read(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # messages shorten long paths
     path = write_csv(tmp_path / "both.csv", [[*row, 10.0, 50.0] for row in ROWS], [*HEADER, "lon", "lat"])
     assert read_tracks(path).frame != "metres"
     assert read_tracks(path, columns={"x": "x"}).frame == "metres"
-    path = write_csv(tmp_path / "half.csv", [[*row, 10.0] for row in ROWS], [*HEADER, "lon"])
-    assert refusal(path, columns={"lon": "lon"}).startswith("columns must name the column lat of")
+    write_csv(tmp_path / "half.csv", [[*row, 10.0] for row in ROWS], [*HEADER, "lon"])
+    assert refusal("half.csv", columns={"lon": "lon"}).endswith(
+        "half.csv' for lat; no name among ['id', 't', 'x', 'y'] is known for it, because 'lon' is given to lon."
+    )
 
 
 @pytest.mark.parametrize("gaps", [1, 30, 60])
@@ -83,7 +86,7 @@ def test_one_velocity_without_the_other_is_not_read(tmp_path):
     read = read_tracks(path)
     assert read.velocity is None
     assert read.notes[0] == "Columns: id = id, t = t, x = x, y = y."
-    assert refusal(path, columns={"vx": "vx"}).startswith("columns must name the column vy of")
+    assert refusal(path, columns={"vx": "vx"}).startswith("columns must name the column of")
 
 
 @pytest.mark.parametrize("gap", [0, 1, 2])
@@ -102,7 +105,7 @@ def test_a_gap_in_one_velocity_leaves_out_all_of_them(tmp_path, gap):
 def test_a_column_can_be_left_out(tmp_path):
     path = write_csv(tmp_path / "tracks.csv", HIGH)
     assert read_tracks(path, columns={"z": ""}).dimensions == 2
-    assert refusal(path, columns={"x": ""}).startswith("columns must name the column x of")
+    assert refusal(path, columns={"x": ""}).endswith("must not leave out x, which is needed, got '' for x.")
 
 
 def test_points_of_gpx_without_a_height_are_not_at_0(tmp_path):
@@ -153,8 +156,22 @@ def test_named_columns_of_which_only_some_can_be_read_are_refused(tmp_path, colu
 
 def test_a_column_that_another_role_has_taken_is_not_offered(tmp_path):
     path = write_csv(tmp_path / "tracks.csv", ROWS)
-    expected = "(id), which is none of ['t', 'x', 'y'], because 'id' is given to t."
+    expected = "; no name among ['t', 'x', 'y'] is known for it, because 'id' is given to t."
     assert refusal(path, columns={"t": "id"}).endswith(expected)
+
+
+def test_all_columns_that_are_missing_are_named_with_an_example(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_csv(tmp_path / "birds.csv", ROWS, ["bird's name", "clock", "pos_e", "pos_n"])
+    needs = "must name the columns of 'birds.csv' for id, t (or frame), x and y (or lon and lat), such as"
+    none = """; no name among ["bird's name", 'clock', 'pos_e', 'pos_n'] is known for them."""
+    assert refusal("birds.csv") == f"""columns {needs} columns={{'id': "bird's name"}}{none}"""
+    assert run("detect", "birds.csv")[2] == f"""usnet: --column {needs} --column id="bird's name"{none}\n"""
+    words = [f"--column={role}={name}" for role, name in zip(HEADER, ["bird's name", "clock", "pos_e"], strict=False)]
+    err = run("detect", "birds.csv", *words)[2]
+    assert err.startswith("usnet: --column must name the column of 'birds.csv' for y, such as --column y='pos_n'; no")
+    left_out = "usnet: --column must not leave out t, which is needed, got '' for t.\n"
+    assert run("detect", "birds.csv", "--column", "t=")[2] == left_out
 
 
 def write_positions(path, **arrays):

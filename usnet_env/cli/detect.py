@@ -37,8 +37,8 @@ _LARGEST_RECORD = 2**30  # bytes of an episode file before compression
 _OPTIONS = {  # patterns of arguments in errors, and the options that set them
     r"^(stride|step|encoding|out) must": r"--\1 must",
     r"^length must": "--window must",
-    r"^columns must name the column (\w+)": r"--column \1=NAME must name the column \1",
     r"^columns must": "--column must",
+    r"""columns={'(\w+)': ('[^']*'|"[^"]*")}""": r"--column \1=\2",
     r"^time_unit must be None": "--time-unit must be left out",
     r"^(time|max)_(unit|gap|bytes) must": r"--\1-\2 must",
     r"keep_spikes=True ": "--keep-spikes ",

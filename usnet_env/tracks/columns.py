@@ -151,9 +151,9 @@ def choose_columns(
     if not {"vx", "vy"} <= found.keys() and not moves:
         unused |= {*_VELOCITIES}
     found = {role: name for role, name in found.items() if role not in unused}
-    for role in ("id", *pair, "t", *(("vx", "vy") if moves else ())):
-        if role not in found and not (role == "t" and "frame" in found):
-            raise _missing(role, where, header, given)
+    needed = ["id", *([] if "frame" in found else ["t"]), *(("vx", "vy") if moves else ()), *pair]
+    if missing := [role for role in needed if role not in found]:
+        raise _missing(missing, where, header, mapping)
     marks = ("visible", *_OUTLIERS, "manually_marked_valid") if is_movebank(header) else ()
     spelled = {_normalise(name): name for name in header}
     marked = {mark: spelled[mark] for mark in marks if mark in spelled}
@@ -203,11 +203,22 @@ def _normalise(name: str) -> str:
     return name.strip().lower().replace(" ", "_").replace("-", "_")
 
 
-def _missing(role: str, where: str, header: Sequence[str], given: Mapping[str, str]) -> ArgumentError:
-    takes = "x and y, or lon and lat" if role in ("x", "y") else "t or frame" if role == "t" else role
-    free = [name for name in header if name not in given.values()]
-    why = f", because {', '.join(f'{quote(name)} is given to {each}' for each, name in given.items())}"
+def _missing(roles: Sequence[str], where: str, header: Sequence[str], mapping: Mapping[str, str]) -> ArgumentError:
+    """The error for a file in which no column has these roles."""
+    for role in roles:
+        if role in mapping:
+            return ArgumentError(f"columns must not leave out {role}, which is needed, got '' for {role}.")
+    words = ["t (or frame)" if role == "t" else role for role in roles]
+    named = " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+    if {*_PAIRS[0]} <= {*roles}:
+        named += " (or lon and lat)"
+    what, them = ("column", "it") if len(roles) == 1 else ("columns", "them")
+    free = [name for name in header if name not in mapping.values()]
+    known = {_normalise(each) for names in ROLES.values() for each in names}
+    unknown = [name for name in free if name and _normalise(name) not in known]
+    example = f", such as columns={{{roles[0]!r}: {unknown[0]!r}}}" if unknown else ""
+    given = ", ".join(f"{quote(name)} is given to {role}" for role, name in mapping.items() if name in header)
     return ArgumentError(
-        f"columns must name the column {role} of {where} ({takes}), which is none of {quote(free)}"
-        f"{why if len(free) < len(header) else ''}."
+        f"columns must name the {what} of {where} for {named}{example}; no name among {quote(free)} is known for {them}"
+        f"{f', because {given}' if given else ''}."
     )
