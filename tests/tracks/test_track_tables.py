@@ -56,6 +56,34 @@ def test_milliseconds_since_1970_are_exact(tmp_path):
     np.testing.assert_allclose(read.time, np.round(read.time, 3), atol=1e-12)
 
 
+@pytest.mark.parametrize(("unit", "number"), [(1e3, "0.001"), (1e6, "1e-6"), (1e9, "1e-9")])
+@pytest.mark.parametrize(
+    ("name", "begin"), [("timestamp", 1714720000), ("t {}", 0), ("Time [{}]", 5), ("time_{}ec", 0), ("clock{}", 0)]
+)
+def test_times_that_are_no_seconds_are_reported_and_not_changed(run, tmp_path, unit, number, name, begin):
+    short = {1e3: "ms", 1e6: "us", 1e9: "ns"}[unit]
+    name = name.format(short.title() if name.startswith("clock") else short)
+    rows = [[row[0], int((begin + row[1]) * unit), *row[2:]] for row in rows_of(straight())]
+    path = write_csv(tmp_path / "tracks.csv", rows, ["id", name, "x", "y"])
+    read = read_tracks(path, columns={"t": name})
+    (found,) = read.report().warnings
+    assert found.kind == "time unit"
+    assert found.sentence.endswith(f": time_unit={number} reads them so.")
+    assert ("since 1970" in found.sentence) == (begin > 5)
+    assert (read.duration, read.file_time(0.0)) == (9.5 * unit, begin * unit)
+    again = read_tracks(path, columns={"t": name}, time_unit=float(number))
+    assert (again.duration, again.report().warnings) == (9.5, ())
+    words = ("--column", f"t={name}", "--window", "10", *QUICK)
+    assert f" --time-unit {number} reads them so." in run("detect", path, *words)[2]
+
+
+@pytest.mark.parametrize(("name", "begin"), [("t", 0), ("timestamp", 1714720000), ("status", 1e6), ("t_s", 1e5)])
+def test_times_that_may_be_seconds_are_not_doubted(tmp_path, name, begin):
+    rows = [[row[0], begin + row[1], *row[2:]] for row in rows_of(straight())]
+    read = read_tracks(write_csv(tmp_path / "tracks.csv", rows, ["id", name, "x", "y"]), columns={"t": name})
+    assert read.report().warnings == ()
+
+
 def write_times(folder, kind, times):
     """A file of two tracks with these whole numbers as times."""
     columns = {"id": ["a", "b"] * len(times), "t": np.repeat(times, 2), "x": np.arange(2.0 * len(times))}

@@ -44,7 +44,7 @@ _OPTIONS = {  # patterns of arguments in errors, and the options that set them
     r"keep_spikes=True ": "--keep-spikes ",
     r"missing='skip'": "--skip-missing is given",
     r"encoding= ": "--encoding ",
-    r"time_unit= ": "--time-unit ",
+    r"time_unit=( |(?=\d))": "--time-unit ",
 }
 
 _EXAMPLES = """

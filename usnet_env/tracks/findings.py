@@ -13,6 +13,7 @@ from scipy.special import ndtri
 from usnet_env.arrays import Floats, Mask
 from usnet_env.config import format_count, format_number
 from usnet_env.tracks.jumps import JUMP, find_jumps
+from usnet_env.tracks.values import is_epoch
 
 if TYPE_CHECKING:
     from usnet_env.tracks.tracks import Tracks
@@ -26,6 +27,7 @@ _MOST_JUMPS = 2000  # compared with each other for exchanged ids
 _AGREEMENT = 0.3  # velocities agree with positions if half of them differ by less than this share
 _SYNCHRONOUS, _PHASE = 0.6, 0.1  # share of ids that are sampled at the same times, up to this part of an interval
 _MOST_NAMED = 3
+_SMALL_UNITS = {1e-3: ("milliseconds", "0.001"), 1e-6: ("microseconds", "1e-6"), 1e-9: ("nanoseconds", "1e-9")}
 _LEVEL = 0.01  # probability that chance alone makes the rate of one id in a file look different
 
 
@@ -34,8 +36,8 @@ class Finding:
     """Something doubtful about tracks.
 
     Args:
-        kind: ``"clocks"``, ``"gaps"``, ``"uneven sampling"``, ``"spikes"``, ``"jumps"``, ``"exchanged ids"``,
-            ``"velocities"`` or ``"degrees"``.
+        kind: ``"time unit"``, ``"clocks"``, ``"gaps"``, ``"uneven sampling"``, ``"spikes"``, ``"jumps"``,
+            ``"exchanged ids"``, ``"velocities"`` or ``"degrees"``.
         sentence: what was found, where first, and what it means.
         count: how often.
     """
@@ -75,6 +77,7 @@ def find_problems(tracks: Tracks) -> TrackReport:
         *tracks.notes,
     )
     found = [
+        *_find_time_unit(tracks),
         *_find_clocks(tracks, typical, usual),
         *_find_gaps(tracks, interval, inner, typical),
         *_find_uneven(tracks, interval, inner, typical),
@@ -139,6 +142,18 @@ def _owner(tracks: Tracks, sample: int) -> str | int:
 def _place(tracks: Tracks, sample: int) -> str:
     """The time and the id of a sample."""
     return f"{tracks.file_time(tracks.time[sample])} (id {_owner(tracks, sample)})"
+
+
+def _find_time_unit(tracks: Tracks) -> Iterator[Finding]:
+    """Find times that were read as seconds and are probably milliseconds, microseconds or nanoseconds."""
+    clock = tracks.clock
+    if clock.likely_unit is None:
+        return
+    name, number = _SMALL_UNITS[clock.likely_unit]
+    why = f"their numbers are those of {name} since 1970"
+    if not is_epoch(clock.origin, clock.likely_unit):
+        why = f"the name of their column says {name}"
+    yield Finding("time unit", f"Times are read as seconds, but {why}: time_unit={number} reads them so.", 1)
 
 
 def _find_clocks(tracks: Tracks, typical: Floats, usual: float) -> Iterator[Finding]:

@@ -18,7 +18,7 @@ from usnet_env.tracks.degrees import to_local_metres
 from usnet_env.tracks.formats import Block
 from usnet_env.tracks.labels import LabelBook, Labels, match_leaders, to_labels
 from usnet_env.tracks.tracks import Clock, Tracks, assemble
-from usnet_env.tracks.values import read_numbers, read_times
+from usnet_env.tracks.values import guess_time_unit, read_numbers, read_times
 
 __all__ = ["Table"]
 
@@ -178,10 +178,12 @@ class Table:
 
     def _take_times(self) -> tuple[Floats, Clock]:
         """``(S,)`` times in the clock's unit, or in seconds for timestamps."""
-        time = self._take("t" if "t" in self._names else "frame")
+        frames = "t" not in self._names
+        time = self._take("frame" if frames else "t")
         assert time is not None
         if not self._timestamps:
-            return time, Clock(0.0, self._unit or 1.0, False, self._whole)
+            likely = None if frames or self._unit is not None else guess_time_unit(self._names["t"], time)
+            return time, Clock(0.0, self._unit or 1.0, False, self._whole, frames, likely)
         if self._unit is not None:
             raise ArgumentError(f"time_unit must be None for timestamps, got {self._unit:g}.")
         start = float(time.min())  # whole microseconds: their differences are exact

@@ -36,12 +36,17 @@ class Clock:
         unit: seconds in one unit of the file's times; 1 for timestamps.
         timestamps: whether the file's times are dates with a time of day; they are written as ISO 8601 in UTC.
         whole: whether the file's times are whole numbers.
+        frames: whether the file's times are numbers of frames.
+        likely_unit: 0.001, 1e-6 or 1e-9 seconds, if the times were read as seconds because no unit was given, but their
+            numbers or the name of their column say this unit; otherwise ``None``.
     """
 
     origin: float = 0.0
     unit: float = 1.0
     timestamps: bool = False
     whole: bool = False
+    frames: bool = False
+    likely_unit: float | None = None
 
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""

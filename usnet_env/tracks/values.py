@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -12,12 +13,18 @@ import numpy as np
 from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["is_none", "read_numbers", "read_times"]
+__all__ = ["guess_time_unit", "is_epoch", "is_none", "read_numbers", "read_times"]
 
 _NO_VALUE = {"", "na", "n/a", "nan", "null", "none", "nat"}
 _LONGEST = 1e19  # of times: nanoseconds since 1970 until the year 2286
 _LIMITS = {"lon": 360.0, "lat": 90.0, "t": _LONGEST, "frame": _LONGEST}  # lon and lat: degrees
 _EPOCH, _MICROSECOND = datetime(1970, 1, 1, tzinfo=UTC), timedelta(microseconds=1)
+_UNITS = {  # of times, in seconds, with the words that names of columns end with
+    1e-3: {"ms", "msec", "msecs", "millis", "millisecond", "milliseconds"},
+    1e-6: {"us", "µs", "usec", "usecs", "micros", "microsecond", "microseconds"},
+    1e-9: {"ns", "nsec", "nsecs", "nanos", "nanosecond", "nanoseconds"},
+}
+_RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
 _LARGEST = 1e15  # of other numbers in a file: float64 has no fractions beyond
 
 
@@ -49,6 +56,25 @@ def read_times(values: Any, role: str, about: Callable[[str, int], str]) -> tupl
         if isinstance(first, datetime) or not _is_number(first):
             return _timestamps(values, role, about), True
     return read_numbers(values, role, about), False
+
+
+def guess_time_unit(name: str, times: Floats) -> float | None:
+    """The unit of times, 0.001, 1e-6 or 1e-9 seconds, if their numbers or the name of their column say one of them.
+
+    Args:
+        name: of the column; its last word may be a unit, as in ``time_ms``, ``Time [ms]`` or ``timeMs``.
+        times: ``(S,)`` numbers; those of a time since 1970 are dates from 1980 to 2100 in one of these units.
+    """
+    for unit in _UNITS:
+        if is_epoch(float(times.min()), unit) and is_epoch(float(times.max()), unit):
+            return unit
+    words = re.findall(r"[a-zµ]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower().replace("μ", "µ"))
+    return next((unit for unit, names in _UNITS.items() if words and words[-1] in names), None)
+
+
+def is_epoch(time: float, unit: float) -> bool:
+    """Whether ``time`` units of ``unit`` seconds after 1970 are a date from 1980 to 2100."""
+    return _RECORDED[0] <= time * unit <= _RECORDED[1]
 
 
 def _is_number(text: Any) -> bool:
