@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 import numpy as np
@@ -44,6 +44,7 @@ _OPTIONS = {  # patterns of arguments in errors, and the options that set them
     r"keep_spikes=True ": "--keep-spikes ",
     r"missing='skip'": "--skip-missing is given",
     r"encoding= ": "--encoding ",
+    r"decimal=','": "--decimal ,",
     r"time_unit=( |(?=\d))": "--time-unit ",
 }
 
@@ -104,6 +105,7 @@ def _rename_arguments(sentence: str) -> str:
 @click.option("--time-unit", type=PositiveNumber(), help="Seconds in one unit of the time column.  [default: 1]")
 @click.option("--skip-missing", is_flag=True, help="Skip rows without a time, place or id.")
 @click.option("--encoding", default="utf-8", show_default=True, metavar="NAME", help="Encoding of a CSV file.")
+@click.option("--decimal", type=click.Choice([".", ","]), help="Decimal sign of a CSV file.  [default: as it says]")
 @click.option("--max-bytes", type=WholeNumber(1, 2**60), help="Most bytes that a compressed file may expand to.")
 @click.option("--seed", type=WholeNumber(0, 2**63 - 1), default=0, show_default=True, help="Seed of the detector.")
 @click.option("--unconfirmed", is_flag=True, help="Also name leaders whose followers don't move like them later.")
@@ -123,6 +125,7 @@ def detect(
     time_unit: float | None,
     skip_missing: bool,
     encoding: str,
+    decimal: Literal[".", ","] | None,
     max_bytes: int | None,
     seed: int,
     unconfirmed: bool,
@@ -155,6 +158,7 @@ def detect(
             time_unit=time_unit,
             missing="skip" if skip_missing else "refuse",
             encoding=encoding,
+            decimal=decimal,
             max_bytes=max_bytes,
             progress=lambda rows: progress(rows, rows),
         )

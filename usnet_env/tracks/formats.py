@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, how_to_install, quote
 from usnet_env.tracks.columns import choose_columns, is_movebank, keep_fixed
+from usnet_env.tracks.decimals import has_decimal_commas, to_points
 from usnet_env.tracks.labels import Labels, to_text
 from usnet_env.tracks.opening import check_expanded_size, damaged_file, open_expanded, read_lines
 
@@ -32,11 +33,13 @@ class ReadOptions:
         columns: names of columns by role; ``""`` leaves one out.
         encoding: of text files.
         max_bytes: the most bytes that a compressed file may expand to, or ``None``.
+        decimal: ``"."`` or ``","`` in the numbers of CSV files; ``None``: as the first rows say.
     """
 
     columns: Mapping[str, str]
     encoding: str
     max_bytes: int | None
+    decimal: str | None
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,7 @@ class Block:
         rows: ``(rows,)`` int64, the number of each row in the file; that of the column names is 1.
         unit: what is numbered, for messages.
         movebank: whether the file has the columns of Movebank.
+        commas: whether its numbers had decimal commas, which are points in ``values``.
         own_ids: whether an id means nothing in another file, as the name of a track in a GPX file.
     """
 
@@ -57,7 +61,16 @@ class Block:
     rows: Indices
     unit: str = "row"
     movebank: bool = False
+    commas: bool = False
     own_ids: bool = False
+
+    def about(self, path: Path) -> Callable[[str, int], str]:
+        """What names the place of a value in a file by its role and row, which is counted from 0, for messages."""
+
+        def name_place(role: str, k: int) -> str:
+            return f"{self.unit} {self.rows[k]} of column {quote(self.names[role])} in {quote(os.fspath(path))}"
+
+        return name_place
 
     def take(self, rows: Indices) -> Block:
         """Only some of the rows, which are counted from 0."""
@@ -79,7 +92,8 @@ def read_csv(path: Path, options: ReadOptions) -> Iterator[Block]:
     """Read a CSV file with names in row 1, separated by commas, semicolons, tabs or bars.
 
     Raises:
-        ArgumentError: the file is empty or damaged, a column is missing, or a row has another number of cells.
+        ArgumentError: the file is empty or damaged, a column is missing, or a row has another number of cells, or
+            decimal commas and points are mixed.
     """
     where = quote(os.fspath(path))
     with open_expanded(path, options.max_bytes) as file:
@@ -93,11 +107,17 @@ def read_csv(path: Path, options: ReadOptions) -> Iterator[Block]:
         places = {role: header.index(name) for role, name in (found | marks).items()}
         movebank = is_movebank(header)
         reader = csv.reader(lines, delimiter=delimiter)
+        decimal, numeric = options.decimal, [role for role in found if role not in ("id", "leader")]
         try:
-            while (block := _read_rows(reader, len(header), where))[0]:
-                rows, numbers = block
+            while (some := _read_rows(reader, len(header), where))[0]:
+                rows, numbers = some
                 values = {role: [cells[k] for cells in rows] for role, k in places.items()}
-                yield Block(values, found, np.array(numbers, np.int64), movebank=movebank)
+                decimal = decimal or ("," if has_decimal_commas([values[role] for role in numeric]) else ".")
+                block = Block(values, found, np.array(numbers, np.int64), movebank=movebank)
+                if decimal == ",":
+                    points = {role: to_points(values[role], role, block.about(path)) for role in numeric}
+                    block = replace(block, values=values | points, commas=True)
+                yield block
         except csv.Error as error:
             raise ArgumentError(
                 f"path must be an intact CSV file, got {where}, not readable after row {reader.line_num + 1}: {error}."

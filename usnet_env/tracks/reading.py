@@ -32,6 +32,7 @@ def read_tracks(
     time_unit: float | None = None,
     missing: Literal["refuse", "skip"] = "refuse",
     encoding: str = "utf-8",
+    decimal: Literal[".", ","] | None = None,
     max_bytes: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Tracks:
@@ -54,6 +55,8 @@ def read_tracks(
         missing: ``"refuse"`` a row without a time, place or id, or ``"skip"`` it. Such rows of a Movebank file, which
             are missed fixes, are always skipped; so are those that Movebank marks as outliers.
         encoding: of a CSV file.
+        decimal: the decimal sign of a CSV file; ``None``: a comma if the first 50,000 rows leave no doubt, otherwise a
+            point. A number such as ``1,234`` leaves a doubt, because its comma may separate thousands.
         max_bytes: the most bytes that a compressed file may expand to; ``None``: 256 MiB, or 20 times its size.
         progress: called with the number of rows that have been read.
 
@@ -72,7 +75,9 @@ def read_tracks(
     if max_bytes is not None:
         max_bytes = whole_number("max_bytes", max_bytes, 1)
     unit = None if time_unit is None else real_number("time_unit", time_unit, 1e-12, 1e9)
-    options = ReadOptions(check_mapping(columns), _check_encoding(encoding), max_bytes)
+    if decimal is not None and (not isinstance(decimal, str) or decimal not in (".", ",")):
+        raise ArgumentError(f"decimal must be '.', ',' or None, got {quote(decimal)}.")
+    options = ReadOptions(check_mapping(columns), _check_encoding(encoding), max_bytes, decimal)
     named = {role for role, name in options.columns.items() if name}
     table = Table(missing == "skip", unit, named)
     for each in paths:

@@ -44,7 +44,7 @@ class Table:
         self._parts: dict[str, list[NDArray[Any]]] = {}
         self._names: dict[str, str] = {}
         self._timestamps: bool | None = None
-        self._whole = True
+        self._whole, self._commas = True, False
         self._places = _Places()
 
     def add(self, path: Path, block: Block) -> None:
@@ -60,6 +60,7 @@ class Table:
             )
         self._names = dict(block.names)
         self.rows += len(block.rows)
+        self._commas = self._commas or block.commas
         if block.movebank:
             keep = np.flatnonzero(~read_marks(block.values, len(block.rows)))
             self._marked += len(block.rows) - len(keep)
@@ -68,10 +69,7 @@ class Table:
         if not len(block.rows):
             return
 
-        def about(role: str, k: int) -> str:
-            where = f"column {quote(block.names[role])} in {quote(os.fspath(path))}"
-            return f"{block.unit} {block.rows[k]} of {where}"
-
+        about = block.about(path)
         ids = to_labels(block.values["id"])
         parts: dict[str, NDArray[Any]] = self._read(block, about)
         good = self._find_good(ids, parts, self._skip or block.movebank, about)
@@ -137,6 +135,8 @@ class Table:
             )
         gaps = self._leave_out_gaps()
         notes = [f"Columns: {', '.join(f'{role} = {name}' for role, name in self._names.items())}.", *gaps]
+        if self._commas:
+            notes.append("The commas in numbers are decimal signs.")
         if self._skipped:
             notes.append(f"{self._skipped} of {self.rows} rows had no time, place or id and are skipped.")
         if self._marked:

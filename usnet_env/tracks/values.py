@@ -12,6 +12,7 @@ import numpy as np
 
 from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, quote
+from usnet_env.tracks.decimals import is_comma_number
 
 __all__ = ["guess_time_unit", "is_epoch", "is_none", "read_numbers", "read_times"]
 
@@ -119,7 +120,14 @@ def _number(value: Any, role: str, about: Callable[[str, int], str], k: int) -> 
     try:
         return float(value)
     except (TypeError, ValueError):
-        raise ArgumentError(f"{role} must be a number in every row, got {quote(value)} in {about(role, k)}.") from None
+        raise ArgumentError(
+            f"{role} must be a number in every row, got {quote(value)} in {about(role, k)}{_hint(value)}."
+        ) from None
+
+
+def _hint(value: Any) -> str:
+    """What to do about a value that is no number, for messages."""
+    return " (decimal=',' reads decimal commas)" if isinstance(value, str) and is_comma_number(value) else ""
 
 
 def _timestamps(values: Sequence[Any], role: str, about: Callable[[str, int], str]) -> Floats:
@@ -132,7 +140,7 @@ def _timestamps(values: Sequence[Any], role: str, about: Callable[[str, int], st
             if not is_none(value):
                 raise ArgumentError(
                     f"{role} must be a number or an ISO 8601 timestamp in every row, got {quote(value)} in "
-                    f"{about(role, k)}."
+                    f"{about(role, k)}{_hint(value)}."
                 ) from None
             micros[k] = math.nan
         else:
