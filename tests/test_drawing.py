@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from pathlib import Path
 
 import gymnasium as gym
@@ -267,3 +268,17 @@ def test_a_video_has_a_frame_for_each_step(tmp_path):
     (video,) = (tmp_path / "videos").iterdir()
     assert video.suffix == ".mp4"
     assert video.stat().st_size > 1000
+
+
+def test_characters_that_the_font_lacks_are_drawn_in_another_one(tmp_path):
+    """Matplotlib's DejaVu Sans Mono has U+2312, its DejaVu Sans lacks it; no font has U+0378."""
+    figure = drawing.new_figure(2, 1)
+    figure.add_subplot().set_xticks([0.5], ["\u2312"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (path,) = drawing.write_figure(figure, tmp_path / "figure.png")
+        again = drawing.write_figure(figure, tmp_path / "again.png")[0]
+    assert path.read_bytes() == again.read_bytes()
+    figure.suptitle("\u0378")
+    with pytest.warns(UserWarning, match="The fonts of this machine lack some characters"):
+        drawing.write_figure(figure, tmp_path / "figure.png")

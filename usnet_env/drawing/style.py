@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -26,6 +26,9 @@ _SAVED: dict[str, dict[str, Any]] = {  # without the date and the versions, so t
     "pdf": {"dpi": 200, "metadata": {"Creator": None, "Producer": None, "CreationDate": None}},
 }
 FORMATS = tuple(_SAVED)
+_MISSING_GLYPH = "missing from font"  # in matplotlib's warnings
+_MOST_FONTS = 4  # that texts fall back to
+_LAST_RESORT = "Last Resort"  # fonts with a box for each character
 _SIGNS_AN_INCH = 12.5  # of a caption
 
 
@@ -56,7 +59,7 @@ def _name_missing_glyphs() -> Iterator[None]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         yield
-    glyphs = [each for each in caught if "missing from font" in str(each.message)]
+    glyphs = [each for each in caught if _MISSING_GLYPH in str(each.message)]
     for each in caught:
         if each not in glyphs:
             warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
@@ -65,8 +68,44 @@ def _name_missing_glyphs() -> Iterator[None]:
         warnings.warn(text, UserWarning, stacklevel=4)
 
 
+def _add_fonts(figure: Figure) -> None:
+    """Let the texts of a figure fall back to installed fonts that have the characters that their own font lacks.
+
+    Fonts are tried in the order of how many of these characters they have.
+    """
+    from matplotlib.font_manager import FontProperties, findfont, fontManager
+    from matplotlib.ft2font import FT2Font
+    from matplotlib.text import Text
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        figure.draw_without_rendering()  # labels of ticks have their texts from then on
+    if not any(_MISSING_GLYPH in str(each.message) for each in caught):
+        return
+    texts: list[Any] = figure.findobj(Text)
+    signs = {ord(sign) for text in texts for sign in text.get_text() if not sign.isspace()}
+    lacking = signs - FT2Font(findfont(FontProperties())).get_charmap().keys()
+    covered: dict[str, set[int]] = {}
+    for entry in fontManager.ttflist if lacking else ():
+        if not entry.name.startswith(_LAST_RESORT):
+            with suppress(OSError, RuntimeError):  # the font was removed, or is damaged
+                known = lacking & FT2Font(entry.fname).get_charmap().keys()
+                covered[entry.name] = covered.get(entry.name, set()) | known
+    families: list[str] = []
+    while lacking and len(families) < _MOST_FONTS:
+        best = max(sorted(covered), key=lambda name: len(covered[name] & lacking), default="")
+        if not best or not covered[best] & lacking:
+            break
+        families.append(best)
+        lacking -= covered[best]
+    for text in texts if families else ():
+        text.set_fontfamily([*text.get_fontfamily(), *families])
+
+
 def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence[str] = ("png",)) -> list[Path]:
     """Write a figure in some formats; the same figure gives the same bytes, and each file appears whole.
+
+    Characters that the font of a text lacks, such as Chinese ones, are written in an installed font that has them.
 
     Args:
         figure: the figure.
@@ -85,6 +124,7 @@ def write_figure(figure: Figure, path: str | os.PathLike[str], formats: Sequence
         if kind not in FORMATS:
             raise unknown_name("formats", kind, FORMATS)
     files = []
+    _add_fonts(figure)
     for kind in formats:
         file = as_path("path", path).with_suffix(f".{kind}")
         with atomic_write(file) as aside, rc_context({"pdf.fonttype": 42}), _name_missing_glyphs():
