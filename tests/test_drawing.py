@@ -9,6 +9,8 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from usnet_env import ArgumentError, drawing
 from usnet_env.replay.scribe import lighten
@@ -268,6 +270,22 @@ def test_a_video_has_a_frame_for_each_step(tmp_path):
     (video,) = (tmp_path / "videos").iterdir()
     assert video.suffix == ".mp4"
     assert video.stat().st_size > 1000
+
+
+def test_long_names_keep_their_ends_and_what_tells_them_apart():
+    names = [f"zzz_female_collar-{k}-leader-of-the-pack" for k in (1, 10, 11)]
+    assert drawing.abbreviate(names, 18) == ["zzz_fe…1…e-pack", "zzz_fe…10…e-pack", "zzz_fe…11…e-pack"]
+    assert drawing.abbreviate(["short", "a name that is much too long"], 13) == ["short", "a name…o long"]
+    assert drawing.abbreviate([], 9) == []
+
+
+@given(st.sets(st.text("ab1-", max_size=30)), st.text("ab1", max_size=15), st.integers(5, 20))
+def test_different_names_stay_different(names, start, longest):
+    full = [start + name + start for name in sorted(names)]
+    short = drawing.abbreviate(full, longest)
+    assert len(set(short)) == len(full)
+    for one, other in zip(full, short, strict=True):
+        assert len(one) > longest or one == other
 
 
 def test_characters_that_the_font_lacks_are_drawn_in_another_one(tmp_path):

@@ -80,7 +80,7 @@ def test_the_picture_has_the_coordinates_and_times_of_the_file(tmp_path):
     found = find_leaders(
         tracks, "lagged-regression", on_window=lambda cut, _, each: maps.append((cut, np.full(12, -1), each))
     )
-    axes = draw_leaders(found, maps[:1], "flock.csv", tracks.origin).axes[0]
+    axes = draw_leaders(found, maps[:1], "flock.csv", tracks).axes[0]
     low, high = axes.get_xlim()
     places = [row[2] + 500_000.0 for row in example().flock() if row[1] <= 100]
     assert low < min(places) < max(places) < high

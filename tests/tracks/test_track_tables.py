@@ -168,26 +168,3 @@ def test_ids_with_semicolons_can_be_read_from_a_cell(run, tmp_path):
     assert r"b\;c;d\\" in cells
     ids = {tuple(re.sub(r"\\(.)", r"\1", each) for each in re.findall(r"(?:\\.|[^;\\])+", cell)) for cell in cells}
     assert ("b;c", "d\\") in ids
-
-
-def test_the_titles_of_a_picture_fit_their_maps(tmp_path):
-    """The date is written once, and candidates that are not confirmed are in a second line."""
-    pytest.importorskip("matplotlib")
-    from usnet_env.tracks.picture import draw_leaders
-
-    names = [f"a bird with a long name {k}" for k in range(3)]
-    places = flying(lag=0)
-    rows = [[names[k], stamp(t), *map(float, places[t, k])] for t in range(600) for k in range(3)]
-    tracks = read_tracks(write_csv(tmp_path / "tracks.csv", rows)).resample(0.1)
-    maps = []
-    found = find_leaders(tracks, Sure(2), on_window=lambda cut, answer, each: maps.append((cut, np.full(3, -1), each)))
-    assert all(window.not_confirmed for window in found.windows)
-    figure = draw_leaders(found, maps, "tracks.csv", np.zeros(3))
-    figure.draw_without_rendering()
-    titles = [axes.title for axes in figure.axes] + [axes._left_title for axes in figure.axes]
-    boxes = {each.get_text(): each.get_window_extent() for each in titles if " to 09:" in each.get_text()}
-    assert [title.partition("\n")[0] for title in boxes][:2] == ["09:12:00 to 09:12:10", "09:12:10 to 09:12:20"]
-    assert all("\nnot confirmed: a bird" in title for title in boxes)
-    width = figure.axes[0].get_window_extent().width
-    assert max(box.width for box in boxes.values()) < width + 0.5 * figure.dpi
-    assert sum("2010-07-08" in each.get_text() for each in figure.texts) == 1

@@ -334,9 +334,9 @@ def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Map], even: Tra
     write_tables(found, folder, even.ids)
     with atomic_write(folder / "leaders.json") as aside:
         aside.write_text(json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    origin, written = even.origin if even.frame == "metres" else np.zeros(3), "Tables and JSON"
+    written = "Tables and JSON"
     try:
-        figure = draw_leaders(found, [(cut, _leaders_of(cut, window), window) for cut, window in maps], title, origin)
+        figure = draw_leaders(found, [(cut, _leaders_of(cut, window), window) for cut, window in maps], title, even)
     except MissingExtraError as missing:
         print_message(f"the picture is left out. {missing}")
     else:

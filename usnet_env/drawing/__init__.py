@@ -9,11 +9,15 @@ from __future__ import annotations
 from usnet_env.drawing.frames import EpisodeFrames, describe_frame, round_frame
 from usnet_env.drawing.maps import (
     CLUSTER_COLORS,
+    FOLLOWER_MARK,
+    HEAD_MARK,
     HIT,
+    LINK_MARK,
     MISSED,
     NO_CLUSTER_COLOR,
     REDUNDANT,
     TRACK_WORDS,
+    UNLED_MARK,
     Limits,
     MissingExtraError,
     cluster_colors,
@@ -25,21 +29,28 @@ from usnet_env.drawing.maps import (
     new_figure,
     round_marks,
 )
+from usnet_env.drawing.names import abbreviate, annotate_points, text_size
 from usnet_env.drawing.style import COLORS, FORMATS, MARKERS, caption_figure, escape_math, style_axes, write_figure
 
 __all__ = [
     "CLUSTER_COLORS",
     "COLORS",
+    "FOLLOWER_MARK",
     "FORMATS",
+    "HEAD_MARK",
     "HIT",
+    "LINK_MARK",
     "MARKERS",
     "MISSED",
     "NO_CLUSTER_COLOR",
     "REDUNDANT",
     "TRACK_WORDS",
+    "UNLED_MARK",
     "EpisodeFrames",
     "Limits",
     "MissingExtraError",
+    "abbreviate",
+    "annotate_points",
     "caption_figure",
     "cluster_colors",
     "dashed_ring",
@@ -53,5 +64,6 @@ __all__ = [
     "round_frame",
     "round_marks",
     "style_axes",
+    "text_size",
     "write_figure",
 ]

@@ -28,6 +28,7 @@ HIT, REDUNDANT, MISSED = "#009E73", "#D55E00", "#000000"  # their shapes differ 
 HEAD_MARK, FOLLOWER_MARK, LINK_MARK = "head", "follower (colour = cluster)", "link from follower to head"
 DECOY_MARK, DESTROYED_MARK = "decoy: has no followers", "destroyed earlier"
 HIT_MARK, REDUNDANT_MARK, MISSED_MARK = "candidate: hit", "candidate: redundant", "head, not a candidate"
+UNLED_MARK = "other (no leader found)"  # of recorded tracks
 TRACK_WORDS = {  # for these marks, in recorded tracks
     HEAD_MARK: "leader",
     FOLLOWER_MARK: "other (colour = leader)",
@@ -199,7 +200,7 @@ def draw_legend(axes: Axes, labels: Mapping[str, str]) -> None:
 
     Args:
         axes: the axes.
-        labels: the text for each mark of :func:`round_marks` that the legend shows.
+        labels: the text for each mark that the legend shows: those of :func:`round_marks`, and ``UNLED_MARK``.
     """
     from matplotlib.lines import Line2D
 
@@ -210,6 +211,7 @@ def draw_legend(axes: Axes, labels: Mapping[str, str]) -> None:
     keys = {
         HEAD_MARK: point(marker="*", color="#555555", markeredgecolor="black", markersize=15),
         FOLLOWER_MARK: point(marker="o", color="#777777", markersize=6),
+        UNLED_MARK: point(marker="o", color=NO_CLUSTER_COLOR, markersize=6),
         LINK_MARK: Line2D([], [], color="#777777", alpha=0.6, linewidth=1),
         DECOY_MARK: point(marker="D", color="white", markeredgecolor="black", markersize=7),
         HIT_MARK: point(markeredgecolor=HIT, **ring),

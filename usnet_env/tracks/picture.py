@@ -8,19 +8,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Floats
 from usnet_env.drawing import (
     CLUSTER_COLORS,
+    FOLLOWER_MARK,
+    HEAD_MARK,
+    LINK_MARK,
     TRACK_WORDS,
+    UNLED_MARK,
     Limits,
+    abbreviate,
+    annotate_points,
     draw_legend,
     draw_round,
     escape_math,
     last_seen_position,
     new_figure,
     round_marks,
+    text_size,
 )
 from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders
+from usnet_env.tracks.times import find_date, format_time
+from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.windows import TrackWindow
 
 if TYPE_CHECKING:
@@ -36,18 +44,23 @@ _MOST_ROWS, _ROW = 16, 0.27  # of the lower chart; inches
 _MOST_NAMES = 12  # leaders that a map names
 _MOST_REJECTED = 3  # candidates in the title of a map
 _LONGEST_TITLE = 40  # characters of a line
+_LONGEST_NAME = 24  # characters of an id
+_MARGIN = 1.9  # inches at the left of the lower chart, or more for its names
+_MARKS = (HEAD_MARK, FOLLOWER_MARK, LINK_MARK, UNLED_MARK)  # of the legend, in its order
 #: A window of a map, its leader by index ``(N,)`` (-1: none; a leader has its own index), and the leaders.
 Map = tuple[TrackWindow, NDArray[np.int64], DetectedWindow]
 
 
-def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str, origin: Floats) -> Figure:
+def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str, tracks: Tracks) -> Figure:
     """Draw up to six windows as maps from above, and below them the windows in which each id leads.
+
+    Long ids are abbreviated in the middle, in all places alike.
 
     Args:
         found: the leaders.
         maps: the windows to draw.
         title: what the tracks are.
-        origin: ``(3,)`` metres, what is added to the positions of the tracks.
+        tracks: the tracks, which say where their origin is and the unit of their times.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -61,30 +74,56 @@ def draw_leaders(found: FoundLeaders, maps: Sequence[Map], title: str, origin: F
     figure = new_figure(width, height)
     figure.text(0.5 / width, 1 - 0.25 / height, "Leaders and followers", fontsize=17, weight="bold", va="top")
     shown = f"{len(maps)} of {len(found.windows)} windows, " if len(maps) < len(found.windows) else ""
-    date = _find_date(found)
-    day = f" {date} (UTC)," if date else ""
-    about = f"{title}:{day} {shown}by {found.detector}. Stars are leaders, lines connect followers to them."
-    figure.text(0.5 / width, 1 - 0.65 / height, escape_math(about), fontsize=10, va="top", color="#333333")
+    words = _Words(found, tracks)
     marks: dict[str, str] = {}
     beside: Axes | None = None
     for k, (cut, leader, window) in enumerate(maps):
         left, top = 0.7 + k % columns * (_MAP + _GAP), _HEADER + k // columns * (_MAP + _GAP + _TITLES)
         axes = figure.add_axes((left / width, 1 - (top + _MAP) / height, _MAP / width, _MAP / height))
-        marks |= _draw_map(axes, cut, leader, window, date, origin)
+        marks |= _draw_map(axes, cut, leader, window, words, tracks)
         if k % columns:
             axes.set_ylabel("")
         if k == columns - 1:
             beside = axes
     if beside is not None:
-        draw_legend(beside, marks)
+        draw_legend(beside, {mark: marks[mark] for mark in _MARKS if mark in marks})
+    day = f" {words.date} (UTC)," if words.date else ""
+    stars = " Stars are leaders." if HEAD_MARK in marks else ""
+    if LINK_MARK in marks:
+        stars = " Stars are leaders, lines connect followers to them."
+    about = f"{title}:{day} {shown}by {found.detector}.{stars}"
+    figure.text(0.5 / width, 1 - 0.65 / height, escape_math(about), fontsize=10, va="top", color="#333333")
     bottom = 0.55
-    axes = figure.add_axes((1.9 / width, bottom / height, (width - 2.4) / width, (chart - 1.0) / height))
-    _draw_times(axes, found, date)
+    axes = figure.add_axes((_MARGIN / width, bottom / height, (width - _MARGIN - 0.5) / width, (chart - 1.0) / height))
+    _draw_times(axes, found, words)
+    names = max((text_size(each)[0] / figure.dpi for each in axes.get_yticklabels()), default=0.0)
+    margin = max(_MARGIN, names + 0.5)
+    axes.set_position((margin / width, bottom / height, (width - margin - 0.5) / width, (chart - 1.0) / height))
     return figure
 
 
+class _Words:
+    """How times and ids are written in the picture.
+
+    Args:
+        found: the leaders.
+        tracks: the tracks.
+    """
+
+    def __init__(self, found: FoundLeaders, tracks: Tracks) -> None:
+        self.date = find_date(found)
+        self.unit = tracks.clock.unit_name
+        named = [leader.id for leader in found.leaders] + [each for one in found.windows for each in one.not_confirmed]
+        ids = list(dict.fromkeys(map(str, named)))
+        self._short = dict(zip(ids, abbreviate(ids, _LONGEST_NAME), strict=True))
+
+    def name(self, who: str | int) -> str:
+        """An id that leads, or is not confirmed, abbreviated if it is long."""
+        return self._short[str(who)]
+
+
 def _draw_map(
-    axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: DetectedWindow, date: str, origin: Floats
+    axes: Axes, cut: TrackWindow, leader: NDArray[np.int64], window: DetectedWindow, words: _Words, tracks: Tracks
 ) -> dict[str, str]:
     """Draw one window; returns the marks that it shows, for the legend."""
     from matplotlib.patheffects import Normal, Stroke
@@ -93,43 +132,33 @@ def _draw_map(
     leaders = {each.id for each in window.leaders}
     head = np.array([each in leaders for each in cut.ids])
     none = np.zeros(uavs, bool)
-    position: Any = cut.window.position + (cut.origin + origin)  # in float64: coordinates may be large
+    origin = cut.origin + (tracks.origin if tracks.frame == "metres" else 0.0)
+    position: Any = cut.window.position + origin  # in float64: coordinates may be large
+    title = escape_math(_title_map(window, words))
     draw_round(
         position, cut.window.seen, cut.window.alive, head, leader, none,
-        axes=axes, title=escape_math(_title_map(window, date)), legend=False, limits=_limits(position[cut.window.seen]),
+        axes=axes, title=title, legend=False, limits=_limits(position[cut.window.seen]),
     )  # fmt: skip
     place = last_seen_position(position, cut.window.seen)
     names = {each: i for i, each in enumerate(cut.ids)}
     halo = [Stroke(linewidth=2.5, foreground="white"), Normal()]  # a name can be read where marks and tracks crowd
-    style: Any = {"textcoords": "offset points", "fontsize": 8, "weight": "bold", "zorder": 7, "path_effects": halo}
-    for each in window.leaders[:_MOST_NAMES]:
-        axes.annotate(escape_math(str(each.id)), place[names[each.id], :2].tolist(), xytext=(7, 7), **style)
+    named = window.leaders[:_MOST_NAMES]
+    points: Any = place[[names[each.id] for each in named], :2].reshape(-1, 2)
+    annotate_points(
+        axes, points, [words.name(each.id) for each in named], fontsize=8, weight="bold", zorder=7, path_effects=halo
+    )
     present = round_marks(place, cut.window.alive, head, leader, none)
+    present[UNLED_MARK] = present[FOLLOWER_MARK] & ~present[LINK_MARK]
+    present[FOLLOWER_MARK] = present[LINK_MARK]  # those with a leader
     return {mark: TRACK_WORDS.get(mark, mark) for mark, who in present.items() if who.any()}
 
 
-def _find_date(found: FoundLeaders) -> str:
-    """The date of all windows if the times are timestamps of one day, otherwise nothing."""
-    times = [time for window in found.windows for time in (window.start, window.end)]
-    dates = {time.partition("T")[0] for time in times if isinstance(time, str)}
-    return dates.pop() if len(dates) == 1 else ""
-
-
-def _format_time(time: float | int | str, date: str) -> str:
-    """A time of the file, for an axis: up to 12 digits, or a timestamp without ``date`` and final zeros."""
-    if not isinstance(time, str):
-        return f"{time:.12g}" if isinstance(time, float) else str(time)
-    day, _, clock = time.removesuffix("Z").partition("T")
-    clock = clock.rstrip("0").removesuffix(".") if "." in clock else clock
-    return clock if day == date else f"{day} {clock}"
-
-
-def _title_map(window: DetectedWindow, date: str) -> str:
+def _title_map(window: DetectedWindow, words: _Words) -> str:
     """The times of a window and, in a second line, its candidates that are not confirmed."""
-    day = date or str(window.start).partition("T")[0]
-    title = f"{_format_time(window.start, date)} to {_format_time(window.end, day)}"
+    day = words.date or str(window.start).partition("T")[0]
+    title = f"{format_time(window.start, words.date)} to {format_time(window.end, day)} {words.unit}".rstrip()
     if window.not_confirmed:
-        named = f"not confirmed: {', '.join(map(str, window.not_confirmed[:_MOST_REJECTED]))}"
+        named = f"not confirmed: {', '.join(map(words.name, window.not_confirmed[:_MOST_REJECTED]))}"
         more = "" if len(window.not_confirmed) <= _MOST_REJECTED else ", …"
         title += f"\n{named if len(named) <= _LONGEST_TITLE else named[: _LONGEST_TITLE - 1] + '…'}{more}"
     return title
@@ -142,7 +171,7 @@ def _limits(place: NDArray[Any]) -> Limits:
     return x, y, 0.54 * max(float((high - low).max()), 1e-6)
 
 
-def _draw_times(axes: Axes, found: FoundLeaders, date: str) -> None:
+def _draw_times(axes: Axes, found: FoundLeaders, words: _Words) -> None:
     """Draw a row for each leader over the file, with a bar for each window in which it leads."""
     bars = found.leaders[:_MOST_ROWS]
     for row, each in enumerate(bars):
@@ -153,16 +182,17 @@ def _draw_times(axes: Axes, found: FoundLeaders, date: str) -> None:
         ]
         color = CLUSTER_COLORS[(each.group - 1) % len(CLUSTER_COLORS)]
         axes.barh([row] * len(led), [1.0] * len(led), left=led, height=0.7, color=color)
-    axes.set_yticks(range(len(bars)), [escape_math(str(each.id)) for each in bars], fontsize=8)
+    axes.set_yticks(range(len(bars)), [escape_math(words.name(each.id)) for each in bars], fontsize=8)
     axes.set_ylim(max(len(bars), 1) - 0.5, -0.5)
     count = len(found.windows)
-    longest = max(len(_format_time(window.start, date)) for window in found.windows)
+    longest = max(len(format_time(window.start, words.date)) for window in found.windows)
     ticks = np.unique(np.linspace(0, count - 1, min(count, max(2, min(8, 80 // longest)))).astype(int))
     axes.set_xlim(0, count)
-    axes.set_xticks(ticks, [_format_time(found.windows[k].start, date) for k in ticks], fontsize=8)
+    axes.set_xticks(ticks, [format_time(found.windows[k].start, words.date) for k in ticks], fontsize=8)
     more = f", {len(bars)} of {len(found.leaders)} leaders" if len(bars) < len(found.leaders) else ""
-    words = f"Windows in which each id leads (colour = group){more}; time of their start below"
-    axes.set_title(words, fontsize=10, loc="left")
+    unit = f" in {words.unit}" if words.unit else ""
+    heading = f"Windows in which each id leads (colour = group){more}; time of their start{unit} below"
+    axes.set_title(heading, fontsize=10, loc="left")
     if not bars:
         axes.text(0.5, 0.5, "No leader was found.", transform=axes.transAxes, ha="center", va="center", color="#555555")
     for side in ("top", "right"):

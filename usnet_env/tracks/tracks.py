@@ -24,6 +24,7 @@ __all__ = ["Clock", "Tracks"]
 
 _DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
 _EPOCH = datetime(1970, 1, 1)
+_UNIT_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "µs", 1e-9: "ns", 60.0: "min", 3600.0: "h"}
 _SHORTEST_STEP, _LONGEST_STEP = 1e-9, 1e9  # seconds
 
 
@@ -47,6 +48,13 @@ class Clock:
     whole: bool = False
     frames: bool = False
     likely_unit: float | None = None
+
+    @property
+    def unit_name(self) -> str:
+        """The unit of the file's times, such as ``"s"`` or ``"frames"``; nothing for timestamps."""
+        if self.timestamps or self.frames:
+            return "frames" if self.frames else ""
+        return _UNIT_NAMES.get(self.unit, f"units of {format_number(self.unit)} s")
 
     def file_time(self, seconds: float) -> float | int | str:
         """Write ``seconds`` after the start as a time of the file."""

@@ -1,0 +1,96 @@
+"""The picture of ``usnet detect``: titles, names and the legend."""
+
+import numpy as np
+import pytest
+from test_track_tables import flying, stamp
+from track_files import Sure, example, write_csv
+
+from usnet_env.tracks import find_leaders, read_tracks
+
+pytest.importorskip("matplotlib")
+from usnet_env.tracks.picture import draw_leaders
+
+
+def draw(tracks, detector, **options):
+    """The figure of all windows, in which all ids follow the first leader of a window."""
+    maps = []
+
+    def keep(cut, answer, found):
+        leader = np.full(len(cut.ids), cut.ids.index(found.leaders[0].id) if found.leaders else -1)
+        for each in found.leaders:
+            leader[cut.ids.index(each.id)] = cut.ids.index(each.id)
+        maps.append((cut, leader, found))
+
+    found = find_leaders(tracks, detector, on_window=keep, **options)
+    figure = draw_leaders(found, maps[:6], "tracks.csv", tracks)
+    figure.draw_without_rendering()
+    return figure
+
+
+def legend_of(figure):
+    return [each.get_text() for axes in figure.axes if axes.get_legend() for each in axes.get_legend().get_texts()]
+
+
+def test_the_titles_of_a_picture_fit_their_maps(tmp_path):
+    """The date is written once, and candidates that are not confirmed are in a second line."""
+    names = [f"a bird with a long name {k}" for k in range(3)]
+    places = flying(lag=0)
+    rows = [[names[k], stamp(t), *map(float, places[t, k])] for t in range(600) for k in range(3)]
+    tracks = read_tracks(write_csv(tmp_path / "tracks.csv", rows)).resample(0.1)
+    figure = draw(tracks, Sure(2))
+    titles = [axes.title for axes in figure.axes] + [axes._left_title for axes in figure.axes]
+    boxes = {each.get_text(): each.get_window_extent() for each in titles if " to 09:" in each.get_text()}
+    assert [title.partition("\n")[0] for title in boxes][:2] == ["09:12:00 to 09:12:10", "09:12:10 to 09:12:20"]
+    assert all("\nnot confirmed: a bird" in title for title in boxes)
+    width = figure.axes[0].get_window_extent().width
+    assert max(box.width for box in boxes.values()) < width + 0.5 * figure.dpi
+    assert sum("2010-07-08" in each.get_text() for each in figure.texts) == 1
+
+
+@pytest.mark.parametrize(
+    ("column", "options", "title", "below"),
+    [
+        ("t", {}, "0 to 50 s", "time of their start in s below"),
+        ("t", {"time_unit": 0.001}, "0 to 50000 ms", "time of their start in ms below"),
+        ("frame", {"time_unit": 0.5}, "0 to 100 frames", "time of their start in frames below"),
+    ],
+)
+def test_times_of_a_picture_have_their_unit(tmp_path, column, options, title, below):
+    unit = options.get("time_unit", 1.0)
+    rows = [[row[0], round(row[1] / unit), *row[2:4]] if unit < 1 else row[:4] for row in example().flock()]
+    path = write_csv(tmp_path / "tracks.csv", rows, ["id", column, "x", "y"])
+    figure = draw(read_tracks(path, **options).resample(0.5), "lagged-regression")
+    assert figure.axes[0].get_title(loc="left") == title
+    assert figure.axes[-1].get_title(loc="left").endswith(below)
+
+
+def test_long_names_stay_apart_and_inside(tmp_path):
+    """All ids are leaders; their names differ in the middle only, and are as wide as names are in some alphabets."""
+    names = [f"WWWWWWWWWWWWWWWW female {k} MMMMMMMMMMMMMMMM" for k in range(12)]
+    rows = [[names[int(row[0][5:])], *row[1:4]] for row in example().flock()]
+    tracks = read_tracks(write_csv(tmp_path / "tracks.csv", rows)).resample(0.5)
+    figure = draw(tracks, "destroy-all", confirm=False)
+    for axes in figure.axes[:-1]:
+        frame, boxes = axes.get_window_extent(), [each.get_window_extent() for each in axes.texts]
+        assert len(boxes) == len({each.get_text() for each in axes.texts}) == 12
+        for k, box in enumerate(boxes):
+            assert frame.x0 <= box.x0 + 1
+            assert box.x1 <= frame.x1 + 1
+            assert frame.y0 <= box.y0 + 1
+            assert box.y1 <= frame.y1 + 1
+            assert not any(box.padded(-1).overlaps(other.padded(-1)) for other in boxes[:k])
+    labels = figure.axes[-1].get_yticklabels()
+    assert len({each.get_text() for each in labels}) == 12
+    assert min(each.get_window_extent().x0 for each in labels) > 0
+
+
+def test_the_legend_names_what_is_shown(tmp_path):
+    led = draw(
+        read_tracks(write_csv(tmp_path / "led.csv", [row[:4] for row in example().flock()])), "lagged-regression"
+    )
+    assert legend_of(led) == ["leader", "other (colour = leader)", "link from follower to leader"]
+    assert "lines connect followers" in led.texts[1].get_text()
+    rows = [row[:4] for row in example().leaderless()]
+    without = draw(read_tracks(write_csv(tmp_path / "none.csv", rows)), "none")
+    assert legend_of(without) == ["other (no leader found)"]
+    assert without.texts[1].get_text() == "tracks.csv: by none."
