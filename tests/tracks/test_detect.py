@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import sys
 
 import numpy as np
@@ -233,6 +234,22 @@ def test_ids_that_are_seen_too_little_are_named(folder, run, tmp_path):
     assert [window.left_out for window in found.windows] == [(), ("bird-3",), ("bird-3",), (), ()]
     _, out, _ = run("detect", tmp_path / "gap.csv", *QUICK, "--window", "250")
     assert "The last 49.5 s are in no window." in out
+
+
+@pytest.mark.parametrize(
+    ("window", "advice"),
+    [("150", "--stride 112"), ("110", "--stride 61"), ("44", "--window 46"), ("250", None)],
+)
+def test_the_end_without_a_window_can_be_covered_as_proposed(run, folder, tmp_path, window, advice):
+    """598 steps, or 599, which is a prime number, as is what a window of 250 leaves of it."""
+    lines = (folder / "flock.csv").read_text().splitlines()
+    path = tmp_path / "flock.csv"
+    path.write_text("\n".join(lines if advice is None else lines[:-12]))
+    command = ("detect", path, *QUICK, "--step", "0.5", "--window", window)
+    sentence = re.search(r"The last \S+ s are in no window.*\.", run(*command)[1]).group()
+    assert sentence.partition(" (")[2] == (f"{advice} covers them)." if advice else "")
+    if advice:
+        assert "in no window" not in run(*command, *advice.split())[1]
 
 
 def test_a_leader_that_chance_may_have_made_is_called_so(folder):

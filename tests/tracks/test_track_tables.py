@@ -168,3 +168,21 @@ def test_ids_with_semicolons_can_be_read_from_a_cell(run, tmp_path):
     assert r"b\;c;d\\" in cells
     ids = {tuple(re.sub(r"\\(.)", r"\1", each) for each in re.findall(r"(?:\\.|[^;\\])+", cell)) for cell in cells}
     assert ("b;c", "d\\") in ids
+
+
+def test_a_date_that_all_times_share_is_printed_once(run, tmp_path):
+    places = flying(lag=2)
+    rows = [[f"b{k}", stamp(t), *map(float, places[t, k])] for t in range(600) for k in range(3)]
+    words = (*QUICK, "--step", "0.1", "--out", tmp_path)
+    status, out, _ = run("detect", write_csv(tmp_path / "tracks.csv", rows), *words)
+    assert status == 0
+    facts, _, tables = out.partition("Windows on 2010-07-08 (UTC), by lagged-regression")
+    assert "from 2010-07-08T09:12:00.000Z to 2010-07-08T09:12:59.900Z" in facts
+    assert tables.count("2010") == 0
+    assert re.search(r"\n 09:12:10 +09:12:20 ", tables)
+    assert json.loads((tmp_path / "leaders.json").read_text())["windows"][1]["start"] == "2010-07-08T09:12:10.000Z"
+    rows = [[row[0], row[1].replace("09:12", "23:59").replace("T09:", "T23:"), *row[2:]] for row in rows]
+    rows += [[row[0], row[1].replace("-08T23:59", "-09T00:00"), *row[2:]] for row in rows]
+    _, out, _ = run("detect", write_csv(tmp_path / "tracks.csv", rows), *words)
+    assert "Windows, by lagged-regression" in out
+    assert re.search(r"\n 2010-07-09T00:00:10\.000Z ", out)

@@ -35,6 +35,8 @@ _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
 _LARGEST_RECORD = 2**30  # bytes of an episode file before compression
 
 _OPTIONS = {  # patterns of arguments in errors, and the options that set them
+    r"\(stride=(?=\d)": "(--stride ",
+    r"\(length=(?=\d)": "(--window ",
     r"^(stride|step|encoding|out) must": r"--\1 must",
     r"^length must": "--window must",
     r"^columns must": "--column must",
@@ -145,7 +147,7 @@ def detect(
     from usnet_env.plugins import make_detector
     from usnet_env.tracks import find_leaders, read_tracks
     from usnet_env.tracks.confirming import LEAST_STEPS
-    from usnet_env.tracks.windows import count_windows
+    from usnet_env.tracks.windows import count_windows, describe_rest
 
     folder = None if out is None else as_path("out", out)
     if folder is not None:
@@ -170,9 +172,7 @@ def detect(
     del read
     stride = window if stride is None else stride
     count = count_windows(even, window, stride)
-    rest = even.duration - even.step * ((count - 1) * stride + window) if count and even.step else 0.0
-    if even.step and rest >= even.step / 2:
-        chosen.append(f"The last {rest:.6g} s are in no window.")
+    chosen += describe_rest(even, window, stride)
     if window < LEAST_STEPS and not unconfirmed:
         chosen.append(f"Windows of fewer than {LEAST_STEPS} steps are too short for the test that confirms leaders.")
     if record:
@@ -275,9 +275,12 @@ def _spread(maps: Sequence[Map], most: int) -> list[Map]:
 
 def _tables(found: FoundLeaders) -> list[Table]:
     """The tables of windows and of leaders over the file, with the first rows of long ones."""
+    from usnet_env.tracks.times import find_date, format_time
+
     rows: list[list[Any]] = []
+    date = find_date(found)
     for window in found.windows:
-        when: list[Any] = [window.start, window.end]
+        when = [format_time(each, date) if date else each for each in (window.start, window.end)]
         for leader in window.leaders:
             rows.append([*when, *_cells(leader)])
             when = ["", ""]
@@ -294,7 +297,9 @@ def _tables(found: FoundLeaders) -> list[Table]:
         over_file.append([name, f"{leader.share or 0.0:.0%}", *cells])
     headings = ["leader", "p", "followers", "why"]
     return [
-        _make_table(f"Windows, by {found.detector}", ["from", "to", *headings], rows),
+        _make_table(
+            f"Windows{f' on {date} (UTC)' if date else ''}, by {found.detector}", ["from", "to", *headings], rows
+        ),
         _make_table(
             "Over the file", ["leader", "windows", *headings[1:]], over_file or [["none found", "", "", "", ""]]
         ),

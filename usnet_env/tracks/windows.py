@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, format_number, quote
 from usnet_env.window import Window
 
 if TYPE_CHECKING:
     from usnet_env.tracks.tracks import Tracks
 
-__all__ = ["TrackWindow", "count_windows", "cut_windows"]
+__all__ = ["TrackWindow", "count_windows", "cut_windows", "describe_rest"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +52,28 @@ def count_windows(tracks: Tracks, length: int, stride: int) -> int:
     assert tracks.step is not None
     steps = round(tracks.duration / tracks.step)
     return 0 if steps < length else (steps - length) // stride + 1
+
+
+def describe_rest(tracks: Tracks, length: int, stride: int) -> list[str]:
+    """A sentence about the end of resampled tracks that no window covers, none if there is no such end.
+
+    It names arguments that cover the end: the longest stride that leaves no step, with at most twice as many windows,
+    or else, if windows don't overlap, the shortest longer window.
+    """
+    assert tracks.step is not None
+    count, steps = count_windows(tracks, length, stride), round(tracks.duration / tracks.step)
+    rest = tracks.duration - tracks.step * ((count - 1) * stride + length)
+    if not count or rest < tracks.step / 2:
+        return []
+    free = steps - length
+    strides = [free // more for more in range(count, 2 * count) if free % more == 0]
+    lengths = [steps // fewer for fewer in range(count, count // 2, -1) if steps % fewer == 0]
+    advice = ""
+    if strides:
+        advice = f" (stride={strides[0]} covers them)"
+    elif stride == length and lengths and lengths[0] < steps:
+        advice = f" (length={lengths[0]} covers them)"
+    return [f"The last {format_number(rest)} s are in no window{advice}."]
 
 
 def cut_windows(tracks: Tracks, length: int, stride: int, least_steps: int) -> Iterator[TrackWindow]:
