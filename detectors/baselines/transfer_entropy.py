@@ -39,7 +39,7 @@ class TransferEntropy(NetworkDetector):
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         """Estimate the transfer entropy of all pairs, in nats."""
         _, delay = correlate_flights(flight.velocity, flight.seen, lags)
-        entropy = estimate_transfer_entropy(flight.velocity, flight.seen, delay, self.neighbours, needed)
+        entropy = estimate_transfer_entropy(flight.velocity, flight.seen, delay, int(self.neighbours), needed)
         return Pairs(entropy, entropy - entropy.T, delay)
 
 
