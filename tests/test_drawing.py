@@ -108,6 +108,8 @@ def test_clusters_keep_their_colour_when_followers_change_sides():
     later, _ = drawing.cluster_colors(values["head"], np.where(values["root"] == 0, 4, values["root"]))
     assert later[1] == colors[4] == later[4]
     assert colors[0] != colors[4]
+    numbered, _ = drawing.cluster_colors(values["head"], values["root"], np.full(UAVS, 7))
+    assert set(numbered) == {drawing.CLUSTER_COLORS[7]} | set(colors) & {drawing.NO_CLUSTER_COLOR}
     assert drawing.cluster_colors(values["head"], np.full(UAVS, -1))[0].tolist() == [drawing.NO_CLUSTER_COLOR] * UAVS
 
 

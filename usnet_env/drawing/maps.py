@@ -98,18 +98,22 @@ def limits_around(place: NDArray[np.float32], margin: float = 0.12) -> Limits:
     return x, y, (1 + margin) / 2 * max(float((high - low).max()), 1.0)
 
 
-def cluster_colors(head: NDArray[np.bool_], root: NDArray[np.int64]) -> tuple[NDArray[np.str_], NDArray[np.int64]]:
+def cluster_colors(
+    head: NDArray[np.bool_], root: NDArray[np.int64], number: NDArray[np.int64] | None = None
+) -> tuple[NDArray[np.str_], NDArray[np.int64]]:
     """The colour and the marker of every UAV by its head.
 
     Args:
         head: ``(N,)`` bool, H_0.
         root: ``(N,)`` int64, the head of each UAV; a head's own index; -1: no head.
+        number: ``(N,)`` int64, the number of each head's cluster, from 0; ``None``: heads are counted.
 
     Returns:
         ``(N,)`` hexadecimal colours, which differ for 24 clusters, and ``(N,)`` int64 marker numbers (0 for the first
         nine clusters). Colour and marker together differ for 72 clusters.
     """
-    cluster = np.asarray(np.where((root >= 0) & head[root], np.cumsum(head)[root] - 1, -1))
+    numbers = np.asarray(np.cumsum(head) - 1 if number is None else number)
+    cluster = np.asarray(np.where((root >= 0) & head[root], numbers[root], -1))
     colors = np.where(cluster >= 0, np.array(CLUSTER_COLORS)[cluster % len(CLUSTER_COLORS)], NO_CLUSTER_COLOR)
     return colors, np.maximum(cluster, 0) // _CLUSTERS_PER_MARKER % len(_MARKERS)
 
@@ -166,6 +170,7 @@ def round_marks(
         root: ``(N,)`` int64, as in :func:`cluster_colors`.
         decoy: ``(N,)`` bool.
         candidates: ``(N,)`` bool, or ``None`` before the first answer.
+        number: ``(N,)`` int64, the number of each head's cluster, which gives its colour; ``None``: heads are counted.
         destroyed_at: ``(N, 3)`` metres, positions of destroyed UAVs, NaN if unknown; ``None``: not drawn.
 
     Returns:
@@ -255,6 +260,7 @@ def draw_round(
     decoy: NDArray[np.bool_],
     candidates: NDArray[np.bool_] | None = None,
     *,
+    number: NDArray[np.int64] | None = None,
     destroyed_at: NDArray[np.float32] | None = None,
     axes: Axes | None = None,
     title: str = "",
@@ -275,6 +281,7 @@ def draw_round(
         root: ``(N,)`` int64, the head of each UAV; a head's or decoy's own index; -1: no head.
         decoy: ``(N,)`` bool.
         candidates: ``(N,)`` bool, or ``None`` before the first answer.
+        number: ``(N,)`` int64, the number of each head's cluster, which gives its colour; ``None``: heads are counted.
         destroyed_at: ``(N, 3)`` metres, last positions of destroyed UAVs (NaN: unknown); ``None``: not drawn.
         axes: the axes to draw on; ``None``: a new figure.
         title: the title above the picture.
@@ -297,19 +304,19 @@ def draw_round(
     # The limits come first: otherwise they are computed anew for everything that is drawn.
     _set_up_axes(axes, limits_around(everywhere) if limits is None else limits, title)
     shown = np.isfinite(place[:, 0])
-    colors, marker = cluster_colors(head, root)
+    colors, marker = cluster_colors(head, root, number)
     _draw_links(axes, place, marks[LINK_MARK], root, colors)
     _draw_tracks(axes, position[:, shown], (seen & alive)[:, shown], colors[shown])
 
-    for number, shape in enumerate(_MARKERS):
-        chosen = marks[FOLLOWER_MARK] & (marker == number)
+    for kind, shape in enumerate(_MARKERS):
+        chosen = marks[FOLLOWER_MARK] & (marker == kind)
         _draw_points(
             axes, place, chosen, s=22, c=colors[chosen], marker=shape, edgecolors="white", linewidths=0.4, zorder=3
         )
     stars, decoys = marks[HEAD_MARK], marks[DECOY_MARK]
     _draw_points(axes, place, stars, s=210, c=colors[stars], marker="*", edgecolors="black", linewidths=0.8, zorder=5)
-    for number, shape in enumerate(_MARKERS[1:], start=1):  # heads with the same colour have their followers' marker
-        _draw_points(axes, place, stars & (marker == number), s=22, c="white", marker=shape, linewidths=0, zorder=5.5)
+    for kind, shape in enumerate(_MARKERS[1:], start=1):  # heads with the same colour have their followers' marker
+        _draw_points(axes, place, stars & (marker == kind), s=22, c="white", marker=shape, linewidths=0, zorder=5.5)
     _draw_points(axes, place, decoys, s=46, c="white", marker="D", edgecolors="black", linewidths=1, zorder=4)
 
     if destroyed_at is not None:

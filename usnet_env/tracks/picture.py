@@ -129,15 +129,16 @@ def _draw_map(
     from matplotlib.patheffects import Normal, Stroke
 
     uavs = len(cut.ids)
-    leaders = {each.id for each in window.leaders}
-    head = np.array([each in leaders for each in cut.ids])
+    groups = {each.id: each.group - 1 for each in window.leaders}
+    head = np.array([each in groups for each in cut.ids])
+    number = np.array([groups.get(each, 0) for each in cut.ids])  # a group has one colour in all windows
     none = np.zeros(uavs, bool)
     origin = cut.origin + (tracks.origin if tracks.frame == "metres" else 0.0)
     position: Any = cut.window.position + origin  # in float64: coordinates may be large
     title = escape_math(_title_map(window, words))
     draw_round(
         position, cut.window.seen, cut.window.alive, head, leader, none,
-        axes=axes, title=title, legend=False, limits=_limits(position[cut.window.seen]),
+        axes=axes, title=title, legend=False, limits=_limits(position[cut.window.seen]), number=number,
     )  # fmt: skip
     place = last_seen_position(position, cut.window.seen)
     names = {each: i for i, each in enumerate(cut.ids)}
