@@ -63,8 +63,8 @@ def choose(
         return named
     order = living[np.lexsort((tie[living], -probability[living]))]
     sure = np.clip(probability[order], 0.0, 1.0)
-    anybody = np.full(len(order), sure.mean())
-    p = (1.0 - doubt) * sure + doubt * anybody
+    even = np.full(len(order), sure.mean())
+    p = (1.0 - doubt) * sure + doubt * even
     budget = min(limit for limit in (len(order), policy.shot_budget, most) if limit is not None)
     if policy.policy == "map":
         count = int((p > 0.5).sum())
@@ -77,11 +77,11 @@ def choose(
         total = max(float(p.sum()), 1e-12)
         cost = policy.redundancy_price * (sizes - 1) - np.cumsum(p / total)[:budget]
     else:
-        nobody_left = ((1.0 - doubt) * _no_head_after(sure) + doubt * _no_head_after(anybody))[:budget]
+        none_left = ((1.0 - doubt) * _no_head_after(sure) + doubt * _no_head_after(even))[:budget]
         redundant = np.cumsum(1.0 - p)[:budget]
         guessing = bool(p[0] < _GUESS)
         price = policy.round_price if policy.round_price is not None else (len(alive) / 4.0 if guessing else 1.0)
-        cost = price * (1.0 - nobody_left) + policy.redundancy_price * redundant / len(alive)
+        cost = price * (1.0 - none_left) + policy.redundancy_price * redundant / len(alive)
     named[order[: int(cost.argmin()) + 1]] = True
     return named
 

@@ -63,11 +63,12 @@ def sense(
     differenced = k > 1 or config.position_noise > 0 or config.swap_rate > 0
     if k > 1:
         position = position[:, ::k]
-    # All random numbers are drawn first: a fault of the sensor does not depend on the other faults.
+    # Drawn in this order, and used below: an exchange of identities depends on which false tracks are present.
     swaps = [rng.random(position.shape[1:3]) < config.swap_rate for rng in rngs] if config.swap_rate > 0 else []
-    noise: Singles = np.empty(position.shape if config.position_noise > 0 else 0, np.float32)
-    for row, rng in zip(noise, rngs, strict=True) if config.position_noise > 0 else ():
-        rng.standard_normal(out=row, dtype=np.float32)
+    if config.position_noise > 0:
+        noise: Singles = np.empty(position.shape, np.float32)
+        for row, rng in zip(noise, rngs, strict=True):
+            rng.standard_normal(out=row, dtype=np.float32)
     seen = np.broadcast_to(alive[:, None], position.shape[:3]).copy()
     if config.miss_rate > 0:
         for row, rng in zip(seen, rngs, strict=True):
