@@ -17,8 +17,9 @@ __all__ = ["DRIVER", "NO_CHASER", "PREDATOR", "fly_flock"]
 NO_CHASER, PREDATOR, DRIVER = range(3)
 
 _ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)
-_FAST = {"reassoc", "nsz", "contract"}  # lets the compiler sum over neighbours with vector instructions
 _SMALL = 64  # up to this size a flock is searched as a whole
+_X, _Y, _Z, _UX, _UY, _UZ = range(0, 6 * _SMALL, _SMALL)  # rows of `members` in _sum_all
+_OX, _OY, _OZ, _AX, _AY, _AZ, _REPELLED, _ALIGNED, _ATTRACTED = range(0, 9 * _SMALL, _SMALL)  # and of `sums`
 
 
 @compiled(error_model="numpy")
@@ -78,6 +79,62 @@ def _sum_cells(x, y, z, width, repel, align, attract, begin, cell, p, v):
 
 
 @compiled(error_model="numpy")
+def _sum_all(size, repel, align, attract, plain, members, sums):
+    """Fill ``sums`` for all UAVs of a small flock: alignment, attraction, and the three counts.
+
+    The inner loop is over the UAVs that get a term, not over the terms of a sum. So vector instructions need no other
+    order of additions, and a flight has the same bits on every processor. Rows of ``members`` and ``sums`` are
+    ``_SMALL`` apart, a constant, from which the compiler knows that they don't overlap.
+
+    Args:
+        size: number of UAVs.
+        repel: square of the range of repulsion, m².
+        align: square of the range of alignment, m².
+        attract: square of the range of attraction, m².
+        plain: whether UAVs only align.
+        members: ``(6 * _SMALL,)`` float32, positions and velocities.
+        sums: ``(9 * _SMALL,)`` float32, filled in place.
+    """
+    sums[:] = _ZERO
+    for d in range(size):
+        x, y, z = members[_X + d], members[_Y + d], members[_Z + d]
+        ux, uy, uz = members[_UX + d], members[_UY + d], members[_UZ + d]
+        for c in range(size):
+            dx, dy, dz = x - members[_X + c], y - members[_Y + c], z - members[_Z + c]
+            square = dx * dx + dy * dy + dz * dz
+            o = _ONE if square < align else _ZERO
+            sums[_ALIGNED + c] += o
+            sums[_OX + c] += o * ux
+            sums[_OY + c] += o * uy
+            sums[_OZ + c] += o * uz
+            if not plain:
+                q = _ONE if square < attract else _ZERO
+                sums[_REPELLED + c] += _ONE if square < repel else _ZERO
+                sums[_ATTRACTED + c] += q
+                q /= np.sqrt(square + _TINY)
+                sums[_AX + c] += q * dx
+                sums[_AY + c] += q * dy
+                sums[_AZ + c] += q * dz
+
+
+@compiled(error_model="numpy")
+def _sum_repulsion(c, size, repel, members):
+    """Sum the directions away from the UAVs of a small flock within the range of repulsion of UAV c."""
+    rx, ry, rz = _ZERO, _ZERO, _ZERO
+    for d in range(size):
+        dx, dy, dz = (
+            members[_X + d] - members[_X + c],
+            members[_Y + d] - members[_Y + c],
+            members[_Z + d] - members[_Z + c],
+        )
+        square = dx * dx + dy * dy + dz * dz
+        if square < repel:
+            inverse = _ONE / np.sqrt(square + _TINY)
+            rx, ry, rz = rx - inverse * dx, ry - inverse * dy, rz - inverse * dz
+    return rx, ry, rz
+
+
+@compiled(error_model="numpy")
 def _sort_members(motion, source, bystander, uavs, label, order, first):
     """Sort the living UAVs by flock: ``order[first[f]:first[f + 1]]`` are those of flock f. Return their number."""
     first[:] = 0
@@ -115,7 +172,7 @@ def _steer_chaser(chaser, standoff, i, first, last, top, t, p, middle, position,
     return norm(x, y, z)
 
 
-@compiled(fastmath=_FAST, error_model="numpy")
+@compiled(error_model="numpy")
 def fly_flock(
     ranges, weights, chaser, flight_range, flight_weight, standoff, preference, table, root, source, bystander,
     motion, start, noise, position, velocity,
@@ -152,6 +209,7 @@ def fly_flock(
     while buckets < 2 * uavs:
         buckets *= 2
     begin = np.empty(buckets + 1, np.int64)
+    few, sums = np.empty(6 * _SMALL, np.float32), np.empty(9 * _SMALL, np.float32)
     middle = np.zeros((width, 3), np.float32)
     chasers = np.empty(uavs, np.int64)
     for b in range(episodes):
@@ -171,45 +229,34 @@ def fly_flock(
                 if not size:
                     continue
                 px, py, pz = p[0, low : low + size], p[1, low : low + size], p[2, low : low + size]
-                vx, vy, vz = v[0, low : low + size], v[1, low : low + size], v[2, low : low + size]
                 middle[f, 0], middle[f, 1], middle[f, 2] = px.mean(), py.mean(), pz.mean()
                 small = 1
                 if size > _SMALL:
                     while small < 2 * size:
                         small *= 2
                     _build_cells(low, low + size, p, v, outer, place, begin[: small + 1], cell, near_p, near_v)
+                else:
+                    for axis in range(3):
+                        for c in range(size):
+                            few[_X + axis * _SMALL + c] = p[axis, low + c]
+                            few[_UX + axis * _SMALL + c] = v[axis, low + c]
+                    _sum_all(size, repel, align, attract, plain, few, sums)
                 for c in range(size):
                     i = order[low + c]
                     if motion[b, i] != FOLLOWS:
                         continue
-                    ox, oy, oz, ax, ay, az = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-                    rx, ry, rz, repelled, aligned, attracted = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
                     if size > _SMALL:
                         rx, ry, rz, ox, oy, oz, ax, ay, az, repelled, aligned, attracted = _sum_cells(
                             px[c], py[c], pz[c], outer, repel, align, attract, begin[: small + 1], cell, near_p, near_v
                         )
-                    elif plain:
-                        for d in range(size):
-                            dx, dy, dz = px[d] - px[c], py[d] - py[c], pz[d] - pz[c]
-                            o = _ONE if dx * dx + dy * dy + dz * dz < align else _ZERO
-                            ox, oy, oz, aligned = ox + o * vx[d], oy + o * vy[d], oz + o * vz[d], aligned + o
                     else:
-                        for d in range(size):
-                            dx, dy, dz = px[d] - px[c], py[d] - py[c], pz[d] - pz[c]
-                            square = dx * dx + dy * dy + dz * dz
-                            o = _ONE if square < align else _ZERO
-                            q = _ONE if square < attract else _ZERO
-                            repelled += _ONE if square < repel else _ZERO
-                            aligned, attracted = aligned + o, attracted + q
-                            ox, oy, oz = ox + o * vx[d], oy + o * vy[d], oz + o * vz[d]
-                            q /= np.sqrt(square + _TINY)
-                            ax, ay, az = ax + q * dx, ay + q * dy, az + q * dz
-                        if repelled > np.float32(1.5):  # seldom, so this sum is not in the loop above
-                            for d in range(size):
-                                dx, dy, dz = px[d] - px[c], py[d] - py[c], pz[d] - pz[c]
-                                square = dx * dx + dy * dy + dz * dz
-                                r = (_ONE if square < repel else _ZERO) / np.sqrt(square + _TINY)
-                                rx, ry, rz = rx - r * dx, ry - r * dy, rz - r * dz
+                        ox, oy, oz, ax, ay, az = (
+                            sums[_OX + c], sums[_OY + c], sums[_OZ + c], sums[_AX + c], sums[_AY + c], sums[_AZ + c]
+                        )  # fmt: skip
+                        repelled, aligned, attracted = sums[_REPELLED + c], sums[_ALIGNED + c], sums[_ATTRACTED + c]
+                        rx, ry, rz = (
+                            _sum_repulsion(c, size, repel, few) if repelled > np.float32(1.5) else (_ZERO, _ZERO, _ZERO)
+                        )
                     if repelled > np.float32(1.5):  # the UAV itself is counted
                         x, y, z = rx, ry, rz
                         scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)

@@ -1,0 +1,37 @@
+"""A seed has the same flight on every processor, whatever vector instructions it has."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+FLIGHT = """
+import hashlib
+import numpy as np
+from usnet_env.swarm import SwarmConfig, advance, start
+
+for follow in ("f5", "pigeons", "vicsek", "couzin", "shepherd"):
+    for uavs in (30, 140):  # 140: a flock of 70 UAVs has a cell list
+        config = SwarmConfig(follow=follow, clusters=2, uavs=uavs, memory=12, formation="around")
+        rngs = [np.random.default_rng(1)]
+        state = start(config, rngs)
+        for _ in range(2):
+            state, window = advance(config, state, rngs)
+        bits = window.position.tobytes() + window.velocity.tobytes()
+        print(follow, uavs, hashlib.sha256(bits).hexdigest())
+"""
+
+
+def fly(**environment):
+    """The hashes of the flights, in a process that is compiled for the processor of the environment."""
+    words = [sys.executable, "-c", FLIGHT]
+    done = subprocess.run(words, env={**os.environ, **environment}, capture_output=True, text=True, check=True)
+    return done.stdout.splitlines()
+
+
+@pytest.mark.slow
+def test_a_flight_is_the_same_on_a_processor_without_wide_vectors(tmp_path):
+    plain = fly(NUMBA_CPU_NAME="generic", NUMBA_CACHE_DIR=str(tmp_path), NPY_DISABLE_CPU_FEATURES="X86_V3")
+    assert len(plain) == 10
+    assert plain == fly()
