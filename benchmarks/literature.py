@@ -26,7 +26,7 @@ from usnet_env.swarm.field_follow import Pigeons
 from usnet_env.swarm.field_kernels import DELAY
 from usnet_env.swarm.flock_follow import Informed, Vicsek
 
-SEED, GAMES = 60_613, 20
+SEED, GAMES = 60_613, 100
 SHARES, SIZES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4), (10, 30, 100)
 RANGES, NOISES = (10, 20, 40, 80, 160), (0.05, 0.2, 0.5)
 DETECTORS = ("directional-delays", "lagged-network", "net-lag-regression", "lagged-correlation", "follow-mixture")
