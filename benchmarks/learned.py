@@ -32,8 +32,8 @@ SWARMS: dict[str, dict[str, Any]] = {
 FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7", *FIRST_EIGHT)
 GAMES = 20
 LIMITS = {  # which detectors play, where the right answer is empty and elsewhere; silence.csv has both policies
-    True: ("learned(policy='map')",),
-    False: ("learned", "lagged-regression"),
+    True: ("learned(policy='map')", "random", "destroy-all"),
+    False: ("learned", "lagged-regression", "one-per-round", "random", "destroy-all"),
 }
 TIERS = ("short", "noise", "missed", "straight", "decoys", "bare", "silence", "shifted")
 KEPT = ("J", "rounds", "success", "exact", "ap_first", "seconds_per_round")

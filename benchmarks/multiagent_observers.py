@@ -17,7 +17,7 @@ from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.multiagent.usnet_observers_v0 import parallel_env
 
 GAMES = 40
-DETECTOR = "lagged-regression"
+DETECTOR, OTHERS = "lagged-regression", ("follow-mixture", "random", "destroy-all")  # the others with `union` alone
 EVERYTHING = 10_000.0
 RANGES = (250.0, 350.0, 500.0)
 OBSERVERS = (1, 2, 4, 8)
@@ -28,7 +28,7 @@ VALUES = ("J", "rounds", "success", "first_hits", "first_redundant", "redundant"
 
 def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     env = parallel_env(observers=cell["observers"], sensing_range=cell["range"], fusion=cell["fusion"])
-    game = play_game(env, {"observer": DetectorObserver(make_detector(DETECTOR))}, seed)
+    game = play_game(env, {"observer": DetectorObserver(make_detector(cell["detector"]))}, seed)
     return {
         **{name: getattr(game, name) for name in VALUES if hasattr(game, name)},
         "J": round(game.J, 6),
@@ -40,11 +40,16 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
 def cells() -> list[dict[str, Any]]:
     """One observer that sees the whole swarm, and every range, number of observers and fusion rule."""
     settings = [(EVERYTHING, 1, "union"), *product(RANGES, OBSERVERS, FUSIONS)]
-    return [{"range": reach, "observers": observers, "fusion": fusion} for reach, observers, fusion in settings]
+    return [
+        {"detector": detector, "range": reach, "observers": observers, "fusion": fusion}
+        for detector in (DETECTOR, *OTHERS)
+        for reach, observers, fusion in settings
+        if detector == DETECTOR or fusion == "union"
+    ]
 
 
 def games(cell: Mapping[str, Any]) -> int:
-    """How many games a cell has."""
+    """The number of games of a cell."""
     return GAMES
 
 

@@ -18,7 +18,10 @@ from usnet_env.multiagent.usnet_evasion_v0 import parallel_env
 
 MAX_ROUNDS = 10
 FOLLOW = ("f1", "f3", "f6")
-OBSERVERS = ("random", "lagged-regression", "lagged-regression(lags=8)", "follow-mixture")
+GAMES = 40
+OBSERVERS = (
+    "random", "destroy-all", "one-per-round", "lagged-regression", "lagged-regression(lags=8)", "follow-mixture",
+)  # fmt: skip
 SWARMS: dict[str, Policy] = {
     "truthful": TruthfulHead(),
     "late": CamouflagedHead(mobility=0, decoys=0),
@@ -27,11 +30,6 @@ SWARMS: dict[str, Policy] = {
 }
 
 VALUES = ("J", "price", "swarm_payoff", "rounds", "success", "first_hits", "first_redundant", "redundant")
-
-
-def games(cell: Mapping[str, Any]) -> int:
-    """How many games a cell has; fewer with follow-mixture, whose former core was slow against such swarms."""
-    return 20 if cell["observer"] == "follow-mixture" else 40
 
 
 def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
@@ -52,6 +50,11 @@ def cells() -> list[dict[str, Any]]:
     """Every strategy, observer and swarm policy."""
     games = product(FOLLOW, OBSERVERS, SWARMS)
     return [{"follow": follow, "observer": observer, "swarm": swarm} for follow, observer, swarm in games]
+
+
+def games(cell: Mapping[str, Any]) -> int:
+    """The number of games of a cell."""
+    return GAMES
 
 
 if __name__ == "__main__":

@@ -36,7 +36,8 @@ SEEN = {"J": "J_m", "success": "all heads hit", **FIRST, "seen_in_round_1": "UAV
 @cache
 def payoff() -> str:
     """The table of multiagent_payoff.csv."""
-    return means(read_csv(RESULTS / "multiagent_payoff.csv"), ("follow", "observer", "swarm"), {**PAID, **FIRST})
+    rows = sorted(read_csv(RESULTS / "multiagent_payoff.csv"), key=lambda row: row["follow"])
+    return means(rows, ("follow", "observer", "swarm"), {**PAID, **FIRST})
 
 
 @cache
@@ -48,7 +49,7 @@ def trained() -> str:
 @cache
 def observers() -> str:
     """The table of multiagent_observers.csv."""
-    return means(read_csv(RESULTS / "multiagent_observers.csv"), ("range", "observers", "fusion"), SEEN)
+    return means(read_csv(RESULTS / "multiagent_observers.csv"), ("detector", "range", "observers", "fusion"), SEEN)
 
 
 def text() -> str:
@@ -65,7 +66,7 @@ def text() -> str:
         trained(),
         picture("Learning curves", "multiagent_ppo.png"),
         "## Several observers",
-        "`usnet_observers_v0`, f1, at most 20 rounds, all observers with `lagged-regression`. `range` is in metres.",
+        "`usnet_observers_v0`, f1, at most 20 rounds, all observers with the same detector. `range` is in metres.",
         observers(),
         files=["multiagent_payoff.csv", "multiagent_ppo.csv", "multiagent_ppo_curve.csv", "multiagent_observers.csv"],
     )

@@ -101,7 +101,7 @@ def test_commands_of_learned_make_its_rows(name: str) -> None:
     ("name", "module", "columns"),
     [
         ("multiagent_payoff.csv", multiagent_payoff, ("follow", "observer", "swarm")),
-        ("multiagent_observers.csv", multiagent_observers, ("range", "observers", "fusion")),
+        ("multiagent_observers.csv", multiagent_observers, ("detector", "range", "observers", "fusion")),
         ("gaps.csv", gaps, ("detector", "rule", "miss_rate")),
     ],
 )
