@@ -83,7 +83,7 @@ def _sum_all(size, repel, align, attract, plain, members, sums):
     """Fill ``sums`` for all UAVs of a small flock: alignment, attraction, and the three counts.
 
     The inner loop is over the UAVs that get a term, not over the terms of a sum. So vector instructions need no other
-    order of additions, and a flight has the same bits on every processor. Rows of ``members`` and ``sums`` are
+    order of additions, and the sums have the same bits on every processor. Rows of ``members`` and ``sums`` are
     ``_SMALL`` apart, a constant, from which the compiler knows that they don't overlap.
 
     Args:
