@@ -40,7 +40,6 @@ DETECTORS = (
     "factions",
     "follow-mixture",
     "follow-mixture(policy='map')",
-    "follow-mixture(least_share=0.2, policy='map')",
     "learned",
     "learned(policy='map')",
 )

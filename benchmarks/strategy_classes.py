@@ -3,7 +3,7 @@
     OMP_NUM_THREADS=1 python benchmarks/strategy_classes.py    # writes results/follow_mixture/classes.csv
 
 The noise-free direction of every follower at every step is regressed on the features that the detector computes
-(``detectors.follow_mixture.features``) from the true head's past, once with one law for all followers and once with one
+(``detectors.series.features``) from the true head's past, once with one law for all followers and once with one
 law for each follower; each follower has its own constant. R² = 1 means that the class contains the strategy exactly;
 1 - R² is what it leaves unexplained.
 """
@@ -17,8 +17,8 @@ from follow_mixture_strategies import STRATEGIES
 from numpy.typing import NDArray
 from running import RESULTS, make_parser, write_csv
 
-from detectors.follow_mixture.features import CLASSES, make_features
 from detectors.follow_mixture.motion import lagged, read_motion
+from detectors.series.features import CLASSES, make_features
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.swarm import FollowInputs, FollowStrategy

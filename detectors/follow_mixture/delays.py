@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from detectors.follow_mixture.evidence import RARE, Pairs, Targets, make_targets, pair, screen
-from detectors.follow_mixture.features import LEVELS
 from detectors.follow_mixture.motion import lagged
+from detectors.series.features import LEVELS
 from detectors.series.votes import find_trees
 from usnet_env.arrays import Floats, Indices
 
@@ -39,7 +39,7 @@ class Hierarchy:
     relays: Floats
 
 
-def compare_delays(velocity: Floats, past: Floats, longest: int, least: float = 0.0) -> tuple[Floats, Floats]:
+def compare_delays(velocity: Floats, past: Floats, longest: int) -> tuple[Floats, Floats]:
     """Compare all ordered pairs of k tracks: track i follows track j with a law of its own.
 
     The law has the last L velocities, or a single one of up to ``longest`` steps ago. Two UAVs that turn alike by
@@ -50,7 +50,6 @@ def compare_delays(velocity: Floats, past: Floats, longest: int, least: float = 
         velocity: ``(k, T, a)``.
         past: ``(k, T - L, L, a)``.
         longest: the longest delay in samples; a quarter of the steps at most.
-        least: the least share of a UAV's innovations that its leader explains, if it is more than a third.
 
     Returns:
         ``(k, k)`` log-odds that i follows j, -inf on the diagonal; ``(k, k)`` the evidence.
@@ -59,7 +58,7 @@ def compare_delays(velocity: Floats, past: Floats, longest: int, least: float = 
     longest = max(lags, min(longest, velocity.shape[1] // 4))
 
     def ask(candidates: Floats, lags: int, classes: tuple[str, ...]) -> Floats:
-        alone = make_targets(velocity, every, lags, max(_RELAY, least))
+        alone = make_targets(velocity, every, lags, _RELAY)
         return np.asarray(screen(alone, candidates, classes, every).max(axis=0))
 
     evidence = ask(past, lags, LEVELS[0])
@@ -104,7 +103,7 @@ def ask_delays(
     mean, before = np.zeros((len(size), *velocity.shape[1:])), np.zeros((len(size), *past.shape[1:]))
     np.add.at(mean, node, velocity[uavs] / size[node, None, None])
     np.add.at(before, node, past[uavs] / size[node, None, None, None])
-    odds, _ = compare_delays(mean, before, longest, targets.least)
+    odds, _ = compare_delays(mean, before, longest)
     row, column = np.nonzero((odds > 0) & (names < groups)[:, None] & (size == 1))
     group, uav = names[row], uavs[first[column]]
     better = (targets.label[uav] != group) & (odds[row, column] > gain[group])
@@ -128,7 +127,7 @@ def find_hierarchy(
     single = np.flatnonzero(np.isin(targets.label, sample_single_uavs(targets)))
     leader, gain = head[targets.label], gained[targets.label]
     asked = np.union1d(leads, single)
-    odds, evidence = compare_delays(velocity[asked], past[asked], longest, targets.least)
+    odds, evidence = compare_delays(velocity[asked], past[asked], longest)
     led = np.flatnonzero(np.isin(asked, single) & (leader[asked] >= 0))
     place = np.searchsorted(asked, leader[asked[led]])
     for values in (odds, evidence):

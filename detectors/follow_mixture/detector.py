@@ -32,9 +32,6 @@ class FollowMixture(Detector):
         memory: the number of past velocities of a head that the strategy may use, at least 1.
         max_lag: the longest individual delay of a follower, in samples; a quarter of the window at most.
         max_delay: the longest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
-        least_share: the least share of the innovations of a group, which its own past does not predict, that its head
-            explains. With 0.2, UAVs in formation about a virtual point have no head, and fewer UAVs of a herd are
-            named; but many heads that lead for a part of the time, and smooth heads behind noise, are missed.
         policy: how candidates are chosen from the probabilities.
 
             * ``"cost"`` (default) minimises the expected J_m (J_s for ``objective="P1"``). A missed head costs another
@@ -58,7 +55,6 @@ class FollowMixture(Detector):
     memory: Annotated[int, Field(ge=1, le=64)] = 4
     max_lag: Lags = 12
     max_delay: Seconds | None = None
-    least_share: Annotated[float, Field(ge=0, lt=1)] = 0.0
     policy: Literal["cost", "map"] = "cost"
     objective: Literal["P1", "P2"] = "P2"
     shot_budget: Count | None = None
@@ -73,8 +69,9 @@ class FollowMixture(Detector):
             a relay); in ``extras``: ``root`` ``(N,)``, the head of each UAV (-1: none); ``relay`` ``(N,)`` bool, UAVs
             that lead and follow; ``probability`` ``(N,)``, if the fit is right, and ``doubt``, that it is not; ``gain``
             ``(N,)``, the log-likelihood that the UAV's group gains by its head, in nats; ``group`` ``(N,)``, the group
-            of each living UAV, -1 for others; ``heads`` (indices) and ``reasons`` (one sentence per head, with its most
-            probable lag in samples); ``strategy`` (feature class, weights of the shared law, noise) or ``None``;
+            of each living UAV, -1 for others; ``heads`` (indices), ``reasons`` (one sentence per head, with its most
+            probable lag in samples) and ``direction`` (log-likelihood ratio of each: that it leads, against a common
+            cause); ``strategy`` (feature class, weights of the shared law, noise) or ``None``;
             ``nats``, the gain of the whole fit less the prices.
 
         Raises:
@@ -91,18 +88,18 @@ class FollowMixture(Detector):
         most = 1 if arguments.objective == "P1" else arguments.clusters
         motion = read_motion(window, living)
         longest = count_lags(window, arguments.max_lag, arguments.max_delay)
-        found = (
-            None if motion is None else fit_motion(motion, arguments.memory, longest, most, arguments.least_share, rng)
-        )
+        found = None if motion is None else fit_motion(motion, arguments.memory, longest, most, rng)
         probability, gain = np.zeros(window.uavs), np.zeros(window.uavs)
         leader, root, clusters, group = np.full((4, window.uavs), -1, np.int64)
         extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "reasons": [], "nats": 0.0}
+        extras["direction"] = np.empty(0)
         probability[living] = 1.0 / (len(living) + 1.0)  # if no UAV seems to follow another one
         doubt = 0.0
         if found is not None:
             calibration = shipped_calibration()
             doubt, leads = calibration.doubt, np.maximum(calibration(found.log_odds), expit(found.relays[1]))
             probability[living] = leads * expit(-found.relays[0])
+            probability[living[found.heads]] *= expit(found.leads)
             heads = living[found.heads]
             leader[living] = np.where(found.leader >= 0, living[found.leader], -1)
             root[living] = np.where(found.root >= 0, living[found.root], -1)
@@ -115,6 +112,7 @@ class FollowMixture(Detector):
                 "heads": heads,
                 "reasons": _give_reasons(found),
                 "nats": found.value,
+                "direction": found.leads,
             }
         scores = np.zeros(window.uavs)
         odds = np.clip(probability[living], 1e-12, 1 - 1e-12)

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detectors.follow_mixture.features import SCREENED, make_features
 from detectors.follow_mixture.motion import lagged
+from detectors.series.features import SCREENED, make_features
 from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.compiling import compiled
 
@@ -362,8 +362,7 @@ def own_evidence(targets: Targets, pairs: Pairs, statistics: Statistics) -> Floa
     """``(P,)``: log Bayes factor of each pair with a law of its own."""
     solved = np.linalg.solve(statistics.gram, statistics.moment)
     share = (statistics.moment * solved).sum(axis=(1, 2)) / targets.energy[pairs.target]
-    factor = bayes_factor(share, targets.rows[pairs.target], statistics.width, targets.axes)
-    return factor - targets.price(pairs.target)
+    return bayes_factor(share, targets.rows[pairs.target], statistics.width, targets.axes)
 
 
 def fit_law(statistics: Statistics, used: Indices, variance: Floats) -> Floats:
@@ -381,5 +380,4 @@ def gain_by_law(targets: Targets, pairs: Pairs, statistics: Statistics, law: Flo
     power, rows = targets.energy[pairs.target], targets.rows[pairs.target]
     left = power + (law * (statistics.gram @ law - 2.0 * statistics.moment)).sum(axis=(1, 2))
     left, axes = np.maximum(left, targets.grain), targets.axes
-    gain = -0.5 * axes * rows * np.log(left / power) - targets.price(pairs.target)
-    return gain, left / (axes * np.maximum(rows, 1.0))
+    return -0.5 * axes * rows * np.log(left / power), left / (axes * np.maximum(rows, 1.0))

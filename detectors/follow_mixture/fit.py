@@ -23,17 +23,17 @@ from detectors.follow_mixture.evidence import (
     pick,
     screen,
 )
-from detectors.follow_mixture.features import LEVELS, LONE
 from detectors.follow_mixture.groups import find_groups, limit_candidates
 from detectors.follow_mixture.motion import Motion, fit_spectra, lagged, smoothed_pasts
 from detectors.follow_mixture.pooling import MorePairs, ask_single_uavs
+from detectors.series.direction import SHARES, WEIGHTS, compare_directions
+from detectors.series.features import LEVELS, LONE
 from usnet_env.arrays import Floats, Indices
 
 _CERTAIN = 7.0  # log-odds of every UAV at which the search ends
 _LEAST_TOGETHER = 0.01  # least prior probability that a head moves with its followers, relative to a single UAV
 _ITERATIONS = 8
 _NOTHING = 1e-12
-_SHARES, _WEIGHTS = (np.polynomial.legendre.leggauss(24) + np.array([[1.0], [0.0]])) / 2.0  # of an integral from 0 to 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +47,7 @@ class Fit:
         root: ``(n,)`` the head of each UAV, at the end of its leaders; its own index for heads, -1 for none.
         log_odds: ``(n,)`` of leading, before calibration; -inf for UAVs without any evidence.
         relays: ``(2, n)``, see :class:`detectors.follow_mixture.delays.Hierarchy`.
+        leads: ``(M,)`` log-likelihood ratio of each head, that it leads against a common cause of its followers and it.
         gain: ``(n,)`` log-likelihood that the UAV's group gains by its head, in nats.
         features: the class of features that the law uses.
         law: ``(p, a)`` weights of the shared law, or ``None`` if each group has a law of its own.
@@ -61,6 +62,7 @@ class Fit:
     root: Indices
     log_odds: Floats
     relays: Floats
+    leads: Floats
     gain: Floats
     features: str
     law: Floats | None
@@ -122,9 +124,7 @@ class _Search:
         return gain
 
 
-def fit_motion(
-    motion: Motion, lags: int, longest: int, most: int | None, least: float, rng: np.random.Generator
-) -> Fit | None:
+def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: np.random.Generator) -> Fit | None:
     """Fit one window.
 
     Args:
@@ -132,7 +132,6 @@ def fit_motion(
         lags: the number of past velocities of a head that a law may use; fewer in short windows.
         longest: the longest delay of a follower by itself, in samples; a quarter of the window at most.
         most: the largest number of heads, or ``None``.
-        least: the least share of a UAV's innovations that its leader explains.
         rng: draws the UAVs that are grouped together in a large swarm.
 
     Returns:
@@ -141,7 +140,7 @@ def fit_motion(
     velocity = motion.velocity
     lags = min(lags, velocity.shape[1] // 2)
     spectra = fit_spectra(velocity, motion.unit)
-    targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags, least)
+    targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
     past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
     several, only = np.flatnonzero(targets.sizes > 1), limit_candidates(label, rng)
     more: MorePairs | None = None  # at first no single UAV follows, as heads and decoys do not
@@ -174,13 +173,15 @@ def fit_motion(
     heads, count = np.unique(order.root, return_counts=True)
     heads = heads[(count > 1) & np.isin(heads, order.root[found.assignment.heads])]
     follows = np.isin(order.root, heads) & (order.leader >= 0)
+    root = np.where(np.isin(order.root, heads), order.root, -1)
     return Fit(
         group=label,
         heads=heads,
         leader=np.where(follows, order.leader, -1),
-        root=np.where(np.isin(order.root, heads), order.root, -1),
+        root=root,
         log_odds=log_odds,
         relays=order.relays,
+        leads=compare_directions(velocity, label, root, heads, longest, spectra.noise > 0),
         gain=np.where(follows, order.gain, 0.0),
         features=found.features,
         law=found.law,
@@ -286,9 +287,8 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
     prior = np.where(alone, 0.0, np.log(together / sizes[targets.label]))
     row = np.cumsum(several) - 1
     logit = np.tile(np.append(prior, np.log(RARE * np.exp(prior).sum())), (several.sum(), 1))
-    least, some = targets.price(np.arange(len(sizes))), several[pairs.group]
-    logit[:, :uavs] -= least[several, None]  # UAVs that were not chosen explain nothing
-    logit[row[pairs.group[some]], pairs.uav[some]] += found.evidence[some] + least[pairs.group[some]] + paid[some]
+    some = several[pairs.group]
+    logit[row[pairs.group[some]], pairs.uav[some]] += found.evidence[some] + paid[some]
     share = np.exp(logit - logsumexp(logit, axis=1, keepdims=True))[:, :uavs]
     stays = np.log1p(-np.minimum(share, 1.0 - _NOTHING)).sum(axis=0)  # log probability of leading no group of several
     stays -= np.logaddexp(pool, 0.0)
@@ -319,9 +319,9 @@ def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats,
     odds[:, head] -= np.log1p(-np.minimum(np.exp(odds[:, head]), 1.0 - _NOTHING))  # instead of the other heads
     odds[np.isin(single, targets.label[heads])] = -np.inf
     follows = odds + np.log(np.maximum(known + ~head, 1))  # instead of one of the other heads, or none
-    ratio = np.logaddexp(np.log1p(-_SHARES), np.log(_SHARES) + follows[:, :, None])
+    ratio = np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + follows[:, :, None])
     asked = np.isfinite(odds)
-    every = logsumexp(np.where(asked[:, :, None], ratio, 0.0).sum(axis=0), b=_WEIGHTS, axis=1)
+    every = logsumexp(np.where(asked[:, :, None], ratio, 0.0).sum(axis=0), b=WEIGHTS, axis=1)
     leads = np.log(np.maximum(-np.expm1(-every - np.log1p(asked.sum(axis=0))), _NOTHING))  # that at least one follows
     pool = np.where(targets.sizes[targets.label] == 1, np.log(RARE / uavs), -np.inf)  # without any evidence
     singles, itself = np.zeros(uavs), np.zeros(len(targets.sizes))

@@ -30,7 +30,7 @@ from detectors.follow_mixture.evidence import (
     screen,
     whiten,
 )
-from detectors.follow_mixture.features import LONE, make_features
+from detectors.series.features import LONE, make_features
 from usnet_env.arrays import Floats, Indices, Mask
 
 _TURNS = 3  # of choosing the followers of a candidate and fitting their law

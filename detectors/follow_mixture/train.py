@@ -95,7 +95,7 @@ def play(games: Sequence[Game[Draws]]) -> list[Row]:
         window, leads = draw_calibration_window(config, rng)
         living = np.flatnonzero(window.alive)
         head, motion = leads[living], read_motion(window, living)
-        found = None if motion is None else fit_motion(motion, *_DEFAULTS, None, 0.0, rng)
+        found = None if motion is None else fit_motion(motion, *_DEFAULTS, None, rng)
         counts, exact = "", not head.any()
         if found is not None:
             place = np.rint((np.clip(found.log_odds, -MOST_ODDS, MOST_ODDS) + MOST_ODDS) / _BIN).astype(np.int64)
@@ -205,9 +205,10 @@ def train_calibration(
 
 
 def _hash_detector() -> str:
-    """A hash of the detector's source files, on which the rows depend."""
+    """A hash of the source files of the detector and of the kernel below it, on which the rows depend."""
     sources = sha256()
-    for source in sorted(files("detectors.follow_mixture").iterdir(), key=lambda entry: entry.name):
-        if source.name.endswith(".py") and source.name != "calibration.py":
-            sources.update(source.read_bytes())
+    for package in ("detectors.follow_mixture", "detectors.series"):
+        for source in sorted(files(package).iterdir(), key=lambda entry: entry.name):
+            if source.name.endswith(".py") and source.name != "calibration.py":
+                sources.update(source.read_bytes())
     return sources.hexdigest()

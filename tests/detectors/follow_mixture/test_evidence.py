@@ -18,7 +18,7 @@ from detectors.follow_mixture.evidence import (
     own_evidence,
     screen,
 )
-from detectors.follow_mixture.features import make_features
+from detectors.series.features import make_features
 
 LAGS = 2
 LABEL = np.array([0, 1, 1, 1, 2, 2, 3, 4, 1, 2])

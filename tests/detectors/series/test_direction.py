@@ -1,0 +1,112 @@
+"""Leading or a common cause: what the past of a UAV says about a group, compared with what its future says."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from detectors.series.direction import compare_directions
+
+STEPS, DELAY, FOLLOWERS = 100, 3, 4
+
+
+def smooth_flight(rng, axes=3, steps=STEPS + 20, kept=0.9):
+    """Gauss-Markov velocities ``(steps, axes)``."""
+    velocity = np.zeros((steps, axes))
+    for t in range(1, steps):
+        velocity[t] = kept * velocity[t - 1] + np.sqrt(1 - kept**2) * rng.normal(size=axes)
+    return velocity
+
+
+def led_group(rng, law=lambda v: v, share=1.0, **flight):
+    """``(n, T, a)``: UAV 0, and followers that repeat a function of its velocity for a share of the time."""
+    source = smooth_flight(rng, **flight)
+    other = smooth_flight(rng, **flight)
+    late = law(source)[20 - DELAY : 20 - DELAY + STEPS]
+    from_then = int(share * STEPS)
+    late = np.concatenate([late[:from_then], law(other)[20 + from_then : 20 + STEPS]])
+    noise = 0.1 * rng.normal(size=(FOLLOWERS, *late.shape))
+    return np.concatenate([source[None, 20 : 20 + STEPS], late + noise])
+
+
+def driven_group(rng, **flight):
+    """``(n, T, a)``: UAVs that all follow an unseen point with a delay."""
+    source = smooth_flight(rng, **flight)[20 - DELAY : 20 - DELAY + STEPS]
+    return source + 0.3 * rng.normal(size=(1 + FOLLOWERS, *source.shape))
+
+
+def compare(velocity, longest=12, noisy=False):
+    count = len(velocity)
+    label = np.minimum(np.arange(count), 1)  # the followers are one group
+    root = np.zeros(count, np.int64)
+    (ratio,) = compare_directions(velocity, label, root, np.array([0]), longest, noisy)
+    return ratio
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("axes", [1, 2, 3])
+def test_a_leader_is_told_from_a_common_cause(axes, noisy):
+    rngs = [np.random.default_rng(seed) for seed in range(20)]
+    leads = [compare(led_group(rng, axes=axes), noisy=noisy) for rng in rngs]
+    driven = [compare(driven_group(rng, axes=axes), noisy=noisy) for rng in rngs]
+    assert np.mean(np.array(leads) > 0) >= 0.9
+    assert np.mean(np.array(driven) < 0) >= 0.8
+    assert np.median(leads) > 2 > 0 > -0.5 > np.median(driven)
+
+
+def test_a_law_of_squares_is_a_lead_too():
+    ratios = [compare(led_group(np.random.default_rng(seed), law=np.square, kept=0.5)) for seed in range(20)]
+    assert np.mean(np.array(ratios) > 1) >= 0.9
+
+
+def test_a_leader_for_a_part_of_the_time_is_less_certain():
+    whole, part = (
+        np.median([compare(led_group(np.random.default_rng(seed), share=share)) for seed in range(20)])
+        for share in (1.0, 0.6)
+    )
+    assert whole > part > 0
+
+
+def test_the_one_that_follows_does_not_lead():
+    for seed in range(5):
+        leader, follower = led_group(np.random.default_rng(seed))[:2]
+        assert compare(np.stack([follower, leader])) < -2 < 2 < compare(np.stack([leader, follower]))
+
+
+def test_a_delay_beyond_the_longest_is_not_found():
+    ratios = [compare(led_group(np.random.default_rng(seed), kept=0.3), longest=longest) for seed in range(10)
+              for longest in (1, 4)]  # fmt: skip
+    assert np.median(ratios[1::2]) > 3 > np.median(ratios[::2])
+
+
+@given(st.integers(0, 10_000), st.floats(1e-2, 1e2), st.integers(1, 3))
+@settings(max_examples=20, deadline=None)
+def test_scale_and_order_do_not_matter(seed, scale, axes):
+    rng = np.random.default_rng(seed)
+    flight = led_group(rng, axes=axes)
+    ratio = compare(flight)
+    assert np.isfinite(ratio)
+    mixed = flight[[0, *(1 + rng.permutation(FOLLOWERS))]]
+    np.testing.assert_allclose([compare(scale * flight), compare(mixed)], ratio, rtol=1e-3, atol=1e-3)
+
+
+def test_heads_are_compared_with_their_own_followers():
+    rng = np.random.default_rng(3)
+    leader, driven = led_group(rng), driven_group(rng)
+    count = 1 + FOLLOWERS
+    label = np.repeat([0, 1, 2, 3], [1, FOLLOWERS, 1, FOLLOWERS])
+    root = np.repeat([0, count], count)
+    both = compare_directions(np.concatenate([leader, driven]), label, root, np.array([0, count]), 12, False)
+    np.testing.assert_allclose(both, [compare(leader), compare(driven)], rtol=1e-9)
+
+
+def test_nothing_is_compared_in_a_short_window_or_without_followers():
+    flight = led_group(np.random.default_rng(0))
+    assert compare(flight[:, :31]) == np.inf
+    assert np.isfinite(compare(flight[:, :32]))
+    alone = compare_directions(flight, np.arange(5), np.full(5, -1), np.array([], np.int64), 12, False)
+    assert alone.shape == (0,)
+
+
+def test_still_uavs_have_no_lead():
+    assert abs(compare(np.zeros((5, STEPS, 3)))) < 1e-6
