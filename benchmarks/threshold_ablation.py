@@ -4,10 +4,10 @@
     python benchmarks/threshold_ablation.py --list     # the changes
 
 The windows are the first ones of ``--games`` games of every cell of ``follow_mixture.py``, on a tuning seed; of the
-cells of the frozen suite ``field``, on its tuning seed; and of ``--random`` swarms of the calibration's grammar
-(``detectors.follow_mixture.train``), which are played a second time in the tier ``drift``, in a constant wind. The
-calibration is that of the whole detector. Each row of ``results/follow_mixture_thresholds.csv`` is one window under one
-change; the rows without a change are the whole detector.
+cells of the frozen suites ``field``, ``controls`` and ``sensing``, on their tuning seeds; and of ``--random`` swarms of
+the calibration's grammar (``detectors.follow_mixture.train``), which are played a second time in the tier ``drift``, in
+a constant wind. The calibration is that of the whole detector. Each row of ``results/follow_mixture_thresholds.csv`` is
+one window under one change; the rows without a change are the whole detector.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from unittest.mock import patch
 
 import numpy as np
@@ -38,7 +38,7 @@ from usnet_env.swarm import SwarmConfig
 
 FILE = RESULTS / "follow_mixture_thresholds.csv"
 SEED = 61  # seeds below 1000 are for tuning
-FIELD = load_suite("field")
+SUITES = {name: load_suite(name) for name in ("field", "controls", "sensing")}
 WIND = np.array([20.0, 10.0, 0.0], np.float32)  # metres per step; a UAV flies 1
 INFINITE = 1e9
 SWARMS = CalibrationTraining()
@@ -168,8 +168,7 @@ def list_windows(tiers: list[str], each: int, random: int, seed: int) -> list[tu
     for cell in cells():
         if cell.tier in tiers:
             found += [(cell.tier, cell.name, n) for n in range(each)]
-    if "field" in tiers:
-        found += [("field", name, n) for name in FIELD.cells for n in range(each)]
+    found += [(tier, name, n) for tier in SUITES if tier in tiers for name in SUITES[tier].cells for n in range(each)]
     mobilities = [draw_swarm(np.random.default_rng((seed, number))).mobility for number in range(random)]
     swarms = ("random", "drift") if "drift" in tiers else ("random",)
     return [*found, *((tier, mobility, number) for tier in swarms for number, mobility in enumerate(mobilities))]
@@ -185,9 +184,9 @@ def draw_game(tier: str, name: str, number: int, random: int, seed: int) -> Game
             flown = np.arange(len(window.position), dtype=np.float32)[:, None, None] * WIND
             window = replace(window, position=window.position + flown, velocity=window.velocity + WIND)
         return Game("P2", window, head, number)
-    if tier == "field":
-        swarm, detector = episode_seeds(FIELD.tuning_seed, number)
-        environment = MultiClusterEnv(**FIELD.cells[name].arguments)
+    if tier in SUITES:
+        swarm, detector = episode_seeds(SUITES[tier].tuning_seed, number)
+        environment = MultiClusterEnv(**SUITES[tier].cells[name].arguments)
         observation, _ = environment.reset(seed=swarm)
         return Game("P2", Window.from_observation(observation), np.asarray(environment.swarm.head), detector)
     cell = next(cell for cell in cells() if (cell.tier, cell.name) == (tier, name))
@@ -199,9 +198,10 @@ def draw_game(tier: str, name: str, number: int, random: int, seed: int) -> Game
     return Game(cell.kind, shifted_tracks(window, detector) if cell.kind == "shifted" else window, head, detector)
 
 
-def play(game: Game, key: str) -> dict[str, Any]:
+def play(game: Game, key: str, policy: Literal["cost", "map"]) -> dict[str, Any]:
     """One window under one change; J is the least J_m that this round allows, or the share of UAVs named in silence."""
-    own = FollowMixture(policy="cost" if game.head.any() else "map", objective="P1" if game.kind == "P1" else "P2")
+    policy = policy if game.head.any() else "map"
+    own = FollowMixture(policy=policy, objective="P1" if game.kind == "P1" else "P2")
     with ExitStack() as stack:
         for module, name, value in CHANGES[key].patches:
             stack.enter_context(patch.object(module, name, value))
@@ -220,6 +220,7 @@ def main() -> None:
     parser.add_argument("--tier", nargs="*", default=[*sorted({cell.tier for cell in cells()}), "field", "drift"])
     parser.add_argument("--random", type=int, default=120, help="random swarms")
     parser.add_argument("--change", nargs="*", default=[*CHANGES], choices=[*CHANGES], help="beside the whole detector")
+    parser.add_argument("--policy", choices=["cost", "map"], default="cost", help="where a UAV follows another")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--results", type=Path, default=FILE)
     parser.add_argument("--list", action="store_true", help="list the changes and play nothing")
@@ -230,7 +231,11 @@ def main() -> None:
         return
 
     def play_one(cell: Mapping[str, Any], number: int) -> dict[str, Any]:
-        return play(draw_game(cell["tier"], cell["cell"], number, arguments.random, arguments.seed), cell["change"])
+        return play(
+            draw_game(cell["tier"], cell["cell"], number, arguments.random, arguments.seed),
+            cell["change"],
+            arguments.policy,
+        )
 
     windows = list_windows(arguments.tier, arguments.games, arguments.random, arguments.seed)
     keys = [key for key in CHANGES if not key or key in arguments.change]

@@ -11,15 +11,15 @@ from threshold_ablation import CHANGES
 from result_pages.text import page, table
 from usnet_env.evaluation.statistics import mean_interval
 
-FILE = "follow_mixture_thresholds.csv"
+FILE, DIRECTION = "follow_mixture_thresholds.csv", "follow_mixture_direction.csv"
 _LEAST = 0.005  # half a point
 Key = tuple[str, str, int]
 
 
-def read_windows() -> dict[str, dict[Key, tuple[float, float]]]:
-    """By change and window: whether the answer is exact, and J."""
+def read_windows(name: str) -> dict[str, dict[Key, tuple[float, float]]]:
+    """By change and window of a file: whether the answer is exact, and J."""
     found: dict[str, dict[Key, tuple[float, float]]] = {key: {} for key in CHANGES}
-    for row in read_csv(RESULTS / FILE):
+    for row in read_csv(RESULTS / name):
         found[row["change"]][row["tier"], row["cell"], int(row["game"])] = (float(row["exact"]), float(row["J"]))
     return found
 
@@ -58,7 +58,7 @@ def compare(windows: dict[str, dict[Key, tuple[float, float]]], tiers: Collectio
 
 def text() -> str:
     """The page."""
-    windows = read_windows()
+    windows, direction = read_windows(FILE), read_windows(DIRECTION)
     tiers = dict.fromkeys(window[0] for window in windows[""])
     counts = ", ".join(f"{tier} {sum(window[0] == tier for window in windows[''])}" for tier in tiers)
     return page(
@@ -74,6 +74,11 @@ def text() -> str:
         "(corrected for their number). *Not shown*: worse by more than half a point, or by more than 0.005 of J, in "
         "all windows or in one tier, but the interval holds 0.",
         f"Windows by tier: {counts}.",
+        "These rows are of the detector before the comparison of directions was added to it (commit 2baf9cf), which is "
+        "the present detector with the change `direction-never`:",
         compare(windows, tiers),
-        files=(FILE,),
+        "The present detector with `policy='map'`, which names no UAV where none seems to lead. Windows of "
+        f"{', '.join(dict.fromkeys(window[0] for window in direction['']))}:",
+        compare(direction, dict.fromkeys(window[0] for window in direction[""])),
+        files=(FILE, DIRECTION),
     )

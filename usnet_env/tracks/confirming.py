@@ -76,8 +76,8 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     changes of these velocities is added. All are centred over the window, and none counts as longer than the median, so
     that a single sharp turn decides nothing. The sum is compared with those of 35 surrogates in which time is reversed
     in 4 of 8 blocks: these keep what both do at the same time, and cancel leads. It must exceed z of their standard
-    deviations; z is the quantile of a normal distribution at 0.05 / n, because the leader was chosen from the n members of
-    its group. An animal that drives a herd and a flock with a common route have no such lead.
+    deviations; z is the quantile of a normal distribution at 0.05 / n, because the leader was chosen from the n members
+    of its group. An animal that drives a herd and a flock with a common route have no such lead.
 
     Args:
         window: the window.
