@@ -142,9 +142,8 @@ def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
     velocities = _bound(group, both), _bound(ahead, both)
     seen = both[1:] & both[:-1]
     changes = _bound(np.diff(group, axis=0), seen), _bound(np.diff(ahead, axis=0), seen)
-    opposite = -velocities[0]
-    if _correlate_later(*velocities) <= _correlate_later(opposite, velocities[1]):
-        return False
+    if _correlate_later(*velocities) <= _correlate_later(-velocities[0], velocities[1]):
+        return False  # it moves the opposite way
     by_chance = [
         _measure_lead(*(values[order] * sign for values in velocities))
         + _measure_lead(*(values[shorter] for values in changes))
@@ -189,8 +188,8 @@ def _bound(values: Floats, seen: Mask) -> Floats:
         return np.zeros_like(values)
     values = np.where(seen[:, None], values - values[seen].mean(axis=0), 0.0)
     length = np.sqrt((values**2).sum(axis=1))
-    most = np.median(length[seen])
-    values = values * np.minimum(most / np.maximum(length, most + _NOTHING * (most == 0)), 1.0)[:, None]
+    most = float(np.median(length[seen]))
+    values = values * (most / np.maximum(length, max(most, _NOTHING)))[:, None]
     return np.where(seen[:, None], values - values[seen].mean(axis=0), 0.0)
 
 
