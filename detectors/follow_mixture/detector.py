@@ -65,8 +65,9 @@ class FollowMixture(Detector):
         """Name the heads of one window.
 
         Returns:
-            Candidates by the policy, scores (log-odds of being a head), clusters and leader (the direct one, a head or
-            a relay); in ``extras``: ``root`` ``(N,)``, the head of each UAV (-1: none); ``relay`` ``(N,)`` bool, UAVs
+            Candidates by the policy, scores (log-odds of being a head; a doubtful direction lowers those of a whole tree),
+            clusters and leader (the direct one, a head or a relay); in ``extras``: ``root`` ``(N,)``, the head of each
+            UAV (-1: none); ``relay`` ``(N,)`` bool, UAVs
             that lead and follow; ``probability`` ``(N,)``, if the fit is right, and ``doubt``, that it is not; ``gain``
             ``(N,)``, the log-likelihood that the UAV's group gains by its head, in nats; ``group`` ``(N,)``, the group
             of each living UAV, -1 for others; ``heads`` (indices), ``reasons`` (one sentence per head, with its most
@@ -94,12 +95,15 @@ class FollowMixture(Detector):
         extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "reasons": [], "nats": 0.0}
         extras["direction"] = np.empty(0)
         probability[living] = 1.0 / (len(living) + 1.0)  # if no UAV seems to follow another one
-        doubt = 0.0
+        doubt, ranked = 0.0, probability
         if found is not None:
             calibration = shipped_calibration()
             doubt, leads = calibration.doubt, np.maximum(calibration(found.log_odds), expit(found.relays[1]))
             probability[living] = leads * expit(-found.relays[0])
-            probability[living[found.heads]] *= expit(found.leads)
+            direction, led = expit(found.leads), found.root >= 0
+            ranked = probability.copy()  # within a tree, the direction does not change who is more probably the head
+            ranked[living[led]] *= direction[np.searchsorted(found.heads, found.root[led])]
+            probability[living[found.heads]] *= direction
             heads = living[found.heads]
             leader[living] = np.where(found.leader >= 0, living[found.leader], -1)
             root[living] = np.where(found.root >= 0, living[found.root], -1)
@@ -115,7 +119,7 @@ class FollowMixture(Detector):
                 "direction": found.leads,
             }
         scores = np.zeros(window.uavs)
-        odds = np.clip(probability[living], 1e-12, 1 - 1e-12)
+        odds = np.clip(ranked[living], 1e-12, 1 - 1e-12)
         scores[living] = np.log(odds) - np.log1p(-odds)
         if found is not None:
             scores[window.alive] -= scores[window.alive].min()
