@@ -66,8 +66,8 @@ class FollowMixture(Detector):
 
         Returns:
             Candidates by the policy, scores (log-odds of being a head; a doubtful direction lowers those of its whole
-            tree), clusters and leader (the direct one, a head or a relay); in ``extras``: ``root`` ``(N,)``, the head of
-            each UAV (-1: none); ``relay`` ``(N,)`` bool, UAVs
+            tree), clusters and leader (the direct one, a head or a relay); in ``extras``: ``root`` ``(N,)``, the head
+            of each UAV (-1: none); ``relay`` ``(N,)`` bool, UAVs
             that lead and follow; ``probability`` ``(N,)``, if the fit is right, and ``doubt``, that it is not; ``gain``
             ``(N,)``, the log-likelihood that the UAV's group gains by its head, in nats; ``group`` ``(N,)``, the group
             of each living UAV, -1 for others; ``heads`` (indices), ``reasons`` (one sentence per head, with its most
