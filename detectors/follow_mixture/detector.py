@@ -101,8 +101,8 @@ class FollowMixture(Detector):
             doubt, leads = calibration.doubt, np.maximum(calibration(found.log_odds), expit(found.relays[1]))
             probability[living] = leads * expit(-found.relays[0])
             direction, led = expit(found.leads), found.root >= 0
-            ranked = probability.copy()  # within a tree, the direction does not change who is more probably the head
-            ranked[living[led]] *= direction[np.searchsorted(found.heads, found.root[led])]
+            ranked = probability.copy()  # a doubtful direction lowers a tree; among clear ones, it ranks no head
+            ranked[living[led]] *= np.minimum(2.0 * direction, 1.0)[np.searchsorted(found.heads, found.root[led])]
             probability[living[found.heads]] *= direction
             heads = living[found.heads]
             leader[living] = np.where(found.leader >= 0, living[found.leader], -1)
