@@ -77,8 +77,8 @@ def text() -> str:
         "recordings: windows of one recording depend on each other. s: seconds for a window on a busy core.",
         "These recordings were used in the development, so they are no unseen test: a parameter of the "
         "[choice of the step](../tracks.md#the-step) was chosen on them, `follow-mixture` counts the axes along which "
-        "ids move because of what was found on them, and the test of confirmed leaders and the direction in "
-        "`follow-mixture` use changes of velocities because that finds more of these leaders.",
+        "ids move because of what was found on them, and its direction uses changes of velocities because "
+        "that finds more of these leaders.",
         *parts,
         source(("real_tracks.csv",)),
         "The data are fetched by `examples/fetch_tracks.py`, which cites them.",

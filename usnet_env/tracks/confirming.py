@@ -23,7 +23,6 @@ _LEVEL_OUTSIDE = 0.5
 _NEAREST, _SHIFTS = 5, 6
 _SHIFTS_OF_FOLLOWERS, _DEVIATIONS = 19, 3.0
 _LEAST_SHIFT = 3 * _LAGS  # a smaller shift leaves a part of the likeness at some lag
-_NOTHING = 1e-12
 _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 
 
@@ -72,12 +71,11 @@ def confirm_lead(window: Window, leader: int, followers: Sequence[int]) -> bool:
     """Whether the mean velocity of the followers repeats that of the leader later, more than the reverse.
 
     The lead is max_τ C(τ) - max_τ C(-τ), τ = 1, ..., 4, where C is the correlation of the followers' mean velocity with
-    the leader's velocity τ steps earlier; the C(τ) of the largest absolute value must be positive. The lead of the
-    changes of these velocities is added. All are centred over the window, and none counts as longer than the median, so
-    that a single sharp turn decides nothing. The sum is compared with those of 35 surrogates in which time is reversed
-    in 4 of 8 blocks: these keep what both do at the same time, and cancel leads. It must exceed z of their standard
-    deviations; z is the quantile of a normal distribution at 0.05 / n, because the leader was chosen from the n members
-    of its group. An animal that drives a herd and a flock with a common route have no such lead.
+    the leader's velocity τ steps earlier, both centred over the window. It is compared with the leads of 35 surrogates
+    in which time is reversed in 4 of 8 blocks: these keep what both do at the same time, and cancel leads. It must
+    exceed their standard deviation z times; z is the quantile of a normal distribution at 0.05 / n, because the leader
+    was chosen from the n members of its group. An animal that drives a herd and a flock with a common route have no
+    such lead.
 
     Args:
         window: the window.
@@ -139,26 +137,14 @@ def find_followers(
 
 def _is_ahead(group: Floats, ahead: Floats, both: Mask, level: float) -> bool:
     """Whether ``group`` ``(T, 3)`` repeats ``ahead`` ``(T, 3)`` later; ``both`` ``(T,)``: where both are seen."""
-    velocities = _bound(group, both), _bound(ahead, both)
-    seen = both[1:] & both[:-1]
-    changes = _bound(np.diff(group, axis=0), seen), _bound(np.diff(ahead, axis=0), seen)
-    if _correlate_later(*velocities) <= _correlate_later(-velocities[0], velocities[1]):
-        return False  # it moves the opposite way
-    by_chance = [
-        _measure_lead(*(values[order] * sign for values in velocities))
-        + _measure_lead(*(values[shorter] for values in changes))
-        for (order, sign), (shorter, _) in zip(_reversals(len(group)), _reversals(len(group) - 1), strict=True)
-    ]
+    group, ahead = _centre(group, both), _centre(ahead, both)
+    by_chance = [_measure_lead(group[order] * sign, ahead[order] * sign) for order, sign in _reversals(len(group))]
     deviation = float(np.sqrt(np.mean(np.square(by_chance))))
-    lead = _measure_lead(*velocities) + _measure_lead(*changes)
-    return lead > max(0.0, -NormalDist().inv_cdf(level) * deviation)
+    return _measure_lead(group, ahead) > max(0.0, -NormalDist().inv_cdf(level) * deviation)
 
 
 def _reversals(steps: int) -> Iterator[tuple[NDArray[np.intp], Floats]]:
-    """Orders ``(T,)`` of the steps, with time reversed in 4 of 8 blocks, and the sign ``(T, 1)`` of the velocities.
-
-    In reversed time, changes of velocities keep their sign.
-    """
+    """Orders ``(T,)`` of the steps, with time reversed in 4 of 8 blocks, and the sign ``(T, 1)`` of the velocities."""
     parts = np.array_split(np.arange(steps), _BLOCKS)
     for chosen in combinations(range(1, _BLOCKS), _BLOCKS // 2):  # the other 35 choices are these, reversed
         order = np.concatenate([part[::-1] if b in chosen else part for b, part in enumerate(parts)])
@@ -169,28 +155,16 @@ def _reversals(steps: int) -> Iterator[tuple[NDArray[np.intp], Floats]]:
 
 
 def _measure_lead(group: Floats, ahead: Floats) -> float:
-    """By how much the group repeats ``ahead`` later more closely than the reverse, as a difference of correlations."""
-    return _correlate_later(group, ahead) - _correlate_later(ahead, group)
-
-
-def _correlate_later(group: Floats, ahead: Floats) -> float:
-    """The largest correlation of ``group`` ``(T, 3)`` with ``ahead`` 1 to 4 steps earlier; 0 if one does not move."""
+    """The lead in units of the product of both standard deviations."""
     size = float(np.sqrt((group**2).sum() * (ahead**2).sum()))
-    return max(float((group[lag:] * ahead[:-lag]).sum()) for lag in range(1, _LAGS + 1)) / size if size else 0.0
+    later = [float((group[lag:] * ahead[:-lag]).sum()) for lag in range(1, _LAGS + 1)]
+    earlier = [float((ahead[lag:] * group[:-lag]).sum()) for lag in range(1, _LAGS + 1)]
+    return (max(later) - max(earlier)) / size if size else 0.0
 
 
-def _bound(values: Floats, seen: Mask) -> Floats:
-    """``values`` ``(T, 3)`` about their mean, none longer than the median, so that no event outweighs all others.
-
-    They are 0 where they are not ``seen``.
-    """
-    if not seen.any():
-        return np.zeros_like(values)
-    values = np.where(seen[:, None], values - values[seen].mean(axis=0), 0.0)
-    length = np.sqrt((values**2).sum(axis=1))
-    most = float(np.median(length[seen]))
-    values = values * (most / np.maximum(length, max(most, _NOTHING)))[:, None]
-    return np.where(seen[:, None], values - values[seen].mean(axis=0), 0.0)
+def _centre(values: Floats, seen: Mask) -> Floats:
+    """``values`` ``(T, 3)`` less their mean where they are seen, 0 elsewhere."""
+    return np.where(seen[:, None], values - values[seen].mean(axis=0), 0.0) if seen.any() else np.zeros_like(values)
 
 
 def _scale(velocity: NDArray[np.float32], seen: Mask) -> NDArray[np.float32]:
