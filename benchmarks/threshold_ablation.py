@@ -29,6 +29,7 @@ from detectors.follow_mixture import FollowMixture, delays, detector, evidence, 
 from detectors.follow_mixture.motion import lagged
 from detectors.follow_mixture.train import CalibrationTraining
 from detectors.random_swarms import draw_calibration_swarm, draw_calibration_window
+from detectors.series import direction
 from detectors.series.features import LEVELS
 from usnet_env import Window
 from usnet_env.envs import MultiClusterEnv
@@ -73,21 +74,16 @@ def _share_free(search: Any, some: Any, assignment: Any, own: NDArray[np.float64
     return share_law(search, some, assignment, own + np.log(1.0 / fit.RARE - 1.0) * alone)
 
 
-def _never_compare(velocity: Any, label: Any, root: Any, heads: Any, longest: int, noisy: bool) -> NDArray[np.float64]:
+def _never_compare(velocity: Any, known: Any, label: Any, root: Any, heads: Any, longest: int, noisy: bool) -> Any:
     """In place of the comparison of past and future: every head leads."""
     return np.full(len(heads), np.inf)
-
-
-def _compare_velocities(velocity: Any, label: Any, root: Any, heads: Any, longest: int, noisy: bool) -> Any:
-    """In place of a comparison of velocities and their changes: one of velocities."""
-    return compare_directions(velocity, label, root, heads, longest, True)
 
 
 def _everywhere(name: str, value: float) -> tuple[tuple[Any, str, Any], ...]:
     return tuple((module, name, value) for module in (fit, delays, pooling))
 
 
-share_law, compare_directions = fit._share_law, fit.compare_directions
+share_law = fit._share_law
 
 #: Key of each change. The first ones move thresholds, the others switch off parts.
 CHANGES = {
@@ -131,7 +127,7 @@ CHANGES = {
         "the past of a head is not compared with its future", ((fit, "compare_directions", _never_compare),)
     ),
     "direction-velocities": Change(
-        "only velocities are compared so, not their changes", ((fit, "compare_directions", _compare_velocities),)
+        "only velocities are compared so, not their changes", ((direction, "_REVERSED", ((0, -1.0),)),)
     ),
     "unit-spread": Change(
         "speeds are never taken for equal", ((motion, "_UNIT_SPREAD", 0.0), (motion, "_ROUNDING", 0.0))

@@ -24,7 +24,7 @@ from detectors.follow_mixture.evidence import (
     screen,
 )
 from detectors.follow_mixture.groups import find_groups, limit_candidates
-from detectors.follow_mixture.motion import Motion, fit_spectra, lagged, smoothed_pasts
+from detectors.follow_mixture.motion import Motion, filter_tracks, fit_spectra, lagged, smoothed_pasts
 from detectors.follow_mixture.pooling import MorePairs, ask_single_uavs
 from detectors.series.direction import SHARES, WEIGHTS, compare_directions
 from detectors.series.features import LEVELS, LONE
@@ -181,7 +181,9 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
         root=root,
         log_odds=log_odds,
         relays=order.relays,
-        leads=compare_directions(velocity, label, root, heads, longest, spectra.noise > 0),
+        leads=compare_directions(
+            velocity, filter_tracks(velocity, spectra, heads), label, root, heads, longest, spectra.noise > 0
+        ),
         gain=np.where(follows, order.gain, 0.0),
         features=found.features,
         law=found.law,

@@ -185,15 +185,46 @@ def smoothed_pasts(velocity: Floats, spectra: FlightSpectra, lags: int) -> Float
         ``(n, T - L, L, a)``, newest first, in place of :func:`lagged`.
     """
     uavs, steps = velocity.shape[:2]
-    flight, noise = spectra.flight(steps), spectra.seen(steps)
-    mean = velocity.mean(axis=1, keepdims=True)
-    # With V = L L' and z = L^-1 y, the expectation of v at s given y before t is sum over k < t of (S L'^-1)_sk z_k.
-    lower = np.linalg.cholesky(flight + noise)
-    innovation = np.linalg.solve(lower, velocity - mean)
-    reach = np.linalg.solve(lower, flight).transpose(0, 2, 1)
+    mean, reach, innovation = _whiten_tracks(velocity, spectra)
     times = np.arange(lags, steps)
     before = np.arange(steps)[None, :] < times[:, None]
     past = np.empty((uavs, steps - lags, lags, velocity.shape[2]))
     for lag in range(lags):
         past[:, :, lag] = mean + (reach[:, times - 1 - lag] * before) @ innovation
     return past
+
+
+def filter_tracks(velocity: Floats, spectra: FlightSpectra, uavs: Indices) -> tuple[Floats, Floats]:
+    """Expectation of some UAVs' velocities, given what is seen until each step, and from each step on.
+
+    Args:
+        velocity: ``(n, T, a)`` observed.
+        spectra: the spectra of these velocities.
+        uavs: ``(M,)`` indices.
+
+    Returns:
+        ``(M, T, a)`` twice.
+    """
+    tracks = velocity[uavs]
+    if not spectra.noise > 0:
+        return tracks, tracks
+    some = FlightSpectra(spectra.power[uavs], spectra.memory[uavs], spectra.noise)
+
+    def look_back(values: Floats) -> Floats:
+        mean, reach, innovation = _whiten_tracks(values, some)
+        return np.asarray(mean + np.tril(reach) @ innovation)
+
+    return look_back(tracks), look_back(tracks[:, ::-1])[:, ::-1]
+
+
+def _whiten_tracks(velocity: Floats, spectra: FlightSpectra) -> tuple[Floats, Floats, Floats]:
+    """The mean ``(n, 1, a)`` of each track, and its innovations ``(n, T, a)`` with what they tell ``(n, T, T)`` of it.
+
+    With V = L L' and z = L^-1 y, the expectation of v at s given y before t is the sum over k < t of (S L'^-1)_sk z_k.
+    """
+    steps = velocity.shape[1]
+    flight, noise = spectra.flight(steps), spectra.seen(steps)
+    mean = velocity.mean(axis=1, keepdims=True)
+    lower = np.linalg.cholesky(flight + noise)
+    reach = np.linalg.solve(lower, flight).transpose(0, 2, 1)
+    return mean, reach, np.linalg.solve(lower, velocity - mean)

@@ -8,6 +8,8 @@ this comparison, because it holds the common cause as well.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.special import logsumexp
 
@@ -25,7 +27,13 @@ SHARES, WEIGHTS = (np.polynomial.legendre.leggauss(24) + np.array([[1.0], [0.0]]
 
 
 def compare_directions(
-    velocity: Floats, label: Indices, root: Indices, heads: Indices, longest: int, noisy: bool
+    velocity: Floats,
+    known: tuple[Floats, Floats],
+    label: Indices,
+    root: Indices,
+    heads: Indices,
+    longest: int,
+    noisy: bool,
 ) -> Floats:
     """Log-likelihood ratio ``(M,)`` of each head: that it leads its followers, against a common cause of both.
 
@@ -39,6 +47,8 @@ def compare_directions(
 
     Args:
         velocity: ``(n, T, a)``.
+        known: ``(M, T, a)`` twice: the velocities of the heads as they are known at each step from what was seen until
+            then, and from what is seen from then on. Both are the velocities if there is no noise.
         label: ``(n,)`` the group of each UAV.
         root: ``(n,)`` the head of each UAV, -1 for none.
         heads: ``(M,)`` ascending.
@@ -56,16 +66,16 @@ def compare_directions(
     size = np.bincount(pair).astype(np.float64)
     group = np.zeros((len(code), *velocity.shape[1:]))
     np.add.at(group, pair, velocity[behind] / size[pair, None, None])
-    ahead = code // len(label)
+    place = np.searchsorted(heads, code // len(label))
     lead, whole = np.zeros((len(heads), _BLOCKS)), np.zeros((len(heads), 2))
     for first in range(0, len(code), _CHUNK):
         part = slice(first, first + _CHUNK)
-        place, weight = np.searchsorted(heads, ahead[part]), size[part]
+        led, weight = place[part], size[part, None]
         for order, turned in _REVERSED[: 1 if noisy else 2]:
-            some, head = (np.diff(values, order, axis=1) for values in (group[part], velocity[ahead[part]]))
-            blocks, most = _measure_leads(_bound(some), head, min(longest, steps // 4), turned)
-            np.add.at(lead, place, weight[:, None] * blocks)
-            np.add.at(whole, place, weight[:, None] * most)
+            some, past, future = (np.diff(v, order, axis=1) for v in (group[part], known[0][led], known[1][led]))
+            blocks, most = _measure_leads(_bound(some), past, future, min(longest, steps // 4), turned)
+            np.add.at(lead, led, weight * blocks)
+            np.add.at(whole, led, weight * most)
     error = np.sqrt(_BLOCKS) * lead.std(axis=1, ddof=1) + _NOTHING
     found, expected = lead.sum(axis=1) / error, np.maximum(whole, 0.0) / error[:, None]
     leads, follows = (
@@ -88,7 +98,7 @@ def _bound(values: Floats) -> Floats:
     return np.asarray(values - values.mean(axis=1, keepdims=True))
 
 
-def _measure_leads(group: Floats, head: Floats, longest: int, turned: float) -> tuple[Floats, Floats]:
+def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, turned: float) -> tuple[Floats, Floats]:
     """Contributions ``(P, 8)`` of the blocks to the lead of P pairs; the leads ``(P, 2)`` of the predictions.
 
     These are the lead that the group's prediction from the head's past has in place of the group, and, with its sign
@@ -97,34 +107,37 @@ def _measure_leads(group: Floats, head: Floats, longest: int, turned: float) -> 
 
     Args:
         group: ``(P, T, a)`` mean velocities of followers, or their changes.
-        head: ``(P, T, a)`` velocities of the UAV that they follow, or their changes.
+        past: ``(P, T, a)`` velocities of the UAV that they follow, as known from before, or their changes.
+        future: ``(P, T, a)`` as known from afterwards.
         longest: the longest delay in steps.
         turned: the sign that they have in reversed time.
     """
     count, steps, _ = group.shape
     total = np.maximum((group**2).sum(axis=(1, 2)), _NOTHING)
-    best, blocks, expected = np.full(count, -np.inf), np.zeros((count, _BLOCKS)), np.zeros((count, 2))
+    blocks, expected = np.zeros((count, _BLOCKS)), np.zeros((count, 2))
     starts = np.arange(_BLOCKS) * steps // _BLOCKS
 
     def reverse(values: Floats) -> Floats:
         return turned * values[:, ::-1]
 
-    both = (make_features(_look_back(values), _CLASSES) for values in (head, reverse(head)))
-    for (_, past), (_, future) in zip(*both, strict=True):
-        forward, ahead = _predict(past, group, longest)
-        backward, back = _predict(future, reverse(group), longest)
-        chance = past.shape[2] / (steps - 1 - past.shape[2])  # of what is left; an adjusted R²
-        share = np.maximum(ahead, back) / total
-        adjusted = share - chance * (1.0 - share)
-        some = np.flatnonzero(adjusted > best)
-        best[some] = adjusted[some]
-        gained = ((forward - reverse(backward))[some] * group[some]).sum(axis=2)
+    sides = [
+        [_fit_delays(features, target, longest) for _, features in make_features(_look_back(values), _CLASSES)]
+        for values, target in ((past, group), (reverse(future), reverse(group)))
+    ]
+    energy = np.array([[laws.energy for laws in side] for side in sides])  # (2, K, P)
+    widths = np.array([laws.features.shape[2] for laws in sides[0]])
+    chance = (widths / (steps - 1 - widths))[:, None]  # the share of what is left; an adjusted R²
+    adjusted = energy - chance * (total - energy)
+    best = adjusted.max(axis=0).argmax(axis=0)
+    for number in np.unique(best):
+        some = np.flatnonzero(best == number)
+        before, after = (side[number].pick(some) for side in sides)
+        forward, backward = before.predict(), after.predict()
+        gained = ((forward - reverse(backward)) * group[some]).sum(axis=2)
         blocks[some] = np.add.reduceat(gained, starts, axis=1) / total[some, None]
-        for side, energy, other in (
-            (0, ahead, _predict(future[some], reverse(forward[some]), longest)[1]),
-            (1, back, _predict(past[some], reverse(backward[some]), longest)[1]),
-        ):
-            expected[some, side] = ((energy - chance * (total - energy))[some] - other) / total[some]
+        for side, (laws, predicted) in enumerate(((after, forward), (before, backward))):
+            other = _fit_delays(laws.features, reverse(predicted), longest).energy
+            expected[some, side] = (adjusted[side, number, some] - other) / total[some]
     return blocks, expected
 
 
@@ -133,24 +146,36 @@ def _look_back(values: Floats) -> Floats:
     return np.stack([values, np.concatenate([values[:, :1], values[:, :-1]], axis=1)], axis=2)
 
 
-def _predict(features: Floats, group: Floats, longest: int) -> tuple[Floats, Floats]:
-    """Predict groups ``(P, T, a)`` from features ``(P, T, p)`` at the best delay, from 1 to ``longest`` steps.
+@dataclass(frozen=True, eq=False)
+class _Laws:
+    """The laws ``(P, p, a)`` of P groups from features ``(P, T, p)``, their delays and the energies they explain."""
 
-    Returns:
-        The predictions ``(P, T, a)``, and the energy that they explain ``(P,)``.
-    """
-    across = features.transpose(0, 2, 1)
-    gram, width = across @ features, features.shape[2]
+    features: Floats
+    law: Floats
+    delay: Indices
+    energy: Floats
+
+    def pick(self, some: Indices) -> _Laws:
+        return _Laws(self.features[some], self.law[some], self.delay[some], self.energy[some])
+
+    def predict(self) -> Floats:
+        """``(P, T, a)``: what the laws predict; 0 in the first steps."""
+        source = np.arange(self.features.shape[1]) - self.delay[:, None]
+        predicted = np.take_along_axis(self.features @ self.law, np.maximum(source, 0)[:, :, None], axis=1)
+        return np.where((source >= 0)[:, :, None], predicted, 0.0)
+
+
+def _fit_delays(features: Floats, group: Floats, longest: int) -> _Laws:
+    """Fit groups ``(P, T, a)`` by features ``(P, T, p)`` at the best delay, from 1 to ``longest`` steps."""
+    count, steps, axes = group.shape
+    across, width = features.transpose(0, 2, 1), features.shape[2]
+    gram = across @ features
     gram += np.eye(width) * (_RIDGE * gram + _NOTHING)
-    inverse = np.linalg.inv(gram)
-    best, delay = np.full(len(group), -np.inf), np.zeros(len(group), np.int64)
-    law = np.zeros((len(group), width, group.shape[2]))
-    for lag in range(1, longest + 1):
-        moment = across[:, :, :-lag] @ group[:, lag:]
-        weights = inverse @ moment
-        energy = (moment * weights).sum(axis=(1, 2))
-        better = energy > best
-        best[better], law[better], delay[better] = energy[better], weights[better], lag
-    source = np.arange(group.shape[1]) - delay[:, None]
-    predicted = np.take_along_axis(features @ law, np.maximum(source, 0)[:, :, None], axis=1)
-    return np.where((source >= 0)[:, :, None], predicted, 0.0), best
+    later = np.zeros((count, steps, longest, axes))
+    for lag in range(longest):
+        later[:, : -lag - 1, lag] = group[:, lag + 1 :]
+    moment = across @ later.reshape(count, steps, longest * axes)
+    law = np.linalg.solve(gram, moment).reshape(count, width, longest, axes)
+    energy: Floats = (moment.reshape(law.shape) * law).sum(axis=(1, 3))
+    best, every = energy.argmax(axis=1), np.arange(count)
+    return _Laws(features, np.asarray(law[every, :, best]), best + 1, np.asarray(energy[every, best]))

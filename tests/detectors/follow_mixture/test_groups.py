@@ -1,5 +1,7 @@
 """Spectra and groups of follow-mixture against slow definitions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,7 +10,7 @@ from mixture_windows import swarm_window
 from scipy.stats import multivariate_normal
 
 from detectors.follow_mixture.groups import _Bands, _merge_best, _spectral_bands
-from detectors.follow_mixture.motion import fit_spectra, read_motion, smoothed_pasts
+from detectors.follow_mixture.motion import filter_tracks, fit_spectra, read_motion, smoothed_pasts
 
 
 def flown(seed, **config):
@@ -24,18 +26,36 @@ def test_the_variance_of_the_noise_is_estimated(noise):
     assert flown(5, mobility="gauss_markov", head_jitter=True)[1].noise == 0
 
 
+def expect(motion, spectra, uav, t, lag):
+    """The velocity ``lag`` steps before step t, given those before t: the conditional mean of a normal distribution."""
+    seen, power, memory = motion.velocity[uav], spectra.power[uav], spectra.memory[uav]
+    flight = np.array([[power * memory ** abs(s - k) for k in range(t)] for s in range(t)])
+    noise = spectra.noise * (2.0 * np.eye(t) - np.eye(t, k=1) - np.eye(t, k=-1))
+    mean = seen.mean(axis=0)
+    return mean + flight[t - lag] @ np.linalg.solve(flight + noise, seen[:t] - mean)
+
+
 def test_smoothed_pasts_are_expectations_given_earlier_observations():
     motion, spectra = flown(6, position_noise=0.5)
     pasts = smoothed_pasts(motion.velocity, spectra, 4)
     assert pasts.shape == (len(motion.velocity), motion.velocity.shape[1] - 4, 4, 3)
     for uav, row, lag in ((7, 40, 2), (0, 0, 1), (29, 95, 4)):
-        t, seen = row + 4, motion.velocity[uav]
-        power, memory = spectra.power[uav], spectra.memory[uav]
-        flight = np.array([[power * memory ** abs(s - k) for k in range(t)] for s in range(t)])
-        noise = spectra.noise * (2.0 * np.eye(t) - np.eye(t, k=1) - np.eye(t, k=-1))
-        mean = seen.mean(axis=0)
-        expected = mean + flight[t - lag] @ np.linalg.solve(flight + noise, seen[:t] - mean)
-        np.testing.assert_allclose(pasts[uav, row, lag - 1], expected, atol=1e-8)
+        np.testing.assert_allclose(pasts[uav, row, lag - 1], expect(motion, spectra, uav, row + 4, lag), atol=1e-8)
+
+
+def test_filtered_tracks_are_expectations_given_one_side_of_time():
+    motion, spectra = flown(6, position_noise=0.5)
+    past, future = filter_tracks(motion.velocity, spectra, np.array([7, 29]))
+    turned = replace(motion, velocity=motion.velocity[:, ::-1])
+    for place, uav, step in ((0, 7, 40), (1, 29, 0), (1, 29, 99)):
+        np.testing.assert_allclose(past[place, step], expect(motion, spectra, uav, step + 1, 1), atol=1e-8)
+        np.testing.assert_allclose(future[place, -1 - step], expect(turned, spectra, uav, step + 1, 1), atol=1e-8)
+
+
+def test_without_noise_tracks_are_known():
+    motion, spectra = flown(6)
+    for known in filter_tracks(motion.velocity, spectra, np.array([3])):
+        np.testing.assert_array_equal(known, motion.velocity[[3]])
 
 
 @pytest.mark.parametrize("steps", [9, 10])

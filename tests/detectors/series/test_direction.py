@@ -39,7 +39,7 @@ def compare(velocity, longest=12, noisy=False):
     count = len(velocity)
     label = np.minimum(np.arange(count), 1)  # the followers are one group
     root = np.zeros(count, np.int64)
-    (ratio,) = compare_directions(velocity, label, root, np.array([0]), longest, noisy)
+    (ratio,) = compare_directions(velocity, (velocity[:1], velocity[:1]), label, root, np.array([0]), longest, noisy)
     return ratio
 
 
@@ -96,7 +96,8 @@ def test_heads_are_compared_with_their_own_followers():
     count = 1 + FOLLOWERS
     label = np.repeat([0, 1, 2, 3], [1, FOLLOWERS, 1, FOLLOWERS])
     root = np.repeat([0, count], count)
-    both = compare_directions(np.concatenate([leader, driven]), label, root, np.array([0, count]), 12, False)
+    velocity, heads = np.concatenate([leader, driven]), np.array([0, count])
+    both = compare_directions(velocity, (velocity[heads], velocity[heads]), label, root, heads, 12, False)
     np.testing.assert_allclose(both, [compare(leader), compare(driven)], rtol=1e-9)
 
 
@@ -104,7 +105,9 @@ def test_nothing_is_compared_in_a_short_window_or_without_followers():
     flight = led_group(np.random.default_rng(0))
     assert compare(flight[:, :31]) == np.inf
     assert np.isfinite(compare(flight[:, :32]))
-    alone = compare_directions(flight, np.arange(5), np.full(5, -1), np.array([], np.int64), 12, False)
+    alone = compare_directions(
+        flight, (flight[:0], flight[:0]), np.arange(5), np.full(5, -1), np.array([], np.int64), 12, False
+    )
     assert alone.shape == (0,)
 
 
