@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices, Mask
+from usnet_env.compiling import compiled
 
 _ROUNDS = 50
 _LITTLE = 1e-9
@@ -49,104 +50,127 @@ def assign_groups(gain: Floats, candidates: Indices, itself: Indices, sizes: Ind
     """
     if not len(candidates):
         return Assignment(np.full(len(gain), -1), 0.0)
-    search = _Search(gain, itself, sizes > 1, float(np.log(max(sizes.sum(), 2))))
-    best, chosen = -np.inf, np.zeros(len(candidates), bool)
+    several, price = sizes > 1, float(np.log(max(sizes.sum(), 2)))
+    names = ~several & np.isfinite(gain).any(axis=1)  # groups of one that name a head, or none
+    positive = np.maximum(gain, 0.0)
     preferred = np.isin(np.arange(len(candidates)), gain.argmax(axis=1)[(gain > 0).any(axis=1)])
-    for some in (preferred, chosen):  # each group's best candidate, or none
-        for _ in range(_ROUNDS):
-            before = search.value(some)
-            some = search.add(search.drop(some, most), most)
-            if search.value(some) <= before + _LITTLE:
-                break
-        if search.value(some) > best + _LITTLE:
-            best, chosen = search.value(some), some
-    place = search.follow(chosen)
-    return Assignment(np.where(place >= 0, candidates[place], -1), search.value(chosen))
+    best, place = -np.inf, np.full(len(gain), -1)
+    for start in (preferred, np.zeros(len(candidates), bool)):  # each group's best candidate, or none
+        value, found = _search(positive, itself, several, names, price, most or len(candidates), start)
+        if value > best + _LITTLE:
+            best, place = value, found
+    return Assignment(np.where(place >= 0, candidates[place], -1), best)
 
 
-class _Search:
-    """Moves of the search; ``chosen`` is a mask ``(c,)`` of the candidates."""
+@compiled()
+def _search(
+    gain: Floats, itself: Indices, several: Mask, names: Mask, price: float, most: int, chosen: Mask
+) -> tuple[float, Indices]:
+    """Remove and add heads in turn; return the value, and the place ``(C,)`` of each group's head, -1 for none."""
+    chosen = chosen.copy()
+    value = _rank(gain, itself, several, names, price, chosen)[3]
+    for _ in range(_ROUNDS):
+        before = value
+        _drop(gain, itself, several, names, price, most, chosen)
+        value = _add(gain, itself, several, names, price, most, chosen)
+        if value <= before + _LITTLE:
+            break
+    best, first, _, value, follows = _rank(gain, itself, several, names, price, chosen)
+    for group in range(len(gain)):
+        if not follows[group] or not first[group] > 0.0:
+            best[group] = -1
+    return value, best
 
-    def __init__(self, gain: Floats, itself: Indices, several: Mask, price: float) -> None:
-        self.gain, self.itself, self.price = np.maximum(gain, 0.0), itself, price
-        self.several = several
-        self.alone = ~several & np.isfinite(gain).any(axis=1)  # groups of one that name a head, or none
 
-    def _follows(self, chosen: Mask) -> Mask:
-        """``(C,)``: which groups may follow: all but the chosen heads that are groups of one."""
-        may = np.ones(len(self.gain), bool)
-        single = self.itself[chosen]
-        may[single[single >= 0]] = False
-        return may
+@compiled()
+def _rank(
+    gain: Floats, itself: Indices, several: Mask, names: Mask, price: float, chosen: Mask
+) -> tuple[Indices, Floats, Floats, float, Mask]:
+    """The chosen head ``(C,)`` with the highest gain, its gain, the second highest gain, the value, and who follows."""
+    there = np.flatnonzero(chosen)
+    count = len(gain)
+    best, first, second, follows = np.full(count, -1), np.zeros(count), np.zeros(count), np.ones(count, np.bool_)
+    for k in there:
+        if itself[k] >= 0:
+            follows[itself[k]] = False
+    for group in range(count):
+        for k in there:
+            gained = gain[group, k]
+            if best[group] < 0 or gained > first[group]:
+                second[group] = first[group]
+                best[group], first[group] = k, gained
+            elif gained > second[group]:
+                second[group] = gained
+    return best, first, second, _value(first, follows, several, names, price, len(there)), follows
 
-    def follow(self, chosen: Mask) -> Indices:
-        """``(C,)``: place of the head of each group among the candidates, -1 for none."""
-        if not chosen.any():
-            return np.full(len(self.gain), -1)
-        there = np.flatnonzero(chosen)
-        best = self.gain[:, there].argmax(axis=1)
-        gained = self.gain[np.arange(len(best)), there[best]]
-        return np.where(self._follows(chosen) & (gained > 0), there[best], -1)
 
-    def _gained(self, chosen: Mask) -> Floats:
-        """``(C,)``: gain of each group by its head."""
-        return np.where(self._follows(chosen), self.gain[:, chosen].max(axis=1, initial=0.0), 0.0)
+@compiled()
+def _value(gained: Floats, follows: Mask, several: Mask, names: Mask, price: float, count: int) -> float:
+    """Gain of all groups less the prices of ``count`` heads and of their names."""
+    total, of_several, of_one = 0.0, 0, 0
+    for group in range(len(gained)):
+        if follows[group]:
+            total += gained[group]
+            of_several += several[group] and gained[group] > 0.0
+            of_one += names[group]
+    return total - price * count - np.log(max(count, 1)) * of_several - np.log(count + 1) * of_one
 
-    def value(self, chosen: Mask) -> float:
-        """Gain of all groups less the prices."""
-        return self._value(self._gained(chosen), self._follows(chosen), int(chosen.sum()))
 
-    def _value(self, gained: Floats, follows: Mask, count: int) -> float:
-        naming = np.log(max(count, 1)) * np.count_nonzero(gained[self.several])
-        naming += np.log1p(count) * (self.alone & follows).sum()
-        return float(gained.sum() - self.price * count - naming)
+@compiled()
+def _drop(gain: Floats, itself: Indices, several: Mask, names: Mask, price: float, most: int, chosen: Mask) -> None:
+    """Remove the head whose removal raises the value most, again and again; more than ``most`` always go."""
+    while chosen.any():
+        best, first, second, _, follows = _rank(gain, itself, several, names, price, chosen)
+        count, following, alone = chosen.sum(), 0, 0
+        lost, quits = np.zeros(len(chosen)), np.zeros(len(chosen), np.int64)
+        for group in range(len(gain)):
+            if follows[group]:
+                lost[best[group]] += first[group] - second[group]
+                alone += names[group]
+                if several[group] and first[group] > 0.0:
+                    following += 1
+                    quits[best[group]] += second[group] <= 0.0
+        worst, highest = -1, -np.inf
+        for k in range(len(chosen)):
+            single = itself[k] >= 0
+            rise = price - lost[k] + (first[itself[k]] if single else 0.0)
+            rise += alone * np.log(count + 1) - (alone + single) * np.log(count)
+            rise += following * np.log(count) - (following - quits[k]) * np.log(max(count - 1, 1))
+            if chosen[k] and rise > highest:
+                worst, highest = k, rise
+        if highest <= _LITTLE and count <= most:
+            break
+        chosen[worst] = False
 
-    def drop(self, chosen: Mask, most: int | None) -> Mask:
-        """Remove the head whose removal raises the value most, again and again; more than ``most`` always go."""
-        chosen = chosen.copy()
-        while chosen.any():
-            there = np.flatnonzero(chosen)
-            ranked = self.gain[:, there]
-            best = ranked.argmax(axis=1)
-            first = ranked[np.arange(len(best)), best]
-            second = np.partition(ranked, -2, axis=1)[:, -2] if len(there) > 1 else np.zeros(len(best))
-            may = self._follows(chosen)
-            lost = np.bincount(best, weights=(first - second) * may, minlength=len(there))
-            single = self.itself[there]
-            returned = np.where(single >= 0, ranked[np.maximum(single, 0)].max(axis=1), 0.0)
-            follow = may & (first > 0) & self.several
-            quit_ = np.bincount(best, weights=follow & (second <= 0), minlength=len(there))
-            count = len(there)
-            alone = (self.alone & may).sum()
-            naming = alone * np.log1p(count) - (alone + (single >= 0)) * np.log(count)
-            naming += np.log(count) * follow.sum() - np.log(max(count - 1, 1)) * (follow.sum() - quit_)
-            rise = self.price - lost + returned + naming
-            worst = int(rise.argmax())
-            if rise[worst] <= _LITTLE and (most is None or len(there) <= most):
-                break
-            chosen[there[worst]] = False
-        return chosen
 
-    def add(self, chosen: Mask, most: int | None) -> Mask:
-        """Add the head that raises the gains most, as long as the value rises."""
-        chosen, gained, follows = chosen.copy(), self._gained(chosen), self._follows(chosen)
-        value = self._value(gained, follows, int(chosen.sum()))
-        rise = self._sum_rises(np.flatnonzero(follows), gained)
-        while chosen.sum() < (len(chosen) if most is None else most) and not chosen.all():
-            own = np.where(self.itself >= 0, gained[self.itself], 0.0)  # what each gains as a follower
-            best = int(np.where(chosen, -np.inf, rise - own).argmax())
-            may, after = follows.copy(), np.where(follows, np.maximum(gained, self.gain[:, best]), 0.0)
-            if self.itself[best] >= 0:
-                may[self.itself[best]], after[self.itself[best]] = False, 0.0
-            trial = self._value(after, may, int(chosen.sum()) + 1)
-            if trial <= value + _LITTLE:
-                break
-            changed = (after != gained) | (may != follows)  # the sums over all other groups stay
-            rise = rise - self._sum_rises(np.flatnonzero(changed & follows), gained)
-            rise += self._sum_rises(np.flatnonzero(changed & may), after)
-            chosen[best], gained, follows, value = True, after, may, trial
-        return chosen
-
-    def _sum_rises(self, groups: Indices, gained: Floats) -> Floats:
-        """``(c,)``: what some groups gain by each candidate beyond ``gained`` ``(C,)``, summed over them."""
-        return np.asarray(np.maximum(self.gain[groups] - gained[groups, None], 0.0).sum(axis=0))
+@compiled()
+def _add(gain: Floats, itself: Indices, several: Mask, names: Mask, price: float, most: int, chosen: Mask) -> float:
+    """Add the head that raises the gains most, as long as the value rises; return the value."""
+    _, gained, _, value, follows = _rank(gain, itself, several, names, price, chosen)
+    groups, candidates = gain.shape
+    rise = np.zeros(candidates)  # what all groups gain by each candidate beyond what they have
+    for group in range(groups):
+        if follows[group]:
+            for k in range(candidates):
+                rise[k] += max(gain[group, k] - gained[group], 0.0)
+    while chosen.sum() < most:
+        best, highest = -1, -np.inf
+        for k in range(candidates):
+            own = gained[itself[k]] if itself[k] >= 0 and follows[itself[k]] else 0.0  # what it gains as a follower
+            if not chosen[k] and rise[k] - own > highest:
+                best, highest = k, rise[k] - own
+        after, may = np.maximum(gained, gain[:, best]), follows.copy()
+        if itself[best] >= 0:
+            may[itself[best]] = False
+        trial = _value(after, may, several, names, price, chosen.sum() + 1)
+        if trial <= value + _LITTLE:
+            break
+        for group in range(groups):
+            if follows[group] and (after[group] != gained[group] or not may[group]):
+                for k in range(candidates):
+                    rise[k] -= max(gain[group, k] - gained[group], 0.0)
+                    if may[group]:
+                        rise[k] += max(gain[group, k] - after[group], 0.0)
+        chosen[best] = True
+        gained, follows, value = after, may, trial
+    return value
