@@ -72,7 +72,6 @@ def score(cut, name: str, seed: int) -> dict:
 
 
 def main() -> None:
-    """Measure all files and write the rows."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="holds a folder of CSV files for each set")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/real_tracks.csv"))

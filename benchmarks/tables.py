@@ -92,7 +92,6 @@ def differing() -> dict[Path, str]:
 
 
 def main() -> int:
-    """Write or check."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a table differs")
     parser.add_argument("--figures", action="store_true", help="also draw the pictures")

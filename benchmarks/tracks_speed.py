@@ -124,7 +124,6 @@ def detect(path: Path, detector: str, folder: Path) -> tuple[dict, dict[str, flo
 
 
 def main() -> None:
-    """Measure and write the JSON."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", default="benchmarks/results/tracks_speed.json")
     parser.add_argument("--seed", type=int, default=0)

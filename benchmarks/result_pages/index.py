@@ -189,7 +189,6 @@ PAGES = (
 
 
 def text() -> str:
-    """The page."""
     return page(
         "Results",
         "All tables of these pages are made by `python benchmarks/tables.py` from the rows in `benchmarks/results/`; "

@@ -22,7 +22,6 @@ SOLVED = 0.95  # a suite is solved if every detector but the trivial policies is
 
 
 def text() -> str:
-    """The page."""
     parts, files = [], []
     for suite, rows in _played():
         parts += describe_suite(suite, rows)
@@ -42,7 +41,6 @@ def text() -> str:
 
 
 def cells_text() -> str:
-    """The page of all cells."""
     parts = []
     for suite, rows in _played():
         parts += [f"## {suite.label}", _cells(suite, rows)]

@@ -211,7 +211,6 @@ def reliability_figure() -> Figure:
 
 
 def text() -> str:
-    """The page."""
     files = [f"follow_mixture/{tier}.csv" for tier in TIERS]
     return page(
         "follow-mixture by tier",
@@ -241,7 +240,6 @@ def text() -> str:
 
 
 def cells_text() -> str:
-    """The page of all cells."""
     parts = []
     for tier in EVERY_TIER:
         rows = tier_rows(tier)
