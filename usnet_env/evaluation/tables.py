@@ -32,21 +32,9 @@ HEADINGS = {
     "group_leader_first": "group leaders↑\nin round 1",
 }
 
-#: Columns of the ranked table after J, with the arrow that points to the better values.
-RANKING = {
-    "rounds": "rounds↓",
-    "redundancy": "redundancy↓",
-    "exact": "exact↑",
-    "f1_first": "F1↑",
-    "seconds_per_round": "s↓",
-}
-#: The same after F1, in recorded tracks, which have one round.
-TRACK_RANKING = {
-    "redundancy": "redundancy↓",
-    "exact": "exact↑",
-    "group_leader_first": "group leaders↑",
-    "seconds_per_round": "s↓",
-}
+#: Columns of the ranked table after J; and after F1, in recorded tracks, which have one round.
+RANKING = ("rounds", "redundancy", "exact", "f1_first", "seconds_per_round")
+TRACK_RANKING = ("redundancy", "exact", "group_leader_first", "seconds_per_round")
 
 
 def _format_number(value: float) -> str:
@@ -103,8 +91,9 @@ def first_metric(summary: Summary) -> FirstMetric:
 
 
 def _ranking_columns(summary: Summary) -> dict[str, str]:
-    """The columns of the ranked table after the first metric, with their headings."""
-    return TRACK_RANKING if _is_of_tracks(summary) else RANKING
+    """The columns of the ranked table after the first metric, with their short headings."""
+    names = TRACK_RANKING if _is_of_tracks(summary) else RANKING
+    return {name: HEADINGS[name].partition("\n")[0].replace("seconds", "s") for name in names}
 
 
 def _objective(summary: Summary) -> FirstMetric:
@@ -207,22 +196,21 @@ def html_table(summary: Summary, title: str) -> str:
     if not summary:
         return f"<p>{escape(title)}</p>"
     best, columns = first_metric(summary), _ranking_columns(summary)
-    headings = ["detector", "episodes", f"{best.heading} (95 % interval)", *columns.values()]
-    lines = ["".join(f"<th>{escape(heading)}</th>" for heading in headings)]
+    header = ["detector", "episodes", f"{best.heading} (95 % interval)", *columns.values()]
+    lines = []
     for entry in rank(summary):
-        cells = _cells(entry, [best.column], "{} ({} to {})")
-        cells += [_format_short(entry, name) for name in columns]
-        texts = [entry["detector"], str(entry["episodes"]), *cells]
-        lines.append("".join(f"<td>{escape(text)}</td>" for text in texts))
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    return f"<table><caption>{escape(title)}</caption>{body}</table><p>{escape(conclude(summary))}</p>"
+        objective = _cells(entry, [best.column], "{} ({} to {})")
+        shown = (_format_short(entry, name) for name in columns)
+        lines.append([entry["detector"], str(entry["episodes"]), *objective, *shown])
+    table = html_cells(header, lines, f"<caption>{escape(title)}</caption>")
+    return f"{table}<p>{escape(conclude(summary))}</p>"
 
 
-def html_cells(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """The table of the cells of a suite in HTML."""
+def html_cells(header: Sequence[str], lines: Sequence[Sequence[str]], caption: str = "") -> str:
+    """A table of texts in HTML."""
     rows = [(tag, line) for tag, own in (("th", [header]), ("td", lines)) for line in own]
     body = "".join(f"<tr>{''.join(f'<{tag}>{escape(text)}</{tag}>' for text in line)}</tr>" for tag, line in rows)
-    return f"<table>{body}</table>"
+    return f"<table>{caption}{body}</table>"
 
 
 def html_notes(notes: Iterable[str]) -> str:
@@ -243,24 +231,31 @@ def describe_gap(summary: Summary, config: Mapping[str, Any]) -> str:
     return f"Episodes are missing: {_join(missing)} of {asked}." if missing else ""
 
 
-def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Table:
-    """All metrics with their intervals, one row for each detector, for a terminal."""
+def _make_table(
+    title: str, headings: Iterable[str], lines: Iterable[Sequence[str]], repeated: int, **look: Any
+) -> Table:
+    """A table for a terminal: a detector and other texts in each line; a split one repeats its first columns."""
     from rich.box import SIMPLE_HEAD
     from rich.text import Text
 
     from usnet_env.evaluation.split_table import SplitTable
 
-    columns = _choose_metrics(summary, metrics)
-    table = SplitTable(title=f"{env}: mean and 95 % interval", box=SIMPLE_HEAD, leading=1, title_justify="left")
-    table.repeated = 2
+    table = SplitTable(title=title, box=SIMPLE_HEAD, title_justify="left", **look)
+    table.repeated = repeated
     table.add_column("detector", overflow="fold")
-    table.add_column("episodes", justify="right", no_wrap=True)
-    for name in columns:
-        table.add_column(_heading(summary, name), justify="right", no_wrap=True)
-    for entry in summary:
-        # Text is not parsed as Rich markup, in which brackets have a meaning.
-        table.add_row(Text(entry["detector"]), str(entry["episodes"]), *_cells(entry, columns, "{}\n{}–{}"))
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, *texts in lines:
+        table.add_row(Text(name), *texts)  # Text is not parsed as Rich markup, in which brackets have a meaning
     return table
+
+
+def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Table:
+    """All metrics with their intervals, one row for each detector, for a terminal."""
+    columns = _choose_metrics(summary, metrics)
+    headings = ["episodes", *(_heading(summary, name) for name in columns)]
+    lines = [[entry["detector"], str(entry["episodes"]), *_cells(entry, columns, "{}\n{}–{}")] for entry in summary]
+    return _make_table(f"{env}: mean and 95 % interval", headings, lines, 2, leading=1)
 
 
 def describe_episodes(summary: Summary, asked: int | None = None) -> str:
@@ -285,22 +280,14 @@ def ranking_table(summary: Summary, env: str, asked: int | None = None) -> Table
         env: what was played.
         asked: episodes of the whole run, if they are known.
     """
-    from rich.box import SIMPLE_HEAD
-    from rich.text import Text
-
-    from usnet_env.evaluation.split_table import SplitTable
-
     title = f"{env}, {describe_episodes(summary, asked)} of each detector: means, best first"
-    table = SplitTable(title=title, box=SIMPLE_HEAD, title_justify="left", show_edge=False, padding=0)
-    table.add_column("detector", overflow="fold")
     best, columns = first_metric(summary), _ranking_columns(summary)
-    for heading in (f"{best.heading} (95 % int.)", *columns.values()):
-        table.add_column(heading, justify="right", no_wrap=True)
+    lines = []
     for entry in rank(summary):
-        cells = _cells(entry, [best.column], "{} ({}–{})", form=_format_objective)
-        cells += [_format_short(entry, name) for name in columns]
-        table.add_row(Text(entry["detector"]), *cells)  # Text is not parsed as Rich markup
-    return table
+        objective = _cells(entry, [best.column], "{} ({}–{})", form=_format_objective)
+        lines.append([entry["detector"], *objective, *(_format_short(entry, name) for name in columns)])
+    headings = (f"{best.heading} (95 % int.)", *columns.values())
+    return _make_table(title, headings, lines, 1, show_edge=False, padding=0)
 
 
 def conclude(summary: Summary) -> str:
