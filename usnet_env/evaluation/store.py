@@ -411,9 +411,10 @@ def _find_changed(description: Mapping[str, Any], asked: Mapping[str, Any]) -> l
 
 def _check_once(table: RowTable, folder: Path) -> None:
     """Refuse rows that are there twice, which a summary would count twice."""
-    label, episode = table.text_numbers("detector"), table.column("episode")
-    order = np.lexsort((episode, label))
-    twice = np.flatnonzero((np.diff(label[order]) == 0) & (np.diff(episode[order]) == 0))
+    labels = table.column("detector")
+    order = order_rows(table, list(dict.fromkeys(labels)))
+    ordered, episodes = labels[order], table.column("episode")[order]
+    twice = np.flatnonzero((ordered[1:] == ordered[:-1]) & (np.diff(episodes) == 0))
     if len(twice):
         row = table[int(order[twice[0]])]
         raise ArgumentError(
