@@ -33,17 +33,11 @@ Players = Mapping[str, Any]
 
 @dataclass
 class _GamePlayer:
-    """Plays games in one process; sent to another one, it makes the game and its policies there.
-
-    Args:
-        make_env: makes the game.
-        game_kwargs: its arguments.
-        players: labels, and the policies of each.
-    """
+    """Plays games in one process; sent to another one, it makes the game and its policies there."""
 
     make_env: Callable[..., UsnetParallelEnv]
     game_kwargs: dict[str, Any]
-    players: dict[str, dict[str, Any]]
+    players: dict[str, dict[str, Any]]  # by label, the policies of each role
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name not in ("env", "teams")}

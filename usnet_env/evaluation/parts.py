@@ -16,20 +16,13 @@ from usnet_env.registry import REGISTRIES
 
 @dataclass(frozen=True)
 class _Part:
-    """A part that the program has registered itself, such as a follow strategy or a detector.
-
-    Args:
-        kind, name: what it is, and its name.
-        home: the module of the registry.
-        module: where the part is defined.
-        part: the object, to be pickled by value.
-    """
+    """A part that the program has registered itself, such as a follow strategy or a detector."""
 
     kind: str
     name: str
-    home: str
-    module: str
-    part: CloudpickleWrapper[Any]
+    home: str  # the module of the registry
+    module: str  # where the part is defined
+    part: CloudpickleWrapper[Any]  # to be pickled by value
 
 
 def send(function: Callable[..., Any], kinds: Collection[str] | None = None) -> Any:

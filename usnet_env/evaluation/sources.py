@@ -38,19 +38,12 @@ _PLAIN = (type(None), bool, int, float, complex, str, bytes, tuple, list, dict, 
 
 @dataclass(frozen=True)
 class _Statement:
-    """A statement of a module, or an object that has no source file.
+    """A statement of a module, or an object that has no source file."""
 
-    Args:
-        text: what it says.
-        binds: names that it defines or changes.
-        loads: names of the same module that it uses.
-        imports: names of other modules that it uses.
-    """
-
-    text: str
-    binds: frozenset[str] = frozenset()
-    loads: frozenset[str] = frozenset()
-    imports: tuple[tuple[str, str], ...] = ()
+    text: str  # what it says
+    binds: frozenset[str] = frozenset()  # names that it defines or changes
+    loads: frozenset[str] = frozenset()  # names of the same module that it uses
+    imports: tuple[tuple[str, str], ...] = ()  # names of other modules that it uses
 
 
 def hash_named_code(module: str, path: str) -> str | None:

@@ -139,16 +139,9 @@ def _cells(
     alone: str = "{}",
     form: Callable[[float], str] = _format_number,
 ) -> list[str]:
-    """A detector's mean and interval of each metric; ``–`` where it has none.
+    """A detector's mean and interval of each metric in a ``pattern``; ``–`` where it has none.
 
-    Where all values are equal, or there is one, a mean has no interval.
-
-    Args:
-        entry: the detector's entry of the summary.
-        metrics: names of the metrics.
-        pattern: of a mean with its interval.
-        alone: of a mean without one.
-        form: formats a number.
+    Where all values are equal, or there is one, a mean has no interval and stands ``alone``.
     """
 
     def show(cell: Mapping[str, float]) -> str:
