@@ -80,15 +80,10 @@ def _find_episodes(place: Path) -> list[Path]:
     for folder in (place, place / EPISODES):
         if found := sorted(folder.glob("*.npz"), key=lambda path: [int(n) for n in re.findall(r"\d+", path.stem)][-1:]):
             return found
+    hint = "; `usnet evaluate --out DIR --record every=10` writes them."
     if _is_suite(place):
-        raise ArgumentError(
-            f"path must be an episode file or a folder with some, got {quote(str(place))}, the folder of a suite, "
-            "which has none; `usnet report` writes a page of its tables."
-        )
-    raise ArgumentError(
-        f"path must be an episode file or a folder with some, got {quote(str(place))}; `usnet evaluate --out DIR "
-        "--record every=10` writes them."
-    )
+        hint = ", the folder of a suite, which has none; `usnet report` writes a page of its tables."
+    raise ArgumentError(f"path must be an episode file or a folder with some, got {quote(str(place))}{hint}")
 
 
 def _is_suite(place: Path) -> bool:

@@ -181,7 +181,7 @@ def mean_interval(
     return Interval(float(sample.mean()), *_ends(np.concatenate(means), quantile))
 
 
-def paired_test(differences: Sequence[float] | NDArray[np.float64], seed: int = 0) -> float:
+def paired_test(differences: Sequence[float] | NDArray[np.float64]) -> float:
     """The two-sided p-value of paired differences under the hypothesis that each is as likely with the other sign.
 
     The randomisation test of Fisher (The Design of Experiments, 1935, section 21) with the mean as its statistic. Up to
@@ -190,7 +190,6 @@ def paired_test(differences: Sequence[float] | NDArray[np.float64], seed: int = 
 
     Args:
         differences: ``(n,)``.
-        seed: seeds the sign changes.
 
     Raises:
         ArgumentError: there is no difference, or one is not finite.
@@ -204,7 +203,7 @@ def paired_test(differences: Sequence[float] | NDArray[np.float64], seed: int = 
     if n <= _MOST_ENUMERATED:
         every = 1.0 - 2 * (np.arange(2**n)[:, None] >> np.arange(n) & 1)
         return float((np.abs(every @ sample) >= found * (1 - 1e-12)).mean())
-    rng, as_large = np.random.default_rng(seed), 0
+    rng, as_large = np.random.default_rng(0), 0
     for count in _split_resamples(n):
         signs = 2.0 * rng.integers(2, size=(count, n)) - 1
         as_large += int((np.abs(signs @ sample) >= found * (1 - 1e-12)).sum())
@@ -277,7 +276,6 @@ def performance_profile(
     strata: Sequence[Sequence[float] | NDArray[np.float64]],
     thresholds: Sequence[float] | NDArray[np.float64],
     lower_is_better: bool = False,
-    seed: int = 0,
 ) -> Profile:
     """The share of episodes that are better than each threshold, with pointwise percentile intervals.
 
@@ -289,7 +287,6 @@ def performance_profile(
         strata: the values of each task, ``(n_s,)`` for task s.
         thresholds: ``(t,)``.
         lower_is_better: which values are better.
-        seed: seeds the resampling.
 
     Raises:
         ArgumentError: a task has no value, or a value is not finite.
@@ -298,7 +295,7 @@ def performance_profile(
     samples, at = [sign * _check_sample(each) for each in strata], _check_sample(thresholds)
     order = np.argsort(sign * at)
     edges = (sign * at)[order]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     shares, resampled = np.zeros(len(at)), np.zeros((_PROFILE_RESAMPLES, len(at)))
     for sample in samples:
         n, places = len(sample), np.searchsorted(edges, sample, side="left")  # how many edges are below a value
