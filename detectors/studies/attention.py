@@ -141,13 +141,7 @@ def draw_attention_heads(scene: Scene, found: Detection, label: str) -> Figure:
 
 
 def draw_attention_sizes(scenes: Sequence[Scene], answers: Sequence[Detection], label: str) -> Figure:
-    """Draw the attention weights α for clusters of several sizes, as heat maps.
-
-    Args:
-        scenes: what the detector saw, one for each size.
-        answers: its answers.
-        label: the detector's name.
-    """
+    """Draw the attention weights α for clusters of several sizes, as heat maps; each scene is one size."""
     figure, grid = _new_grid(len(scenes))
     for axes, scene, found in zip(grid, scenes, answers, strict=True):
         verdict = "found" if found.candidates[scene.head] else "missed"
@@ -180,11 +174,6 @@ def draw_hierarchy(scene: Scene, found: Detection, label: str) -> Figure:
 
     On the left the UAVs are seen from above; lines are as wide as the attention weights. On the right the candidates
     are the upper level; every other UAV is linked to the UAV with its largest attention weight.
-
-    Args:
-        scene: what the detector saw.
-        found: its answer, with attention.
-        label: the detector's name.
     """
     assert found.attention is not None
     figure, ((graph, tree),) = make_panels(14.0, 6.8, 1, 2)

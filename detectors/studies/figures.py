@@ -18,13 +18,6 @@ from usnet_env.evaluation.suite import read_rows
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["DETECTOR_P1", "DETECTOR_P2", "FIGURES", "Settings", "make_figures"]
-
-#: The paper's Algorithm 1 and Algorithm 2, by their names as detectors.
-DETECTOR_P1 = "gassl"
-DETECTOR_P2 = "mc-gassl"
-RESULTS = "benchmarks/results"  # in the repository: the committed rows
-
 RowT = TypeVar("RowT")
 
 
@@ -39,10 +32,10 @@ class Settings:
         detector_p2: detector of the example.
     """
 
-    results: Path = Path(RESULTS)
+    results: Path = Path("benchmarks/results")  # in the repository
     seed: int = 2022
-    detector_p1: str = DETECTOR_P1
-    detector_p2: str = DETECTOR_P2
+    detector_p1: str = "gassl"  # the paper's Algorithm 1
+    detector_p2: str = "mc-gassl"  # the paper's Algorithm 2
 
     def read(self, file: str, kind: type[RowT]) -> list[RowT]:
         """Read the rows of a file in ``results``.
