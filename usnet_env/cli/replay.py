@@ -339,14 +339,12 @@ def record_episodes(
         out: folder of the run.
         isolation: the detectors of an isolated run play in processes of their own here too, with these limits.
     """
+    from usnet_env.evaluation.report import group_rows
     from usnet_env.plugins import detector_label
 
     players = {detector_label(each): each for each in (*detectors, *result.config["detectors"])}
-    chosen: dict[str, list[dict[str, Any]]] = {}
-    for row in _choose_rows(result, wanted):
-        chosen.setdefault(row["detector"], []).append(row)
     written = []
-    for label, rows in chosen.items():
+    for label, rows in group_rows(_choose_rows(result, wanted), lambda row: row["detector"]).items():
         name = re.sub(r"[^\w.=-]+", "_", label).strip("_")
         others: list[int] = []
         failed: dict[int, str] = {}
@@ -389,8 +387,8 @@ def _play_again(
     from usnet_env.processes import PlainError, ProcessDied
     from usnet_env.replay import record_episode
 
-    alone = None if isolation is None else IsolatedAgent(player, isolation)
-    try:
+    with ExitStack() as stack:
+        alone = None if isolation is None else stack.enter_context(closing(IsolatedAgent(player, isolation)))
         for row in rows:
             detector: Any = make_detector(player) if alone is None else alone
             with closing(gym.make(env_id, **env_kwargs)) as env:
@@ -400,9 +398,6 @@ def _play_again(
                     if alone is None:
                         raise
                     yield row, " ".join(str(error).split()).rstrip(".")
-    finally:
-        if alone is not None:
-            alone.close()
 
 
 def _differs(record: EpisodeRecord, row: dict[str, Any]) -> bool:

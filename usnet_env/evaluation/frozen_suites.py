@@ -422,7 +422,7 @@ class SuiteResult(Results):
         lines.append(["all cells", *(show(means.get(each)) for each in self.detectors)])
         counts = sorted({entry["episodes"] for each in self.results.values() for entry in each.summary}) or [0]
         n = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-        name = tables.objective_name(self.summary) if metric == "J" and self.summary else metric
+        name = tables.objective(self.summary).name if metric == "J" and self.summary else metric
         suite = "suite" if self.suite is None else self.suite.name
         return [f"{suite}, {name}, n = {n} a cell", *self.detectors], lines
 

@@ -87,7 +87,7 @@ def _is_of_tracks(summary: Summary) -> bool:
 
 def first_metric(summary: Summary) -> FirstMetric:
     """J; in recorded tracks F1, since J of their one round does not count the heads that are missed."""
-    return FirstMetric("f1_first", "F1", -1) if _is_of_tracks(summary) else _objective(summary)
+    return FirstMetric("f1_first", "F1", -1) if _is_of_tracks(summary) else objective(summary)
 
 
 def _ranking_columns(summary: Summary) -> dict[str, str]:
@@ -96,16 +96,11 @@ def _ranking_columns(summary: Summary) -> dict[str, str]:
     return {name: HEADINGS[name].partition("\n")[0].replace("seconds", "s") for name in names}
 
 
-def _objective(summary: Summary) -> FirstMetric:
+def objective(summary: Summary) -> FirstMetric:
     """J_m of P2, which is at least 1 and is to be low; or J_s of P1, which is at most 0 and is to be high."""
     if not summary or summary[0]["metrics"]["J"]["mean"] > 0:
         return FirstMetric("J", "J_m", 1)
     return FirstMetric("J", "J_s", -1)
-
-
-def objective_name(summary: Summary) -> str:
-    """``J_m`` of P2 or ``J_s`` of P1."""
-    return _objective(summary).name
 
 
 def rank(summary: Summary) -> list[Mapping[str, Any]]:
@@ -153,7 +148,7 @@ def _cells(
 
 def _heading(summary: Summary, metric: str) -> str:
     """The heading of a metric, in one or two lines."""
-    return _objective(summary).heading if metric == "J" else HEADINGS.get(metric, metric)
+    return objective(summary).heading if metric == "J" else HEADINGS.get(metric, metric)
 
 
 def _headings(summary: Summary, metrics: Sequence[str]) -> list[str]:
@@ -192,9 +187,9 @@ def html_table(summary: Summary, title: str) -> str:
     header = ["detector", "episodes", f"{best.heading} (95 % interval)", *columns.values()]
     lines = []
     for entry in rank(summary):
-        objective = _cells(entry, [best.column], "{} ({} to {})")
+        means = _cells(entry, [best.column], "{} ({} to {})")
         shown = (_format_short(entry, name) for name in columns)
-        lines.append([entry["detector"], str(entry["episodes"]), *objective, *shown])
+        lines.append([entry["detector"], str(entry["episodes"]), *means, *shown])
     table = html_cells(header, lines, f"<caption>{escape(title)}</caption>")
     return f"{table}<p>{escape(conclude(summary))}</p>"
 
@@ -277,8 +272,8 @@ def ranking_table(summary: Summary, env: str, asked: int | None = None) -> Table
     best, columns = first_metric(summary), _ranking_columns(summary)
     lines = []
     for entry in rank(summary):
-        objective = _cells(entry, [best.column], "{} ({}–{})", form=_format_objective)
-        lines.append([entry["detector"], *objective, *(_format_short(entry, name) for name in columns)])
+        means = _cells(entry, [best.column], "{} ({}–{})", form=_format_objective)
+        lines.append([entry["detector"], *means, *(_format_short(entry, name) for name in columns)])
     headings = (f"{best.heading} (95 % int.)", *columns.values())
     return _make_table(title, headings, lines, 1, show_edge=False, padding=0)
 
@@ -291,7 +286,7 @@ def conclude(summary: Summary) -> str:
     if not summary:
         return "No detector has played all episodes."
     first, *others = rank(summary)
-    column, objective, sign = first_metric(summary)
+    column, what, sign = first_metric(summary)
     best = first["metrics"][column]
     mean, low, high = (_format_objective(best[name]) for name in ("mean", "low", "high"))
     if best["low"] == best["high"]:
@@ -299,18 +294,14 @@ def conclude(summary: Summary) -> str:
     else:
         value = f"{mean} (95 % interval {low}–{high})"
     if not others:
-        return f"{first['detector']} has a {objective} of {value}."
-    equal = [e["detector"] for e in others if e["metrics"][column] == best]
-    near = [
-        e["detector"]
-        for e in others
-        if e["metrics"][column] != best
-        and e["metrics"][column]["low"] <= best["high"]
-        and best["low"] <= e["metrics"][column]["high"]
-    ]
+        return f"{first['detector']} has a {what} of {value}."
+    found = {entry["detector"]: entry["metrics"][column] for entry in others}
+    equal = [label for label, own in found.items() if own == best]
+    overlapping = [label for label, own in found.items() if own["low"] <= best["high"] and best["low"] <= own["high"]]
+    near = [label for label in overlapping if label not in equal]
     names = _join([first["detector"], *equal])
     extreme = "lowest" if sign == 1 else "highest"
-    sentence = f"{names} {'have' if equal else 'has'} the {extreme} {objective}: {value}"
+    sentence = f"{names} {'have' if equal else 'has'} the {extreme} {what}: {value}"
     if near:
         intervals = "interval of" if len(near) == 1 else "intervals of"
         return f"{sentence}, which overlaps with the {intervals} {_join(near)}."
