@@ -14,7 +14,6 @@ detector that waits, and with one that computes, for half a second; tasks that c
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import tempfile
@@ -25,6 +24,7 @@ from unittest.mock import patch
 
 import gymnasium as gym
 import numpy as np
+from running import RESULTS, make_parser
 from speed_helpers import alternate, run, write_json
 
 from usnet_env import Detection, Window, evaluate
@@ -37,7 +37,6 @@ from usnet_env.evaluation.store import COLUMNS, RowFile, RunStore
 from usnet_env.processes import Limits
 from usnet_env.provenance import machine, versions
 
-OUT = Path(__file__).parent / "results" / "engine_speed.json"
 SUMMARY = """
 import json, sys, time
 from pathlib import Path
@@ -253,12 +252,12 @@ def time_run(detector: Takes, episodes: int, seed: int, nodes: int) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("parts", nargs="*", help="which parts; by default all but ray")
     parser.add_argument("--rows", type=int, default=1_000_000, help="of the summary")
     parser.add_argument("--episodes", type=int, default=200_000)
     parser.add_argument("--turns", type=int, default=500, help="of the isolation")
-    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--out", type=Path, default=RESULTS / "engine_speed.json")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         rows = Path(folder) / "rows.csv"

@@ -9,13 +9,13 @@ run in one thread, except VMAS, which uses PyTorch's threads.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
+from running import RESULTS, make_parser
 from scipy.spatial import cKDTree
 from speed_helpers import alternate, describe_ratios, run, write_json
 
@@ -181,9 +181,9 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = make_parser(__doc__)
     parser.add_argument("--turns", type=int, default=15)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "speed.json")
+    parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
     parser.add_argument("--parts", nargs="+", choices=[*PARTS], default=[*PARTS], help="peers need the bench extra")
     arguments = parser.parse_args()
     turns = arguments.turns
