@@ -16,13 +16,12 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
-from importlib.util import resolve_name
 from inspect import unwrap
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from usnet_env.definitions import find_module
+from usnet_env.definitions import find_module, resolve_import
 from usnet_env.processes import is_installed
 
 __all__ = ["VERSIONED", "code_text", "hash_code", "hash_named_code"]
@@ -187,10 +186,7 @@ def _read_import(node: ast.Import | ast.ImportFrom, package: str) -> list[tuple[
     """What each name of an import statement stands for: a module, and a name in it or all of it."""
     if isinstance(node, ast.Import):
         return [(alias.name, _ALL) for alias in node.names]
-    try:
-        module = resolve_name("." * node.level + (node.module or ""), package)
-    except ImportError:
-        module = node.module or ""
+    module = resolve_import(node, package) or node.module or ""
     return [(module, alias.name) for alias in node.names]
 
 
