@@ -37,14 +37,7 @@ _PAPER_SIZE = (8, 185)
 
 
 def play_example(detector: str, seed: int, *, clusters: int = 8, uavs: int = 185) -> EpisodeRecord:
-    """Play the episode that ``usnet reproduce rounds`` plays as episode 0 of the study ``example``.
-
-    Args:
-        detector: name of a detector.
-        seed: seed of the measurement.
-        clusters: M.
-        uavs: N.
-    """
+    """Play the episode that ``usnet reproduce rounds --seed`` plays as episode 0 of the study ``example``."""
     env = gym.make("USNET/MultiCluster-v0", clusters=clusters, uavs=uavs, follow="f1")
     swarm_seed, detector_seed = episode_seeds(seed, 0)
     record = record_episode(env, make_detector(detector), swarm_seed, detector_seed, label=detector)

@@ -231,17 +231,9 @@ def reproduce(
 ) -> common.Reproduction[Row]:
     """Measure the table's cells; an interrupted measurement continues where it stopped.
 
-    Args:
-        folder: gets ``episodes[-decoysK][-mobility][-jitter]-seedS.csv``, ``.md`` and the picture.
-        episodes: in each cell; ``None``: 100 up to m = 15, 30 above.
-        cells: as :func:`parse_cells` takes them.
-        detectors: as :func:`usnet_env.make_detector` takes them.
-        decoys: UAVs without followers that fly like heads.
-        mobility: how the head flies.
-        head_jitter: whether it has the followers' noise.
-        seed: of the episodes; the reporting seed is one that nothing was tuned on.
-        formats: of the picture, ``"png"`` and ``"pdf"``.
-        running: ``workers`` and ``progress``, see :class:`~detectors.studies.common.Running`.
+    The arguments are those of ``usnet reproduce table2``, and ``running``: see
+    :class:`~detectors.studies.common.Running`. The folder gets ``episodes[-decoysK][-mobility][-jitter]-seedS.csv``,
+    ``.md`` and the picture. Nothing was tuned on the default seed.
 
     Raises:
         ArgumentError: an argument was refused.
