@@ -16,14 +16,9 @@ _STEPS = 8  # limit of the chain of re-exports, and of the chain of base classes
 
 @dataclass(frozen=True)
 class Definition:
-    """A class or function in a source file.
+    """A class or function in a source file."""
 
-    Args:
-        module: the module that defines it.
-        node: its syntax tree.
-    """
-
-    module: str
+    module: str  # that defines it
     node: ast.ClassDef | ast.FunctionDef
 
     @property

@@ -329,15 +329,9 @@ def record_episodes(
 ) -> list[Path]:
     """Play chosen episodes of a run again, from the seeds in their rows, and write their episode files.
 
-    An episode that differs from its row is not written: a message names its detector.
-
-    Args:
-        result: of the run.
-        wanted: ``"every=10"`` or ``"worst"``: the 20 worst episodes of each detector whose round 1 was not exact.
-        detectors: the detectors of the command; those of an earlier one are not recorded.
-        env_kwargs: arguments of the environment.
-        out: folder of the run.
-        isolation: the detectors of an isolated run play in processes of their own here too, with these limits.
+    An episode that differs from its row is not written: a message names its detector. What is wanted is ``"every=10"``
+    or ``"worst"``: the 20 worst episodes of each detector whose round 1 was not exact. Detectors of an earlier command
+    are not recorded. Those of an isolated run play in processes of their own here too, with the limits of isolation.
     """
     from usnet_env.evaluation.report import group_rows
     from usnet_env.plugins import detector_label

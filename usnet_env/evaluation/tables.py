@@ -209,9 +209,7 @@ def html_notes(notes: Iterable[str]) -> str:
 def describe_gap(summary: Summary, config: Mapping[str, Any]) -> str:
     """State in one sentence which detectors of a run have not played all episodes; an empty text if all have.
 
-    Args:
-        summary: of the run.
-        config: of the run, with ``detectors``, ``episodes`` and ``failures``; detectors that have failed are left out.
+    Detectors that have failed are left out.
     """
     played, asked = {entry["detector"]: entry["episodes"] for entry in summary}, config.get("episodes", 0)
     labels = [label for label in config.get("detectors", ()) if label not in config.get("failures", {})]
@@ -247,12 +245,7 @@ def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Tab
 
 
 def describe_episodes(summary: Summary, asked: int | None = None) -> str:
-    """The number of episodes of each detector: ``20 episodes``, or ``5 to 20 episodes``, ``5 of 20 episodes``.
-
-    Args:
-        summary: of the run.
-        asked: episodes of the whole run, if they are known.
-    """
+    """The number of episodes of each detector: ``20 episodes``, or ``5 to 20 episodes``, ``5 of 20 episodes``."""
     episodes = sorted({entry["episodes"] for entry in summary}) or [0]
     most = format_count(episodes[-1], "episode")
     if asked is not None and episodes[-1] < asked:
@@ -263,10 +256,7 @@ def describe_episodes(summary: Summary, asked: int | None = None) -> str:
 def ranking_table(summary: Summary, env: str, asked: int | None = None) -> Table:
     """The detectors by their J, best first, and their main metrics, for a terminal of 80 columns.
 
-    Args:
-        summary: of a run or a suite.
-        env: what was played.
-        asked: episodes of the whole run, if they are known.
+    The title has what was played, and how many of the episodes that were ``asked`` for, if that is known.
     """
     title = f"{env}, {describe_episodes(summary, asked)} of each detector: means, best first"
     best, columns = first_metric(summary), _ranking_columns(summary)
