@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from usnet_env.cli.options import WholeNumber, add_place
-from usnet_env.cli.output import progress_bar, show_markdown
+from usnet_env.cli.output import show_markdown
+from usnet_env.progress import progress_bar
 
 if TYPE_CHECKING:
     from detectors.studies.common import Reproduction

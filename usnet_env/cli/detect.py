@@ -14,8 +14,9 @@ import click
 import numpy as np
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber
-from usnet_env.cli.output import print_message, progress_bar, show
+from usnet_env.cli.output import print_message, show
 from usnet_env.config import ArgumentError, quote
+from usnet_env.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
     Kept = tuple[TrackWindow, Floats, DetectedWindow]  # with the scores of the answer
     Map = tuple[TrackWindow, Any, DetectedWindow]  # with the leader of each id
-
-__all__ = ["detect"]
 
 _DETECTOR = "follow-mixture(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
