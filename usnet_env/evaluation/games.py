@@ -50,9 +50,12 @@ class _GamePlayer:
     @cached_property
     def teams(self) -> dict[str, dict[str, Any]]:
         """The policies of each label, with those of detectors that are given by name."""
-        return {
-            label: {role: _as_policy(policy) for role, policy in own.items()} for label, own in self.players.items()
-        }
+        from usnet_env.multiagent.policies import DetectorObserver
+
+        def make(policy: Any) -> Any:
+            return DetectorObserver(make_detector(policy)) if isinstance(policy, str) else policy
+
+        return {label: {role: make(each) for role, each in own.items()} for label, own in self.players.items()}
 
     def run_task(self, task: Task) -> Row | None:
         """Play one game."""
@@ -77,13 +80,6 @@ class _GamePlayer:
 
     def close(self) -> None:
         """Do nothing: the game holds no resources."""
-
-
-def _as_policy(policy: Any) -> Any:
-    """A policy; a name makes the detector of this name an observer."""
-    from usnet_env.multiagent.policies import DetectorObserver
-
-    return DetectorObserver(make_detector(policy)) if isinstance(policy, str) else policy
 
 
 def _identify(policy: Any) -> Any:

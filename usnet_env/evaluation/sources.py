@@ -24,8 +24,6 @@ from typing import Any
 from usnet_env.definitions import find_module, resolve_import
 from usnet_env.processes import is_installed
 
-__all__ = ["VERSIONED", "code_text", "hash_code", "hash_named_code"]
-
 _ALL = "*"  # every name of a module
 #: The packages of this distribution, whose version run.json holds.
 VERSIONED = ("usnet_env", "detectors")

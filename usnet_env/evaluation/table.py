@@ -176,8 +176,7 @@ def read_table(path: Path, columns: Columns) -> RowTable:
         return table
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            torn = not _ends_with_line(path)
-            reader = csv.reader((line for line in file if line.endswith("\n")) if torn else file, strict=True)
+            reader = csv.reader((line for line in file if line.endswith("\n")), strict=True)
             header = next(reader, [])
             places = [header.index(name) for name in columns]
             while rows := list(islice(reader, _ROWS_AT_ONCE)):
@@ -190,11 +189,3 @@ def read_table(path: Path, columns: Columns) -> RowTable:
             f"out must hold rows of this measurement, got something else in {path.name!r}: {error}."
         ) from None
     return table
-
-
-def _ends_with_line(path: Path) -> bool:
-    """Whether a file ends with a line break."""
-    with path.open("rb") as file:
-        size = file.seek(0, 2)
-        file.seek(max(0, size - 1))
-        return file.read() == b"\n"
