@@ -127,6 +127,17 @@ def _check_screenshot_options(screenshot: str | None, number: int | None, step: 
         check_screenshot(screenshot)
 
 
+def _show_replay(written: Path, shown: tuple[str, float] | None, open_viewer: bool) -> None:
+    """Say where a replay is; take its picture, and open it, if that was asked for."""
+    from usnet_env.replay.viewer import find_viewer, open_replay, take_screenshot
+
+    click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
+    if shown is not None:
+        click.echo(f"screenshot {take_screenshot([written], *shown)}")
+    if open_viewer:
+        open_replay(written)
+
+
 @click.command(short_help="Show a recorded episode: replay, screenshot, animation.", epilog=_REPLAY_EXAMPLES)
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--episode", type=WholeNumber(0, 10**9), help="Number of the episode in a folder of several.")
@@ -156,7 +167,7 @@ def replay(
     _check_screenshot_options(screenshot, number, step)
     from usnet_env.replay import EpisodeRecord, animate, write_recording
     from usnet_env.replay.story import describe_outcome, describe_round, name_game
-    from usnet_env.replay.viewer import find_time, find_viewer, open_replay, take_screenshot
+    from usnet_env.replay.viewer import find_time, take_screenshot
 
     file = _choose_episode(path, episode)
     if file is None:
@@ -170,17 +181,12 @@ def replay(
     click.echo(describe_outcome(record))
     if animation is not None:
         click.echo(f"animation  {animate(record, animation)}")
-    keep = rrd is not None or open_viewer or (animation is None and shown is None)
-    with ExitStack() as stack:
-        if keep:
-            written = write_recording(record, rrd or file.with_suffix(".rrd"))
-            click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
-        elif shown is not None:  # the viewer needs a replay for its picture
-            written = write_recording(record, Path(stack.enter_context(TemporaryDirectory()), "episode.rrd"))
-        if shown is not None:
+    if rrd is not None or open_viewer or (animation is None and shown is None):
+        _show_replay(write_recording(record, rrd or file.with_suffix(".rrd")), shown, open_viewer)
+    elif shown is not None:  # the viewer needs a replay for its picture
+        with TemporaryDirectory() as folder:
+            written = write_recording(record, Path(folder, "episode.rrd"))
             click.echo(f"screenshot {take_screenshot([written], *shown)}")
-        if open_viewer:
-            open_replay(written)
 
 
 def _list_episodes(files: Sequence[Path]) -> None:
@@ -222,7 +228,7 @@ def compare(
     _check_screenshot_options(screenshot, number, step)
     from usnet_env.replay import EpisodeRecord, write_comparison
     from usnet_env.replay.story import describe_outcome
-    from usnet_env.replay.viewer import find_time, find_viewer, open_replay, take_screenshot
+    from usnet_env.replay.viewer import find_time
 
     one, other = EpisodeRecord.load(first), EpisodeRecord.load(second)
     longer = max(one, other, key=lambda record: record.rounds)
@@ -230,11 +236,7 @@ def compare(
     written = write_comparison(one, other, rrd)
     for record in (one, other):
         click.echo(f"{record.detector}: {describe_outcome(record)}")
-    click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
-    if shown is not None:
-        click.echo(f"screenshot {take_screenshot([written], *shown)}")
-    if open_viewer:
-        open_replay(written)
+    _show_replay(written, shown, open_viewer)
 
 
 @click.command(short_help="Write a page of a run or an episode for any browser.", epilog=_REPORT_EXAMPLES)
