@@ -14,17 +14,18 @@ detector that waits, and with one that computes, for half a second; tasks that c
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
 import gymnasium as gym
 import numpy as np
-from speed_helpers import run, write_json
+from running import RESULTS, make_parser
+from speed_helpers import alternate, run, write_json
 
 from usnet_env import Detection, Window, evaluate
 from usnet_env.evaluation.agents import as_agent
@@ -36,7 +37,6 @@ from usnet_env.evaluation.store import COLUMNS, RowFile, RunStore
 from usnet_env.processes import Limits
 from usnet_env.provenance import machine, versions
 
-OUT = Path(__file__).parent / "results" / "engine_speed.json"
 SUMMARY = """
 import json, sys, time
 from pathlib import Path
@@ -129,23 +129,15 @@ def isolation(turns: int) -> dict[str, object]:
     }
     for agent in agents.values():
         agent.reset(0)
-        agent.answer(observation)
-    taken = {name: [] for name in agents}
-    for _ in range(turns):
-        for name, agent in agents.items():
-            begun = time.perf_counter()
-            agent.answer(observation)
-            taken[name].append(time.perf_counter() - begun)
+    taken = 1e3 * alternate(turns, *(partial(agent.answer, observation) for agent in agents.values())).T
     begun = time.perf_counter()
     IsolatedAgent("none", Limits()).start()
     found: dict[str, object] = {"turns": turns, "seconds_to_start_a_process": time.perf_counter() - begun}
-    for name, seconds in taken.items():
-        own = 1e3 * np.array(seconds)
-        added = own - 1e3 * np.array(taken["in process"])
+    for name, own in zip(agents, taken, strict=True):
         found[name] = {
             "milliseconds": float(np.median(own)),
             "milliseconds_90_percent": float(np.quantile(own, 0.9)),
-            "milliseconds_added": float(np.median(added)),
+            "milliseconds_added": float(np.median(own - taken[0])),
         }
     return found
 
@@ -260,13 +252,12 @@ def time_run(detector: Takes, episodes: int, seed: int, nodes: int) -> float:
 
 
 def main() -> None:
-    """Measure, and write the file."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("parts", nargs="*", help="which parts; by default all but ray")
     parser.add_argument("--rows", type=int, default=1_000_000, help="of the summary")
     parser.add_argument("--episodes", type=int, default=200_000)
     parser.add_argument("--turns", type=int, default=500, help="of the isolation")
-    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--out", type=Path, default=RESULTS / "engine_speed.json")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         rows = Path(folder) / "rows.csv"

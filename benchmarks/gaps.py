@@ -103,25 +103,20 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     return {"follow": follow, "mobility": swarm.get("mobility", "iid"), "value": round(value, 5)}
 
 
-def cells() -> list[dict[str, Any]]:
-    """All cells, the rules side by side."""
+def games() -> list[tuple[dict[str, Any], int]]:
+    """All cells, the rules side by side, with the seeds of their games."""
     return [
-        {"detector": detector, "rule": rule, "miss_rate": rate}
-        for detector in GAMES
-        for rate in (RATES if GAMES[detector] > 1 else RATES[1:])
+        ({"detector": detector, "rule": rule, "miss_rate": rate}, SEED + number)
+        for detector, count in GAMES.items()
+        for rate in (RATES if count > 1 else RATES[1:])
         for rule in RULES
+        for number in range(len(FOLLOW) * count)
     ]
-
-
-def games(cell: Mapping[str, Any]) -> int:
-    """The number of games of a cell."""
-    return len(FOLLOW) * GAMES[cell["detector"]]
 
 
 def main() -> None:
     """Play the games that the file lacks, and print the means."""
-    every = [(cell, SEED + number) for cell in cells() for number in range(games(cell))]
-    rows = play_games(RESULTS / "gaps.csv", every, play, ("follow", "mobility", "value"))
+    rows = play_games(RESULTS / "gaps.csv", games(), play, ("follow", "mobility", "value"))
     for cell, own in group_rows(rows, lambda row: (row["detector"], row["rule"], row["miss_rate"])).items():
         mean, low, high = mean_over_episodes(own, "value", "seed")
         what = "purity" if cell[0] in CLUSTERERS else "rate" if cell[0] in P1 else "J_m"

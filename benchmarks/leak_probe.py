@@ -83,7 +83,6 @@ def play(cell: Mapping[str, Any], number: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure the cells that the file lacks."""
     parser = make_parser(__doc__)
     parser.add_argument("--suite", nargs="+", default=["paper"])
     suites = [load_suite(name) for name in parser.parse_args().suite]

@@ -77,7 +77,6 @@ def play_limit(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
     made = make_parser(__doc__)
     made.add_argument("--games", type=int, default=GAMES, help="of each cell and detector")
     made.add_argument("--detectors", nargs="*", help="by default all of the measurement")
@@ -93,7 +92,6 @@ def chosen(arguments: argparse.Namespace) -> list[dict[str, str]]:
 
 
 def main() -> None:
-    """Play the games that the file lacks."""
     arguments = parser().parse_args()
     games = [(cell, SEED + number) for cell in chosen(arguments) for number in range(arguments.games)]
     if arguments.limits:

@@ -37,23 +37,18 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     }
 
 
-def cells() -> list[dict[str, Any]]:
-    """One observer that sees the whole swarm, and every range, number of observers and fusion rule."""
+def games() -> list[tuple[dict[str, Any], int]]:
+    """One observer that sees the whole swarm, and every range, number of observers and fusion rule; with seeds."""
     settings = [(EVERYTHING, 1, "union"), *product(RANGES, OBSERVERS, FUSIONS)]
     return [
-        {"detector": detector, "range": reach, "observers": observers, "fusion": fusion}
+        ({"detector": detector, "range": reach, "observers": observers, "fusion": fusion}, seed)
         for detector in (DETECTOR, *OTHERS)
         for reach, observers, fusion in settings
         if detector == DETECTOR or fusion == "union"
+        for seed in range(SEED, SEED + GAMES)
     ]
-
-
-def games(cell: Mapping[str, Any]) -> int:
-    """The number of games of a cell."""
-    return GAMES
 
 
 if __name__ == "__main__":
     answer_help(__doc__)
-    every = [(cell, SEED + number) for cell in cells() for number in range(games(cell))]
-    play_games(RESULTS / "multiagent_observers.csv", every, play, VALUES)
+    play_games(RESULTS / "multiagent_observers.csv", games(), play, VALUES)

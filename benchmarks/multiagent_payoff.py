@@ -46,18 +46,12 @@ def play(cell: Mapping[str, Any], seed: int) -> dict[str, Any]:
     }
 
 
-def cells() -> list[dict[str, Any]]:
-    """Every strategy, observer and swarm policy."""
-    games = product(FOLLOW, OBSERVERS, SWARMS)
-    return [{"follow": follow, "observer": observer, "swarm": swarm} for follow, observer, swarm in games]
-
-
-def games(cell: Mapping[str, Any]) -> int:
-    """The number of games of a cell."""
-    return GAMES
+def games() -> list[tuple[dict[str, Any], int]]:
+    """Every strategy, observer and swarm policy, with all seeds."""
+    every = product(FOLLOW, OBSERVERS, SWARMS, range(SEED, SEED + GAMES))
+    return [({"follow": follow, "observer": name, "swarm": swarm}, seed) for follow, name, swarm, seed in every]
 
 
 if __name__ == "__main__":
     answer_help(__doc__)
-    every = [(cell, SEED + number) for cell in cells() for number in range(games(cell))]
-    play_games(RESULTS / "multiagent_payoff.csv", every, play, VALUES)
+    play_games(RESULTS / "multiagent_payoff.csv", games(), play, VALUES)

@@ -151,7 +151,6 @@ def draw(curves: list[dict[str, Any]]) -> Figure:
 
 
 def main() -> None:
-    """Train, measure and draw."""
     torch.set_num_threads(1)  # a program of its own, not the library: small networks wait for each other on more
     cells = [{"detector": name, "follow": f, "swarm": swarm} for name, f in MATCHES for swarm in ("truthful", "ppo")]
     games = [(cell, SEED + number) for cell in cells for number in range(GAMES)]

@@ -17,7 +17,6 @@ SEED = 2022
 
 
 def main() -> None:
-    """Measure and print."""
     swarms = [(follow, followers, decoys) for follow in FOLLOW for followers in FOLLOWERS for decoys in (0, 1)]
     cells = [Cell("neural-granger(gate=True)", *swarm) for swarm in swarms]
     tasks = make_tasks(cells, lambda cell: 200 if cell.follow == "none" else 60)

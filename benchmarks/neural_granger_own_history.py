@@ -37,7 +37,6 @@ def predict_with_truth(env: object, window: usnet_env.Window, follow: str, follo
 
 
 def main() -> None:
-    """Measure, print and write the rows."""
     rows = []
     for mobility, jitter in CELLS:
         for follow in FOLLOW:

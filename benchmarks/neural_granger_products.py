@@ -18,7 +18,6 @@ SEED = 2022
 
 
 def main() -> None:
-    """Measure and print."""
     swarms = [("products", followers, decoys) for followers in FOLLOWERS for decoys in (0, 1)]
     tasks = make_tasks([Cell(name, *swarm) for name in DETECTORS for swarm in swarms], lambda cell: EPISODES)
     rows = make_suite(SEED).run(tasks, RESULTS / "neural_granger_products.csv")

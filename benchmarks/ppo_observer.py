@@ -182,7 +182,6 @@ def trained() -> EquivariantPolicy:
 
 
 def main() -> None:
-    """Train and measure."""
     parser = make_parser(__doc__)
     parser.add_argument("--games", type=int, default=GAMES, help="for each detector and follow strategy")
     games = parser.parse_args().games

@@ -9,13 +9,12 @@ which at most 12, evenly spread, are used. The groups are known to the score onl
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 from zlib import crc32
 
 import numpy as np
-from running import write_csv
+from running import make_parser, write_csv
 
 from usnet_env import make_detector
 from usnet_env.detection import fit_window
@@ -72,8 +71,7 @@ def score(cut, name: str, seed: int) -> dict:
 
 
 def main() -> None:
-    """Measure all files and write the rows."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = make_parser(__doc__)
     parser.add_argument("folder", type=Path, help="holds a folder of CSV files for each set")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/real_tracks.csv"))
     parser.add_argument("--detector", action="append", help="default: all of them")

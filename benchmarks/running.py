@@ -11,9 +11,9 @@ from dataclasses import make_dataclass
 from pathlib import Path
 from typing import Any
 
-from usnet_env.cli.output import progress_bar
 from usnet_env.evaluation.suite import Suite
 from usnet_env.files import atomic_write
+from usnet_env.progress import progress_bar
 
 RESULTS = Path(__file__).parent / "results"
 SEED = 2022  # of the first game; seeds below 1000 are for tuning

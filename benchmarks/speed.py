@@ -9,16 +9,15 @@ run in one thread, except VMAS, which uses PyTorch's threads.
 
 from __future__ import annotations
 
-import argparse
 import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
+from running import RESULTS, make_parser
 from scipy.spatial import cKDTree
-from speed_helpers import describe_ratios, run, write_json
+from speed_helpers import alternate, describe_ratios, run, write_json
 
 import usnet_env  # noqa: F401  registers the environments
 from usnet_env.provenance import machine, versions
@@ -31,19 +30,6 @@ EPISODES, UAVS = 256, 82
 FOLLOW = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
 KINEMATICS = ["varied_speed", "lagged", "limited", "layered"]
 SIZES = [100, 300, 1000, 3000, 10_000]
-
-
-def seconds(function: Callable[[], object]) -> float:
-    begun = time.perf_counter()
-    function()
-    return time.perf_counter() - begun
-
-
-def alternate(turns: int, *contestants: Callable[[], object]) -> np.ndarray:
-    """Seconds ``(turns, contestants)`` of contestants that take turns, after one warm-up each."""
-    for contestant in contestants:
-        contestant()
-    return np.array([[seconds(contestant) for contestant in contestants] for _ in range(turns)])
 
 
 def stepping(turns: int, **arguments: object) -> dict[str, object]:
@@ -195,9 +181,9 @@ PARTS: dict[str, Callable[[int], dict[str, object]]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = make_parser(__doc__)
     parser.add_argument("--turns", type=int, default=15)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "speed.json")
+    parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
     parser.add_argument("--parts", nargs="+", choices=[*PARTS], default=[*PARTS], help="peers need the bench extra")
     arguments = parser.parse_args()
     turns = arguments.turns

@@ -1,10 +1,12 @@
-"""Functions that the speed benchmarks share: programs in new processes with their peak memory, ratios, files."""
+"""Functions that the speed benchmarks share: programs in new processes with their peak memory, turns, ratios, files."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,19 @@ def run(program: str, *arguments: object) -> Any:
     """Run a program in a new process, and return the JSON that it prints; ``peak()`` is its peak resident bytes."""
     command = [sys.executable, "-c", PEAK + program, *map(str, arguments)]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout)
+
+
+def alternate(turns: int, *contestants: Callable[[], object]) -> np.ndarray:
+    """Seconds ``(turns, contestants)`` of contestants that take turns, after one warm-up each."""
+
+    def seconds(function: Callable[[], object]) -> float:
+        begun = time.perf_counter()
+        function()
+        return time.perf_counter() - begun
+
+    for contestant in contestants:
+        contestant()
+    return np.array([[seconds(contestant) for contestant in contestants] for _ in range(turns)])
 
 
 def describe_ratios(ratios: np.ndarray) -> dict[str, object]:

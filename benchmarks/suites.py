@@ -88,7 +88,6 @@ def _format(value: object) -> str:
 
 
 def main() -> None:
-    """Pack the folders, suite by suite."""
     parser = make_parser(__doc__)
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--add", action="store_true", help="keep the other detectors that the file holds")

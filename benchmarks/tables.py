@@ -10,7 +10,6 @@ No number of these pages is written by hand. README.md has one table, between ``
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -34,6 +33,7 @@ from result_pages import (
     tiers,
 )
 from result_pages.text import table_alone
+from running import make_parser
 
 from usnet_env.drawing import write_figure
 from usnet_env.files import atomic_write
@@ -92,8 +92,7 @@ def differing() -> dict[Path, str]:
 
 
 def main() -> int:
-    """Write or check."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = make_parser(__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a table differs")
     parser.add_argument("--figures", action="store_true", help="also draw the pictures")
     arguments = parser.parse_args()

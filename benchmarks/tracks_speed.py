@@ -11,7 +11,6 @@ other id in the window. The test of confirmed leaders was developed on seed 0.
 
 from __future__ import annotations
 
-import argparse
 import json
 import resource
 import subprocess
@@ -21,6 +20,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from running import make_parser
 from speed_helpers import write_json
 
 from usnet_env.provenance import machine, versions
@@ -124,8 +124,7 @@ def detect(path: Path, detector: str, folder: Path) -> tuple[dict, dict[str, flo
 
 
 def main() -> None:
-    """Measure and write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = make_parser(__doc__)
     parser.add_argument("--out", default="benchmarks/results/tracks_speed.json")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--detector", action="append", help="default: net-lag-regression")

@@ -16,14 +16,9 @@ _STEPS = 8  # limit of the chain of re-exports, and of the chain of base classes
 
 @dataclass(frozen=True)
 class Definition:
-    """A class or function in a source file.
+    """A class or function in a source file."""
 
-    Args:
-        module: the module that defines it.
-        node: its syntax tree.
-    """
-
-    module: str
+    module: str  # that defines it
     node: ast.ClassDef | ast.FunctionDef
 
     @property
@@ -69,7 +64,7 @@ def find_definition(module: str, path: str, steps: int = _STEPS) -> Definition |
         if isinstance(statement, ast.ImportFrom) and steps:
             for alias in statement.names:
                 if (alias.asname or alias.name) == first:
-                    source = _resolve_import(statement, module, is_package)
+                    source = resolve_import(statement, module if is_package else module.rpartition(".")[0])
                     inner = f"{alias.name}.{rest}".rstrip(".")
                     return find_definition(source, inner, steps - 1) if source else None
     found: ast.ClassDef | ast.FunctionDef | None = None
@@ -114,9 +109,8 @@ def _parse_file(path: str, modified: int, size: int) -> ast.Module:
     return ast.parse(Path(path).read_bytes())
 
 
-def _resolve_import(statement: ast.ImportFrom, module: str, is_package: bool) -> str:
-    """Return the full name of the module from which ``module`` imports, also for a relative import."""
-    package = module if is_package else module.rpartition(".")[0]
+def resolve_import(statement: ast.ImportFrom, package: str) -> str:
+    """The full name of the module from which a module of a package imports; empty if a relative import leaves it."""
     try:
         return resolve_name("." * statement.level + (statement.module or ""), package)
     except ImportError:

@@ -34,9 +34,6 @@ __all__ = [
     "single_cluster_objective",
 ]
 
-Counts = Indices
-Ratios = Floats
-
 
 def _mask(name: str, value: ArrayLike) -> Mask:
     """Convert ``value`` to booleans with at least one axis; values other than 0 and 1 raise."""
@@ -72,17 +69,7 @@ def _labels(name: str, value: ArrayLike, uavs: int | None = None) -> Indices:
     return labels.astype(np.int64)
 
 
-def _heads_and_rounds(head: ArrayLike, candidates_per_round: ArrayLike) -> tuple[Mask, Mask]:
-    """Convert heads ``(N,)`` and candidates ``(R, N)``."""
-    heads, candidates = _pair("head", head, "candidates_per_round", candidates_per_round)
-    if heads.ndim != 1:
-        raise ArgumentError(f"head must have shape (N,), got {heads.shape}.")
-    if candidates.ndim != 2:
-        raise ArgumentError(f"candidates_per_round must have shape (R, N), got {candidates.shape}.")
-    return heads, candidates
-
-
-def _ratio(part: Indices, whole: Indices) -> Ratios:
+def _ratio(part: Indices, whole: Indices) -> Floats:
     """``part / whole``, 0 where ``whole`` is 0."""
     return np.asarray(np.where(whole > 0, part / np.maximum(whole, 1), 0.0))
 
@@ -90,7 +77,7 @@ def _ratio(part: Indices, whole: Indices) -> Ratios:
 # One round, any leading axes
 
 
-def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Counts, Counts]:
+def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Indices, Indices]:
     """Number of candidates of a round that are living heads (hits), and number of the other candidates (redundant).
 
     These are |H_{r-1}∖H_r| and |C_r∖H_{r-1}| of §II-A. A destroyed UAV is not in H_{r-1}, so it counts as redundant.
@@ -114,7 +101,7 @@ def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Count
     return hits, chosen.sum(axis=-1, dtype=np.int64) - hits
 
 
-def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Ratios:
+def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Floats:
     """P1's objective J_s = |C_1 & H_0| - |C_1|, to be maximised; the maximum is 0.
 
     With one head it is the paper's 1{i_L in C_1} - |C_1|. The formula also gives 0 for an empty set of candidates.
@@ -137,19 +124,19 @@ def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Ratios:
     return np.asarray(np.where(count > 0, hits - count, np.where(heads.any(axis=-1), -1.0, 0.0)))
 
 
-def precision(head: ArrayLike, candidates: ArrayLike) -> Ratios:
+def precision(head: ArrayLike, candidates: ArrayLike) -> Floats:
     """Share of the candidates ``(..., N)`` that are heads; 0 without a candidate."""
     heads, chosen = _pair("head", head, "candidates", candidates)
     return _ratio((heads & chosen).sum(axis=-1), chosen.sum(axis=-1))
 
 
-def recall(head: ArrayLike, candidates: ArrayLike) -> Ratios:
+def recall(head: ArrayLike, candidates: ArrayLike) -> Floats:
     """Share of the heads ``(..., N)`` that are candidates; 0 without a head."""
     heads, chosen = _pair("head", head, "candidates", candidates)
     return _ratio((heads & chosen).sum(axis=-1), heads.sum(axis=-1))
 
 
-def f1(head: ArrayLike, candidates: ArrayLike) -> Ratios:
+def f1(head: ArrayLike, candidates: ArrayLike) -> Floats:
     """Harmonic mean of precision and recall, 2 |C & H| / (|C| + |H|); 0 where both sets are empty."""
     heads, chosen = _pair("head", head, "candidates", candidates)
     return _ratio(2 * (heads & chosen).sum(axis=-1), chosen.sum(axis=-1) + heads.sum(axis=-1))
@@ -174,12 +161,16 @@ def remaining_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> Mask:
     Returns:
         ``(R + 1, N)`` bool.
     """
-    heads, candidates = _heads_and_rounds(head, candidates_per_round)
+    heads, candidates = _pair("head", head, "candidates_per_round", candidates_per_round)
+    if heads.ndim != 1:
+        raise ArgumentError(f"head must have shape (N,), got {heads.shape}.")
+    if candidates.ndim != 2:
+        raise ArgumentError(f"candidates_per_round must have shape (R, N), got {candidates.shape}.")
     hit_so_far = np.logical_or.accumulate(np.vstack([np.zeros_like(heads), candidates]), axis=0)
     return np.asarray(heads & ~hit_so_far)
 
 
-def rounds_hits_and_redundant(head: ArrayLike, candidates_per_round: ArrayLike) -> tuple[Counts, Counts]:
+def rounds_hits_and_redundant(head: ArrayLike, candidates_per_round: ArrayLike) -> tuple[Indices, Indices]:
     """Hits and redundant candidates of every round, each ``(R,)`` int64; see :func:`hits_and_redundant`."""
     before = remaining_heads(head, candidates_per_round)[:-1]
     return hits_and_redundant(before, np.ones_like(before), _mask("candidates_per_round", candidates_per_round))

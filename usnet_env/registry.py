@@ -215,12 +215,9 @@ def named_parameters(factory: Callable[..., Any]) -> dict[str, inspect.Parameter
 
 
 def check_call(subject: str, factory: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
-    """Refuse arguments that a class or function does not take, and a call without an argument that it needs.
+    """Refuse keyword arguments that a class or function does not take, and a call without one that it needs.
 
-    Args:
-        subject: of the refusal: ``"detector 'random'"``.
-        factory: the class or function.
-        arguments: the keyword arguments of the call.
+    The refusal has a subject, such as ``"detector 'random'"``.
     """
     try:
         parameter_kinds = {parameter.kind for parameter in inspect.signature(factory).parameters.values()}

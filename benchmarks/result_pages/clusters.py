@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from statistics import fmean
 
 from running import RESULTS, read_csv
@@ -11,50 +10,32 @@ from detectors.studies.common import FOLLOW
 from result_pages.speed import read
 from result_pages.text import Row, table
 
+#: The file of each detector's rows.
+_FILES = {
+    "lagged-regression": "rounds/rounds-seed2022.csv",
+    "follow-mixture": "follow_mixture/paper.csv",
+    "learned": "learned.csv",
+    "neural-granger": "table2/episodes-seed2022.csv",
+    "lead-votes": "rounds/rounds-seed2022.csv",
+    "mc-gassl": "rounds/rounds-seed2022.csv",
+}
+#: Rows of the paper's swarms have these values in the columns that their file has.
+_PAPER = {"clusters": ("5",), "uavs": ("82",), "swarm": ("iid",), "follow": FOLLOW}
 
-def _of_rounds(row: Row) -> float:
-    return float(row["seconds_per_round"]) * float(row["rounds"])
 
-
-def _of_paper(row: Row) -> bool:
-    """Whether a row of the rounds is of the paper's sizes."""
-    return (row["clusters"], row["uavs"]) == ("5", "82")
-
-
-def _seconds() -> dict[str, tuple[list[float], str]]:
-    """The seconds of each episode by detector, and the file of its rows."""
-    rounds = [row for row in read_csv(RESULTS / "rounds/rounds-seed2022.csv") if _of_paper(row)]
-    learned = [row for row in read_csv(RESULTS / "learned.csv") if row["swarm"] == "iid" and row["follow"] in FOLLOW]
-    files: Mapping[str, list[tuple[str, float]]] = {
-        "rounds/rounds-seed2022.csv": [(row["detector"], _of_rounds(row)) for row in rounds],
-        "learned.csv": [(row["detector"], _of_rounds(row)) for row in learned],
-        "follow_mixture/paper.csv": [
-            (row["detector"], float(row["seconds"])) for row in read_csv(RESULTS / "follow_mixture/paper.csv")
-        ],
-        "table2/episodes-seed2022.csv": [
-            (row["detector"], float(row["seconds"])) for row in read_csv(RESULTS / "table2/episodes-seed2022.csv")
-        ],
-    }
-    shown = {
-        "lagged-regression": "rounds/rounds-seed2022.csv",
-        "follow-mixture": "follow_mixture/paper.csv",
-        "learned": "learned.csv",
-        "neural-granger": "table2/episodes-seed2022.csv",
-        "lead-votes": "rounds/rounds-seed2022.csv",
-        "mc-gassl": "rounds/rounds-seed2022.csv",
-    }
-    found = {}
-    for name, file in shown.items():
-        found[name] = [seconds for played, seconds in files[file] if played == name], file
-    return found
+def _seconds(row: Row) -> float:
+    """Seconds of an episode."""
+    return float(row["seconds"]) if "seconds" in row else float(row["seconds_per_round"]) * float(row["rounds"])
 
 
 def detectors() -> str:
     """The mean seconds of an episode by detector, and the core hours of a million episodes."""
-    lines = [
-        (f"`{name}`", f"{fmean(seconds):.2g}", f"{len(seconds):,}", f"`{file}`", _round(1e6 * fmean(seconds) / 3600))
-        for name, (seconds, file) in _seconds().items()
-    ]
+    lines = []
+    for name, file in _FILES.items():
+        own = [row for row in read_csv(RESULTS / file) if row["detector"] == name]
+        own = [row for row in own if all(row[column] in known for column, known in _PAPER.items() if column in row)]
+        mean = fmean(map(_seconds, own))
+        lines.append((f"`{name}`", f"{mean:.2g}", f"{len(own):,}", f"`{file}`", _round(1e6 * mean / 3600)))
     header = ("detector", "seconds", "n", "rows in `benchmarks/results`", "core hours of a million episodes")
     return table(header, lines)
 

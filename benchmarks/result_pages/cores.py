@@ -77,7 +77,6 @@ def compare(pairs: Iterable[Pair], key: Callable[[Row], Key]) -> str:
 
 
 def text() -> str:
-    """The page."""
     pairs = paired(*(read_csv(RESULTS / name) for name in FILES))
     return page(
         "Former and present core of follow-mixture",

@@ -69,7 +69,6 @@ def single_cluster() -> str:
 
 
 def text() -> str:
-    """The page."""
     files = [f"follow_mixture/{tier}.csv" for tier in ("decoys", "silence", "shifted", "P1")]
     return page(
         "Decoys, swarms without followers, and P1",

@@ -64,10 +64,6 @@ def _line(name: str) -> tuple[str, ...]:
     )
 
 
-def _compare_suites(names: Sequence[str]) -> str:
-    return table(HEADER, [_line(name) for name in names])
-
-
 def _list_detectors() -> list[str]:
     """All detectors of the suites, those that are exact most often in ``field`` first."""
     rows = _played()["field"]
@@ -163,7 +159,7 @@ def summary(short: bool = False) -> str:
     about = (
         f"In a [frozen suite]({suites}) all detectors meet the same swarms. They are not given the number of clusters."
     )
-    parts = (about, _compare_best(), _explain_columns(short), _compare_suites(names), _PAPER, _paper())
+    parts = (about, _compare_best(), _explain_columns(short), table(HEADER, map(_line, names)), _PAPER, _paper())
     return "\n\n".join(parts)
 
 
@@ -189,7 +185,6 @@ PAGES = (
 
 
 def text() -> str:
-    """The page."""
     return page(
         "Results",
         "All tables of these pages are made by `python benchmarks/tables.py` from the rows in `benchmarks/results/`; "

@@ -70,18 +70,15 @@ def _variant(row: Row) -> tuple[str, str, str]:
 
 @cache
 def games() -> str:
-    """The tables of learned.csv."""
     return two_tables("learned.csv", "seed")
 
 
 @cache
 def trained() -> str:
-    """The tables of ppo_observer.csv."""
     return two_tables("ppo_observer.csv", "episode")
 
 
 def text() -> str:
-    """The page."""
     return page(
         "learned, and an observer trained by PPO",
         "`learned` was trained with labels on random follow strategies; it shows what labels are worth. M = 5, N = "

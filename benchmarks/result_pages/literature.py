@@ -31,7 +31,6 @@ _HIERARCHY = (
 
 
 def text() -> str:
-    """The page."""
     rows = group_rows(read_csv(RESULTS / "literature.csv"), lambda row: row["experiment"])
     minority = sorted(rows["minority"], key=lambda row: float(row["share"]))
     games = len({row["game"] for own in rows.values() for row in own})

@@ -35,25 +35,21 @@ SEEN = {"J": "J_m", "success": "all heads hit", **FIRST, "seen_in_round_1": "UAV
 
 @cache
 def payoff() -> str:
-    """The table of multiagent_payoff.csv."""
     rows = sorted(read_csv(RESULTS / "multiagent_payoff.csv"), key=lambda row: row["follow"])
     return means(rows, ("follow", "observer", "swarm"), {**PAID, **FIRST})
 
 
 @cache
 def trained() -> str:
-    """The table of multiagent_ppo.csv."""
     return means(read_csv(RESULTS / "multiagent_ppo.csv"), ("detector", "follow", "swarm"), {**PAID, **CHOICES})
 
 
 @cache
 def observers() -> str:
-    """The table of multiagent_observers.csv."""
     return means(read_csv(RESULTS / "multiagent_observers.csv"), ("detector", "range", "observers", "fusion"), SEEN)
 
 
 def text() -> str:
-    """The page."""
     return page(
         "Games of several agents",
         "Seeds from 2022; M = 5, N = 82.",

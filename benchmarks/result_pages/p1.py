@@ -55,7 +55,6 @@ def overview() -> str:
 
 
 def text() -> str:
-    """The page."""
     parts = []
     for path in FILES:
         rows = read_rows(path, Row)

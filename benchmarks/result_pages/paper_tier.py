@@ -31,7 +31,6 @@ def rows_of(follow: str) -> list[Row]:
 
 
 def text() -> str:
-    """The page."""
     rows = [row for follow in FOLLOW for row in rows_of(follow)]
     own = {name: [row for row in rows if row["detector"] == name] for name in DETECTORS}
     cells = {(name, f): [row for row in own[name] if row["follow"] == f] for name in DETECTORS for f in FOLLOW}

@@ -28,7 +28,6 @@ def trivial(rows: Sequence[Row]) -> str:
 
 
 def text() -> str:
-    """The page."""
     parts, made = [], []
     for path in sorted((RESULTS / "purity").glob("purity*.csv")):
         rows = read_rows(path, Row)

@@ -54,7 +54,6 @@ def lines_of(rows: Sequence[Row]) -> str:
 
 
 def text() -> str:
-    """The page."""
     rows = read_csv(RESULTS / "real_tracks.csv")
     parts = []
     for (name, chosen), own in group_rows(rows, lambda row: (row["set"], row["chosen"])).items():

@@ -14,7 +14,6 @@ SHOWN = ("rounds", "redundancy", "J", "success", "exact", "purity_first", "head_
 
 
 def text() -> str:
-    """The page."""
     parts = []
     columns = tuple(column for column in COLUMNS if column[0] in SHOWN)
     for path in FILES:

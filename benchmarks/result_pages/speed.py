@@ -128,7 +128,6 @@ def _size(measured: dict[str, float], name: str) -> tuple[str, str, str]:
 
 
 def text() -> str:
-    """The page."""
     return page(
         "Speed and memory",
         "Ratios are medians over turns, with the range of all turns in brackets; contestants take turns in one run, as "

@@ -50,7 +50,6 @@ def classes() -> str:
 
 
 def text() -> str:
-    """The page."""
     return page(
         "Follow strategies beside f1 to f7",
         "Fourteen strategies of `benchmarks/follow_mixture_strategies.py`, M = 5, N = 82, with iid heads and with "

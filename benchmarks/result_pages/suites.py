@@ -22,7 +22,6 @@ SOLVED = 0.95  # a suite is solved if every detector but the trivial policies is
 
 
 def text() -> str:
-    """The page."""
     parts, files = [], []
     for suite, rows in _played():
         parts += describe_suite(suite, rows)
@@ -42,7 +41,6 @@ def text() -> str:
 
 
 def cells_text() -> str:
-    """The page of all cells."""
     parts = []
     for suite, rows in _played():
         parts += [f"## {suite.label}", _cells(suite, rows)]
@@ -95,12 +93,6 @@ def _picture(suite: FrozenSuite) -> str:
     return f"suites/{suite.name}-v{suite.version}.png"
 
 
-def is_solved(suite: FrozenSuite, rows: list[Row]) -> bool:
-    """Whether all detectors, the trivial policies apart, solve all cells of the suite."""
-    found = group_rows(rows, lambda row: row["detector"])
-    return all(_score(suite, own) >= SOLVED for name, own in found.items() if name.split("(")[0] not in TRIVIAL)
-
-
 def _by_detector(suite: FrozenSuite, rows: list[Row]) -> dict[str, list[Row]]:
     """The rows of each detector; those that are exact most often come first."""
     found = group_rows(rows, lambda row: row["detector"])
@@ -119,6 +111,7 @@ def _episodes(rows: list[Row]) -> int:
 
 def describe_suite(suite: FrozenSuite, rows: list[Row]) -> list[str]:
     """The summary of a suite, and its picture."""
+    found = _by_detector(suite, rows)
     lines = [
         (
             f"`{name}`",
@@ -129,29 +122,21 @@ def describe_suite(suite: FrozenSuite, rows: list[Row]) -> list[str]:
             mean_of(own, "J"),
             f"{median(float(row['seconds_per_round']) for row in own):.2g}",
         )
-        for name, own in _by_detector(suite, rows).items()
+        for name, own in found.items()
     ]
     solved = " This suite is *solved*: every detector but the trivial policies is exact in 95 % of the episodes."
+    others = [own for name, own in found.items() if name.split("(")[0] not in TRIVIAL]
+    is_solved = all(_score(suite, own) >= SOLVED for own in others)
+    few = [f"`{name}` {count}" for name, own in found.items() if (count := _episodes(own)) < suite.episodes]
+    short = f"These detectors are slow and played only the first episodes of each cell: {', '.join(few)} of "
     return [
         f"## {suite.label}",
-        f"{suite.purpose} SHA-256 of the file: `{suite.digest[:16]}…`.{solved if is_solved(suite, rows) else ''}",
+        f"{suite.purpose} SHA-256 of the file: `{suite.digest[:16]}…`.{solved if is_solved else ''}",
         table(("detector", "n", "cells", "exact", "F1 in round 1", "J", "seconds"), lines),
-        *_list_short(suite, rows),
+        *([f"{short}{suite.episodes}."] if few else []),
         *_list_failures(suite),
-        *_compare_sizes(suite, rows),
+        *_compare_sizes(suite, rows, list(found)),
         picture(f"Heat map of {suite.name}: how often each detector is exact in each cell", _picture(suite)),
-    ]
-
-
-def _list_short(suite: FrozenSuite, rows: list[Row]) -> list[str]:
-    """Which detectors played fewer episodes than the suite has."""
-    found = {name: _episodes(own) for name, own in _by_detector(suite, rows).items()}
-    few = [f"`{name}` {count}" for name, count in found.items() if count < suite.episodes]
-    if not few:
-        return []
-    return [
-        "These detectors are slow and played only the first episodes of each cell: "
-        f"{', '.join(few)} of {suite.episodes}."
     ]
 
 
@@ -168,7 +153,7 @@ def _list_failures(suite: FrozenSuite) -> list[str]:
     ]
 
 
-def _compare_sizes(suite: FrozenSuite, rows: list[Row]) -> list[str]:
+def _compare_sizes(suite: FrozenSuite, rows: list[Row], names: list[str]) -> list[str]:
     """F1 and seconds of each cell, if the largest swarm of the suite is more than ten times the smallest."""
     sizes = [int(cell.arguments["uavs"]) for cell in suite.cells.values() if "uavs" in cell.arguments]
     if not sizes or max(sizes) <= 10 * min(sizes):
@@ -181,9 +166,7 @@ def _compare_sizes(suite: FrozenSuite, rows: list[Row]) -> list[str]:
         score, seconds = (median([float(row[name]) for row in own]) for name in ("f1_first", "seconds_per_round"))
         return f"{score:.2f}; {seconds:.2g} s"
 
-    lines = [
-        (f"`{name}`", *(say(cells.get((cell, name), [])) for cell in suite.cells)) for name in _by_detector(suite, rows)
-    ]
+    lines = [(f"`{name}`", *(say(cells.get((cell, name), [])) for cell in suite.cells)) for name in names]
     return [
         "The median F1 in round 1, and the median seconds of one answer, by cell:",
         table(("detector", *suite.cells), lines),
@@ -207,12 +190,13 @@ def _cells(suite: FrozenSuite, rows: list[Row]) -> str:
 
 def _heat_map(suite: FrozenSuite, rows: list[Row]) -> Figure:
     """Cells from top to bottom, detectors from left to right; an entry is the share of exact episodes in percent."""
-    order, cells = list(_by_detector(suite, rows)), group_rows(rows, lambda row: (row["cell"], row["detector"]))
+    found, cells = _by_detector(suite, rows), group_rows(rows, lambda row: (row["cell"], row["detector"]))
+    order = list(found)
     share = np.full((len(suite.cells), len(order)), np.nan)
     for place, cell in enumerate(suite.cells):
         for column, name in enumerate(order):
             if own := cells.get((cell, name)):
-                share[place, column] = 100 * _rate(own)
+                share[place, column] = 100 * (sum(int(row["exact"]) for row in own) / len(own))
     figure, grid = make_panels(4.2 + 0.42 * len(order), 3.4 + 0.24 * len(suite.cells))
     axes = grid[0, 0]
     axes.grid(False)
@@ -220,32 +204,22 @@ def _heat_map(suite: FrozenSuite, rows: list[Row]) -> Figure:
     for (place, column), value in np.ndenumerate(share):
         shown = "–" if np.isnan(value) else f"{value:.0f}"
         axes.text(column, place, shown, ha="center", va="center", fontsize=7.5, color="w" if value <= 55 else "k")
-    played = {name: _episodes(own) for name, own in _by_detector(suite, rows).items()}
+    played = {name: _episodes(own) for name, own in found.items()}
     labels = [f"{name}, n = {count}" if count < suite.episodes else name for name, count in played.items()]
     axes.set_xticks(range(len(order)), labels, rotation=50, ha="right", fontsize=8.5, color="k")
     axes.set_yticks(range(len(suite.cells)), list(suite.cells), fontsize=8.5, color="k")
     axes.tick_params(length=0)
     failed = " –: the detector failed there." if np.isnan(share).any() else ""
     fewer = ", fewer where a column says so" if labels != order else ""
+    half = rate_interval([place % 2 for place in range(suite.episodes)])
     caption_figure(
         figure,
         f"{suite.label}: in how many percent of the episodes is round 1 exact?",
         f"A row is a cell, a column is a detector; the best detector is on the left. Exact: all heads are named, "
         f"and no other UAV. n = {suite.episodes} episodes in each entry{fewer}; the 95 % interval of a share of "
-        f"one half is ±{_half_width(suite.episodes):.0f} points.{failed}",
+        f"one half is ±{50 * (half.high - half.low):.0f} points.{failed}",
     )
     return figure
-
-
-def _half_width(episodes: int) -> float:
-    """Half of the 95 % interval of a share of one half, in points."""
-    interval = rate_interval([place % 2 for place in range(episodes)])
-    return 50 * (interval.high - interval.low)
-
-
-def _rate(rows: list[Row]) -> float:
-    """The share of exact episodes."""
-    return sum(int(row["exact"]) for row in rows) / len(rows)
 
 
 def _exact(rows: list[Row]) -> str:

@@ -1,12 +1,10 @@
-"""What the pages share: numbers with 95 % intervals, Markdown tables."""
+"""What the pages share: numbers with 95 % intervals, Markdown tables, the commands that made the rows."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-
-from commands import commands_of
 
 from usnet_env.evaluation.report import format_interval, format_markdown, mean_over_episodes
 from usnet_env.evaluation.statistics import Interval, rate_interval
@@ -19,6 +17,13 @@ SAME_SEEDS = (
     "number of seeds as n, so it can be wider than the interval of a rate in between."
 )
 _EXTREME_RATE = re.compile(r"\b(?:100|0)\.0 % \(")
+
+_ENTRY = re.compile(r"^\*\*[^\n]+\*\*: (`[^\n]+`)\n\n```shell\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+#: The commands of ``benchmarks/README.md`` by the files that they make: paths below results; a folder ends in ``/``.
+COMMANDS: dict[tuple[str, ...], tuple[str, ...]] = {
+    tuple(re.findall("`(.+?)`", files)): tuple(commands.splitlines())
+    for files, commands in _ENTRY.findall(Path(__file__).parents[1].joinpath("README.md").read_text(encoding="utf-8"))
+}
 
 NOTICE = "<!-- Written by `python benchmarks/tables.py` from the rows in benchmarks/results. Do not edit. -->"
 
@@ -60,8 +65,13 @@ def table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     return "\n".join(format_markdown(header, lines, " --- "))
 
 
+def commands_of(name: str) -> tuple[str, ...]:
+    """The commands that make a file or folder below benchmarks/results; none if it has no entry."""
+    return tuple(command for files, commands in COMMANDS.items() if name in files for command in commands)
+
+
 def source(files: Sequence[str]) -> str:
-    """Where the numbers of a page come from; the commands stand in benchmarks/README.md, file by file."""
+    """Where the numbers of a page come from."""
     listed = ", ".join(f"`benchmarks/results/{name}`" for name in files)
     lines = [f"Raw rows: {listed}."]
     made = list(dict.fromkeys(command for name in files for command in commands_of(name)))

@@ -57,7 +57,6 @@ def compare(windows: dict[str, dict[Key, tuple[float, float]]], tiers: Collectio
 
 
 def text() -> str:
-    """The page."""
     windows, direction = read_windows(FILE), read_windows(DIRECTION)
     tiers = dict.fromkeys(window[0] for window in windows[""])
     counts = ", ".join(f"{tier} {sum(window[0] == tier for window in windows[''])}" for tier in tiers)

@@ -211,7 +211,6 @@ def reliability_figure() -> Figure:
 
 
 def text() -> str:
-    """The page."""
     files = [f"follow_mixture/{tier}.csv" for tier in TIERS]
     return page(
         "follow-mixture by tier",
@@ -241,7 +240,6 @@ def text() -> str:
 
 
 def cells_text() -> str:
-    """The page of all cells."""
     parts = []
     for tier in EVERY_TIER:
         rows = tier_rows(tier)
@@ -250,11 +248,8 @@ def cells_text() -> str:
         names.sort(key=lambda name: (not name.startswith(OURS), not name.startswith("learned"), name))
         lines = []
         for cell, own in group_rows(rows, lambda row: row["cell"]).items():
-            entries = []
-            for name in names:
-                some = of(own, name)
-                entries.append(f"{cost_of(some, 2)}; {len(some)}" if some else "")
-            lines.append((cell, *entries))
+            by_name = (of(own, name) for name in names)
+            lines.append((cell, *(f"{cost_of(some, 2)}; {len(some)}" if some else "" for some in by_name)))
         parts += [f"## {tier}: {unit}", table(("cell", *(f"`{name}`" for name in names)), lines)]
     return page(
         "All cells of the tiers",

@@ -30,20 +30,12 @@ _ATTENTION, _UAV = "#0072b2", "#555555"
 
 @dataclass(frozen=True)
 class Scene:
-    """One window of one cluster, whose head has the index of the paper's figure.
-
-    Args:
-        follow: follow strategy.
-        followers: m.
-        head: index of the head, from 0 (the paper's i_L - 1).
-        seed: of the environment.
-        window: the observer's window.
-    """
+    """One window of one cluster, whose head has the index of the paper's figure."""
 
     follow: str
     followers: int
-    head: int
-    seed: int
+    head: int  # its index, from 0 (the paper's i_L - 1)
+    seed: int  # of the environment
     window: Window
 
 
@@ -141,13 +133,7 @@ def draw_attention_heads(scene: Scene, found: Detection, label: str) -> Figure:
 
 
 def draw_attention_sizes(scenes: Sequence[Scene], answers: Sequence[Detection], label: str) -> Figure:
-    """Draw the attention weights α for clusters of several sizes, as heat maps.
-
-    Args:
-        scenes: what the detector saw, one for each size.
-        answers: its answers.
-        label: the detector's name.
-    """
+    """Draw the attention weights α for clusters of several sizes, as heat maps; each scene is one size."""
     figure, grid = _new_grid(len(scenes))
     for axes, scene, found in zip(grid, scenes, answers, strict=True):
         verdict = "found" if found.candidates[scene.head] else "missed"
@@ -163,14 +149,7 @@ def draw_attention_sizes(scenes: Sequence[Scene], answers: Sequence[Detection], 
 
 
 def list_leaders(attention: Floats) -> Indices:
-    """List, for each UAV, the other UAV with the largest attention weight; -1 where all weights are 0.
-
-    Args:
-        attention: ``(N, N)``.
-
-    Returns:
-        ``(N,)`` int64.
-    """
+    """List, for each UAV ``(N,)``, the other UAV with the largest weight ``(N, N)``; -1 where all weights are 0."""
     others = np.where(np.eye(len(attention), dtype=bool), 0.0, attention)
     return np.where(others.max(axis=1) > 0, others.argmax(axis=1), -1).astype(np.int64)
 
@@ -180,11 +159,6 @@ def draw_hierarchy(scene: Scene, found: Detection, label: str) -> Figure:
 
     On the left the UAVs are seen from above; lines are as wide as the attention weights. On the right the candidates
     are the upper level; every other UAV is linked to the UAV with its largest attention weight.
-
-    Args:
-        scene: what the detector saw.
-        found: its answer, with attention.
-        label: the detector's name.
     """
     assert found.attention is not None
     figure, ((graph, tree),) = make_panels(14.0, 6.8, 1, 2)
@@ -219,15 +193,9 @@ def draw_hierarchy(scene: Scene, found: Detection, label: str) -> Figure:
 
 
 def draw_links(axes: Axes, place: NDArray[Any], attention: Floats, least: float, width: float, **look: Any) -> None:
-    """Draw a line for every attention weight between two UAVs, as wide as the weight.
+    """Draw a line for every attention weight ``(N, N)`` above the ``least`` between the UAVs at places ``(N, 2)``.
 
-    Args:
-        axes: where to draw.
-        place: of the UAVs, ``(N, 2)``.
-        attention: ``(N, N)``.
-        least: lines of a smaller weight are not drawn.
-        width: of a line of weight 1, in points.
-        look: further arguments of ``LineCollection``.
+    A line of weight 1 is ``width`` points wide; ``look`` has further arguments of ``LineCollection``.
     """
     from matplotlib.collections import LineCollection
 

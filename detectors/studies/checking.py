@@ -7,8 +7,9 @@ from functools import partial
 
 import click
 
-from usnet_env.cli.output import progress_bar, show
+from usnet_env.cli.output import show
 from usnet_env.config import ArgumentError, quote
+from usnet_env.progress import progress_bar
 
 
 @click.command(name="check-detector", short_help="Test that a detector keeps the contract.")

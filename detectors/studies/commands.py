@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from usnet_env.cli.options import WholeNumber, add_place
-from usnet_env.cli.output import progress_bar, show_markdown
+from usnet_env.cli.output import show_markdown
+from usnet_env.progress import progress_bar
 
 if TYPE_CHECKING:
     from detectors.studies.common import Reproduction
@@ -80,11 +81,6 @@ def _measurement(folder: str, unit: str, seed_of: str = "episodes") -> Option:
     """The options that all measurements share; they show their progress, and print their report.
 
     An interruption prints how to continue. Options that were not given keep the defaults of the study.
-
-    Args:
-        folder: default folder of the results.
-        unit: what is counted.
-        seed_of: what the seed is of.
 
     Raises:
         MissingExtraError: matplotlib, which draws the picture of the results, is not installed.
@@ -221,16 +217,7 @@ def train() -> None:
 
 
 def _training(folder: str, what: str, unit: str, seed_of: str, most: int, resume_from: str) -> Option:
-    """The options that all trainings share; they show their progress, and print the path of what they made.
-
-    Args:
-        folder: default folder of the results.
-        what: what it gets.
-        unit: what is counted.
-        seed_of: what the seed is of.
-        most: the largest seed.
-        resume_from: what a training goes on from.
-    """
+    """The options that all trainings share; they show their progress, and print the path of what they made."""
 
     def with_options(command: Callable[..., Path]) -> Callable[..., Any]:
         @wraps(command)

@@ -16,28 +16,18 @@ FOLLOW = ("f1", "f2", "f3", "f4", "f5", "f6", "f7")
 
 
 class Running(TypedDict, total=False):
-    """How the games of a study are played.
+    """How the games of a study are played."""
 
-    Args:
-        workers: number of processes, 1 by default, or a place.
-        progress: called with the number of games that are done, and of all games.
-    """
-
-    workers: int | Place
-    progress: Callable[[int, int], None]
+    workers: int | Place  # number of processes, 1 by default, or a place
+    progress: Callable[[int, int], None]  # called with the number of games that are done, and of all games
 
 
 @dataclass(frozen=True)
 class Reproduction(Generic[RowT]):
-    """A study that was measured.
+    """A study that was measured."""
 
-    Args:
-        rows: the rows that were asked for.
-        text: a report of them in Markdown.
-    """
-
-    rows: list[RowT]
-    text: str
+    rows: list[RowT]  # those that were asked for
+    text: str  # a report of them in Markdown
 
 
 def swarm_arguments(cell: Any, kind: type, skipped: int = 1) -> dict[str, Any]:

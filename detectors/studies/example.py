@@ -36,17 +36,9 @@ _PAPER_RATES = {1: 75.0, 2: 100.0}  # percent of the heads that the paper's exam
 _PAPER_SIZE = (8, 185)
 
 
-def play_example(detector: str, seed: int, *, clusters: int = 8, uavs: int = 185, follow: str = "f1") -> EpisodeRecord:
-    """Play the episode that ``usnet reproduce rounds`` plays as episode 0 of the study ``example``.
-
-    Args:
-        detector: name of a detector.
-        seed: seed of the measurement.
-        clusters: M.
-        uavs: N.
-        follow: follow strategy.
-    """
-    env = gym.make("USNET/MultiCluster-v0", clusters=clusters, uavs=uavs, follow=follow)
+def play_example(detector: str, seed: int, *, clusters: int = 8, uavs: int = 185) -> EpisodeRecord:
+    """Play the episode that ``usnet reproduce rounds --seed`` plays as episode 0 of the study ``example``."""
+    env = gym.make("USNET/MultiCluster-v0", clusters=clusters, uavs=uavs, follow="f1")
     swarm_seed, detector_seed = episode_seeds(seed, 0)
     record = record_episode(env, make_detector(detector), swarm_seed, detector_seed, label=detector)
     env.close()
@@ -128,11 +120,8 @@ def _draw_rates(axes: Axes, record: EpisodeRecord) -> None:
     def accumulate(counts: NDArray[np.int64], whole: int) -> NDArray[np.float64]:
         return 100.0 * np.append(0, np.cumsum(counts)) / whole
 
-    found, hit, redundant = (
-        accumulate(record.hits, heads),
-        accumulate(record.hits, uavs),
-        accumulate(record.redundant, uavs),
-    )
+    found, hit = accumulate(record.hits, heads), accumulate(record.hits, uavs)
+    redundant = accumulate(record.redundant, uavs)
     axes.plot(rounds, found, "o-", color=HIT, label=f"heads found, % of {heads}")
     axes.plot(rounds, redundant, "s-", color=REDUNDANT, label=f"redundant candidates, % of {uavs}")
     if (heads, uavs) == _PAPER_SIZE:

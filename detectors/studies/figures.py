@@ -18,31 +18,17 @@ from usnet_env.evaluation.suite import read_rows
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["DETECTOR_P1", "DETECTOR_P2", "FIGURES", "Settings", "make_figures"]
-
-#: The paper's Algorithm 1 and Algorithm 2, by their names as detectors.
-DETECTOR_P1 = "gassl"
-DETECTOR_P2 = "mc-gassl"
-RESULTS = "benchmarks/results"  # in the repository: the committed rows
-
 RowT = TypeVar("RowT")
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What the figures are made from.
+    """What the figures are made from."""
 
-    Args:
-        results: folder of the committed rows.
-        seed: seed of the scenes, of the example, and of the committed rows.
-        detector_p1: detector of the attention figures.
-        detector_p2: detector of the example.
-    """
-
-    results: Path = Path(RESULTS)
-    seed: int = 2022
-    detector_p1: str = DETECTOR_P1
-    detector_p2: str = DETECTOR_P2
+    results: Path = Path("benchmarks/results")  # folder of the committed rows, in the repository
+    seed: int = 2022  # of the scenes, of the example, and of the committed rows
+    detector_p1: str = "gassl"  # of the attention figures: the paper's Algorithm 1
+    detector_p2: str = "mc-gassl"  # of the example: the paper's Algorithm 2
 
     def read(self, file: str, kind: type[RowT]) -> list[RowT]:
         """Read the rows of a file in ``results``.

@@ -41,30 +41,19 @@ _LOOKS = {  # colour, line and label of each start
 
 @dataclass(frozen=True)
 class Cell:
-    """One training from one start.
-
-    Args:
-        training: number of the training; each training draws its own strategies, start and triplets.
-        start: one of :data:`STARTS`; ``random`` has no off-line rows, because it is not trained off line.
-        follow: follow strategy of the on-line swarm; empty for off-line rows.
-    """
+    """One training from one start; each training draws its own strategies, start and triplets."""
 
     training: int
-    start: str
-    follow: str
+    start: str  # of STARTS; "random" has no off-line rows, because it is not trained off line
+    follow: str  # follow strategy of the on-line swarm; empty for off-line rows
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row(Cell):
-    """One loss.
+    """One loss."""
 
-    Args:
-        step: off line the episode, on line the gradient step, from 0.
-        loss: triplet loss of this episode or step.
-    """
-
-    step: int
-    loss: float
+    step: int  # off line the episode, on line the gradient step, from 0
+    loss: float  # triplet loss of this episode or step
 
 
 def train_start(games: Sequence[Game[Cell]], seed: int, strategies: int, episodes: int, steps: int) -> list[Row]:
@@ -116,15 +105,9 @@ def reproduce(
 ) -> Reproduction[Row]:
     """Measure the off-line loss of meta and joint training, and the on-line loss from their results and a random start.
 
-    Args:
-        folder: gets ``losses-F…-E…-seed….csv``, ``.md`` and the picture.
-        trainings: number of independent trainings of each start; at least 2, for the intervals.
-        strategies: F of each training, drawn by ``random_follow_strategy``.
-        episodes: E of each training.
-        steps: steps of on-line training on a swarm of each of f1 to f7, with its true clusters.
-        seed: seed of the measurement.
-        formats: of the picture, ``"png"`` and ``"pdf"``.
-        running: ``workers`` and ``progress``, see :class:`Running`.
+    The arguments are those of ``usnet reproduce meta``; the ``steps`` of on-line training on a swarm of each of f1 to
+    f7, with its true clusters; and ``running``: see :class:`Running`. The folder gets ``losses-F…-E…-seed….csv``,
+    ``.md`` and the picture.
 
     Raises:
         ArgumentError: there are fewer than 2 trainings.
@@ -213,14 +196,7 @@ def draw_feature_spaces(
 
     The upper panels begin with a random start, the lower ones with the meta-learned weights of the package. Each panel
     shows the two principal components of the features of the newest T_0 samples; purity and head-in-cluster are those
-    of K-Means with M given.
-
-    Args:
-        seed: seed of the swarm and of the training.
-        follow: follow strategy.
-        clusters: M.
-        uavs: N.
-        steps: gradient steps, the paper's metric learning episodes.
+    of K-Means with M given. The steps are gradient steps, the paper's metric learning episodes.
     """
     from detectors.clustering import make_clusterer
     from detectors.mc_gassl.features import gru_features

@@ -176,19 +176,10 @@ def reproduce(
 ) -> common.Reproduction[Row]:
     """Measure purity and head-in-cluster; after an interruption, the same call continues with the missing rows.
 
-    Args:
-        folder: gets ``purity[-MmNn][-mobility][-jitter]-seedS.csv``, ``.md`` and the picture; they are of all
-            rows in the file, rows of earlier measurements included.
-        follow: follow strategies.
-        methods: from :func:`list_methods`; ``None``: all.
-        clusters: M.
-        uavs: N.
-        episodes: number of episodes for each method and follow strategy.
-        mobility: motion of the heads.
-        head_jitter: whether the heads have the noise of the followers.
-        seed: seed of the episodes. Nothing was tuned with the default seed, which the reports use.
-        formats: of the picture, ``"png"`` and ``"pdf"``.
-        running: ``workers`` and ``progress``, see :class:`~detectors.studies.common.Running`.
+    The arguments are those of ``usnet reproduce purity``, with methods of :func:`list_methods`, and ``running``: see
+    :class:`~detectors.studies.common.Running`. The folder gets ``purity[-MmNn][-mobility][-jitter]-seedS.csv``, ``.md``
+    and the picture; they are of all rows in the file, rows of earlier measurements included. Nothing was tuned with the
+    default seed, which the reports use.
 
     Raises:
         ArgumentError: an argument is refused.

@@ -133,19 +133,10 @@ def reproduce(
 ) -> common.Reproduction[Row]:
     """Measure the studies' cells; an interrupted measurement continues where it stopped.
 
-    Args:
-        folder: gets ``rounds[-mobility][-jitter]-seedS.csv``, ``.md`` and the picture; they are of all rows in
-            the file, those of earlier measurements included.
-        studies: names of :data:`STUDIES`.
-        detectors: names of detectors.
-        trivial: also play the trivial policies.
-        episodes: of each detector in each cell.
-        mobility: how the heads fly.
-        head_jitter: whether they have the followers' noise.
-        seed: of the episodes; the reporting seed is one that nothing was tuned on.
-        isolate: play each detector in a process of its own, which never holds an environment.
-        formats: of the picture, ``"png"`` and ``"pdf"``.
-        running: ``workers`` and ``progress``, see :class:`~detectors.studies.common.Running`.
+    The arguments are those of ``usnet reproduce rounds``, and ``running``: see
+    :class:`~detectors.studies.common.Running`. The folder gets ``rounds[-mobility][-jitter]-seedS.csv``, ``.md`` and
+    the picture; they are of all rows in the file, those of earlier measurements included. Nothing was tuned on the
+    default seed.
 
     Raises:
         ArgumentError: an argument was refused.
@@ -198,19 +189,12 @@ _PAPER_FOUND = {1: (8, 75), 2: (2, 100)}  # the paper's example by round: candid
 
 @dataclass(frozen=True)
 class Words:
-    """What the paper says about a study: bounds of the mean rounds and of the redundant UAVs, and a summary.
+    """What the paper says about a study: bounds of the mean rounds and of the redundant UAVs, and a summary."""
 
-    Args:
-        rounds: lowest and highest.
-        redundant: lowest and highest.
-        at_most: whether the paper gives only the highest; the lowest are then the lowest possible values.
-        words: a summary in our words.
-    """
-
-    rounds: tuple[float, float]
+    rounds: tuple[float, float]  # lowest and highest
     redundant: tuple[float, float]
-    at_most: bool
-    words: str
+    at_most: bool  # whether the paper gives only the highest; the lowest are then the lowest possible values
+    words: str  # a summary in our words
 
     def bounds(self, field: str, uavs: int) -> tuple[float, float]:
         """Of ``rounds``, ``redundant``, ``redundancy`` or ``J`` with N UAVs."""

@@ -13,26 +13,11 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from detectors.studies.common import (
-    FOLLOW,
-    Reproduction,
-    Running,
-    check_detectors,
-    name_flight,
-    swarm_arguments,
-)
+from detectors.studies import common
 from usnet_env.config import ArgumentError, format_count, quote
 from usnet_env.drawing import COLORS, MARKERS, caption_figure
 from usnet_env.envs import SingleClusterEnv
-from usnet_env.evaluation.report import (
-    add_legend,
-    draw_intervals,
-    format_counts,
-    format_markdown,
-    group_rows,
-    keep_report,
-    make_panels,
-)
+from usnet_env.evaluation import report
 from usnet_env.evaluation.statistics import Interval, rate_interval
 from usnet_env.evaluation.suite import Game, Suite, read_rows
 from usnet_env.plugins import detector_label, make_detector
@@ -49,7 +34,7 @@ _FEW, _MANY = 30, 100  # episodes a cell: above 15 followers, and up to 15
 #: Arguments of :func:`reproduce` for a quick look.
 FAST: dict[str, Any] = {
     "episodes": 10,
-    "cells": ",".join(f"{follow}:{size}" for follow in FOLLOW for size in FOLLOWERS if size <= 15),
+    "cells": ",".join(f"{follow}:{size}" for follow in common.FOLLOW for size in FOLLOWERS if size <= 15),
 }
 _BATCH_UAVS = 64  # UAVs of the windows that a detector gets at once: small swarms train side by side
 
@@ -72,7 +57,7 @@ class Cell:
 
     def make_env(self) -> SingleClusterEnv:
         """Make its environment."""
-        return SingleClusterEnv(**swarm_arguments(self, Cell))
+        return SingleClusterEnv(**common.swarm_arguments(self, Cell))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,7 +172,7 @@ def parse_cells(text: str | None) -> list[tuple[str, int]]:
     Raises:
         ArgumentError: a cell that is not in the table.
     """
-    table = [(follow, followers) for follow in FOLLOW for followers in FOLLOWERS]
+    table = [(follow, followers) for follow in common.FOLLOW for followers in FOLLOWERS]
     if text is None:
         return table
     cells = []
@@ -214,17 +199,15 @@ class Entry:
     ours: Interval
     paper: Interval
 
-
-def compare_intervals(entry: Entry) -> str:
-    """``above``, ``overlaps`` or ``below``: our 95 % interval against the paper's."""
-    if entry.ours.high < entry.paper.low:
-        return "below"
-    return "above" if entry.ours.low > entry.paper.high else "overlaps"
+    @property
+    def is_below(self) -> bool:
+        """Whether our 95 % interval lies below the paper's."""
+        return self.ours.high < self.paper.low
 
 
 def fill_table(rows: Sequence[Row]) -> list[Entry]:
     """The cells that the rows fill."""
-    groups = group_rows(rows, lambda row: (row.detector, row.follow, row.followers))
+    groups = report.group_rows(rows, lambda row: (row.detector, row.follow, row.followers))
     found = []
     for detector in dict.fromkeys(row.detector for row in rows):
         for place, theirs in read_paper().items():
@@ -244,26 +227,18 @@ def reproduce(
     head_jitter: bool = False,
     seed: int = 2022,
     formats: Sequence[str] = ("png",),
-    **running: Unpack[Running],
-) -> Reproduction[Row]:
+    **running: Unpack[common.Running],
+) -> common.Reproduction[Row]:
     """Measure the table's cells; an interrupted measurement continues where it stopped.
 
-    Args:
-        folder: gets ``episodes[-decoysK][-mobility][-jitter]-seedS.csv``, ``.md`` and the picture.
-        episodes: in each cell; ``None``: 100 up to m = 15, 30 above.
-        cells: as :func:`parse_cells` takes them.
-        detectors: as :func:`usnet_env.make_detector` takes them.
-        decoys: UAVs without followers that fly like heads.
-        mobility: how the head flies.
-        head_jitter: whether it has the followers' noise.
-        seed: of the episodes; the reporting seed is one that nothing was tuned on.
-        formats: of the picture, ``"png"`` and ``"pdf"``.
-        running: ``workers`` and ``progress``, see :class:`Running`.
+    The arguments are those of ``usnet reproduce table2``, and ``running``: see
+    :class:`~detectors.studies.common.Running`. The folder gets ``episodes[-decoysK][-mobility][-jitter]-seedS.csv``,
+    ``.md`` and the picture. Nothing was tuned on the default seed.
 
     Raises:
         ArgumentError: an argument was refused.
     """
-    check_detectors(detectors, seed)
+    common.check_detectors(detectors, seed)
     grid = [
         Cell(detector_label(detector), follow, followers, decoys, mobility, head_jitter)
         for follow, followers in parse_cells(cells)
@@ -272,14 +247,14 @@ def reproduce(
     for cell in grid:
         cell.make_env()  # refuses a wrong mobility or number of decoys
     tasks = make_tasks(grid, lambda cell: episodes or (_MANY if cell.followers <= 15 else _FEW))
-    suffix = (f"-decoys{decoys}" if decoys else "") + name_flight(grid[0])
+    suffix = (f"-decoys{decoys}" if decoys else "") + common.name_flight(grid[0])
     path = folder / f"episodes{suffix}-seed{seed}.csv"
     rows = make_suite(seed).run(tasks, path, **running)
     table = fill_table(read_rows(path, Row))  # earlier measurements with the same seed stay in the table
     title = f"Detection rate, one cluster, {mobility} heads, {format_count(decoys, 'decoy')}"
     text = report_rates(table, title, not suffix)
-    keep_report(path, text, draw_rates(table, title, not suffix), formats)
-    return Reproduction(rows, text)
+    report.keep_report(path, text, draw_rates(table, title, not suffix), formats)
+    return common.Reproduction(rows, text)
 
 
 def _percent(value: float) -> str:
@@ -290,7 +265,7 @@ def report_rates(table: Sequence[Entry], title: str, with_paper: bool) -> str:
     """The table in Markdown: one row for each follow strategy and detector; rates in percent."""
     sizes = [size for size in FOLLOWERS if any(entry.followers == size for entry in table)]
     lines = []
-    for follow, entries in group_rows(table, lambda entry: entry.follow).items():
+    for follow, entries in report.group_rows(table, lambda entry: entry.follow).items():
         if with_paper:
             theirs = {entry.followers: _percent(entry.paper.mean) for entry in entries}
             lines.append((follow, "paper's table", *(theirs.get(size, "") for size in sizes)))
@@ -302,12 +277,12 @@ def report_rates(table: Sequence[Entry], title: str, with_paper: bool) -> str:
         "Percent of episodes in which the head was the only candidate, with 95 % Wilson intervals and n, the number of "
         "episodes."
     )
-    return "\n".join([f"# {title}", "", what, "", *format_markdown(header, lines), ""])
+    return "\n".join([f"# {title}", "", what, "", *report.format_markdown(header, lines), ""])
 
 
 def _format_entry(entry: Entry, with_paper: bool) -> str:
     mean, low, high = map(_percent, entry.ours)
-    mark = " **below**" if with_paper and compare_intervals(entry) == "below" else ""
+    mark = " **below**" if with_paper and entry.is_below else ""
     return f"{mean} ({low}–{high}; {entry.episodes}){mark}"
 
 
@@ -318,12 +293,14 @@ def draw_rates(table: Sequence[Entry], title: str, with_paper: bool) -> Figure:
     """
     detectors, follows = (list(dict.fromkeys(getattr(each, name) for each in table)) for name in ("detector", "follow"))
     together = len(detectors) == 1 and not with_paper
-    panels = group_rows(table, lambda each: each.detector if together else each.follow)
+    panels = report.group_rows(table, lambda each: each.detector if together else each.follow)
     series = follows if together else detectors
     sizes = [size for size in FOLLOWERS if any(each.followers == size for each in table)]
     columns = min(4, len(panels))
     lines = -(-len(panels) // columns)
-    figure, grid = make_panels(max(3.3 * columns, 8.0), 2.9 * lines + 1.1, lines, columns, sharex=True, sharey=True)
+    figure, grid = report.make_panels(
+        max(3.3 * columns, 8.0), 2.9 * lines + 1.1, lines, columns, sharex=True, sharey=True
+    )
     shown = list(grid.ravel()[: len(panels)])
     for place, (axes, (name, entries)) in enumerate(zip(shown, panels.items(), strict=True)):
         for number, label in enumerate(series):
@@ -334,7 +311,7 @@ def draw_rates(table: Sequence[Entry], title: str, with_paper: bool) -> Figure:
                 if label == (each.follow if together else each.detector)
             }
             look = {"color": COLORS[number % len(COLORS)], "marker": MARKERS[number % len(MARKERS)], "label": label}
-            draw_intervals(axes, own, 100, ls="none", ms=4, lw=1.2, **look)
+            report.draw_intervals(axes, own, 100, ls="none", ms=4, lw=1.2, **look)
         if with_paper:
             theirs = {sizes.index(each.followers): 100 * each.paper.mean for each in entries}
             axes.plot(list(theirs), list(theirs.values()), "o", mfc="none", mec="black", ms=9, label="the paper")
@@ -347,8 +324,8 @@ def draw_rates(table: Sequence[Entry], title: str, with_paper: bool) -> Figure:
             axes.set_ylabel("rate, %")
     for axes in grid.ravel()[len(panels) :]:
         axes.set_visible(False)
-    add_legend(figure, shown[:1], len(series) if together else max(columns, 2))
-    count = format_counts((each.episodes for each in table), "episodes")
+    report.add_legend(figure, shown[:1], len(series) if together else max(columns, 2))
+    count = report.format_counts((each.episodes for each in table), "episodes")
     caption = f"Percent of episodes in which the head is the only candidate; {count}. Bars are 95 % Wilson intervals."
     caption_figure(figure, title, caption + " Open circles: the paper's table, 1,000 runs each." * with_paper)
     return figure

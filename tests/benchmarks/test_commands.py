@@ -8,14 +8,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import commands
 import follow_mixture
 import gaps
 import learned
 import multiagent_observers
 import multiagent_payoff
 import pytest
-from result_pages import cores
+from result_pages import cores, text
 from running import SEED, read_csv
 
 from detectors.studies import rounds as rounds_study
@@ -34,7 +33,7 @@ def keys_of(path: Path, columns: Iterable[str]) -> Counter[Key]:
 
 def words_of(name: str, program: str) -> list[list[str]]:
     """The arguments of the commands of a file; every one of them must run the program."""
-    made = [shlex.split(command, comments=True) for command in commands.commands_of(name)]
+    made = [shlex.split(command, comments=True) for command in text.commands_of(name)]
     start = shlex.split(program)
     assert made
     assert all(words[: len(start)] == start for words in made)
@@ -43,12 +42,12 @@ def words_of(name: str, program: str) -> list[list[str]]:
 
 def test_every_committed_file_has_commands() -> None:
     files = {str(path.relative_to(RESULTS)) for path in RESULTS.rglob("*") if path.is_file()}
-    listed = [name for names in commands.COMMANDS for name in names]
+    listed = [name for names in text.COMMANDS for name in names]
     assert len(set(listed)) == len(listed)
     folders = tuple(name for name in listed if name.endswith("/"))
     assert {name for name in files if not name.startswith(folders)} == {name for name in listed if name not in folders}
     assert all((RESULTS / name).is_dir() for name in folders)
-    assert all(commands.COMMANDS.values())
+    assert all(text.COMMANDS.values())
 
 
 @pytest.mark.parametrize("tier", sorted({cell.tier for cell in follow_mixture.cells()}))
@@ -68,7 +67,7 @@ def test_commands_of_a_tier_make_its_rows(tier: str) -> None:
 
 @pytest.mark.parametrize("name", cores.FILES)
 def test_commands_of_a_core_make_its_rows(name: str) -> None:
-    made = [shlex.split(command, comments=True) for command in commands.commands_of(name)]
+    made = [shlex.split(command, comments=True) for command in text.commands_of(name)]
     played = [words[2:] for words in made if words[0] == "python"]
     assert all(words[:2] == ["python", "benchmarks/follow_mixture.py"] for words in made if words[0] != "git")
     *steps, packing = (follow_mixture.parser().parse_args(words) for words in played)
@@ -107,16 +106,12 @@ def test_commands_of_learned_make_its_rows(name: str) -> None:
 )
 def test_scripts_without_arguments_make_their_rows(name: str, module: Any, columns: tuple[str, ...]) -> None:
     assert words_of(name, f"python benchmarks/{Path(name).stem}.py") == [[]]
-    wanted = {
-        (*(str(cell[column]) for column in columns), str(seed))
-        for cell in module.cells()
-        for seed in range(module.SEED, module.SEED + module.games(cell))
-    }
-    assert keys_of(RESULTS / name, (*columns, "seed")) == Counter(wanted)
+    wanted = Counter((*(str(cell[column]) for column in columns), str(seed)) for cell, seed in module.games())
+    assert keys_of(RESULTS / name, (*columns, "seed")) == wanted
 
 
 def test_commands_of_multi_cluster_match_the_recorded_configuration() -> None:
-    (command,) = commands.commands_of("multi_cluster/")
+    (command,) = text.commands_of("multi_cluster/")
     script = (ROOT / command).read_text(encoding="utf-8").replace("\\\n", " ")
     loop, line = (next(row for row in script.splitlines() if part in row) for part in ("for follow in", " evaluate "))
     follows = loop.partition(" in ")[2].rstrip("; do").split()

@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
 from usnet_env.cli.options import PositiveNumber, WholeNumber
-from usnet_env.cli.output import print_message, progress_bar, show
+from usnet_env.cli.output import print_message, show
 from usnet_env.config import ArgumentError, quote
+from usnet_env.progress import progress_bar
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,9 +27,7 @@ if TYPE_CHECKING:
     from usnet_env.tracks import DetectedWindow, FoundLeaders, Leader, Tracks, TrackWindow
 
     Kept = tuple[TrackWindow, Floats, DetectedWindow]  # with the scores of the answer
-    Map = tuple[TrackWindow, DetectedWindow]
-
-__all__ = ["detect"]
+    Map = tuple[TrackWindow, Any, DetectedWindow]  # with the leader of each id
 
 _DETECTOR = "follow-mixture(policy='map')"
 _MOST_ROWS, _MOST_NAMES = 40, 6  # of a table that is printed; ids in a row
@@ -124,16 +123,13 @@ def detect(
     max_gap: float | None,
     keep_spikes: bool,
     columns: tuple[str, ...],
-    time_unit: float | None,
     skip_missing: bool,
-    encoding: str,
-    decimal: Literal[".", ","] | None,
-    max_bytes: int | None,
     seed: int,
     unconfirmed: bool,
     out: str | None,
     record: bool,
     as_json: bool,
+    **reading: Any,
 ) -> None:
     """Find the leaders in recorded tracks: their followers, times, probabilities and reasons.
 
@@ -157,12 +153,9 @@ def detect(
         read = read_tracks(
             list(tracks),
             columns=mapping,
-            time_unit=time_unit,
             missing="skip" if skip_missing else "refuse",
-            encoding=encoding,
-            decimal=decimal,
-            max_bytes=max_bytes,
             progress=lambda rows: progress(rows, rows),
+            **reading,
         )
     report = read.report()
     for finding in report.warnings:
@@ -178,7 +171,7 @@ def detect(
     if record:
         _check_record_size(even, count, window)
     kept: list[Kept] = []
-    maps, done, groups_given = _Maps(), 0, unconfirmed
+    done, groups_given = 0, unconfirmed
     with progress_bar("windows") as progress:
 
         def keep(cut: TrackWindow, detection: Detection, found: DetectedWindow) -> None:
@@ -186,8 +179,6 @@ def detect(
             groups_given |= detection.leader is not None or detection.clusters is not None
             if record:
                 kept.append((cut, detection.scores, found))
-            if folder:
-                maps.add(cut, found)
             done += 1
             progress(done, count)
 
@@ -206,7 +197,7 @@ def detect(
         for name in ("picture.png", "episode.npz", "replay.rrd"):  # of an earlier run, which this one may not replace
             (folder / name).unlink(missing_ok=True)
         title = ", ".join(Path(each).name for each in tracks)
-        _write_all(folder, found, maps.choose(), even, title)
+        _write_all(folder, found, _choose_maps(found, even.windows(window, stride)), even, title)
         if record:
             _write_record(folder, _make_record(even, kept, found, title, window, seed))
 
@@ -240,37 +231,17 @@ def _parse_columns(words: Sequence[str]) -> dict[str, str]:
     return mapping
 
 
-class _Maps:
-    """Chooses the windows of the picture while they come: up to six, evenly spread, those with leaders first."""
+def _choose_maps(found: FoundLeaders, cuts: Iterable[TrackWindow]) -> list[Map]:
+    """The windows of the picture: up to six, evenly spread, those with leaders first."""
+    from usnet_env.tracks.picture import MOST_MAPS
 
-    def __init__(self) -> None:
-        from usnet_env.tracks.picture import MOST_MAPS
-
-        self._most = MOST_MAPS
-        self._kept: tuple[list[Map], list[Map]] = ([], [])  # without leaders, and with
-        self._every, self._count = [1, 1], [0, 0]
-
-    def add(self, cut: TrackWindow, found: DetectedWindow) -> None:
-        """Keep every k-th window; k doubles where twice as many are kept as are shown."""
-        kind = int(bool(found.leaders))
-        if self._count[kind] % self._every[kind] == 0:
-            self._kept[kind].append((cut, found))
-            if len(self._kept[kind]) > 2 * self._most:
-                del self._kept[kind][1::2]
-                self._every[kind] *= 2
-        self._count[kind] += 1
-
-    def choose(self) -> list[Map]:
-        """The windows to show, in the order of time."""
-        none, led = self._kept
-        chosen = _spread(led, self._most)
-        chosen += _spread(none, self._most - len(chosen))
-        return sorted(chosen, key=lambda each: each[0].start)
-
-
-def _spread(maps: Sequence[Map], most: int) -> list[Map]:
-    """Up to ``most`` entries, evenly spread."""
-    return [maps[k] for k in np.unique(np.linspace(0, len(maps) - 1, min(len(maps), most)).astype(int))] if maps else []
+    chosen: list[int] = []
+    for led in (True, False):
+        some = [place for place, window in enumerate(found.windows) if bool(window.leaders) == led]
+        most = min(len(some), MOST_MAPS - len(chosen))
+        chosen += [some[k] for k in np.unique(np.linspace(0, len(some) - 1, most).astype(int))]
+    pairs = zip(cuts, found.windows, strict=True)
+    return [(cut, _leaders_of(cut, window), window) for k, (cut, window) in enumerate(pairs) if k in chosen]
 
 
 def _tables(found: FoundLeaders) -> list[Table]:
@@ -341,7 +312,7 @@ def _write_all(folder: Path, found: FoundLeaders, maps: Sequence[Map], even: Tra
         aside.write_text(json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     written = "Tables and JSON"
     try:
-        figure = draw_leaders(found, [(cut, _leaders_of(cut, window), window) for cut, window in maps], title, even)
+        figure = draw_leaders(found, maps, title, even)
     except MissingExtraError as missing:
         print_message(f"the picture is left out. {missing}")
     else:

@@ -162,8 +162,9 @@ def evaluate(
         if not result.detectors:
             failure = evaluation.EvaluationError("no detector has a result in any cell.")
     else:
-        if not as_json:
-            _print_result(result, show_all)
+        if not as_json and result.summary:
+            show(result.table() if show_all else result.ranking())
+            click.echo(result.conclusion())
         if isolate:
             secret = result.config.get("secret", "not known: an earlier part of it was killed before its end")
             print_message(f"The secret of this run is {secret}.")
@@ -186,11 +187,3 @@ def _tell_what_is_kept(out: str) -> str:
                 if file.readline() and file.readline():  # more than the header
                     return f"Finished episodes are kept in {out}; the same command resumes from there."
     return "No episode was finished."
-
-
-def _print_result(result: EvaluationResult, show_all: bool) -> None:
-    """Print the ranking, or all metrics, and a sentence about the best detector."""
-    if not result.summary:
-        return
-    show(result.table() if show_all else result.ranking())
-    click.echo(result.conclusion())

@@ -54,12 +54,7 @@ class PositiveNumber(click.ParamType):  # type: ignore[type-arg]  # generic in t
 
 
 def add_place(command: Any, default: str = "processes, if there are several workers") -> Any:
-    """Add the options ``--backend`` and ``--address`` to a command: where its tasks run.
-
-    Args:
-        command: the command.
-        default: what the help says of it.
-    """
+    """Add the options ``--backend`` and ``--address``, where tasks run, to a command; the help names the default."""
     backend = click.option(
         "--backend",
         type=click.Choice(["serial", "processes", "ray"]),

@@ -1,14 +1,10 @@
-"""Print tables, messages and progress bars for all commands."""
+"""Print tables and messages for all commands."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import click
-
-from usnet_env.progress import progress_bar
-
-__all__ = ["print_message", "progress_bar", "show", "show_markdown"]
 
 _PIPE_WIDTH = 400  # columns if standard output is not a terminal: wide enough that nothing is cut or wrapped
 

@@ -80,15 +80,10 @@ def _find_episodes(place: Path) -> list[Path]:
     for folder in (place, place / EPISODES):
         if found := sorted(folder.glob("*.npz"), key=lambda path: [int(n) for n in re.findall(r"\d+", path.stem)][-1:]):
             return found
+    hint = "; `usnet evaluate --out DIR --record every=10` writes them."
     if _is_suite(place):
-        raise ArgumentError(
-            f"path must be an episode file or a folder with some, got {quote(str(place))}, the folder of a suite, "
-            "which has none; `usnet report` writes a page of its tables."
-        )
-    raise ArgumentError(
-        f"path must be an episode file or a folder with some, got {quote(str(place))}; `usnet evaluate --out DIR "
-        "--record every=10` writes them."
-    )
+        hint = ", the folder of a suite, which has none; `usnet report` writes a page of its tables."
+    raise ArgumentError(f"path must be an episode file or a folder with some, got {quote(str(place))}{hint}")
 
 
 def _is_suite(place: Path) -> bool:
@@ -132,6 +127,17 @@ def _check_screenshot_options(screenshot: str | None, number: int | None, step: 
         check_screenshot(screenshot)
 
 
+def _show_replay(written: Path, shown: tuple[str, float] | None, open_viewer: bool) -> None:
+    """Say where a replay is; take its picture, and open it, if that was asked for."""
+    from usnet_env.replay.viewer import find_viewer, open_replay, take_screenshot
+
+    click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
+    if shown is not None:
+        click.echo(f"screenshot {take_screenshot([written], *shown)}")
+    if open_viewer:
+        open_replay(written)
+
+
 @click.command(short_help="Show a recorded episode: replay, screenshot, animation.", epilog=_REPLAY_EXAMPLES)
 @click.argument("path", type=click.Path(path_type=Path))
 @click.option("--episode", type=WholeNumber(0, 10**9), help="Number of the episode in a folder of several.")
@@ -161,7 +167,7 @@ def replay(
     _check_screenshot_options(screenshot, number, step)
     from usnet_env.replay import EpisodeRecord, animate, write_recording
     from usnet_env.replay.story import describe_outcome, describe_round, name_game
-    from usnet_env.replay.viewer import find_time, find_viewer, open_replay, take_screenshot
+    from usnet_env.replay.viewer import find_time, take_screenshot
 
     file = _choose_episode(path, episode)
     if file is None:
@@ -175,17 +181,12 @@ def replay(
     click.echo(describe_outcome(record))
     if animation is not None:
         click.echo(f"animation  {animate(record, animation)}")
-    keep = rrd is not None or open_viewer or (animation is None and shown is None)
-    with ExitStack() as stack:
-        if keep:
-            written = write_recording(record, rrd or file.with_suffix(".rrd"))
-            click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
-        elif shown is not None:  # the viewer needs a replay for its picture
-            written = write_recording(record, Path(stack.enter_context(TemporaryDirectory()), "episode.rrd"))
-        if shown is not None:
+    if rrd is not None or open_viewer or (animation is None and shown is None):
+        _show_replay(write_recording(record, rrd or file.with_suffix(".rrd")), shown, open_viewer)
+    elif shown is not None:  # the viewer needs a replay for its picture
+        with TemporaryDirectory() as folder:
+            written = write_recording(record, Path(folder, "episode.rrd"))
             click.echo(f"screenshot {take_screenshot([written], *shown)}")
-        if open_viewer:
-            open_replay(written)
 
 
 def _list_episodes(files: Sequence[Path]) -> None:
@@ -227,7 +228,7 @@ def compare(
     _check_screenshot_options(screenshot, number, step)
     from usnet_env.replay import EpisodeRecord, write_comparison
     from usnet_env.replay.story import describe_outcome
-    from usnet_env.replay.viewer import find_time, find_viewer, open_replay, take_screenshot
+    from usnet_env.replay.viewer import find_time
 
     one, other = EpisodeRecord.load(first), EpisodeRecord.load(second)
     longer = max(one, other, key=lambda record: record.rounds)
@@ -235,11 +236,7 @@ def compare(
     written = write_comparison(one, other, rrd)
     for record in (one, other):
         click.echo(f"{record.detector}: {describe_outcome(record)}")
-    click.echo(f"replay     {written}" + ("" if open_viewer else f"  (open: {find_viewer()} {written})"))
-    if shown is not None:
-        click.echo(f"screenshot {take_screenshot([written], *shown)}")
-    if open_viewer:
-        open_replay(written)
+    _show_replay(written, shown, open_viewer)
 
 
 @click.command(short_help="Write a page of a run or an episode for any browser.", epilog=_REPORT_EXAMPLES)
@@ -334,24 +331,16 @@ def record_episodes(
 ) -> list[Path]:
     """Play chosen episodes of a run again, from the seeds in their rows, and write their episode files.
 
-    An episode that differs from its row is not written: a message names its detector.
-
-    Args:
-        result: of the run.
-        wanted: ``"every=10"`` or ``"worst"``: the 20 worst episodes of each detector whose round 1 was not exact.
-        detectors: the detectors of the command; those of an earlier one are not recorded.
-        env_kwargs: arguments of the environment.
-        out: folder of the run.
-        isolation: the detectors of an isolated run play in processes of their own here too, with these limits.
+    An episode that differs from its row is not written: a message names its detector. What is wanted is ``"every=10"``
+    or ``"worst"``: the 20 worst episodes of each detector whose round 1 was not exact. Detectors of an earlier command
+    are not recorded. Those of an isolated run play in processes of their own here too, with the limits of isolation.
     """
+    from usnet_env.evaluation.report import group_rows
     from usnet_env.plugins import detector_label
 
     players = {detector_label(each): each for each in (*detectors, *result.config["detectors"])}
-    chosen: dict[str, list[dict[str, Any]]] = {}
-    for row in _choose_rows(result, wanted):
-        chosen.setdefault(row["detector"], []).append(row)
     written = []
-    for label, rows in chosen.items():
+    for label, rows in group_rows(_choose_rows(result, wanted), lambda row: row["detector"]).items():
         name = re.sub(r"[^\w.=-]+", "_", label).strip("_")
         others: list[int] = []
         failed: dict[int, str] = {}
@@ -394,8 +383,8 @@ def _play_again(
     from usnet_env.processes import PlainError, ProcessDied
     from usnet_env.replay import record_episode
 
-    alone = None if isolation is None else IsolatedAgent(player, isolation)
-    try:
+    with ExitStack() as stack:
+        alone = None if isolation is None else stack.enter_context(closing(IsolatedAgent(player, isolation)))
         for row in rows:
             detector: Any = make_detector(player) if alone is None else alone
             with closing(gym.make(env_id, **env_kwargs)) as env:
@@ -405,9 +394,6 @@ def _play_again(
                     if alone is None:
                         raise
                     yield row, " ".join(str(error).split()).rstrip(".")
-    finally:
-        if alone is not None:
-            alone.close()
 
 
 def _differs(record: EpisodeRecord, row: dict[str, Any]) -> bool:

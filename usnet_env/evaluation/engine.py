@@ -143,14 +143,8 @@ def play_run(
 ) -> EvaluationResult:
     """Play the episodes of a run that its folder does not hold yet, keep their rows, and summarise them.
 
-    Args:
-        player: plays them, here and in other processes.
-        config: the arguments of the run as plain values, with ``detectors``, ``identities`` and ``episodes``.
-        seeds: of the episodes.
-        place: where they are played.
-        folder: where rows are kept.
-        progress: show a progress bar on standard error.
-        columns: of the rows.
+    The config has the arguments of the run as plain values, with ``detectors``, ``identities`` and ``episodes``. The
+    player plays in the place: here, and in other processes.
 
     Raises:
         ArgumentError: the folder is that of another run, or an argument cannot be sent to another process.

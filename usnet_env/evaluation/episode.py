@@ -88,14 +88,7 @@ def warm_up(env: gym.Env[Any, Any], agent: Agent, label: str, swarm_seed: int) -
 def play_agent(
     env: gym.Env[Any, Any], agent: Agent, label: str, episode: int, seeds: tuple[int, int]
 ) -> list[PlayedRound[Answer]]:
-    """Play one episode to its end.
-
-    Args:
-        env: a USNET environment.
-        agent: the agent that answers.
-        label: its name in errors.
-        episode: number of the episode, from 0.
-        seeds: of the swarm and of the agent, as :func:`episode_seeds` returns them.
+    """Play one episode to its end, with seeds of the swarm and of the agent; errors have the label and the number.
 
     Raises:
         EvaluationError: the agent raised an exception, or its answer has a wrong type or shape.

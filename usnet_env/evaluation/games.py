@@ -33,17 +33,11 @@ Players = Mapping[str, Any]
 
 @dataclass
 class _GamePlayer:
-    """Plays games in one process; sent to another one, it makes the game and its policies there.
-
-    Args:
-        make_env: makes the game.
-        game_kwargs: its arguments.
-        players: labels, and the policies of each.
-    """
+    """Plays games in one process; sent to another one, it makes the game and its policies there."""
 
     make_env: Callable[..., UsnetParallelEnv]
     game_kwargs: dict[str, Any]
-    players: dict[str, dict[str, Any]]
+    players: dict[str, dict[str, Any]]  # by label, the policies of each role
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name not in ("env", "teams")}
@@ -56,9 +50,12 @@ class _GamePlayer:
     @cached_property
     def teams(self) -> dict[str, dict[str, Any]]:
         """The policies of each label, with those of detectors that are given by name."""
-        return {
-            label: {role: _as_policy(policy) for role, policy in own.items()} for label, own in self.players.items()
-        }
+        from usnet_env.multiagent.policies import DetectorObserver
+
+        def make(policy: Any) -> Any:
+            return DetectorObserver(make_detector(policy)) if isinstance(policy, str) else policy
+
+        return {label: {role: make(each) for role, each in own.items()} for label, own in self.players.items()}
 
     def run_task(self, task: Task) -> Row | None:
         """Play one game."""
@@ -83,13 +80,6 @@ class _GamePlayer:
 
     def close(self) -> None:
         """Do nothing: the game holds no resources."""
-
-
-def _as_policy(policy: Any) -> Any:
-    """A policy; a name makes the detector of this name an observer."""
-    from usnet_env.multiagent.policies import DetectorObserver
-
-    return DetectorObserver(make_detector(policy)) if isinstance(policy, str) else policy
 
 
 def _identify(policy: Any) -> Any:

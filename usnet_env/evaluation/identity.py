@@ -56,7 +56,8 @@ def describe_detector(detector: Any) -> Any:
         network = next((each for each in (detector, getattr(detector, "policy", None)) if _has_state(each)), None)
         if network is not None:  # what else such an agent holds, such as its training environment, does not act
             return description | {"state": _hash_state(network)}
-        if not _is_versioned(type(detector)) and (numbers := _find_numbers(detector, ())) is not None:
+        versioned = type(detector).__module__.partition(".")[0] in VERSIONED
+        if not versioned and (numbers := _find_numbers(detector, ())) is not None:
             text = json.dumps(numbers, sort_keys=True)
             description |= {"state": hashlib.sha256(text.encode()).hexdigest()}
     arguments = {
@@ -143,10 +144,6 @@ def _texts(value: Any) -> Iterator[str]:
     elif isinstance(value, Mapping | list | tuple):
         for each in value.values() if isinstance(value, Mapping) else value:
             yield from _texts(each)
-
-
-def _is_versioned(kind: type) -> bool:
-    return kind.__module__.partition(".")[0] in VERSIONED
 
 
 def _find_numbers(value: Any, above: tuple[int, ...]) -> Any:

@@ -10,8 +10,6 @@ from usnet_env.evaluation.engine import Place, run_tasks
 from usnet_env.evaluation.errors import EvaluationError
 from usnet_env.processes import ProcessDied
 
-__all__ = ["run_in_order", "run_or_raise"]
-
 TaskT = TypeVar("TaskT")
 ResultT = TypeVar("ResultT")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
@@ -16,20 +16,13 @@ from usnet_env.registry import REGISTRIES
 
 @dataclass(frozen=True)
 class _Part:
-    """A part that the program has registered itself, such as a follow strategy or a detector.
-
-    Args:
-        kind, name: what it is, and its name.
-        home: the module of the registry.
-        module: where the part is defined.
-        part: the object, to be pickled by value.
-    """
+    """A part that the program has registered itself, such as a follow strategy or a detector."""
 
     kind: str
     name: str
-    home: str
-    module: str
-    part: CloudpickleWrapper[Any]
+    home: str  # the module of the registry
+    module: str  # where the part is defined
+    part: CloudpickleWrapper[Any]  # to be pickled by value
 
 
 def send(function: Callable[..., Any], kinds: Collection[str] | None = None) -> Any:
@@ -56,11 +49,6 @@ class _Sent:
         return _receive, (self.function, self.registered)
 
 
-def _receive(function: CloudpickleWrapper[Any], registered: list[_Part]) -> Any:
-    _register_parts(registered)
-    return function.fn
-
-
 def _registered_parts(kinds: Collection[str] | None) -> list[_Part]:
     """What this program has registered; what cannot be pickled is left out, and a process that needs it refuses it."""
     parts = []
@@ -73,12 +61,13 @@ def _registered_parts(kinds: Collection[str] | None) -> list[_Part]:
     return parts
 
 
-def _register_parts(parts: Iterable[_Part]) -> None:
+def _receive(function: CloudpickleWrapper[Any], registered: list[_Part]) -> Any:
     """Register parts in this process, unless the main script or their module has registered them here too."""
-    for part in parts:
+    for part in registered:
         with suppress(Exception):  # its module cannot be imported here: its name is refused if it is used
             import_module(part.home)
             if part.module != "__main__":
                 import_module(part.module)
             if part.name not in REGISTRIES[part.kind].registered:
                 REGISTRIES[part.kind].register(part.name, part.part.fn)
+    return function.fn

@@ -326,7 +326,7 @@ class EvaluationResult(Results):
 
     def _lower_is_better(self, metric: str) -> bool:
         if metric == "J":
-            return tables.objective_name(self.summary) == "J_m"
+            return tables.objective(self.summary).name == "J_m"
         return metric in LOWER_IS_BETTER or metric.startswith("price")
 
 

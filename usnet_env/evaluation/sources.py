@@ -16,16 +16,13 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
-from importlib.util import resolve_name
 from inspect import unwrap
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from usnet_env.definitions import find_module
+from usnet_env.definitions import find_module, resolve_import
 from usnet_env.processes import is_installed
-
-__all__ = ["VERSIONED", "code_text", "hash_code", "hash_named_code"]
 
 _ALL = "*"  # every name of a module
 #: The packages of this distribution, whose version run.json holds.
@@ -38,19 +35,12 @@ _PLAIN = (type(None), bool, int, float, complex, str, bytes, tuple, list, dict, 
 
 @dataclass(frozen=True)
 class _Statement:
-    """A statement of a module, or an object that has no source file.
+    """A statement of a module, or an object that has no source file."""
 
-    Args:
-        text: what it says.
-        binds: names that it defines or changes.
-        loads: names of the same module that it uses.
-        imports: names of other modules that it uses.
-    """
-
-    text: str
-    binds: frozenset[str] = frozenset()
-    loads: frozenset[str] = frozenset()
-    imports: tuple[tuple[str, str], ...] = ()
+    text: str  # what it says
+    binds: frozenset[str] = frozenset()  # names that it defines or changes
+    loads: frozenset[str] = frozenset()  # names of the same module that it uses
+    imports: tuple[tuple[str, str], ...] = ()  # names of other modules that it uses
 
 
 def hash_named_code(module: str, path: str) -> str | None:
@@ -194,10 +184,7 @@ def _read_import(node: ast.Import | ast.ImportFrom, package: str) -> list[tuple[
     """What each name of an import statement stands for: a module, and a name in it or all of it."""
     if isinstance(node, ast.Import):
         return [(alias.name, _ALL) for alias in node.names]
-    try:
-        module = resolve_name("." * node.level + (node.module or ""), package)
-    except ImportError:
-        module = node.module or ""
+    module = resolve_import(node, package) or node.module or ""
     return [(module, alias.name) for alias in node.names]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, stdtrit
 
+from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError
 
 CONFIDENCE = 0.95
@@ -22,6 +23,7 @@ _DRAWS_AT_ONCE = 2_000_000  # limits the indices in memory to 16 MB for any numb
 _MOST_RESAMPLED = 5_000  # values; of more, the quantiles of the resampled mean are computed, not drawn
 
 
+Sample: TypeAlias = "Sequence[float] | Floats"
 #: What says which values belong together: a number or a name for each.
 Groups: TypeAlias = "Sequence[Any] | NDArray[Any]"
 
@@ -43,20 +45,20 @@ class Profile(NamedTuple):
         low, high: ``(t,)`` float64, the ends of its 95 % interval at each threshold.
     """
 
-    thresholds: NDArray[np.float64]
-    share: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    thresholds: Floats
+    share: Floats
+    low: Floats
+    high: Floats
 
 
-def _check_sample(values: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+def _check_sample(values: Sample) -> Floats:
     sample = np.asarray(values, dtype=np.float64)
     if sample.ndim != 1 or not len(sample) or not np.isfinite(sample).all():
         raise ArgumentError("values must hold at least one number, all of them finite.")
     return sample
 
 
-def _mean_by_group(sample: NDArray[np.float64], groups: Groups) -> NDArray[np.float64]:
+def _mean_by_group(sample: Floats, groups: Groups) -> Floats:
     """Independent values ``(g,)`` with the mean of the sample and, nearly, the variance of that mean.
 
     The value of a group is the mean plus the sum of its deviations, in units of the mean size of a group (the
@@ -72,7 +74,7 @@ def _mean_by_group(sample: NDArray[np.float64], groups: Groups) -> NDArray[np.fl
     return np.asarray(mean + sums * (len(sums) / len(sample)))
 
 
-def rate_interval(values: Sequence[float] | NDArray[np.float64], groups: Groups | None = None) -> Interval:
+def rate_interval(values: Sample, groups: Groups | None = None) -> Interval:
     """Compute the share of ones in a sample of zeros and ones, with Wilson's score interval.
 
     Values of one group depend on each other. Then n is the effective number of values: n divided by the design effect
@@ -128,7 +130,7 @@ def _split_resamples(n: int) -> list[int]:
     return [min(step, _RESAMPLES - first) for first in range(0, _RESAMPLES, step)]
 
 
-def _ends(resampled: NDArray[np.float64], quantile: float) -> tuple[float, float]:
+def _ends(resampled: Floats, quantile: float) -> tuple[float, float]:
     """The ends of the percentile interval at a quantile of the normal distribution."""
     tail = float(ndtr(-quantile))
     low, high = np.quantile(resampled, [tail, 1 - tail])
@@ -136,10 +138,7 @@ def _ends(resampled: NDArray[np.float64], quantile: float) -> tuple[float, float
 
 
 def mean_interval(
-    values: Sequence[float] | NDArray[np.float64],
-    seed: int = 0,
-    confidence: float = CONFIDENCE,
-    groups: Groups | None = None,
+    values: Sample, seed: int = 0, confidence: float = CONFIDENCE, groups: Groups | None = None
 ) -> Interval:
     """Compute the mean of a sample, with the expanded percentile bootstrap interval of 9,999 resamples.
 
@@ -181,7 +180,7 @@ def mean_interval(
     return Interval(float(sample.mean()), *_ends(np.concatenate(means), quantile))
 
 
-def paired_test(differences: Sequence[float] | NDArray[np.float64], seed: int = 0) -> float:
+def paired_test(differences: Sample) -> float:
     """The two-sided p-value of paired differences under the hypothesis that each is as likely with the other sign.
 
     The randomisation test of Fisher (The Design of Experiments, 1935, section 21) with the mean as its statistic. Up to
@@ -190,7 +189,6 @@ def paired_test(differences: Sequence[float] | NDArray[np.float64], seed: int = 
 
     Args:
         differences: ``(n,)``.
-        seed: seeds the sign changes.
 
     Raises:
         ArgumentError: there is no difference, or one is not finite.
@@ -204,7 +202,7 @@ def paired_test(differences: Sequence[float] | NDArray[np.float64], seed: int = 
     if n <= _MOST_ENUMERATED:
         every = 1.0 - 2 * (np.arange(2**n)[:, None] >> np.arange(n) & 1)
         return float((np.abs(every @ sample) >= found * (1 - 1e-12)).mean())
-    rng, as_large = np.random.default_rng(seed), 0
+    rng, as_large = np.random.default_rng(0), 0
     for count in _split_resamples(n):
         signs = 2.0 * rng.integers(2, size=(count, n)) - 1
         as_large += int((np.abs(signs @ sample) >= found * (1 - 1e-12)).sum())
@@ -224,14 +222,14 @@ def holm(values: Sequence[float]) -> list[float]:
     return [float(value) for value in found]
 
 
-def _middle_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _middle_mean(values: Floats) -> Floats:
     """The mean of the values without the lowest and the highest quarter, along the last axis."""
     n = values.shape[-1]
     cut = n // 4
     return np.partition(values, (cut, n - cut - 1), axis=-1)[..., cut : n - cut].mean(axis=-1)
 
 
-def interquartile_mean(strata: Sequence[Sequence[float] | NDArray[np.float64]], seed: int = 0) -> Interval:
+def interquartile_mean(strata: Sequence[Sample], seed: int = 0) -> Interval:
     """The mean of the middle half of all values, with its expanded percentile interval from the stratified bootstrap.
 
     Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical Precipice, NeurIPS 2021, section 4.3: all
@@ -273,12 +271,7 @@ def are_finite_numbers(values: Any) -> bool:
     return found.ndim == 1 and bool(len(found)) and bool(np.isfinite(found).all())
 
 
-def performance_profile(
-    strata: Sequence[Sequence[float] | NDArray[np.float64]],
-    thresholds: Sequence[float] | NDArray[np.float64],
-    lower_is_better: bool = False,
-    seed: int = 0,
-) -> Profile:
+def performance_profile(strata: Sequence[Sample], thresholds: Sample, lower_is_better: bool = False) -> Profile:
     """The share of episodes that are better than each threshold, with pointwise percentile intervals.
 
     The run-score distribution of Agarwal et al. (2021, section 4.2): the share of values above a threshold in each
@@ -289,7 +282,6 @@ def performance_profile(
         strata: the values of each task, ``(n_s,)`` for task s.
         thresholds: ``(t,)``.
         lower_is_better: which values are better.
-        seed: seeds the resampling.
 
     Raises:
         ArgumentError: a task has no value, or a value is not finite.
@@ -298,7 +290,7 @@ def performance_profile(
     samples, at = [sign * _check_sample(each) for each in strata], _check_sample(thresholds)
     order = np.argsort(sign * at)
     edges = (sign * at)[order]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     shares, resampled = np.zeros(len(at)), np.zeros((_PROFILE_RESAMPLES, len(at)))
     for sample in samples:
         n, places = len(sample), np.searchsorted(edges, sample, side="left")  # how many edges are below a value

@@ -225,6 +225,7 @@ class RunStore:
         self.config: dict[str, Any] = json.loads(json.dumps(config))
         self._description: dict[str, Any] = {}  # what run.json holds
         self.failures: dict[str, str] = {}
+        changed: list[str] = []
         if folder.exists() and not folder.is_dir():
             raise ArgumentError(f"out must be a folder, got the file {str(folder)!r}.")
         with ExitStack() as stack:
@@ -233,13 +234,13 @@ class RunStore:
             if (folder / RUN).exists():
                 self._description = _read_description(folder)
                 self.failures = dict(self._description.get("failures", {}))
-                self.config = _join(folder, self._description, self.config)
+                self.config, changed = _join(folder, self._description, self.config)
             elif (folder / EPISODES).exists():
                 raise ArgumentError(
                     f"out must be a new folder or the folder of a run, got {str(folder)!r} with rows but no {RUN}."
                 )
             self._rows = stack.enter_context(RowFile(folder / EPISODES, columns, self._lock))
-            self._rows.leave_out(np.isin(self.table.column("detector"), _find_changed(self._description, config)))
+            self._rows.leave_out(np.isin(self.table.column("detector"), changed))
             _check_once(self.table, folder)
             self._opened = stack.pop_all()
 
@@ -348,8 +349,11 @@ def _read_description(folder: Path) -> dict[str, Any]:
     return description
 
 
-def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
+def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """The arguments of the run of a folder with the detectors and episodes that join it.
+
+    Returns:
+        The arguments, and the labels of detectors that have failed in the run and are others now.
 
     Raises:
         ArgumentError: the run has other arguments, or was made by another version.
@@ -360,11 +364,12 @@ def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -
     different = sorted(
         name for name in there.keys() | asked.keys() if name not in JOINING and there.get(name) != asked.get(name)
     )
+    changed = [label for label, identity in joining.items() if identities.get(label, identity) != identity]
     others = [
         f"in which detector {label!r} "
-        f"{describe_difference(identities[label], identity).removesuffix(f' of detector {label!r}')}"
-        for label, identity in joining.items()
-        if identities.get(label, identity) != identity and label not in failed
+        f"{describe_difference(identities[label], joining[label]).removesuffix(f' of detector {label!r}')}"
+        for label in changed
+        if label not in failed
     ]
     if different == ["code"]:
         others.insert(0, f"with other code of {' and '.join(differing_keys(there.get('code'), asked.get('code')))}")
@@ -386,7 +391,7 @@ def _join(folder: Path, description: Mapping[str, Any], asked: dict[str, Any]) -
         raise ArgumentError(f"out must be a new folder, got {str(folder)!r} with a run of usnet {made_by}.")
     together = identities | joining
     joined = {"detectors": list(together), "identities": list(together.values()), "episodes": asked["episodes"]}
-    return there | joined
+    return there | joined, changed
 
 
 def _describe_tracks(there: str | None, asked: str) -> str:
@@ -401,19 +406,12 @@ def _read_identities(config: Mapping[str, Any]) -> dict[str, Any]:
     return dict(zip(config["detectors"], config["identities"], strict=True))
 
 
-def _find_changed(description: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
-    """Labels of detectors that have failed in the run of a folder, and that are others now."""
-    if not description:
-        return []
-    there, now = _read_identities(description["config"]), _read_identities(json.loads(json.dumps(asked)))
-    return [label for label in description.get("failures", {}) if now.get(label, there.get(label)) != there.get(label)]
-
-
 def _check_once(table: RowTable, folder: Path) -> None:
     """Refuse rows that are there twice, which a summary would count twice."""
-    label, episode = table.text_numbers("detector"), table.column("episode")
-    order = np.lexsort((episode, label))
-    twice = np.flatnonzero((np.diff(label[order]) == 0) & (np.diff(episode[order]) == 0))
+    labels = table.column("detector")
+    order = order_rows(table, list(dict.fromkeys(labels)))
+    ordered, episodes = labels[order], table.column("episode")[order]
+    twice = np.flatnonzero((ordered[1:] == ordered[:-1]) & (np.diff(episodes) == 0))
     if len(twice):
         row = table[int(order[twice[0]])]
         raise ArgumentError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import sys
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
@@ -20,7 +21,7 @@ from usnet_env.config import ArgumentError
 #: Names of columns with their types: ``str``, ``int``, ``float``, ``bool`` or ``float | None``, in their order.
 Columns = Mapping[str, str]
 
-_CODES = {"str": "q", "int": "q", "float": "d", "bool": "b", "float | None": "d"}
+_CODES = {"int": "q", "float": "d", "bool": "b", "float | None": "d"}
 _ROWS_AT_ONCE = 10_000  # that are read
 
 
@@ -30,9 +31,9 @@ def columns_of(record: type) -> dict[str, str]:
 
 
 class RowTable(Sequence[dict[str, Any]]):
-    """A sequence of rows, stored as one array for each column; each row is a dictionary.
+    """A sequence of rows, stored as one array (for texts, a list) for each column; each row is a dictionary.
 
-    A text is stored once, and each row holds its number: a column of texts should have few different ones.
+    Equal texts are stored once: a column of texts should have few different ones.
 
     Args:
         columns: names and types of the columns.
@@ -41,9 +42,9 @@ class RowTable(Sequence[dict[str, Any]]):
 
     def __init__(self, columns: Columns, rows: Iterable[Mapping[str, Any]] = ()) -> None:
         self.columns = dict(columns)
-        self._values: dict[str, array[Any]] = {name: array(_CODES[kind]) for name, kind in self.columns.items()}
-        self._texts: dict[str, list[str]] = {name: [] for name, kind in self.columns.items() if kind == "str"}
-        self._numbers: dict[str, dict[str, int]] = {name: {} for name in self._texts}
+        self._values: dict[str, Any] = {
+            name: [] if kind == "str" else array(_CODES[kind]) for name, kind in self.columns.items()
+        }
         self.extend(rows)
 
     def extend(self, rows: Iterable[Mapping[str, Any]]) -> None:
@@ -65,10 +66,7 @@ class RowTable(Sequence[dict[str, Any]]):
     def _store(self, name: str, value: Any) -> Any:
         kind = self.columns[name]
         if kind == "str":
-            if value not in self._numbers[name]:
-                self._numbers[name][value] = len(self._texts[name])
-                self._texts[name].append(value)
-            return self._numbers[name][value]
+            return sys.intern(str(value))
         if kind == "int" and not -(2**63) <= value < 2**63:
             raise OverflowError(f"{name} must fit into 64 bits, got {value}.")
         return math.nan if value is None else value
@@ -76,8 +74,6 @@ class RowTable(Sequence[dict[str, Any]]):
     def _read(self, name: str, stored: Sequence[Any]) -> Sequence[Any]:
         """The values of a column that are stored as these numbers."""
         match self.columns[name]:
-            case "str":
-                return [self._texts[name][number] for number in stored]
             case "bool":
                 return [bool(number) for number in stored]
             case "float | None":
@@ -96,7 +92,7 @@ class RowTable(Sequence[dict[str, Any]]):
         for (name, kind), texts in zip(self.columns.items(), columns, strict=True):
             values = self._values[name]
             if kind == "str":
-                values.extend([self._store(name, text) for text in texts])
+                values.extend(map(sys.intern, texts))
             elif kind == "int":
                 values.extend(map(int, texts))
             elif kind == "bool":
@@ -108,23 +104,15 @@ class RowTable(Sequence[dict[str, Any]]):
 
     def column(self, name: str) -> NDArray[Any]:
         """A copy of a column ``(n,)``: int64, float64, bool, or objects of ``str``; an absent number is NaN."""
-        values = np.array(self._values[name])
-        if self.columns[name] == "str":
-            return np.array(self._texts[name], object)[values] if len(values) else values.astype(object)
-        return values.astype(bool) if self.columns[name] == "bool" else values
-
-    def text_numbers(self, name: str) -> NDArray[np.int64]:
-        """A column of texts as numbers ``(n,)``: equal texts have the same number."""
-        return np.array(self._values[name], np.int64)
+        dtypes = {"str": object, "bool": bool}
+        return np.array(self._values[name], dtypes.get(self.columns[name]))
 
     def take(self, places: Sequence[int] | NDArray[np.int64]) -> RowTable:
         """The rows at these places, in their order."""
         chosen = RowTable(self.columns)
-        for name, values in self._values.items():
-            part = np.frombuffer(values, values.typecode)[places] if len(values) else np.array([], values.typecode)
-            chosen._values[name].frombytes(part.tobytes())
-        chosen._texts = {name: list(texts) for name, texts in self._texts.items()}
-        chosen._numbers = {name: dict(numbers) for name, numbers in self._numbers.items()}
+        for name, values in chosen._values.items():
+            part = self.column(name)[places]
+            values.extend(part) if self.columns[name] == "str" else values.frombytes(part.tobytes())
         return chosen
 
     def format_csv(self, first: int = 0, last: int | None = None, digits: int | None = None) -> str:
@@ -188,8 +176,7 @@ def read_table(path: Path, columns: Columns) -> RowTable:
         return table
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            torn = not _ends_with_line(path)
-            reader = csv.reader((line for line in file if line.endswith("\n")) if torn else file, strict=True)
+            reader = csv.reader((line for line in file if line.endswith("\n")), strict=True)
             header = next(reader, [])
             places = [header.index(name) for name in columns]
             while rows := list(islice(reader, _ROWS_AT_ONCE)):
@@ -202,11 +189,3 @@ def read_table(path: Path, columns: Columns) -> RowTable:
             f"out must hold rows of this measurement, got something else in {path.name!r}: {error}."
         ) from None
     return table
-
-
-def _ends_with_line(path: Path) -> bool:
-    """Whether a file ends with a line break."""
-    with path.open("rb") as file:
-        size = file.seek(0, 2)
-        file.seek(max(0, size - 1))
-        return file.read() == b"\n"

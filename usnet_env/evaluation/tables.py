@@ -32,21 +32,9 @@ HEADINGS = {
     "group_leader_first": "group leaders↑\nin round 1",
 }
 
-#: Columns of the ranked table after J, with the arrow that points to the better values.
-RANKING = {
-    "rounds": "rounds↓",
-    "redundancy": "redundancy↓",
-    "exact": "exact↑",
-    "f1_first": "F1↑",
-    "seconds_per_round": "s↓",
-}
-#: The same after F1, in recorded tracks, which have one round.
-TRACK_RANKING = {
-    "redundancy": "redundancy↓",
-    "exact": "exact↑",
-    "group_leader_first": "group leaders↑",
-    "seconds_per_round": "s↓",
-}
+#: Columns of the ranked table after J; and after F1, in recorded tracks, which have one round.
+RANKING = ("rounds", "redundancy", "exact", "f1_first", "seconds_per_round")
+TRACK_RANKING = ("redundancy", "exact", "group_leader_first", "seconds_per_round")
 
 
 def _format_number(value: float) -> str:
@@ -99,24 +87,20 @@ def _is_of_tracks(summary: Summary) -> bool:
 
 def first_metric(summary: Summary) -> FirstMetric:
     """J; in recorded tracks F1, since J of their one round does not count the heads that are missed."""
-    return FirstMetric("f1_first", "F1", -1) if _is_of_tracks(summary) else _objective(summary)
+    return FirstMetric("f1_first", "F1", -1) if _is_of_tracks(summary) else objective(summary)
 
 
 def _ranking_columns(summary: Summary) -> dict[str, str]:
-    """The columns of the ranked table after the first metric, with their headings."""
-    return TRACK_RANKING if _is_of_tracks(summary) else RANKING
+    """The columns of the ranked table after the first metric, with their short headings."""
+    names = TRACK_RANKING if _is_of_tracks(summary) else RANKING
+    return {name: HEADINGS[name].partition("\n")[0].replace("seconds", "s") for name in names}
 
 
-def _objective(summary: Summary) -> FirstMetric:
+def objective(summary: Summary) -> FirstMetric:
     """J_m of P2, which is at least 1 and is to be low; or J_s of P1, which is at most 0 and is to be high."""
     if not summary or summary[0]["metrics"]["J"]["mean"] > 0:
         return FirstMetric("J", "J_m", 1)
     return FirstMetric("J", "J_s", -1)
-
-
-def objective_name(summary: Summary) -> str:
-    """``J_m`` of P2 or ``J_s`` of P1."""
-    return _objective(summary).name
 
 
 def rank(summary: Summary) -> list[Mapping[str, Any]]:
@@ -150,16 +134,9 @@ def _cells(
     alone: str = "{}",
     form: Callable[[float], str] = _format_number,
 ) -> list[str]:
-    """A detector's mean and interval of each metric; ``–`` where it has none.
+    """A detector's mean and interval of each metric in a ``pattern``; ``–`` where it has none.
 
-    Where all values are equal, or there is one, a mean has no interval.
-
-    Args:
-        entry: the detector's entry of the summary.
-        metrics: names of the metrics.
-        pattern: of a mean with its interval.
-        alone: of a mean without one.
-        form: formats a number.
+    Where all values are equal, or there is one, a mean has no interval and stands ``alone``.
     """
 
     def show(cell: Mapping[str, float]) -> str:
@@ -171,7 +148,7 @@ def _cells(
 
 def _heading(summary: Summary, metric: str) -> str:
     """The heading of a metric, in one or two lines."""
-    return _objective(summary).heading if metric == "J" else HEADINGS.get(metric, metric)
+    return objective(summary).heading if metric == "J" else HEADINGS.get(metric, metric)
 
 
 def _headings(summary: Summary, metrics: Sequence[str]) -> list[str]:
@@ -207,22 +184,21 @@ def html_table(summary: Summary, title: str) -> str:
     if not summary:
         return f"<p>{escape(title)}</p>"
     best, columns = first_metric(summary), _ranking_columns(summary)
-    headings = ["detector", "episodes", f"{best.heading} (95 % interval)", *columns.values()]
-    lines = ["".join(f"<th>{escape(heading)}</th>" for heading in headings)]
+    header = ["detector", "episodes", f"{best.heading} (95 % interval)", *columns.values()]
+    lines = []
     for entry in rank(summary):
-        cells = _cells(entry, [best.column], "{} ({} to {})")
-        cells += [_format_short(entry, name) for name in columns]
-        texts = [entry["detector"], str(entry["episodes"]), *cells]
-        lines.append("".join(f"<td>{escape(text)}</td>" for text in texts))
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    return f"<table><caption>{escape(title)}</caption>{body}</table><p>{escape(conclude(summary))}</p>"
+        means = _cells(entry, [best.column], "{} ({} to {})")
+        shown = (_format_short(entry, name) for name in columns)
+        lines.append([entry["detector"], str(entry["episodes"]), *means, *shown])
+    table = html_cells(header, lines, f"<caption>{escape(title)}</caption>")
+    return f"{table}<p>{escape(conclude(summary))}</p>"
 
 
-def html_cells(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """The table of the cells of a suite in HTML."""
+def html_cells(header: Sequence[str], lines: Sequence[Sequence[str]], caption: str = "") -> str:
+    """A table of texts in HTML."""
     rows = [(tag, line) for tag, own in (("th", [header]), ("td", lines)) for line in own]
     body = "".join(f"<tr>{''.join(f'<{tag}>{escape(text)}</{tag}>' for text in line)}</tr>" for tag, line in rows)
-    return f"<table>{body}</table>"
+    return f"<table>{caption}{body}</table>"
 
 
 def html_notes(notes: Iterable[str]) -> str:
@@ -233,9 +209,7 @@ def html_notes(notes: Iterable[str]) -> str:
 def describe_gap(summary: Summary, config: Mapping[str, Any]) -> str:
     """State in one sentence which detectors of a run have not played all episodes; an empty text if all have.
 
-    Args:
-        summary: of the run.
-        config: of the run, with ``detectors``, ``episodes`` and ``failures``; detectors that have failed are left out.
+    Detectors that have failed are left out.
     """
     played, asked = {entry["detector"]: entry["episodes"] for entry in summary}, config.get("episodes", 0)
     labels = [label for label in config.get("detectors", ()) if label not in config.get("failures", {})]
@@ -243,33 +217,35 @@ def describe_gap(summary: Summary, config: Mapping[str, Any]) -> str:
     return f"Episodes are missing: {_join(missing)} of {asked}." if missing else ""
 
 
-def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Table:
-    """All metrics with their intervals, one row for each detector, for a terminal."""
+def _make_table(
+    title: str, headings: Iterable[str], lines: Iterable[Sequence[str]], repeated: int, **look: Any
+) -> Table:
+    """A table for a terminal: a detector and other texts in each line; a split one repeats its first columns."""
     from rich.box import SIMPLE_HEAD
     from rich.text import Text
 
     from usnet_env.evaluation.split_table import SplitTable
 
-    columns = _choose_metrics(summary, metrics)
-    table = SplitTable(title=f"{env}: mean and 95 % interval", box=SIMPLE_HEAD, leading=1, title_justify="left")
-    table.repeated = 2
+    table = SplitTable(title=title, box=SIMPLE_HEAD, title_justify="left", **look)
+    table.repeated = repeated
     table.add_column("detector", overflow="fold")
-    table.add_column("episodes", justify="right", no_wrap=True)
-    for name in columns:
-        table.add_column(_heading(summary, name), justify="right", no_wrap=True)
-    for entry in summary:
-        # Text is not parsed as Rich markup, in which brackets have a meaning.
-        table.add_row(Text(entry["detector"]), str(entry["episodes"]), *_cells(entry, columns, "{}\n{}–{}"))
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, *texts in lines:
+        table.add_row(Text(name), *texts)  # Text is not parsed as Rich markup, in which brackets have a meaning
     return table
 
 
-def describe_episodes(summary: Summary, asked: int | None = None) -> str:
-    """The number of episodes of each detector: ``20 episodes``, or ``5 to 20 episodes``, ``5 of 20 episodes``.
+def full_table(summary: Summary, env: str, metrics: Sequence[str] | None) -> Table:
+    """All metrics with their intervals, one row for each detector, for a terminal."""
+    columns = _choose_metrics(summary, metrics)
+    headings = ["episodes", *(_heading(summary, name) for name in columns)]
+    lines = [[entry["detector"], str(entry["episodes"]), *_cells(entry, columns, "{}\n{}–{}")] for entry in summary]
+    return _make_table(f"{env}: mean and 95 % interval", headings, lines, 2, leading=1)
 
-    Args:
-        summary: of the run.
-        asked: episodes of the whole run, if they are known.
-    """
+
+def describe_episodes(summary: Summary, asked: int | None = None) -> str:
+    """The number of episodes of each detector: ``20 episodes``, or ``5 to 20 episodes``, ``5 of 20 episodes``."""
     episodes = sorted({entry["episodes"] for entry in summary}) or [0]
     most = format_count(episodes[-1], "episode")
     if asked is not None and episodes[-1] < asked:
@@ -280,27 +256,16 @@ def describe_episodes(summary: Summary, asked: int | None = None) -> str:
 def ranking_table(summary: Summary, env: str, asked: int | None = None) -> Table:
     """The detectors by their J, best first, and their main metrics, for a terminal of 80 columns.
 
-    Args:
-        summary: of a run or a suite.
-        env: what was played.
-        asked: episodes of the whole run, if they are known.
+    The title has what was played, and how many of the episodes that were ``asked`` for, if that is known.
     """
-    from rich.box import SIMPLE_HEAD
-    from rich.text import Text
-
-    from usnet_env.evaluation.split_table import SplitTable
-
     title = f"{env}, {describe_episodes(summary, asked)} of each detector: means, best first"
-    table = SplitTable(title=title, box=SIMPLE_HEAD, title_justify="left", show_edge=False, padding=0)
-    table.add_column("detector", overflow="fold")
     best, columns = first_metric(summary), _ranking_columns(summary)
-    for heading in (f"{best.heading} (95 % int.)", *columns.values()):
-        table.add_column(heading, justify="right", no_wrap=True)
+    lines = []
     for entry in rank(summary):
-        cells = _cells(entry, [best.column], "{} ({}–{})", form=_format_objective)
-        cells += [_format_short(entry, name) for name in columns]
-        table.add_row(Text(entry["detector"]), *cells)  # Text is not parsed as Rich markup
-    return table
+        means = _cells(entry, [best.column], "{} ({}–{})", form=_format_objective)
+        lines.append([entry["detector"], *means, *(_format_short(entry, name) for name in columns)])
+    headings = (f"{best.heading} (95 % int.)", *columns.values())
+    return _make_table(title, headings, lines, 1, show_edge=False, padding=0)
 
 
 def conclude(summary: Summary) -> str:
@@ -311,7 +276,7 @@ def conclude(summary: Summary) -> str:
     if not summary:
         return "No detector has played all episodes."
     first, *others = rank(summary)
-    column, objective, sign = first_metric(summary)
+    column, what, sign = first_metric(summary)
     best = first["metrics"][column]
     mean, low, high = (_format_objective(best[name]) for name in ("mean", "low", "high"))
     if best["low"] == best["high"]:
@@ -319,18 +284,14 @@ def conclude(summary: Summary) -> str:
     else:
         value = f"{mean} (95 % interval {low}–{high})"
     if not others:
-        return f"{first['detector']} has a {objective} of {value}."
-    equal = [e["detector"] for e in others if e["metrics"][column] == best]
-    near = [
-        e["detector"]
-        for e in others
-        if e["metrics"][column] != best
-        and e["metrics"][column]["low"] <= best["high"]
-        and best["low"] <= e["metrics"][column]["high"]
-    ]
+        return f"{first['detector']} has a {what} of {value}."
+    found = {entry["detector"]: entry["metrics"][column] for entry in others}
+    equal = [label for label, own in found.items() if own == best]
+    overlapping = [label for label, own in found.items() if own["low"] <= best["high"] and best["low"] <= own["high"]]
+    near = [label for label in overlapping if label not in equal]
     names = _join([first["detector"], *equal])
     extreme = "lowest" if sign == 1 else "highest"
-    sentence = f"{names} {'have' if equal else 'has'} the {extreme} {objective}: {value}"
+    sentence = f"{names} {'have' if equal else 'has'} the {extreme} {what}: {value}"
     if near:
         intervals = "interval of" if len(near) == 1 else "intervals of"
         return f"{sentence}, which overlaps with the {intervals} {_join(near)}."

@@ -17,11 +17,7 @@ BACKENDS = ("serial", "processes", "ray")
 
 
 class InProcess(Generic[TaskT, ResultT]):
-    """Runs a function on tasks in this process, one after the other.
-
-    Args:
-        function: what to call with each task.
-    """
+    """Runs a function on tasks in this process, one after the other."""
 
     def __init__(self, function: Callable[[TaskT], ResultT]) -> None:
         self.left_threads: list[tuple[str, TaskT]] = []

@@ -76,11 +76,7 @@ class ProcessPool(Generic[TaskT, ResultT]):
     def run(
         self, tasks: Iterable[TaskT], is_wanted: Callable[[TaskT], bool] = every_task
     ) -> Generator[Outcome[TaskT, ResultT], None, None]:
-        """Run all tasks; the outcomes come in the order in which they are finished.
-
-        Args:
-            tasks: read one after the other, a few ahead of the outcomes.
-            is_wanted: whether a task should still be run that another process had received and not begun when it died.
+        """Run all tasks, see :meth:`Backend.run`.
 
         Raises:
             SendError: the function cannot be unpickled in another process, or a process could not start.

@@ -66,32 +66,20 @@ class _Actor:
 
 @dataclass
 class _Call(Generic[TaskT]):
-    """A task that a worker has received.
-
-    Args:
-        task: the task.
-        ends: how many workers have ended during it.
-        result: Ray's reference to its outcome.
-    """
+    """A task that a worker has received."""
 
     task: TaskT
-    ends: int = 0
-    result: Any = None
+    ends: int = 0  # how many workers have ended during it
+    result: Any = None  # Ray's reference to its outcome
 
 
 @dataclass(eq=False)
 class _Worker(Generic[TaskT]):
-    """A worker as the program sees it.
+    """A worker as the program sees it."""
 
-    Args:
-        actor: Ray's handle.
-        starting: Ray's reference that is fulfilled when the actor has started; then ``None``.
-        calls: what it has received; it runs the first one.
-    """
-
-    actor: Any
-    starting: Any
-    calls: deque[_Call[TaskT]] = field(default_factory=deque)
+    actor: Any  # Ray's handle
+    starting: Any  # Ray's reference that is fulfilled when the actor has started; then None
+    calls: deque[_Call[TaskT]] = field(default_factory=deque)  # what it has received; it runs the first one
 
     @property
     def awaited(self) -> Any:

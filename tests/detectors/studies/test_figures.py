@@ -184,7 +184,7 @@ def test_the_committed_rows_are_those_of_the_figures():
     """The default files are the committed ones, so that the figures can be made in a fresh checkout."""
     from pathlib import Path
 
-    results = Path(__file__).parents[3] / figures.RESULTS
+    results = Path(__file__).parents[3] / Settings.results
     for file in (
         "metric_learning/losses-F30-E1000-seed2022.csv",
         "purity/purity-seed2022.csv",

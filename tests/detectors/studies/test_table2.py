@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from detectors.studies import table2
+from detectors.studies import common, table2
 from usnet_env import ArgumentError, make_detector
 from usnet_env.cli import main
 from usnet_env.evaluation.statistics import Interval
@@ -20,11 +20,11 @@ def test_the_paper_s_table_is_whole():
 
 @pytest.mark.parametrize(
     ("ours", "expected"),
-    [((0.98, 0.97, 0.99), "overlaps"), ((0.9, 0.85, 0.92), "below"), ((1.0, 0.995, 1.0), "above")],
+    [((0.98, 0.97, 0.99), False), ((0.9, 0.85, 0.92), True), ((1.0, 0.995, 1.0), False)],
 )
-def test_verdicts_compare_intervals(ours, expected):
+def test_a_rate_is_below_if_its_interval_is(ours, expected):
     entry = table2.Entry("gassl", "f1", 2, 100, Interval(*ours), Interval(0.981, 0.97, 0.988))
-    assert table2.compare_intervals(entry) == expected
+    assert entry.is_below == expected
 
 
 def test_cells_are_cells_or_rows():
@@ -134,7 +134,7 @@ def test_by_default_the_paper_s_algorithm_is_measured_beside_two_other_detectors
 def test_fast_is_a_quick_look(tmp_path, monkeypatch, capsys):
     asked = []
     monkeypatch.setattr(
-        table2, "reproduce", lambda out, **options: asked.append(options) or table2.Reproduction([], "")
+        table2, "reproduce", lambda out, **options: asked.append(options) or common.Reproduction([], "")
     )
     words = ["reproduce", "table2", "--out", str(tmp_path), "--fast"]
     assert main(words) == 0
