@@ -33,6 +33,7 @@ __all__ = [
     "fly_mlp",
     "fly_range",
     "integrate",
+    "move",
     "norm",
     "remerge",
 ]
@@ -177,7 +178,7 @@ def fly_free(code, numbers, free, start, normals, jitter, state, position, veloc
 
 
 @compiled()
-def _move(b, t, position, velocity):
+def move(b, t, position, velocity):
     """Write the next positions of all UAVs, p_{t+1} = p_t + v_t."""
     for i in range(velocity.shape[2]):
         for axis in range(3):
@@ -189,18 +190,7 @@ def integrate(start, position, velocity):
     """Integrate the velocities from ``start`` on, in place."""
     for b in range(velocity.shape[0]):
         for t in range(start, velocity.shape[1]):
-            _move(b, t, position, velocity)
-
-
-@compiled()
-def _find_indices(motion, value, into):
-    """Write the indices i with ``motion[i] == value`` to ``into`` and return their number."""
-    count = 0
-    for i in range(len(motion)):
-        if motion[i] == value:
-            into[count] = i
-            count += 1
-    return count
+            move(b, t, position, velocity)
 
 
 @compiled()
@@ -213,23 +203,18 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
     episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
     lags = len(kappa)
     target = np.zeros((uavs, 3), np.float32)
-    followers = np.empty(uavs, np.int64)
-    free = np.empty(uavs, np.int64)
     for b in range(episodes):
-        follower_count = _find_indices(motion[b], FOLLOWS, followers)
-        free_count = _find_indices(motion[b], FREE, free)
+        followers, free = np.flatnonzero(motion[b] == FOLLOWS), np.flatnonzero(motion[b] == FREE)
         for s in range(steps):
             t = start + s
-            for j in range(free_count):
-                h = free[j]
+            for h in free:
                 for axis in range(3):
                     total = _ZERO
                     for lag in range(lags):
                         v = velocity[b, t - 1 - lag, h, axis]
                         total += kappa[lag] * (v * v if square else v)
                     target[h, axis] = total
-            for j in range(follower_count):
-                i = followers[j]
+            for i in followers:
                 h = root[b, i]
                 x = target[h, 0] + noise_scale * noise[b, s, i, 0]
                 y = target[h, 1] + noise_scale * noise[b, s, i, 1]
@@ -244,14 +229,11 @@ def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, posit
 
     Followers use the positions of the previous step, so the loop also updates the positions of all UAVs.
     """
-    episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
-    followers = np.empty(uavs, np.int64)
-    for b in range(episodes):
-        follower_count = _find_indices(motion[b], FOLLOWS, followers)
-        for s in range(steps):
+    for b in range(noise.shape[0]):
+        followers = np.flatnonzero(motion[b] == FOLLOWS)
+        for s in range(noise.shape[1]):
             t = start + s
-            for j in range(follower_count):
-                i = followers[j]
+            for i in followers:
                 h = root[b, i]
                 dx = position[b, t - 1, h, 0] - position[b, t - 1, i, 0]
                 dy = position[b, t - 1, h, 1] - position[b, t - 1, i, 1]
@@ -262,7 +244,7 @@ def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, posit
                 y = kappa * velocity[b, t - 1, h, 1] + noise_scale * noise[b, s, i, 1] + gain * dy
                 z = kappa * velocity[b, t - 1, h, 2] + noise_scale * noise[b, s, i, 2] + gain * dz
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            _move(b, t, position, velocity)
+            move(b, t, position, velocity)
 
 
 @compiled()
@@ -294,8 +276,6 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
     A head's contribution to the hidden layer is the same for all its followers: it is computed once per step and head.
     """
     episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
-    followers = np.empty(uavs, np.int64)
-    free = np.empty(uavs, np.int64)
     from_head = np.empty((uavs, MLP_HIDDEN), np.float32)
     hidden = np.empty(MLP_HIDDEN, np.float32)
     own = np.empty(3 + 3 * MLP_LAGS, np.float32)
@@ -305,12 +285,10 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
         weights = parameters[b, :inner].reshape((MLP_INPUTS, MLP_HIDDEN))
         bias = parameters[b, inner : inner + MLP_HIDDEN]
         readout = parameters[b, inner + MLP_HIDDEN :].reshape((MLP_HIDDEN, 3))
-        follower_count = _find_indices(motion[b], FOLLOWS, followers)
-        free_count = _find_indices(motion[b], FREE, free)
+        followers, free = np.flatnonzero(motion[b] == FOLLOWS), np.flatnonzero(motion[b] == FREE)
         for s in range(steps):
             t = start + s
-            for j in range(free_count):
-                h = free[j]
+            for h in free:
                 for unit in range(MLP_HIDDEN):
                     from_head[h, unit] = bias[unit]
                 for lag in range(MLP_LAGS):
@@ -319,8 +297,7 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
                         row = 3 + 3 * MLP_LAGS + 3 * lag + axis
                         for unit in range(MLP_HIDDEN):
                             from_head[h, unit] += v * weights[row, unit]
-            for j in range(follower_count):
-                i = followers[j]
+            for i in followers:
                 h = root[b, i]
                 for axis in range(3):
                     own[axis] = (position[b, t, i, axis] - position[b, t - MLP_LAGS, h, axis]) * scale
@@ -341,20 +318,20 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
                     y += active * readout[unit, 1]
                     z += active * readout[unit, 2]
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            _move(b, t, position, velocity)
+            move(b, t, position, velocity)
 
 
 @compiled()
-def _nearest(position, i, heads, count):
-    """The one of the first ``count`` UAVs in ``heads`` that is nearest to UAV i; -1 if there is none."""
+def _nearest(position, i, heads):
+    """The one of the UAVs ``heads`` that is nearest to UAV i; -1 if there is none."""
     nearest, best = -1, np.inf
-    for j in range(count):
-        dx = position[i, 0] - position[heads[j], 0]
-        dy = position[i, 1] - position[heads[j], 1]
-        dz = position[i, 2] - position[heads[j], 2]
+    for h in heads:
+        dx = position[i, 0] - position[h, 0]
+        dy = position[i, 1] - position[h, 1]
+        dz = position[i, 2] - position[h, 2]
         distance = float(dx * dx + dy * dy + dz * dz)
         if distance < best:
-            nearest, best = heads[j], distance
+            nearest, best = h, distance
     return nearest
 
 
@@ -374,13 +351,8 @@ def remerge(head, alive, apart, position, root, source):
         source: ``(B, N)`` int64, the UAV that each UAV copies, updated in place.
     """
     episodes, uavs = root.shape
-    heads = np.empty(uavs, np.int64)
     for b in range(episodes):
-        count = 0
-        for i in range(uavs):
-            if head[b, i] and alive[b, i]:
-                heads[count] = i
-                count += 1
+        heads = np.flatnonzero(head[b] & alive[b])
         for i in range(uavs):
             if head[b, i] or not alive[b, i] or source[b, i] == i:
                 continue
@@ -388,7 +360,7 @@ def remerge(head, alive, apart, position, root, source):
             while 0 <= above < uavs and not alive[b, above] and source[b, above] != above:
                 above = source[b, above]
             if above < 0 or (above < uavs and not alive[b, above]):
-                above = _nearest(position[b], i, heads, count)
+                above = _nearest(position[b], i, heads)
             source[b, i] = above
         for i in range(uavs):
             if head[b, i] or apart[b, i] or not alive[b, i]:
