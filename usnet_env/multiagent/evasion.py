@@ -28,7 +28,7 @@ from usnet_env.swarm import (
 )
 from usnet_env.swarm.mobility import MOBILITIES
 from usnet_env.swarm.simulator import JITTER
-from usnet_env.swarm.trajectory import TrajectoryBatch
+from usnet_env.swarm.strategy import TrajectoryBatch
 
 Price = Annotated[float, Field(ge=0, le=1e6)]
 

@@ -86,14 +86,7 @@ def _sum_all(size, repel, align, attract, plain, members, sums):
     order of additions, and the sums have the same bits on every processor. Rows of ``members`` and ``sums`` are
     ``_SMALL`` apart, a constant, from which the compiler knows that they don't overlap.
 
-    Args:
-        size: number of UAVs.
-        repel: square of the range of repulsion, m².
-        align: square of the range of alignment, m².
-        attract: square of the range of attraction, m².
-        plain: whether UAVs only align.
-        members: ``(6 * _SMALL,)`` float32, positions and velocities.
-        sums: ``(9 * _SMALL,)`` float32, filled in place.
+    ``repel``, ``align`` and ``attract`` are the squares of the ranges, m²; ``plain``: UAVs only align.
     """
     sums[:] = _ZERO
     for d in range(size):
@@ -179,23 +172,9 @@ def fly_flock(
 ):  # fmt: skip
     """Followers fly by repulsion, or else by alignment and attraction, from the UAVs of their flock, and flee chasers.
 
-    Args:
-        ranges: ``(3,)`` float32, metres: of repulsion, alignment and attraction.
-        weights: ``(2,)`` float32, of alignment and attraction.
-        chaser: what a bystander that follows is: ``NO_CHASER``, ``PREDATOR`` or ``DRIVER``.
-        flight_range: metres; a chaser within it is fled from.
-        flight_weight: weight of the direction away from a chaser.
-        standoff: metres between a driver and the middle of its flock.
-        preference: weight of the course of the flock's reference for its heads, where they fly in the flock.
-        table: ``(B, COLUMNS, N)`` float32, the numbers of each UAV.
-        root: ``(B, N)`` int64, the own index of a head.
-        source: as in ``TrajectoryBatch``, like the arguments that follow.
-        bystander: ``(B, N)`` bool.
-        motion: ``(B, N + R)`` int8.
-        start: the first step.
-        noise: ``(B, S, N + R, 3)`` float32.
-        position: filled in place.
-        velocity: filled in place.
+    ``ranges`` are those of repulsion, alignment and attraction, metres; ``weights`` those of alignment and attraction.
+    ``chaser`` says what a bystander that follows is: ``NO_CHASER``, ``PREDATOR`` or ``DRIVER``. The numbers after it
+    are those of ``Flock``; the arrays after ``table`` ``(B, COLUMNS, N)`` are those of ``TrajectoryBatch``.
     """
     episodes, steps, width, uavs = noise.shape[0], noise.shape[1], noise.shape[2], table.shape[2]
     label, order = np.empty(uavs, np.int64), np.empty(uavs, np.int64)

@@ -1,4 +1,4 @@
-"""The compiled inner loops of the simulator: velocities of heads and followers, and the re-merge.
+"""The compiled inner loops of the simulator: velocities of heads and followers, kinematics, and the re-merge.
 
 The same loop over episodes simulates one swarm and a batch, so episode b of a batch equals the single swarm bit for
 bit. Within an episode, time is the first axis: position ``(B, L + S + 1, N, 3)``, velocity ``(B, L + S, N, 3)``. The
@@ -20,6 +20,9 @@ __all__ = [
     "FREE",
     "GAUSS_MARKOV",
     "IID",
+    "LAGGED",
+    "LAYERED",
+    "LIMITED",
     "LOCAL_WAYPOINT",
     "MLP_HIDDEN",
     "MLP_INPUTS",
@@ -27,8 +30,10 @@ __all__ = [
     "MOBILITY_STATE",
     "SMOOTH_TURN",
     "STRAIGHT",
+    "VARIED_SPEED",
     "WAYPOINT",
     "fly_free",
+    "fly_kinematics",
     "fly_lags",
     "fly_mlp",
     "fly_range",
@@ -40,6 +45,7 @@ __all__ = [
 
 DESTROYED, FREE, FOLLOWS = 0, 1, 2  # how a UAV moves in a window; a free UAV (head or decoy) follows no UAV
 IID, GAUSS_MARKOV, SMOOTH_TURN, WAYPOINT, LOCAL_WAYPOINT, STRAIGHT = range(6)
+VARIED_SPEED, LAGGED, LIMITED, LAYERED = range(4)  # the kinematics models that `fly_kinematics` steps
 MOBILITY_STATE = 8  # number of float64 values in the mobility state of a UAV
 
 # The network of f7: inputs -> hidden tanh units -> 3 outputs, in the order of `Network.direction` in follow.py.
@@ -319,6 +325,55 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
                     z += active * readout[unit, 2]
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
             move(b, t, position, velocity)
+
+
+@compiled(error_model="numpy")
+def _steer(x, y, z, u, v, w, limit):
+    """Turn the unit vector (x, y, z) towards the unit vector (u, v, w) by at most ``limit``; also return the cosine."""
+    cosine = min(max(x * u + y * v + z * w, -_ONE), _ONE)
+    angle = min(np.float32(math.acos(cosine)), limit)
+    u, v, w = u - cosine * x, v - cosine * y, w - cosine * z
+    size = np.sqrt(u * u + v * v + w * w)
+    if size < np.float32(1e-4):  # ahead or behind: turn in the level plane
+        u, v, w = -y, x, _ZERO
+        size = np.sqrt(u * u + v * v) + _TINY
+    c, s = np.float32(math.cos(angle)), np.float32(math.sin(angle)) / size
+    x, y, z = norm(c * x + s * u, c * y + s * v, c * z + s * w)
+    return x, y, z, cosine
+
+
+@compiled(error_model="numpy")
+def fly_kinematics(code, numbers, t, motion, normals, state, position, velocity):
+    """One step of all models but ``unit``; the arguments are those of ``Kinematics.fly``."""
+    for b in range(motion.shape[0]):
+        for i in range(motion.shape[1]):
+            if motion[b, i] == DESTROYED:
+                velocity[b, t, i, 0] = velocity[b, t, i, 1] = velocity[b, t, i, 2] = _ZERO
+                continue
+            x, y, z = velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2]
+            bx, by, bz = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
+            if code == VARIED_SPEED:
+                state[b, i, 1] = numbers[0] * state[b, i, 1] + numbers[1] * normals[b, i, 0]
+                speed = min(max(state[b, i, 0] * (_ONE + state[b, i, 1]), numbers[2]), numbers[3])
+                x, y, z = x * speed, y * speed, z * speed
+            elif code == LAGGED:
+                share = state[b, i, 0]
+                x, y, z = bx + (x - bx) * share, by + (y - by) * share, bz + (z - bz) * share
+            elif code == LIMITED:
+                speed = np.sqrt(bx * bx + by * by + bz * bz)
+                scale = _ONE / max(speed, np.float32(1e-6))
+                x, y, z, cosine = _steer(bx * scale, by * scale, bz * scale, x, y, z, state[b, i, 0])
+                goal = numbers[0] + (_ONE - numbers[0]) * np.float32(0.5) * (_ONE + cosine)
+                speed = min(max(goal, speed - numbers[1]), speed + numbers[1])
+                speed = min(max(speed, _ZERO), _ONE)
+                x, y, z = x * speed, y * speed, z * speed
+            else:
+                rise = (state[b, i, 0] - position[b, t, i, 2]) / np.float32(10.0)
+                z = min(max(rise, -numbers[0]), numbers[0])
+                scale = np.sqrt(_ONE - z * z) / np.sqrt(x * x + y * y + _TINY)
+                x, y = x * scale, y * scale
+            velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = x, y, z
+        move(b, t, position, velocity)
 
 
 @compiled()
