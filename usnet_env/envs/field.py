@@ -222,10 +222,6 @@ class FieldEnv(UsnetEnv):
     def _settings(self) -> dict[str, Any]:
         return {"arguments": self._arguments.model_dump()}
 
-    def get_state(self) -> dict[str, Any]:
-        """A copy of the complete state of the episode as plain arrays and numbers."""
-        return {**super().get_state(), **self._settings()}
-
 
 class FieldVectorEnv(SyncVectorEnv):
     """B games of :class:`FieldEnv`, one after another; see ``gym.make_vec("usnet_env:USNET/Field-v0", num_envs=B)``.

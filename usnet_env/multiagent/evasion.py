@@ -93,11 +93,6 @@ class Plan:
     decoys: Indices
     delay: Indices
 
-    @classmethod
-    def from_choices(cls, choices: Indices) -> Plan:
-        """Create a plan from ``(M, 4)`` choices, one row for each head."""
-        return cls(*np.asarray(choices, np.int64).T.copy())
-
 
 @dataclass(frozen=True, eq=False)
 class MixedMobility(Mobility):

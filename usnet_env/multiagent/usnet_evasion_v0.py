@@ -149,7 +149,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         }
         observations = {OBSERVER: spaces.Dict({**window_spaces, "legal": mask})}
         observations |= {name: spaces.Dict(head_spaces) for name in self.heads}
-        actions: dict[str, spaces.Space[Any]] = {OBSERVER: game.action_space(config)}
+        actions: dict[str, spaces.Space[Any]] = {OBSERVER: spaces.MultiBinary(uavs)}
         actions |= {name: spaces.MultiDiscrete(choices) for name in self.heads}
         super().__init__(config, rules, arguments.render_mode, observations, actions)
         self._flown = np.zeros(clusters, np.int64)  # the mobility of each head in the window before
@@ -179,29 +179,30 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         """
         checked = self._check_actions(actions)
         named = game.parse_candidates(checked[OBSERVER], (self.config.uavs,), f"action of {OBSERVER}")
-        plan = Plan.from_choices(np.stack([self._check_choice(name, checked.get(name)) for name in self.heads]))
+        plan = Plan(*np.stack([self._check_choice(name, checked.get(name)) for name in self.heads], axis=1))
         before = self._current_game()
         opening = self._sighting is None
         if opening:
             state, metrics = before, game.initial_info(self.rules, before)
             reward = 0.0
         else:
-            state, outcome = game.play_round(self.rules, before, named[None])
-            metrics, reward = outcome.metrics, float(outcome.reward[0])
+            state, rewards, metrics = game.play_round(self.rules, before, named[None])
+            reward = float(rewards[0])
             self._keep_round(before, named, named.astype(np.float64), metrics)
         self._game = state
         prices = compute_prices(self.manoeuvres, state.swarm, plan)
         if state.terminated[0]:
-            self._sighting = self._empty_window()
+            self._sighting = ObservationBatch.unseen(self.config, state.swarm.alive[0])
         else:
             self._fly_next_window(plan)
         return self._make_step(reward, metrics, prices)
 
     def _fly_next_window(self, plan: Plan) -> None:
         state = self._current_game()
-        rngs = [self._get_generator()]
         self._decoys = select_decoys(state.swarm, plan)[0]
-        swarm, sighting, self._flown = fly_window(self.config, self.manoeuvres, state.swarm, self._flown, plan, rngs)
+        swarm, sighting, self._flown = fly_window(
+            self.config, self.manoeuvres, state.swarm, self._flown, plan, [self._rng]
+        )
         self._game = replace(state, swarm=swarm)
         self._sighting = ObservationBatch(
             sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0]
