@@ -78,10 +78,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     velocity = np.empty((episodes, memory, all_uavs, 3), np.float32)
     parameters = []
     for b, rng in enumerate(rngs):
-        drawn = draw_roles(
-            rng, config.clusters, uavs, config.decoys, config.cluster_sizes, config.bystanders, config.traffic,
-            config.clutter,
-        )  # fmt: skip
+        drawn = draw_roles(rng, config)
         place = check_place("formation", formation(rng, drawn), uavs)
         roles = drawn if strategy is None else strategy.arrange(rng, drawn)
         head[b], decoy[b], bystander[b] = roles.head, roles.decoy, roles.bystander
