@@ -14,7 +14,7 @@ from usnet_env.arrays import Floats, Indices, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent import base
-from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, count_followers, fly_window, select_decoys
+from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, fly_window, select_decoys
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 from usnet_env.swarm.config import SensorArguments
 from usnet_env.swarm.flock_follow import Flock
@@ -194,19 +194,13 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         if state.terminated[0]:
             self._sighting = ObservationBatch.unseen(self.config, state.swarm.alive[0])
         else:
-            self._fly_next_window(plan)
+            self._decoys = select_decoys(state.swarm, plan)[0]
+            swarm, flown, self._flown = fly_window(
+                self.config, self.manoeuvres, state.swarm, self._flown, plan, [self._rng]
+            )
+            self._game = replace(state, swarm=swarm)
+            self._sighting = ObservationBatch(flown.position[0], flown.velocity[0], flown.seen[0], flown.alive[0])
         return self._make_step(reward, metrics, prices)
-
-    def _fly_next_window(self, plan: Plan) -> None:
-        state = self._current_game()
-        self._decoys = select_decoys(state.swarm, plan)[0]
-        swarm, sighting, self._flown = fly_window(
-            self.config, self.manoeuvres, state.swarm, self._flown, plan, [self._rng]
-        )
-        self._game = replace(state, swarm=swarm)
-        self._sighting = ObservationBatch(
-            sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0]
-        )
 
     def _make_step(self, reward: float, metrics: dict[str, NDArray[Any]], prices: Floats) -> base.Step:
         state = self._current_game()
@@ -269,8 +263,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         if agent == OBSERVER:
             flown = self._sighting is not None and not state.terminated[0]
             return self._make_observation(self._current_window(), swarm.alive[0] & flown)
-        row = self.heads.index(agent)
-        head = int(np.flatnonzero(swarm.head[0])[row])
+        head = int(np.flatnonzero(swarm.head[0])[self.heads.index(agent)])
         own = np.zeros(self.config.uavs, np.int8)
         own[head] = 1
         followers = (swarm.root[0] == head) & swarm.alive[0] & ~swarm.head[0]
@@ -284,7 +277,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
             "followers": followers.astype(np.int8),
             "named": named.astype(np.int8),
             "round": state.rounds.astype(np.float32),
-            "legal": self._mask_choices(int(count_followers(swarm)[row])),
+            "legal": self._mask_choices(int(followers.sum())),
         }
 
     def _mask_choices(self, followers: int) -> NDArray[np.int8]:
