@@ -15,6 +15,7 @@ from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.objectives import hits_and_redundant, single_cluster_objective
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
+from usnet_env.swarm.config import Count
 
 COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 
@@ -22,7 +23,7 @@ COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 class ShotArguments(Config):
     """The arguments about candidates, which both problems have."""
 
-    shot_budget: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
+    shot_budget: Count | None = Field(
         None, description="largest number of candidates in a round; a larger set destroys no UAV"
     )
     redundancy_price: Annotated[float, Field(ge=0, le=1e6)] = Field(

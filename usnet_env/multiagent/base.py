@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -18,7 +18,7 @@ from usnet_env.drawing import EpisodeFrames, MissingExtraError, describe_frame
 from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules, check_options
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
-from usnet_env.swarm.config import Count, SizeArguments, SwarmArguments
+from usnet_env.swarm.config import Count, SizeArguments, Sizes, SwarmArguments
 
 try:
     from pettingzoo import AECEnv, ParallelEnv
@@ -72,7 +72,7 @@ class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArgumen
     """The arguments that both games take."""
 
     uavs: Count = Field(82, description="N, number of UAVs; decoys count")
-    cluster_sizes: Sequence[Annotated[int, Field(ge=2, le=100_000)]] | None = Field(
+    cluster_sizes: Sizes | None = Field(
         None,
         description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys``; "
         "``None``: drawn for each episode",

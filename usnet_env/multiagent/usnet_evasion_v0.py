@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -16,7 +16,7 @@ from usnet_env.envs import game
 from usnet_env.multiagent import base
 from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, fly_window, select_decoys
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
-from usnet_env.swarm.config import SensorArguments
+from usnet_env.swarm.config import SensorArguments, Steps
 from usnet_env.swarm.flock_follow import Flock
 
 __all__ = ["env", "parallel_env", "raw_env"]
@@ -27,9 +27,7 @@ OBSERVER = "observer_0"
 class EvasionArguments(base.GameArguments, SensorArguments, Manoeuvres):
     """The arguments of :class:`parallel_env`."""
 
-    memory: Annotated[int, Field(ge=1, le=1000)] = Field(
-        8, description="T_0; at least the lags of the follow strategy + ``most_delay``"
-    )
+    memory: Steps = Field(8, description="T_0; at least the lags of the follow strategy + ``most_delay``")
 
 
 @list_arguments()
