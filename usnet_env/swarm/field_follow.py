@@ -225,11 +225,7 @@ class CuckerSmale(Hierarchy):
     parameters = ("links", "strength", "scale", "noise")
     links: int = 8
     strength: float = 0.8
-
-    @property
-    def lags(self) -> int:  # type: ignore[override]  # follows from the other fields
-        """The delays are not added up: every link has the delay 1."""
-        return 1
+    lags = 1  # the delays are not added up: every link has the delay 1
 
 
 @dataclass(frozen=True)
@@ -268,12 +264,8 @@ class Kinds(FieldStrategy):
 
     block: int = 30
     reach: float = KAPPA_RANGE
+    lags = 3  # those of f3 and f5
     answers: ClassVar[int] = ALWAYS
-
-    @property
-    def lags(self) -> int:  # type: ignore[override]  # that of f3
-        """The lags of f3 and f5."""
-        return 3
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
@@ -432,11 +424,7 @@ class Shifted(FieldStrategy):
     parameters = ("noise",)
     has_heads = False
     shifts_tracks = True
-
-    @property
-    def lags(self) -> int:  # type: ignore[override]  # that of f2
-        """The lags of f2."""
-        return 2
+    lags = 2  # those of f2
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """No UAV of a cluster has a head for the observer; the sources stay."""
