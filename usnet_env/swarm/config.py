@@ -13,15 +13,6 @@ from usnet_env.swarm.formation import FARTHEST, FORMATIONS
 from usnet_env.swarm.kinematics import KINEMATICS, Kinematics
 from usnet_env.swarm.mobility import Mobility, mobility
 
-__all__ = [
-    "BystanderArguments",
-    "MobilityArguments",
-    "SensorArguments",
-    "SizeArguments",
-    "SwarmArguments",
-    "SwarmConfig",
-]
-
 _MAX_SAMPLES = 100_000_000  # limit of (T_ob * sample_every + memory) * N: 2.4 GB of positions and velocities
 
 # The bounds of arguments that several configurations have.

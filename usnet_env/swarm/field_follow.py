@@ -21,26 +21,6 @@ from usnet_env.swarm.field_kernels import ALWAYS, EACH_CLUSTER, EACH_FOLLOWER
 from usnet_env.swarm.formation import Roles
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
 
-__all__ = [
-    "Chain",
-    "CuckerSmale",
-    "FieldStrategy",
-    "Frontness",
-    "Hierarchy",
-    "Independent",
-    "Kinds",
-    "Links",
-    "Mixed",
-    "PartTime",
-    "PartialTurns",
-    "Pigeons",
-    "Reference",
-    "Shifted",
-    "Slots",
-    "Switching",
-    "UnequalDelays",
-]
-
 Pair = tuple[float, float]
 
 

@@ -11,26 +11,6 @@ import numpy as np
 from usnet_env.compiling import compiled
 from usnet_env.swarm.kernels import FOLLOWS, move, norm
 
-__all__ = [
-    "ALWAYS",
-    "COLUMNS",
-    "DELAY",
-    "EACH_CLUSTER",
-    "EACH_FOLLOWER",
-    "GAIN",
-    "KINDS",
-    "MOST_LINKS",
-    "NOISE",
-    "OFFSET",
-    "SALT",
-    "find_top",
-    "finish_step",
-    "fly_kinds",
-    "fly_links",
-    "fly_slots",
-    "hash_draw",
-]
-
 COLUMNS = 7  # of the table: delay, gain, noise, salt of the hashed draws, and the three coordinates of the slot
 DELAY, GAIN, NOISE, SALT, OFFSET = 0, 1, 2, 3, 4
 ALWAYS, EACH_CLUSTER, EACH_FOLLOWER = range(3)  # who draws whether to answer, block by block

@@ -12,8 +12,6 @@ from usnet_env.swarm.field_follow import FieldStrategy
 from usnet_env.swarm.formation import Roles
 from usnet_env.swarm.strategy import TrajectoryBatch
 
-__all__ = ["Couzin", "Flock", "Informed", "Predator", "Shepherd", "Vicsek"]
-
 
 @dataclass(frozen=True)
 class Flock(FieldStrategy):

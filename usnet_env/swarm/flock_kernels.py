@@ -12,8 +12,6 @@ from usnet_env.compiling import compiled
 from usnet_env.swarm.field_kernels import NOISE, find_top, finish_step
 from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, move, norm
 
-__all__ = ["DRIVER", "NO_CHASER", "PREDATOR", "fly_flock"]
-
 NO_CHASER, PREDATOR, DRIVER = range(3)
 
 _ONE, _ZERO, _TINY = np.float32(1.0), np.float32(0.0), np.float32(1e-12)

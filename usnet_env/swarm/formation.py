@@ -15,20 +15,6 @@ from usnet_env.registry import Registry
 if TYPE_CHECKING:
     from usnet_env.swarm.config import SwarmConfig
 
-__all__ = [
-    "ARENA",
-    "AROUND_RADIUS",
-    "FORMATIONS",
-    "Formation",
-    "Roles",
-    "check_place",
-    "draw_corridors",
-    "draw_roles",
-    "formations",
-    "random_cluster_sizes",
-    "register_formation",
-]
-
 ARENA = (1000.0, 1000.0, 100.0)  # metres, the box of the paper's simulations
 CORRIDORS = 3  # of civil traffic
 AROUND_RADIUS = 60.0  # metres; equals kappa_r of f6, so that `around` followers start within the range of their head

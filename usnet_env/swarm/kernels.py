@@ -14,35 +14,6 @@ import numpy as np
 
 from usnet_env.compiling import compiled
 
-__all__ = [
-    "DESTROYED",
-    "FOLLOWS",
-    "FREE",
-    "GAUSS_MARKOV",
-    "IID",
-    "LAGGED",
-    "LAYERED",
-    "LIMITED",
-    "LOCAL_WAYPOINT",
-    "MLP_HIDDEN",
-    "MLP_INPUTS",
-    "MLP_LAGS",
-    "MOBILITY_STATE",
-    "SMOOTH_TURN",
-    "STRAIGHT",
-    "VARIED_SPEED",
-    "WAYPOINT",
-    "fly_free",
-    "fly_kinematics",
-    "fly_lags",
-    "fly_mlp",
-    "fly_range",
-    "integrate",
-    "move",
-    "norm",
-    "remerge",
-]
-
 DESTROYED, FREE, FOLLOWS = 0, 1, 2  # how a UAV moves in a window; a free UAV (head or decoy) follows no UAV
 IID, GAUSS_MARKOV, SMOOTH_TURN, WAYPOINT, LOCAL_WAYPOINT, STRAIGHT = range(6)
 VARIED_SPEED, LAGGED, LIMITED, LAYERED = range(4)  # the kinematics models that `fly_kinematics` steps

@@ -21,18 +21,6 @@ from usnet_env.config import ArgumentError, quote, real_number, whole_number
 from usnet_env.registry import Registry
 from usnet_env.swarm import kernels
 
-__all__ = [
-    "KINEMATICS",
-    "Kinematics",
-    "Lagged",
-    "Layered",
-    "Limited",
-    "Unit",
-    "VariedSpeed",
-    "kinematics_models",
-    "register_kinematics",
-]
-
 _FASTEST = 100.0  # metres per step
 _MOST_VALUES = 64
 

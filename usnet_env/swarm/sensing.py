@@ -11,8 +11,6 @@ import numpy as np
 from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.swarm.config import NOISE_BOUND, SWAP_RANGE, SwarmConfig
 
-__all__ = ["ObservationBatch", "sense", "shift_tracks"]
-
 
 @dataclass(frozen=True)
 class ObservationBatch:

@@ -28,8 +28,6 @@ from usnet_env.swarm.sensing import ObservationBatch, sense, shift_tracks
 from usnet_env.swarm.state import SwarmState
 from usnet_env.swarm.strategy import TrajectoryBatch
 
-__all__ = ["advance", "start"]
-
 Generators = Sequence[np.random.Generator]
 
 _CHUNK_BYTES = 1 << 20  # size of one chunk of noise: small enough to stay in the processor cache until it is used

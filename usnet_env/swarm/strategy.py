@@ -14,9 +14,6 @@ from usnet_env.registry import REGISTRIES
 from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import Roles
 
-__all__ = ["KAPPA", "KAPPA_NOISE", "KAPPA_RANGE", "FollowInputs", "FollowStrategy", "TrajectoryBatch"]
-
-
 KAPPA = 1.0  # kappa_0, ..., kappa_3 and kappa_p of Table II
 KAPPA_NOISE = 0.05  # kappa_n
 KAPPA_RANGE = 60.0  # kappa_r, metres
