@@ -18,7 +18,6 @@ from usnet_env.swarm.formation import ARENA, check_place
 from usnet_env.swarm.sensing import sense
 
 Number = Annotated[float, Field(ge=0, le=1e6)]
-Generators = Sequence[np.random.Generator]
 
 
 class SensorConfig(Config):
