@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import FOLLOWS, move, norm
+from usnet_env.swarm.kernels import FOLLOWS, finish_step, move, norm
 
 COLUMNS = 7  # of the table: delay, gain, noise, salt of the hashed draws, and the three coordinates of the slot
 DELAY, GAIN, NOISE, SALT, OFFSET = 0, 1, 2, 3, 4
@@ -31,14 +31,6 @@ def hash_draw(salt, block):
     x = (x * np.uint64(0x846CA68B)) & _MASK
     x = x ^ (x >> np.uint64(16))
     return np.float32(x >> np.uint64(8)) * np.float32(2.0**-24)
-
-
-@compiled(error_model="numpy")
-def finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity):
-    """Write norm((x, y, z) + noise) as the velocity of UAV i in step t."""
-    velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(
-        x + noise_scale * noise[b, s, i, 0], y + noise_scale * noise[b, s, i, 1], z + noise_scale * noise[b, s, i, 2]
-    )
 
 
 @compiled(error_model="numpy")

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.field_kernels import NOISE, find_top, finish_step
-from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, move, norm
+from usnet_env.swarm.field_kernels import NOISE, find_top
+from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, finish_step, move, norm
 
 NO_CHASER, PREDATOR, DRIVER = range(3)
 

@@ -36,6 +36,14 @@ def norm(x, y, z):
     return x * size, y * size, z * size
 
 
+@compiled(error_model="numpy")
+def finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity):
+    """Write norm((x, y, z) + noise) as the velocity of UAV i in step t."""
+    velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(
+        x + noise_scale * noise[b, s, i, 0], y + noise_scale * noise[b, s, i, 1], z + noise_scale * noise[b, s, i, 2]
+    )
+
+
 @compiled()
 def _uniform(z):
     """Map the standard normal number z to a uniform number in (0, 1) by the normal distribution function."""
@@ -120,18 +128,11 @@ def _step_mobility(code, state, z, p, numbers, out):
 
 @compiled()
 def fly_free(code, numbers, free, start, normals, jitter, state, position, velocity):
-    """Velocities of the free UAVs by mobility ``code``; writes ``state`` and ``velocity`` in place.
+    """Velocities of the free UAVs ``(B, n)`` by mobility ``code``; writes ``state`` and ``velocity`` in place.
 
-    Args:
-        code: the mobility, ``IID`` to ``STRAIGHT``.
-        numbers: ``(6,)`` float64, the constants of the mobility.
-        free: ``(B, n)`` int64, indices of the free UAVs.
-        start: index in ``velocity`` of the first step to simulate.
-        normals: ``(B, S, n, k)`` float32, standard normal numbers for the mobility.
-        jitter: ``(B, S, N, 3)`` float32, scaled noise that is added to the unit direction; length 0: no noise.
-        state: ``(B, n, MOBILITY_STATE)`` float64, updated in place.
-        position: ``(B, >= start + 1, N, 3)`` float32, read at ``start``.
-        velocity: ``(B, start + S, N, 3)`` float32.
+    ``numbers`` ``(6,)`` are the constants of the mobility, ``normals`` ``(B, S, n, k)`` its random numbers, and
+    ``jitter`` ``(B, S, N, 3)`` is the scaled noise that is added to the unit direction; length 0: no noise. ``state``
+    is ``(B, n, MOBILITY_STATE)``; positions are read at ``start`` only.
     """
     episodes, steps, count = normals.shape[0], normals.shape[1], normals.shape[2]
     out = np.empty(3, np.float32)
@@ -193,10 +194,7 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
                     target[h, axis] = total
             for i in followers:
                 h = root[b, i]
-                x = target[h, 0] + noise_scale * noise[b, s, i, 0]
-                y = target[h, 1] + noise_scale * noise[b, s, i, 1]
-                z = target[h, 2] + noise_scale * noise[b, s, i, 2]
-                velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
+                finish_step(b, s, t, i, target[h, 0], target[h, 1], target[h, 2], noise_scale, noise, velocity)
     integrate(start, position, velocity)
 
 
