@@ -8,7 +8,6 @@ import pytest
 from usnet_env import ArgumentError
 from usnet_env.envs import MultiClusterEnv, SingleClusterEnv
 from usnet_env.swarm import SwarmConfig, advance, destroy, follow_strategies, start
-from usnet_env.swarm.control_follow import Shifted
 from usnet_env.swarm.field_follow import (
     Chain,
     CuckerSmale,
@@ -17,6 +16,7 @@ from usnet_env.swarm.field_follow import (
     PartTime,
     Pigeons,
     Reference,
+    Shifted,
     Switching,
     UnequalDelays,
 )

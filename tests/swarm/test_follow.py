@@ -11,7 +11,7 @@ from usnet_env.swarm import FollowStrategy, SwarmConfig, advance, destroy, follo
 from usnet_env.swarm import follow as follow_module
 from usnet_env.swarm.follow import FOLLOW_STRATEGIES, FollowInputs, Lags, Network, StayInRange, follow_strategy
 from usnet_env.swarm.random_follow import random_follow_strategy
-from usnet_env.swarm.trajectory import TrajectoryBatch
+from usnet_env.swarm.strategy import TrajectoryBatch
 
 NAMES = ["f1", "f2", "f3", "f4", "f5", "f6", "f7"]
 

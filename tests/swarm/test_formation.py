@@ -29,7 +29,7 @@ def test_all_splits_are_equally_likely():
 
 @given(seed=st.integers(0, 2**32), decoys=st.integers(0, 3))
 def test_roles_are_consistent(seed, decoys):
-    roles = draw_roles(np.random.default_rng(seed), 4, 30 + decoys, decoys, None)
+    roles = draw_roles(np.random.default_rng(seed), SwarmConfig(clusters=4, uavs=30 + decoys, decoys=decoys))
     assert roles.head.sum() == 4
     assert roles.decoy.sum() == decoys
     assert not (roles.head & roles.decoy).any()
@@ -83,7 +83,7 @@ def test_orphans_take_the_nearest_remaining_head(seed, uavs, share):
     """Against a literal reading: living followers without a living head look at all remaining heads."""
     rng = np.random.default_rng(seed)
     clusters = int(rng.integers(1, uavs // 3 + 1))
-    roles = draw_roles(rng, clusters, uavs, 0, None)
+    roles = draw_roles(rng, SwarmConfig(clusters=clusters, uavs=uavs))
     alive = rng.random(uavs) >= share
     position = rng.uniform(0, 1000, (uavs, 3)).astype(np.float32)
     leader = roles.root.copy()

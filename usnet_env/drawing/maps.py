@@ -85,17 +85,18 @@ def last_seen_position(position: NDArray[np.float32], seen: NDArray[np.bool_]) -
     return np.asarray(np.where(np.any(seen, axis=0, keepdims=True).T, place, np.float32(np.nan)))
 
 
-def limits_around(place: NDArray[np.float32], margin: float = 0.12) -> Limits:
+def limits_around(place: NDArray[np.floating[Any]], margin: float = 0.12, least: float = 1.0) -> Limits:
     """The smallest square around some positions, with a margin.
 
     Args:
         place: ``(..., 3)`` metres; NaN for what is not drawn.
         margin: share of the side that is added to it.
+        least: the least side without the margin, metres; recorded tracks may be smaller than a metre.
     """
     known = place[np.isfinite(place[..., 0])][:, :2]
     low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.ones(2))
     x, y = ((low + high) / 2).tolist()
-    return x, y, (1 + margin) / 2 * max(float((high - low).max()), 1.0)
+    return x, y, (1 + margin) / 2 * max(float((high - low).max()), least)
 
 
 def cluster_colors(
@@ -134,19 +135,6 @@ def _draw_tracks(axes: Axes, position: NDArray[np.float32], seen: NDArray[np.boo
         )
 
 
-def _draw_links(
-    axes: Axes,
-    place: NDArray[np.float32],
-    linked: NDArray[np.bool_],
-    root: NDArray[np.int64],
-    colors: NDArray[np.str_],
-) -> None:
-    from matplotlib.collections import LineCollection
-
-    ends = np.stack([place[linked, :2], place[root[linked], :2]], axis=1)
-    axes.add_collection(LineCollection(list(ends), colors=colors[linked], alpha=0.28, linewidths=0.7, zorder=1))
-
-
 def _draw_points(axes: Axes, place: NDArray[np.float32], chosen: NDArray[np.bool_], **style: Any) -> None:
     if chosen.any():
         axes.scatter(place[chosen, 0], place[chosen, 1], **style)
@@ -161,20 +149,9 @@ def round_marks(
     candidates: NDArray[np.bool_] | None = None,
     destroyed_at: NDArray[np.float32] | None = None,
 ) -> dict[str, NDArray[np.bool_]]:
-    """The mask of UAVs for each mark in the picture of a round. The keys are the texts of the legend.
+    """The mask ``(N,)`` of UAVs for each mark in the picture of a round. The keys are the texts of the legend.
 
-    Args:
-        place: ``(N, 3)`` metres, positions; NaN for UAVs that are not drawn.
-        alive: ``(N,)`` bool, before the candidates are destroyed.
-        head: ``(N,)`` bool, H_0.
-        root: ``(N,)`` int64, as in :func:`cluster_colors`.
-        decoy: ``(N,)`` bool.
-        candidates: ``(N,)`` bool, or ``None`` before the first answer.
-        number: ``(N,)`` int64, the number of each head's cluster, which gives its colour; ``None``: heads are counted.
-        destroyed_at: ``(N, 3)`` metres, positions of destroyed UAVs, NaN if unknown; ``None``: not drawn.
-
-    Returns:
-        ``(N,)`` bool for every mark.
+    ``place`` ``(N, 3)`` holds positions, NaN for UAVs that are not drawn; all others are as in :func:`draw_round`.
     """
     shown = np.isfinite(place[:, 0])
     target = head & alive
@@ -294,18 +271,21 @@ def draw_round(
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
+    from matplotlib.collections import LineCollection
+
     if axes is None:
         axes = new_figure(9.6, 7.2).add_axes((0.07, 0.08, 0.66, 0.86) if legend else (0.09, 0.08, 0.88, 0.86))
     place = last_seen_position(position, seen & alive)
     marks = round_marks(place, alive, head, root, decoy, candidates, destroyed_at)
-    everywhere = place
-    if destroyed_at is not None:
-        everywhere = np.asarray(np.where(marks[DESTROYED_MARK][:, None], destroyed_at, place))
+    gone = marks[DESTROYED_MARK]
+    everywhere = place if destroyed_at is None else np.asarray(np.where(gone[:, None], destroyed_at, place))
     # The limits come first: otherwise they are computed anew for everything that is drawn.
     _set_up_axes(axes, limits_around(everywhere) if limits is None else limits, title)
     shown = np.isfinite(place[:, 0])
     colors, marker = cluster_colors(head, root, number)
-    _draw_links(axes, place, marks[LINK_MARK], root, colors)
+    linked = marks[LINK_MARK]
+    links = np.stack([place[linked, :2], place[root[linked], :2]], axis=1)
+    axes.add_collection(LineCollection(list(links), colors=colors[linked], alpha=0.28, linewidths=0.7, zorder=1))
     _draw_tracks(axes, position[:, shown], (seen & alive)[:, shown], colors[shown])
 
     for kind, shape in enumerate(_MARKERS):
@@ -319,10 +299,7 @@ def draw_round(
         _draw_points(axes, place, stars & (marker == kind), s=22, c="white", marker=shape, linewidths=0, zorder=5.5)
     _draw_points(axes, place, decoys, s=46, c="white", marker="D", edgecolors="black", linewidths=1, zorder=4)
 
-    if destroyed_at is not None:
-        _draw_points(
-            axes, everywhere, marks[DESTROYED_MARK], s=34, c=NO_CLUSTER_COLOR, marker="x", linewidths=1.5, zorder=2.5
-        )
+    _draw_points(axes, everywhere, gone, s=34, c=NO_CLUSTER_COLOR, marker="x", linewidths=1.5, zorder=2.5)
     ring: dict[str, Any] = {"facecolors": "none", "zorder": 6}
     _draw_points(axes, everywhere, marks[HIT_MARK], s=400, edgecolors=HIT, linewidths=2.4, **ring)
     _draw_points(axes, everywhere, marks[REDUNDANT_MARK], s=130, marker="s", edgecolors=REDUNDANT, linewidths=2, **ring)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import SyncVectorEnv
@@ -16,13 +16,11 @@ from usnet_env.envs import game
 from usnet_env.envs.usnet import INFO, OBSERVATION, OutputArguments, UsnetEnv
 from usnet_env.envs.vector import check_batch
 from usnet_env.swarm import FollowStrategy, Kinematics, Mobility, SwarmConfig
-from usnet_env.swarm.config import Count
+from usnet_env.swarm.config import Burst, Count, Few, Metres, Rate, Ratio, Share, Steps
 
 __all__ = ["DISTRIBUTION", "FieldDistribution", "FieldEnv", "FieldVectorEnv"]
 
 Weights = Mapping[str, float]
-Few = Annotated[int, Field(ge=0, le=100_000)]
-Share = Annotated[float, Field(ge=0, le=1)]
 
 
 @dataclass(frozen=True)
@@ -119,8 +117,8 @@ class FieldArguments(OutputArguments, game.RoundArguments):
 
     uavs: Count = Field(82, description="N, number of UAVs")
     observation_steps: Count = Field(100, description="T_ob, number of velocity samples in a window")
-    sample_every: Annotated[int, Field(ge=1, le=1000)] = Field(1, description="the observer samples every k-th step")
-    memory: Annotated[int, Field(ge=1, le=1000)] = Field(
+    sample_every: Steps = Field(1, description="the observer samples every k-th step")
+    memory: Steps = Field(
         12, description="T_0, number of past steps that a follow strategy may use, and of unobserved steps in a round"
     )
     follow: str | FollowStrategy | None = Field(None, description="follow strategy; ``None``: drawn")
@@ -132,24 +130,18 @@ class FieldArguments(OutputArguments, game.RoundArguments):
     bystanders: Few | None = Field(None, description="number of UAVs that fly on their own; ``None``: drawn")
     traffic: Few | None = Field(None, description="number of UAVs of civil traffic; ``None``: drawn")
     head_jitter: bool | None = Field(None, description="noise of heads and decoys; ``None``: drawn")
-    position_noise: Annotated[float, Field(ge=0, le=1000)] | None = Field(
+    position_noise: Metres | None = Field(
         None, description="standard deviation of the observed positions, m; ``None``: drawn"
     )
-    miss_rate: Annotated[float, Field(ge=0, lt=1)] | None = Field(
-        None, description="probability of a missed detection; ``None``: drawn"
-    )
-    noise_memory: Annotated[float, Field(ge=0, lt=1)] | None = Field(
+    miss_rate: Rate | None = Field(None, description="probability of a missed detection; ``None``: drawn")
+    noise_memory: Rate | None = Field(
         None, description="correlation of the noise from one instant to the next; ``None``: drawn"
     )
-    miss_burst: Annotated[float, Field(ge=0, le=10_000)] | None = Field(
-        None, description="mean length of a burst of missed detections; ``None``: drawn"
-    )
+    miss_burst: Burst | None = Field(None, description="mean length of a burst of missed detections; ``None``: drawn")
     partial_tracks: Share | None = Field(None, description="probability of a partial track; ``None``: drawn")
     swap_rate: Share | None = Field(None, description="probability of an identity switch; ``None``: drawn")
     clutter: Few = Field(0, description="number of false tracks, which begin and end in each window and are of no UAV")
-    course_noise: Annotated[float, Field(ge=0, le=100)] = Field(
-        1.0, description="position noise along the course of a UAV, in units of that across it"
-    )
+    course_noise: Ratio = Field(1.0, description="position noise along the course of a UAV, in units of that across it")
 
     def make_config(self, drawn: dict[str, Any]) -> SwarmConfig:
         """The swarm with the given values where this config has ``None``."""
@@ -221,10 +213,6 @@ class FieldEnv(UsnetEnv):
 
     def _settings(self) -> dict[str, Any]:
         return {"arguments": self._arguments.model_dump()}
-
-    def get_state(self) -> dict[str, Any]:
-        """A copy of the complete state of the episode as plain arrays and numbers."""
-        return {**super().get_state(), **self._settings()}
 
 
 class FieldVectorEnv(SyncVectorEnv):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -15,6 +15,7 @@ from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.objectives import hits_and_redundant, single_cluster_objective
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState, advance, destroy, start
+from usnet_env.swarm.config import Count
 
 COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 
@@ -22,7 +23,7 @@ COUNTERS = ("rounds", "redundant", "terminated", "truncated")
 class ShotArguments(Config):
     """The arguments about candidates, which both problems have."""
 
-    shot_budget: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
+    shot_budget: Count | None = Field(
         None, description="largest number of candidates in a round; a larger set destroys no UAV"
     )
     redundancy_price: Annotated[float, Field(ge=0, le=1e6)] = Field(
@@ -91,14 +92,6 @@ class GameState:
         return replace(self, **changed)
 
 
-@dataclass(frozen=True)
-class StepResult:
-    """The result of a round: ``reward`` ``(B,)`` float64, and the ``metrics`` of ``info`` by name, each ``(B,)``."""
-
-    reward: Floats
-    metrics: dict[str, NDArray[Any]]
-
-
 def observation_space(config: SwarmConfig, rules: Rules) -> spaces.Dict:
     """The observation space of one environment: bounded boxes and masks."""
     instants, uavs = config.observation_steps + 1, config.uavs
@@ -113,11 +106,6 @@ def observation_space(config: SwarmConfig, rules: Rules) -> spaces.Dict:
             "round": spaces.Box(1, rules.max_rounds + 1, (1,), np.float32),
         }
     )
-
-
-def action_space(config: SwarmConfig) -> spaces.MultiBinary:
-    """The action space of one environment: one bit per UAV."""
-    return spaces.MultiBinary(config.uavs)
 
 
 def to_array(action: Any) -> NDArray[Any]:
@@ -170,7 +158,7 @@ def start_games(config: SwarmConfig, rngs: Sequence[np.random.Generator]) -> Gam
     return GameState(swarm, zeros, zeros.copy(), zeros.astype(bool), zeros.astype(bool))
 
 
-def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameState, StepResult]:
+def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameState, Floats, dict[str, NDArray[Any]]]:
     """Play one round: score and destroy the candidates; followers of a destroyed head re-merge.
 
     Args:
@@ -179,7 +167,7 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
         candidates: ``(B, N)`` bool.
 
     Returns:
-        The games after the round, and the result of the round.
+        The games after the round, the reward ``(B,)`` float64, and the metrics of ``info`` by name, each ``(B,)``.
     """
     swarm, uavs = state.swarm, candidates.shape[1]
     count = candidates.sum(axis=1)
@@ -214,21 +202,13 @@ def play_round(rules: Rules, state: GameState, candidates: Mask) -> tuple[GameSt
         "over_budget": over_budget.astype(np.int64),
         **terms,
     }
-    return GameState(after, rounds, total, terminated, truncated), StepResult(reward, metrics)
+    return GameState(after, rounds, total, terminated, truncated), reward, metrics
 
 
 def initial_info(rules: Rules, state: GameState) -> dict[str, NDArray[Any]]:
-    """The metrics of ``info`` before the first round: the names that :func:`play_round` returns, all zero or false."""
-    count = len(state.rounds)
-    first = "reward_hit" if rules.problem == "P1" else "reward_round"
-    return {
-        **{name: np.zeros(count, np.int64) for name in ("hits", "redundant", "round", "success")},
-        "is_success": np.zeros(count, bool),
-        "J": np.zeros(count),
-        "over_budget": np.zeros(count, np.int64),
-        first: np.zeros(count),
-        "reward_redundancy": np.zeros(count),
-    }
+    """The metrics of ``info`` before the first round: those of a round without candidates, all zero or false."""
+    metrics = play_round(rules, state, np.zeros_like(state.swarm.alive))[2]
+    return {name: np.zeros_like(values) for name, values in metrics.items()}
 
 
 def truth_info(swarm: SwarmState) -> dict[str, NDArray[Any]]:
@@ -266,20 +246,12 @@ def observe_windows(
     if len(running) == len(rngs):
         swarm, observed = advance(config, state.swarm, rngs)
         return replace(state, swarm=swarm), _make_observation(state, observed)
-    instants, uavs = config.observation_steps + 1, config.uavs
-    whole = ObservationBatch(
-        position=np.zeros((len(rngs), instants, uavs, 3), np.float32),
-        velocity=np.zeros((len(rngs), instants - 1, uavs, 3), np.float32),
-        seen=np.zeros((len(rngs), instants, uavs), bool),
-        alive=state.swarm.alive,
-    )
-    swarm = state.swarm
+    swarm, whole = state.swarm, ObservationBatch.unseen(config, state.swarm.alive)
     if len(running):
-        part, observed = advance(config, state.swarm.rows(running), [rngs[int(b)] for b in running])
-        swarm = state.swarm.with_rows(running, part)
-        for field in fields(ObservationBatch):
-            if field.name != "alive":
-                getattr(whole, field.name)[running] = getattr(observed, field.name)
+        part, observed = advance(config, swarm.rows(running), [rngs[int(b)] for b in running])
+        swarm = swarm.with_rows(running, part)
+        for name in ("position", "velocity", "seen"):
+            getattr(whole, name)[running] = getattr(observed, name)
     return replace(state, swarm=swarm), _make_observation(state, whole)
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -81,7 +82,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         self.reveal_truth = output.reveal_truth
         self.render_mode = output.render_mode
         self.observation_space = game.observation_space(config, rules)  # type: ignore[assignment]  # Dict is invariant
-        self.action_space = game.action_space(config)
+        self.action_space = spaces.MultiBinary(config.uavs)
         self._game: game.GameState | None = None
         self._window: Observation = {}  # the present observation
         # The round before it: window, swarm, candidates, and title of its frame.
@@ -142,14 +143,14 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         if before.terminated[0] or before.truncated[0]:
             raise ArgumentError("reset must be called first, got a step in an episode that is over.")
         candidates = game.parse_candidates(action, (self.config.uavs,))
-        state, result = game.play_round(self.rules, before, candidates[None])
-        reward, values = float(result.reward[0]), {name: each[0].item() for name, each in result.metrics.items()}
+        state, rewards, metrics = game.play_round(self.rules, before, candidates[None])
+        reward, values = float(rewards[0]), {name: each[0].item() for name, each in metrics.items()}
         title = describe_frame(
             values["round"], values["hits"], values["redundant"], values["J"], reward, bool(values["over_budget"])
         )
         self._last_round = (self._window, before.swarm, candidates, title)
         observation = self._observe(state)
-        return observation, reward, bool(state.terminated[0]), bool(state.truncated[0]), self._info(result.metrics)
+        return observation, reward, bool(state.terminated[0]), bool(state.truncated[0]), self._info(metrics)
 
     def _draw_config(self) -> SwarmConfig:
         """The swarm of the next episode."""
@@ -188,6 +189,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             "game": {name: getattr(state, name).copy() for name in game.COUNTERS},
             "observation": copy.deepcopy(self._window),
             "generator": copy.deepcopy(self.np_random.bit_generator.state),
+            **self._settings(),
         }
 
     def set_state(self, state: dict[str, Any]) -> Observation:

@@ -121,8 +121,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         before = self._require_game()
         candidates = game.parse_candidates(actions, (self.num_envs, self.config.uavs))
         over = before.terminated | before.truncated
-        state, result = game.play_round(self.rules, before, candidates & ~over[:, None])
-        reward, metrics = result.reward, result.metrics
+        state, reward, metrics = game.play_round(self.rules, before, candidates & ~over[:, None])
         if over.any():
             ended = np.flatnonzero(over)
             begun = game.start_games(self.config, [self._rngs[b] for b in ended])

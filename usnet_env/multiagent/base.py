@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -18,7 +18,7 @@ from usnet_env.drawing import EpisodeFrames, MissingExtraError, describe_frame
 from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules, check_options
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
-from usnet_env.swarm.config import Count, SizeArguments, SwarmArguments
+from usnet_env.swarm.config import Count, SizeArguments, Sizes, SwarmArguments
 
 try:
     from pettingzoo import AECEnv, ParallelEnv
@@ -72,7 +72,7 @@ class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArgumen
     """The arguments that both games take."""
 
     uavs: Count = Field(82, description="N, number of UAVs; decoys count")
-    cluster_sizes: Sequence[Annotated[int, Field(ge=2, le=100_000)]] | None = Field(
+    cluster_sizes: Sizes | None = Field(
         None,
         description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys``; "
         "``None``: drawn for each episode",
@@ -137,7 +137,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         low = np.tile(np.array([-far] * 3 + [-fast] * 3 + [0, 0, 0, -1], np.float32), uavs)
         first, last = np.zeros(1, np.float32), np.full(1, rules.max_rounds, np.float32)
         self.state_space = spaces.Box(np.append(low, first), np.append(high, last), dtype=np.float32)
-        self._rng: np.random.Generator | None = None
+        self._rng = seeding.np_random()[0]
         self._game: GameState | None = None
         self._sighting: ObservationBatch | None = None  # the current window
         self.last_round: RoundRecord | None = None
@@ -166,12 +166,6 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             raise ArgumentError("reset must be called first, got a game that was never reset.")
         return self._game
 
-    def _get_generator(self, seed: int | None = None) -> np.random.Generator:
-        """Return the game's generator, created anew if there is none or if a seed is given."""
-        if seed is not None or self._rng is None:
-            self._rng = seeding.np_random(seed)[0]
-        return self._rng
-
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Start:
         """Start a game; observers get its first window, or nothing yet if the game has an opening.
 
@@ -187,9 +181,10 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
             ArgumentError: the seed is not a whole number from 0, or there are options.
         """
         check_options(options, ("options",))
-        generator = self._get_generator(optional_seed("seed", seed))
+        if (seed := optional_seed("seed", seed)) is not None:
+            self._rng = seeding.np_random(seed)[0]
         self.agents, self.last_round = list(self.possible_agents), None
-        return self._start(generator)
+        return self._start(self._rng)
 
     def _start(self, rng: np.random.Generator) -> Start:
         """Start a game, whose agents all live, and return the answer of :meth:`reset`."""
@@ -272,17 +267,7 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def _current_window(self) -> ObservationBatch:
         """Return the current window; an empty one before the first window."""
-        return self._sighting if self._sighting is not None else self._empty_window()
-
-    def _empty_window(self) -> ObservationBatch:
-        """Return a window in which no UAV is seen."""
-        instants, uavs = self.config.observation_steps + 1, self.config.uavs
-        return ObservationBatch(
-            position=np.zeros((instants, uavs, 3), np.float32),
-            velocity=np.zeros((instants - 1, uavs, 3), np.float32),
-            seen=np.zeros((instants, uavs), bool),
-            alive=self._current_game().swarm.alive[0].copy(),
-        )
+        return self._sighting or ObservationBatch.unseen(self.config, self._current_game().swarm.alive[0])
 
     def _make_observation(self, sighting: ObservationBatch, legal: Mask) -> Observation:
         """Return an observation with the arrays of a window and the mask ``legal``; all arrays are copies."""

@@ -28,7 +28,7 @@ from usnet_env.swarm import (
 )
 from usnet_env.swarm.mobility import MOBILITIES
 from usnet_env.swarm.simulator import JITTER
-from usnet_env.swarm.trajectory import TrajectoryBatch
+from usnet_env.swarm.strategy import TrajectoryBatch
 
 Price = Annotated[float, Field(ge=0, le=1e6)]
 
@@ -92,11 +92,6 @@ class Plan:
     jitter: Indices
     decoys: Indices
     delay: Indices
-
-    @classmethod
-    def from_choices(cls, choices: Indices) -> Plan:
-        """Create a plan from ``(M, 4)`` choices, one row for each head."""
-        return cls(*np.asarray(choices, np.int64).T.copy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,19 +200,6 @@ def _sort_followers(state: SwarmState, head: int) -> NDArray[np.intp]:
     return followers[np.argsort((gap * gap).sum(axis=1), kind="stable")]
 
 
-def count_followers(state: SwarmState) -> Indices:
-    """Count the living followers of each head.
-
-    Args:
-        state: a batch of one.
-
-    Returns:
-        ``(M,)`` int64 in the order of the heads' indices; 0 for a destroyed head.
-    """
-    heads = np.flatnonzero(state.head[0])
-    return np.array([len(_sort_followers(state, int(head))) for head in heads], np.int64)
-
-
 def select_decoys(state: SwarmState, plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Select the followers that become decoys, the nearest of each head first; each head keeps at least one follower.
 
@@ -249,7 +231,7 @@ def compute_prices(manoeuvres: Manoeuvres, state: SwarmState, plan: Plan) -> Flo
     """
     uavs = state.alive.shape[1]
     heads = np.flatnonzero(state.head[0])
-    followers = count_followers(state)
+    followers = np.array([len(_sort_followers(state, int(head))) for head in heads])
     _, rows = select_decoys(state, plan)
     decoys = np.bincount(rows, minlength=len(heads))
     cluster = np.where(plan.mobility > 0, manoeuvres.mobility_price, 0.0) + manoeuvres.jitter_price * plan.jitter

@@ -13,13 +13,11 @@ from usnet_env.arrays import Floats, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.registry import Registry
 from usnet_env.swarm import ObservationBatch, SwarmConfig
+from usnet_env.swarm.config import Few, Metres, Rate
 from usnet_env.swarm.formation import ARENA, check_place
 from usnet_env.swarm.sensing import sense
 
 Number = Annotated[float, Field(ge=0, le=1e6)]
-Noise = Annotated[float, Field(ge=0, le=1000)]
-Share = Annotated[float, Field(ge=0, lt=1)]
-Generators = Sequence[np.random.Generator]
 
 
 class SensorConfig(Config):
@@ -33,16 +31,14 @@ class SensorConfig(Config):
     sensing_range: Number | Sequence[Number] = Field(
         500.0, description="largest distance at which an observer sees a UAV, m; one number, or one for each observer"
     )
-    position_noise: Noise | Sequence[Noise] = Field(
+    position_noise: Metres | Sequence[Metres] = Field(
         0.0, description="standard deviation of the observed positions, m; one number, or one for each observer"
     )
-    miss_rate: Share | Sequence[Share] = Field(
+    miss_rate: Rate | Sequence[Rate] = Field(
         0.0, description="probability of a missed detection in range; one number, or one for each observer"
     )
     placement: str = Field("grid", description="places of the observers: ``grid``, ``uniform``, or a registered name")
-    message_size: Annotated[int, Field(ge=0, le=100_000)] = Field(
-        0, description="B, how many numbers each observer sends to all others in a round"
-    )
+    message_size: Few = Field(0, description="B, how many numbers each observer sends to all others in a round")
 
     @model_validator(mode="after")
     def _check_lengths(self) -> Self:

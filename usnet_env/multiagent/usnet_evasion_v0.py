@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -14,9 +14,9 @@ from usnet_env.arrays import Floats, Indices, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent import base
-from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, count_followers, fly_window, select_decoys
+from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, fly_window, select_decoys
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
-from usnet_env.swarm.config import SensorArguments
+from usnet_env.swarm.config import SensorArguments, Steps
 from usnet_env.swarm.flock_follow import Flock
 
 __all__ = ["env", "parallel_env", "raw_env"]
@@ -27,9 +27,7 @@ OBSERVER = "observer_0"
 class EvasionArguments(base.GameArguments, SensorArguments, Manoeuvres):
     """The arguments of :class:`parallel_env`."""
 
-    memory: Annotated[int, Field(ge=1, le=1000)] = Field(
-        8, description="T_0; at least the lags of the follow strategy + ``most_delay``"
-    )
+    memory: Steps = Field(8, description="T_0; at least the lags of the follow strategy + ``most_delay``")
 
 
 @list_arguments()
@@ -149,7 +147,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         }
         observations = {OBSERVER: spaces.Dict({**window_spaces, "legal": mask})}
         observations |= {name: spaces.Dict(head_spaces) for name in self.heads}
-        actions: dict[str, spaces.Space[Any]] = {OBSERVER: game.action_space(config)}
+        actions: dict[str, spaces.Space[Any]] = {OBSERVER: spaces.MultiBinary(uavs)}
         actions |= {name: spaces.MultiDiscrete(choices) for name in self.heads}
         super().__init__(config, rules, arguments.render_mode, observations, actions)
         self._flown = np.zeros(clusters, np.int64)  # the mobility of each head in the window before
@@ -179,33 +177,28 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         """
         checked = self._check_actions(actions)
         named = game.parse_candidates(checked[OBSERVER], (self.config.uavs,), f"action of {OBSERVER}")
-        plan = Plan.from_choices(np.stack([self._check_choice(name, checked.get(name)) for name in self.heads]))
+        plan = Plan(*np.stack([self._check_choice(name, checked.get(name)) for name in self.heads], axis=1))
         before = self._current_game()
         opening = self._sighting is None
         if opening:
             state, metrics = before, game.initial_info(self.rules, before)
             reward = 0.0
         else:
-            state, outcome = game.play_round(self.rules, before, named[None])
-            metrics, reward = outcome.metrics, float(outcome.reward[0])
+            state, rewards, metrics = game.play_round(self.rules, before, named[None])
+            reward = float(rewards[0])
             self._keep_round(before, named, named.astype(np.float64), metrics)
         self._game = state
         prices = compute_prices(self.manoeuvres, state.swarm, plan)
         if state.terminated[0]:
-            self._sighting = self._empty_window()
+            self._sighting = ObservationBatch.unseen(self.config, state.swarm.alive[0])
         else:
-            self._fly_next_window(plan)
+            self._decoys = select_decoys(state.swarm, plan)[0]
+            swarm, flown, self._flown = fly_window(
+                self.config, self.manoeuvres, state.swarm, self._flown, plan, [self._rng]
+            )
+            self._game = replace(state, swarm=swarm)
+            self._sighting = ObservationBatch(flown.position[0], flown.velocity[0], flown.seen[0], flown.alive[0])
         return self._make_step(reward, metrics, prices)
-
-    def _fly_next_window(self, plan: Plan) -> None:
-        state = self._current_game()
-        rngs = [self._get_generator()]
-        self._decoys = select_decoys(state.swarm, plan)[0]
-        swarm, sighting, self._flown = fly_window(self.config, self.manoeuvres, state.swarm, self._flown, plan, rngs)
-        self._game = replace(state, swarm=swarm)
-        self._sighting = ObservationBatch(
-            sighting.position[0], sighting.velocity[0], sighting.seen[0], sighting.alive[0]
-        )
 
     def _make_step(self, reward: float, metrics: dict[str, NDArray[Any]], prices: Floats) -> base.Step:
         state = self._current_game()
@@ -268,8 +261,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         if agent == OBSERVER:
             flown = self._sighting is not None and not state.terminated[0]
             return self._make_observation(self._current_window(), swarm.alive[0] & flown)
-        row = self.heads.index(agent)
-        head = int(np.flatnonzero(swarm.head[0])[row])
+        head = int(np.flatnonzero(swarm.head[0])[self.heads.index(agent)])
         own = np.zeros(self.config.uavs, np.int8)
         own[head] = 1
         followers = (swarm.root[0] == head) & swarm.alive[0] & ~swarm.head[0]
@@ -283,7 +275,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
             "followers": followers.astype(np.int8),
             "named": named.astype(np.int8),
             "round": state.rounds.astype(np.float32),
-            "legal": self._mask_choices(int(count_followers(swarm)[row])),
+            "legal": self._mask_choices(int(followers.sum())),
         }
 
     def _mask_choices(self, followers: int) -> NDArray[np.int8]:

@@ -148,18 +148,18 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         seen = np.stack([sighting.seen.any(axis=0) for sighting in self._sightings])  # false for destroyed UAVs
         votes = whole[:, :uavs] * seen
         candidates = self._fuse(votes, seen)
-        state, outcome = game.play_round(self.rules, before, candidates[None])
-        self._keep_round(before, candidates, votes.sum(axis=0), outcome.metrics)
+        state, reward, metrics = game.play_round(self.rules, before, candidates[None])
+        self._keep_round(before, candidates, votes.sum(axis=0), metrics)
         self._messages = whole[:, uavs:].astype(np.float32)
         self._sense_next_window(state)
         agents = self.agents
         terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
         result = (
             self._observations(),
-            dict.fromkeys(agents, float(outcome.reward[0])),
+            dict.fromkeys(agents, float(reward[0])),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
-            {agent: base.to_scalars(outcome.metrics) for agent in agents},
+            {agent: base.to_scalars(metrics) for agent in agents},
         )
         if terminated or truncated:
             self.agents = []
@@ -167,9 +167,9 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
 
     def _sense_next_window(self, state: game.GameState) -> None:
         """Fly the next window and observe it with each observer; after the end of the game all windows are empty."""
-        self._game, truth = game.observe_windows(self._flight, state, [self._get_generator()])
+        self._game, truth = game.observe_windows(self._flight, state, [self._rng])
         if state.terminated[0]:
-            self._sightings = [self._empty_window() for _ in self._observers]
+            self._sightings = [ObservationBatch.unseen(self.config, state.swarm.alive[0])] * len(self._observers)
         else:
             position, velocity = truth["position"][0], truth["velocity"][0]
             alive = truth["alive"][0].astype(bool)

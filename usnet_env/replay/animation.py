@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote, whole_number
-from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, last_seen_position, new_figure
+from usnet_env.drawing import HIT, MISSED, REDUNDANT, cluster_colors, last_seen_position, limits_around, new_figure
 from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.episode import EpisodeRecord, check_record
 from usnet_env.replay.story import (
@@ -33,7 +33,6 @@ from usnet_env.replay.story import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from PIL.Image import Image
 
 __all__ = ["Painter", "Scene", "animate", "reduce_colors", "scenes"]
@@ -132,9 +131,6 @@ def scenes(record: EpisodeRecord, frames: int = 20) -> Iterator[Scene]:
 class Painter:
     """Draws scenes of one record into one figure with fixed axes.
 
-    Scenes of one stage (a phase of a round) have the same artists at other places. They are made once for each stage,
-    and moved for each scene: the n-th mark of a scene is the n-th artist of its stage.
-
     Args:
         record: the episode.
     """
@@ -142,10 +138,9 @@ class Painter:
     def __init__(self, record: EpisodeRecord) -> None:
         self.record = record
         self.figure = new_figure(_WIDTH, _HEIGHT, _DPI)
-        self.stage: tuple[int, int, bool] | None = None
+        self.stage: tuple[int, int] | None = None  # a round and a phase, whose scenes have one header
         self.header: list[Any] = []
         self.artists: list[Any] = []
-        self.made: Iterator[Any] = iter(())  # the artists of the stage that the scene has not moved yet
         self.background: Any = None  # what all frames share, as pixels
         self.titled: tuple[Any, Any] = (None, None)  # a stage, and the background with its header, as pixels
         gap = _WIDTH - 2 * (_PANEL + _LEFT)
@@ -157,12 +152,10 @@ class Painter:
 
     def _panel(self, left: float, title: str) -> Axes:
         axes = self.figure.add_axes((left / _WIDTH, _BOTTOM / _HEIGHT, _PANEL / _WIDTH, _PANEL / _HEIGHT))
-        known = self.record.position[self.record.seen & self.record.alive[:, None]][:, :2]
-        low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.ones(2))
-        least = 1e-6 if self.record.recorded else 1.0  # tracks may be smaller than a metre
-        middle, half = (low + high) / 2, 0.54 * max(float((high - low).max()), least)
-        axes.set_xlim(middle[0] - half, middle[0] + half)
-        axes.set_ylim(middle[1] - half, middle[1] + half)
+        known = self.record.position[self.record.seen & self.record.alive[:, None]]
+        x, y, half = limits_around(known, 0.08, 1e-6 if self.record.recorded else 1.0)
+        axes.set_xlim(x - half, x + half)
+        axes.set_ylim(y - half, y + half)
         axes.set_xticks([])
         axes.set_yticks([])
         axes.set_facecolor("white")  # exact in the palette of a GIF
@@ -170,7 +163,7 @@ class Painter:
             side.set_color("#CCCCCC")
         axes.set_title(title, fontsize=11, loc="left", pad=4)
         if 2 * half > 2 * _SCALE_BAR:
-            right, bottom = middle[0] + 0.95 * half, middle[1] - 0.93 * half
+            right, bottom = x + 0.95 * half, y - 0.93 * half
             axes.plot([right - _SCALE_BAR, right], [bottom, bottom], color="#333333", linewidth=1.5)
             label = f"{_SCALE_BAR:.0f} m"
             axes.text(right - _SCALE_BAR / 2, bottom, label, ha="center", va="bottom", fontsize=8, color="#333333")
@@ -218,21 +211,13 @@ class Painter:
         write(_LEFT, 0.63, scene.text, fontsize=11.5)
 
     def _scatter(self, axes: Axes, place: NDArray[np.float32], who: NDArray[np.bool_], **style: Any) -> None:
-        if not who.any():
-            return
-        if artist := next(self.made, None):
-            artist.set_offsets(place[who, :2])
-        else:
+        if who.any():
             self.artists.append(axes.scatter(place[who, 0], place[who, 1], **style))
 
     def _lines(self, axes: Axes, lines: NDArray[np.float32], **style: Any) -> None:
         from matplotlib.collections import LineCollection
 
-        if not len(lines):
-            return
-        if artist := next(self.made, None):
-            artist.set_segments(list(lines))
-        else:
+        if len(lines):
             self.artists.append(axes.add_collection(LineCollection(list(lines), **style), autolim=False))
 
     def _draw_observed(self, scene: Scene, place: NDArray[np.float32], path: NDArray[np.float32]) -> None:
@@ -301,23 +286,23 @@ class Painter:
                 self.truth, place, missed, s=230, edgecolors=MISSED, linestyles=[_DASHES], **ring | {"linewidths": 1.3}
             )
 
-    def draw(self, scene: Scene) -> Figure:
-        """The figure with one scene; it is the same figure each time."""
+    def _draw(self, scene: Scene) -> None:
+        """Draw one scene into the figure in place of the one before."""
         record, r = self.record, scene.round - 1
-        stage = (scene.round, scene.phase, scene.turn == 1.0)
-        if stage != self.stage:
-            for artist in self.header + self.artists:
+        for artist in self.artists:
+            artist.remove()
+        self.artists = []
+        if self.stage != (scene.round, scene.phase):
+            for artist in self.header:
                 artist.remove()
-            self.stage, self.header, self.artists = stage, [], []
+            self.stage, self.header = (scene.round, scene.phase), []
             self._draw_header(scene)
-        self.made = iter(self.artists[:])
         seen = record.seen[r, : scene.samples] & record.alive[r]
         position = record.position[r, : scene.samples]
         place = last_seen_position(position, seen)
         path = np.swapaxes(np.where(seen[..., None], position[..., :2], np.float32(np.nan)), 0, 1)
         self._draw_observed(scene, place, path)
         self._draw_truth(scene, place, path)
-        return self.figure
 
     def _paint(self, scene: Scene, header: bool) -> NDArray[np.uint8]:
         """One scene as ``(H, W, 3)`` uint8. Writing takes most of the time, so each header is drawn once."""
@@ -325,7 +310,7 @@ class Painter:
         if self.background is None:
             canvas.draw()
             self.background = canvas.copy_from_bbox(self.figure.bbox)
-        self.draw(scene)
+        self._draw(scene)
         if header and self.titled[0] != self.stage:
             canvas.restore_region(self.background)
             for artist in self.header:
@@ -337,7 +322,7 @@ class Painter:
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
     def pixels(self, scene: Scene) -> NDArray[np.uint8]:
-        """:meth:`draw` as ``(H, W, 3)`` uint8."""
+        """One scene, ``(H, W, 3)`` uint8."""
         return self._paint(scene, header=True)
 
     def maps(self, scene: Scene) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:

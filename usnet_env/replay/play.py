@@ -49,21 +49,6 @@ class Round:
     seconds: float
 
 
-def _report(played: PlayedRound[Detection], number: int, seconds: float) -> Round:
-    """The report of a round that has been played."""
-    info = played.info
-    return Round(
-        number=number,
-        candidates=int(played.answer.candidates.sum()),
-        hits=int(info["hits"]),
-        redundant=int(info["redundant"]),
-        heads_left=int(played.left.heads_left),
-        objective=float(info["J"]),
-        over_budget=bool(info["over_budget"]),
-        seconds=seconds,
-    )
-
-
 def _stack(values: Sequence[NDArray[Any] | None], absent: int = 0) -> Any:
     """Stack an optional part of the answers; it is full of ``absent`` where a round lacks it, ``None`` if all do."""
     given = [value for value in values if value is not None]
@@ -178,7 +163,18 @@ def record_episode(
     for played in play_rounds(env, answer, seed):
         rounds.append(played)
         if on_round is not None:
-            on_round(_report(played, len(rounds), seconds[-1]))
+            info = played.info
+            report = Round(
+                number=len(rounds),
+                candidates=int(played.answer.candidates.sum()),
+                hits=int(info["hits"]),
+                redundant=int(info["redundant"]),
+                heads_left=int(played.left.heads_left),
+                objective=float(info["J"]),
+                over_budget=bool(info["over_budget"]),
+                seconds=seconds[-1],
+            )
+            on_round(report)
     label = label or detector_label(detector)
     return make_record(env, rounds, seconds, seed, detector_seed, label, keep_attention=keep_attention)
 

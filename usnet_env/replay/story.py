@@ -82,9 +82,11 @@ def describe_outcome(record: EpisodeRecord) -> str:
     found = f"All {heads} heads found" if all_found else f"{heads - left} of {format_count(heads, 'head')} found"
     redundant = format_count(int(record.redundant.sum()), "redundant candidate")
     if record.recorded:
-        score = f"{_tell_score(record, 3)}{_tell_group_leaders(record)}"
-        found = found if heads else "No id leads"
-        return f"{found} in {format_count(record.rounds, 'window')} with {redundant}: {score}."
+        found, groups = found if heads else "No id leads", ""
+        if heads:
+            groups = f", group leaders {group_leader_accuracy(record.root[0], record.scores[0]):.2f}"
+        windows = format_count(record.rounds, "window")
+        return f"{found} in {windows} with {redundant}: {_tell_score(record, 3)}{groups}."
     sense = "J_m, lower is better" if record.problem == "P2" else "J_s, 0 is best"
     rounds = format_count(record.rounds, "round")
     return f"{found} in {rounds} with {redundant}: J = {record.objective[-1]:.3f} ({sense})."
@@ -95,13 +97,6 @@ def _tell_score(record: EpisodeRecord, digits: int) -> str:
     name, value = name_score(record)
     best = 1 if record.recorded or record.problem == "P2" else 0
     return f"{name} = {value:.{digits}f} ({best} is best)"
-
-
-def _tell_group_leaders(record: EpisodeRecord) -> str:
-    """The share of the known groups whose head has the highest score, as the end of a sentence on recorded tracks."""
-    if not record.head.any():
-        return ""
-    return f", group leaders {group_leader_accuracy(record.root[0], record.scores[0]):.2f}"
 
 
 def rank_scores(record: EpisodeRecord, number: int) -> NDArray[np.intp]:

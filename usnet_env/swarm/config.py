@@ -13,18 +13,18 @@ from usnet_env.swarm.formation import FARTHEST, FORMATIONS
 from usnet_env.swarm.kinematics import KINEMATICS, Kinematics
 from usnet_env.swarm.mobility import Mobility, mobility
 
-__all__ = [
-    "BystanderArguments",
-    "MobilityArguments",
-    "SensorArguments",
-    "SizeArguments",
-    "SwarmArguments",
-    "SwarmConfig",
-]
-
 _MAX_SAMPLES = 100_000_000  # limit of (T_ob * sample_every + memory) * N: 2.4 GB of positions and velocities
 
+# The bounds of arguments that several configurations have.
 Count = Annotated[int, Field(ge=1, le=100_000)]
+Few = Annotated[int, Field(ge=0, le=100_000)]
+Sizes = Sequence[Annotated[int, Field(ge=2, le=100_000)]]
+Steps = Annotated[int, Field(ge=1, le=1000)]
+Metres = Annotated[float, Field(ge=0, le=1000)]
+Ratio = Annotated[float, Field(ge=0, le=100)]
+Burst = Annotated[float, Field(ge=0, le=10_000)]
+Rate = Annotated[float, Field(ge=0, lt=1)]
+Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class SwarmArguments(Config):
@@ -36,17 +36,15 @@ class SwarmArguments(Config):
     formation: str = Field(
         "uniform", description="initial positions: ``uniform`` in 1000 × 1000 × 100 m, or ``around`` the heads"
     )
-    memory: Annotated[int, Field(ge=1, le=1000)] = Field(
+    memory: Steps = Field(
         4, description="T_0, number of past steps that a follow strategy may use, and of unobserved steps in a round"
     )
-    decoys: Annotated[int, Field(ge=0, le=100_000)] = Field(
-        0, description="number of UAVs that move like heads but have no followers"
-    )
+    decoys: Few = Field(0, description="number of UAVs that move like heads but have no followers")
     follow_seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
         None, description="seed of the parameters of f7's network; ``None``: a new network in each episode"
     )
     observation_steps: Count = Field(100, description="T_ob, number of velocity samples in a window")
-    sample_every: Annotated[int, Field(ge=1, le=1000)] = Field(1, description="the observer samples every k-th step")
+    sample_every: Steps = Field(1, description="the observer samples every k-th step")
 
 
 class MobilityArguments(Config):
@@ -66,15 +64,9 @@ class MobilityArguments(Config):
 class BystanderArguments(Config):
     """UAVs that have nothing to do with the clusters."""
 
-    bystanders: Annotated[int, Field(ge=0, le=100_000)] = Field(
-        0, description="number of UAVs that fly on their own, with smooth turns"
-    )
-    traffic: Annotated[int, Field(ge=0, le=100_000)] = Field(
-        0, description="number of UAVs of civil traffic, in straight and level corridors"
-    )
-    clutter: Annotated[int, Field(ge=0, le=100_000)] = Field(
-        0, description="number of false tracks, which begin and end in each window and are of no UAV"
-    )
+    bystanders: Few = Field(0, description="number of UAVs that fly on their own, with smooth turns")
+    traffic: Few = Field(0, description="number of UAVs of civil traffic, in straight and level corridors")
+    clutter: Few = Field(0, description="number of false tracks, which begin and end in each window and are of no UAV")
 
 
 class SizeArguments(Config):
@@ -82,7 +74,7 @@ class SizeArguments(Config):
 
     clusters: Count = Field(5, description="M, number of clusters")
     uavs: Count = Field(82, description="N, number of UAVs; decoys, bystanders, traffic and false tracks count")
-    cluster_sizes: Sequence[Annotated[int, Field(ge=2, le=100_000)]] | None = Field(
+    cluster_sizes: Sizes | None = Field(
         None,
         description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys`` − "
         "``bystanders`` − ``traffic`` − ``clutter``; ``None``: drawn for each episode",
@@ -92,25 +84,17 @@ class SizeArguments(Config):
 class SensorArguments(Config):
     """The sensor of a single observer."""
 
-    position_noise: Annotated[float, Field(ge=0, le=1000)] = Field(
-        0.0, description="standard deviation of the observed positions on each axis, m"
-    )
-    miss_rate: Annotated[float, Field(ge=0, lt=1)] = Field(
-        0.0, description="probability that a UAV is not detected at a sampling instant"
-    )
-    noise_memory: Annotated[float, Field(ge=0, lt=1)] = Field(
+    position_noise: Metres = Field(0.0, description="standard deviation of the observed positions on each axis, m")
+    miss_rate: Rate = Field(0.0, description="probability that a UAV is not detected at a sampling instant")
+    noise_memory: Rate = Field(
         0.0, description="correlation of the position noise from one sampling instant to the next"
     )
-    course_noise: Annotated[float, Field(ge=0, le=100)] = Field(
-        1.0, description="position noise along the course of a UAV, in units of that across it"
-    )
-    miss_burst: Annotated[float, Field(ge=0, le=10_000)] = Field(
+    course_noise: Ratio = Field(1.0, description="position noise along the course of a UAV, in units of that across it")
+    miss_burst: Burst = Field(
         0.0, description="mean number of sampling instants that a UAV is missed in a row; 0: each by itself"
     )
-    partial_tracks: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.0, description="probability that a track begins late or ends early in a window"
-    )
-    swap_rate: Annotated[float, Field(ge=0, le=1)] = Field(
+    partial_tracks: Share = Field(0.0, description="probability that a track begins late or ends early in a window")
+    swap_rate: Share = Field(
         0.0,
         description="probability that a UAV exchanges its identity with the nearest UAV within 20 m at a sampling "
         "instant, until the end of the window",

@@ -3,6 +3,8 @@
 Each has its equation, its citation and its parameters, and a compiled loop; ``docs/field.md`` lists them. They are
 follow strategies like f1 to f7: ``follow="pigeons"`` selects one. A UAV copies its :attr:`SwarmState.source`, which
 may be another follower or a reference. Every follower has its own delay, gain and noise, drawn for each episode.
+
+The last two are controls: swarms that look like the others, in which no UAV leads or follows another.
 """
 
 from __future__ import annotations
@@ -14,29 +16,10 @@ import numpy as np
 
 from usnet_env.arrays import Singles
 from usnet_env.config import ArgumentError
-from usnet_env.swarm import field_kernels
+from usnet_env.swarm import field_kernels, kernels
 from usnet_env.swarm.field_kernels import ALWAYS, EACH_CLUSTER, EACH_FOLLOWER
 from usnet_env.swarm.formation import Roles
-from usnet_env.swarm.strategy import KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy
-from usnet_env.swarm.trajectory import TrajectoryBatch
-
-__all__ = [
-    "Chain",
-    "CuckerSmale",
-    "FieldStrategy",
-    "Frontness",
-    "Hierarchy",
-    "Kinds",
-    "Links",
-    "Mixed",
-    "PartTime",
-    "PartialTurns",
-    "Pigeons",
-    "Reference",
-    "Slots",
-    "Switching",
-    "UnequalDelays",
-]
+from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
 
 Pair = tuple[float, float]
 
@@ -222,11 +205,7 @@ class CuckerSmale(Hierarchy):
     parameters = ("links", "strength", "scale", "noise")
     links: int = 8
     strength: float = 0.8
-
-    @property
-    def lags(self) -> int:  # type: ignore[override]  # follows from the other fields
-        """The delays are not added up: every link has the delay 1."""
-        return 1
+    lags = 1  # the delays are not added up: every link has the delay 1
 
 
 @dataclass(frozen=True)
@@ -265,12 +244,8 @@ class Kinds(FieldStrategy):
 
     block: int = 30
     reach: float = KAPPA_RANGE
+    lags = 3  # those of f3 and f5
     answers: ClassVar[int] = ALWAYS
-
-    @property
-    def lags(self) -> int:  # type: ignore[override]  # that of f3
-        """The lags of f3 and f5."""
-        return 3
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
@@ -391,3 +366,57 @@ class Reference(Slots):
             source[members], root[members] = len(source) + cluster, -1
         none = np.zeros_like(roles.head)
         return replace(roles, head=none, source=source, root=root, references=len(roles.drawn))
+
+
+@dataclass(frozen=True)
+class Independent(FieldStrategy):
+    """Every UAV flies on its own by the swarm's mobility; H_0 is empty."""
+
+    equation = "v_{i,t+1}: the mobility, for all i"
+    citation = "null model of independent tracks"
+    breaks = "some UAVs lead"
+    parameters = ()
+    has_heads = False
+    has_followers = False
+
+    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
+        """No UAV of a cluster has a head, and each is its own source."""
+        own = np.arange(len(roles.root))
+        return replace(_behead(roles), source=own)
+
+    def fly(self, flight: TrajectoryBatch) -> None:
+        """All velocities are given."""
+        kernels.integrate(flight.start, flight.position, flight.velocity)
+
+
+@dataclass(frozen=True)
+class Shifted(FieldStrategy):
+    """Followers fly by f2, and the observer sees the steps of each UAV's track from another time on; H_0 is empty.
+
+    The velocities of UAV i in a window of T steps are rolled by s_i, and its track begins at its true place. The shifts
+    of the m UAVs of a cluster are T / m steps apart, in random order. So every track keeps its statistics, and no UAV
+    of a cluster repeats another at a lag below T / m.
+    """
+
+    equation = "v_{i,t+1} = norm(v_{iL,t} + v_{iL,t−1} + κ_n n), observed as v_{i,(t−s_i) mod T}"
+    citation = "circularly shifted surrogates (Quian Quiroga et al. 2002)"
+    breaks = "some UAVs lead"
+    parameters = ("noise",)
+    has_heads = False
+    shifts_tracks = True
+    lags = 2  # those of f2
+
+    def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
+        """No UAV of a cluster has a head for the observer; the sources stay."""
+        return _behead(roles)
+
+    def fly(self, flight: TrajectoryBatch) -> None:
+        """Compiled loop of f2."""
+        kappa = np.full(self.lags, KAPPA, np.float32)
+        kernels.fly_lags(kappa, False, np.float32(self.noise), flight.source, *flight.flown)
+
+
+def _behead(roles: Roles) -> Roles:
+    """The roles without heads: the UAVs of the clusters have the root -1."""
+    members = ~(roles.decoy | roles.bystander)
+    return replace(roles, head=np.zeros_like(roles.head), root=np.where(members, -1, roles.root))

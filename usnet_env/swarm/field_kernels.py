@@ -9,28 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.kernels import FOLLOWS, FREE, norm
-
-__all__ = [
-    "ALWAYS",
-    "COLUMNS",
-    "DELAY",
-    "EACH_CLUSTER",
-    "EACH_FOLLOWER",
-    "GAIN",
-    "KINDS",
-    "MOST_LINKS",
-    "NOISE",
-    "OFFSET",
-    "SALT",
-    "find_top",
-    "finish_step",
-    "fly_kinds",
-    "fly_links",
-    "fly_slots",
-    "hash_draw",
-    "move_free",
-]
+from usnet_env.swarm.kernels import FOLLOWS, finish_step, move, norm
 
 COLUMNS = 7  # of the table: delay, gain, noise, salt of the hashed draws, and the three coordinates of the slot
 DELAY, GAIN, NOISE, SALT, OFFSET = 0, 1, 2, 3, 4
@@ -52,25 +31,6 @@ def hash_draw(salt, block):
     x = (x * np.uint64(0x846CA68B)) & _MASK
     x = x ^ (x >> np.uint64(16))
     return np.float32(x >> np.uint64(8)) * np.float32(2.0**-24)
-
-
-@compiled(error_model="numpy")
-def finish_step(b, s, t, i, x, y, z, noise_scale, noise, position, velocity):
-    """Write norm((x, y, z) + noise) as the velocity of UAV i in step t, and its next position."""
-    velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(
-        x + noise_scale * noise[b, s, i, 0], y + noise_scale * noise[b, s, i, 1], z + noise_scale * noise[b, s, i, 2]
-    )
-    for axis in range(3):
-        position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
-
-
-@compiled(error_model="numpy")
-def move_free(b, t, motion, position, velocity):
-    """Write the next positions of the free UAVs."""
-    for i in range(len(motion)):
-        if motion[i] == FREE:
-            for axis in range(3):
-                position[b, t + 1, i, axis] = position[b, t, i, axis] + velocity[b, t, i, axis]
 
 
 @compiled(error_model="numpy")
@@ -118,7 +78,7 @@ def fly_links(
                 x, y, z = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
                 noise_scale = table[b, NOISE, i]
                 if count[i] == 0 or (answers != ALWAYS and hash_draw(salt[i], now) >= share):
-                    finish_step(b, s, t, i, x, y, z, idle_noise, noise, position, velocity)
+                    finish_step(b, s, t, i, x, y, z, idle_noise, noise, velocity)
                     continue
                 if strength > _ZERO:
                     vx, vy, vz = x, y, z
@@ -141,8 +101,8 @@ def fly_links(
                         x += weight * velocity[b, u, a, 0]
                         y += weight * velocity[b, u, a, 1]
                         z += weight * velocity[b, u, a, 2]
-                finish_step(b, s, t, i, x, y, z, noise_scale, noise, position, velocity)
-            move_free(b, t, motion[b], position, velocity)
+                finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity)
+            move(b, t, position, velocity)
 
 
 @compiled(error_model="numpy")
@@ -184,8 +144,8 @@ def fly_kinds(answers, block, reach, table, source, clock, motion, start, noise,
                     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
                     if distance > reach:
                         x, y, z = x + dx / distance, y + dy / distance, z + dz / distance
-                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
-            move_free(b, t, motion[b], position, velocity)
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
+            move(b, t, position, velocity)
 
 
 @compiled(error_model="numpy")
@@ -231,5 +191,5 @@ def fly_slots(lags, pull, near, table, source, motion, start, noise, position, v
                     velocity[b, u, h, 1] + weight * gy,
                     velocity[b, u, h, 2] + weight * gz,
                 )
-                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
-            move_free(b, t, motion[b], position, velocity)
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
+            move(b, t, position, velocity)

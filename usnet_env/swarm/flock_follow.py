@@ -10,9 +10,7 @@ import numpy as np
 from usnet_env.swarm import flock_kernels
 from usnet_env.swarm.field_follow import FieldStrategy
 from usnet_env.swarm.formation import Roles
-from usnet_env.swarm.trajectory import TrajectoryBatch
-
-__all__ = ["Couzin", "Flock", "Informed", "Predator", "Shepherd", "Vicsek"]
+from usnet_env.swarm.strategy import TrajectoryBatch
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from usnet_env.compiling import compiled
-from usnet_env.swarm.field_kernels import NOISE, find_top, finish_step, move_free
-from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, norm
-
-__all__ = ["DRIVER", "NO_CHASER", "PREDATOR", "fly_flock"]
+from usnet_env.swarm.field_kernels import NOISE, find_top
+from usnet_env.swarm.kernels import DESTROYED, FOLLOWS, finish_step, move, norm
 
 NO_CHASER, PREDATOR, DRIVER = range(3)
 
@@ -86,14 +84,7 @@ def _sum_all(size, repel, align, attract, plain, members, sums):
     order of additions, and the sums have the same bits on every processor. Rows of ``members`` and ``sums`` are
     ``_SMALL`` apart, a constant, from which the compiler knows that they don't overlap.
 
-    Args:
-        size: number of UAVs.
-        repel: square of the range of repulsion, m².
-        align: square of the range of alignment, m².
-        attract: square of the range of attraction, m².
-        plain: whether UAVs only align.
-        members: ``(6 * _SMALL,)`` float32, positions and velocities.
-        sums: ``(9 * _SMALL,)`` float32, filled in place.
+    ``repel``, ``align`` and ``attract`` are the squares of the ranges, m²; ``plain``: UAVs only align.
     """
     sums[:] = _ZERO
     for d in range(size):
@@ -179,23 +170,9 @@ def fly_flock(
 ):  # fmt: skip
     """Followers fly by repulsion, or else by alignment and attraction, from the UAVs of their flock, and flee chasers.
 
-    Args:
-        ranges: ``(3,)`` float32, metres: of repulsion, alignment and attraction.
-        weights: ``(2,)`` float32, of alignment and attraction.
-        chaser: what a bystander that follows is: ``NO_CHASER``, ``PREDATOR`` or ``DRIVER``.
-        flight_range: metres; a chaser within it is fled from.
-        flight_weight: weight of the direction away from a chaser.
-        standoff: metres between a driver and the middle of its flock.
-        preference: weight of the course of the flock's reference for its heads, where they fly in the flock.
-        table: ``(B, COLUMNS, N)`` float32, the numbers of each UAV.
-        root: ``(B, N)`` int64, the own index of a head.
-        source: as in ``TrajectoryBatch``, like the arguments that follow.
-        bystander: ``(B, N)`` bool.
-        motion: ``(B, N + R)`` int8.
-        start: the first step.
-        noise: ``(B, S, N + R, 3)`` float32.
-        position: filled in place.
-        velocity: filled in place.
+    ``ranges`` are those of repulsion, alignment and attraction, metres; ``weights`` those of alignment and attraction.
+    ``chaser`` says what a bystander that follows is: ``NO_CHASER``, ``PREDATOR`` or ``DRIVER``. The numbers after it
+    are those of ``Flock``; the arrays after ``table`` ``(B, COLUMNS, N)`` are those of ``TrajectoryBatch``.
     """
     episodes, steps, width, uavs = noise.shape[0], noise.shape[1], noise.shape[2], table.shape[2]
     label, order = np.empty(uavs, np.int64), np.empty(uavs, np.int64)
@@ -211,14 +188,9 @@ def fly_flock(
     begin = np.empty(buckets + 1, np.int64)
     few, sums = np.empty(6 * _SMALL, np.float32), np.empty(9 * _SMALL, np.float32)
     middle = np.zeros((width, 3), np.float32)
-    chasers = np.empty(uavs, np.int64)
     for b in range(episodes):
         members = _sort_members(motion[b], source[b], bystander[b], uavs, label, order, first)
-        chaser_count = 0
-        for i in range(uavs):
-            if bystander[b, i] and motion[b, i] == FOLLOWS:
-                chasers[chaser_count] = i
-                chaser_count += 1
+        chasers = np.flatnonzero(bystander[b] & (motion[b, :uavs] == FOLLOWS))
         for s in range(steps):
             t = start + s
             for c in range(members):
@@ -258,9 +230,7 @@ def fly_flock(
                             _sum_repulsion(c, size, repel, few) if repelled > np.float32(1.5) else (_ZERO, _ZERO, _ZERO)
                         )
                     if repelled > np.float32(1.5):  # the UAV itself is counted
-                        x, y, z = rx, ry, rz
-                        scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
-                        x, y, z = x * scale, y * scale, z * scale
+                        x, y, z = norm(rx, ry, rz)
                     elif max(aligned, attracted) > np.float32(1.5):
                         align_scale = weights[0] / max(aligned, _ONE)
                         attract_scale = weights[1] / max(attracted - _ONE, _ONE)
@@ -268,28 +238,24 @@ def fly_flock(
                         y = align_scale * oy + attract_scale * ay
                         z = align_scale * oz + attract_scale * az
                     else:
-                        x, y, z = middle[f, 0] - px[c], middle[f, 1] - py[c], middle[f, 2] - pz[c]
-                        scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
-                        x, y, z = x * scale, y * scale, z * scale
+                        x, y, z = norm(middle[f, 0] - px[c], middle[f, 1] - py[c], middle[f, 2] - pz[c])
                     if preference > _ZERO and root[b, i] == i:
-                        scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
-                        x = scale * x + preference * velocity[b, t - 1, f, 0]
-                        y = scale * y + preference * velocity[b, t - 1, f, 1]
-                        z = scale * z + preference * velocity[b, t - 1, f, 2]
-                    for k in range(chaser_count):
-                        h = chasers[k]
+                        x, y, z = norm(x, y, z)
+                        x += preference * velocity[b, t - 1, f, 0]
+                        y += preference * velocity[b, t - 1, f, 1]
+                        z += preference * velocity[b, t - 1, f, 2]
+                    for h in chasers:
                         dx, dy = px[c] - position[b, t, h, 0], py[c] - position[b, t, h, 1]
                         dz = pz[c] - position[b, t, h, 2]
                         square = dx * dx + dy * dy + dz * dz
                         if square < flight_range * flight_range:
                             scale = flight_weight / np.sqrt(square + _TINY)
                             x, y, z = x + scale * dx, y + scale * dy, z + scale * dz
-                    finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
-            for k in range(chaser_count):
-                i = chasers[k]
+                    finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
+            for i in chasers:
                 f = find_top(i, motion[b], source[b])
                 x, y, z = _steer_chaser(
                     chaser, standoff, i, first[f], first[f + 1], f, t, p, middle[f], position[b], velocity[b]
                 )
-                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, position, velocity)
-            move_free(b, t, motion[b], position, velocity)
+                finish_step(b, s, t, i, x, y, z, table[b, NOISE, i], noise, velocity)
+            move(b, t, position, velocity)

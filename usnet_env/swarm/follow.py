@@ -2,8 +2,7 @@
 
 f1 to f7 are the strategies of the paper's Table II. Each is defined in NumPy by :meth:`FollowStrategy.direction`; a new
 strategy needs only this method. f1 to f7 also have a compiled loop over the whole window, which is tested against the
-NumPy definition. The field models of ``field_follow.py`` and ``flock_follow.py``,
-and the controls of ``control_follow.py``, are registered here too.
+NumPy definition. The field models and controls of ``field_follow.py`` and ``flock_follow.py`` are registered here too.
 """
 
 from __future__ import annotations
@@ -17,25 +16,10 @@ import numpy as np
 from usnet_env.arrays import Singles
 from usnet_env.config import ArgumentError, plain_text, quote, real_number, whole_number
 from usnet_env.registry import Registry
-from usnet_env.swarm import kernels
-from usnet_env.swarm.control_follow import Independent, Shifted
-from usnet_env.swarm.field_follow import (
-    Chain,
-    CuckerSmale,
-    FieldStrategy,
-    Frontness,
-    Mixed,
-    PartialTurns,
-    PartTime,
-    Pigeons,
-    Reference,
-    Switching,
-    UnequalDelays,
-)
-from usnet_env.swarm.flock_follow import Couzin, Informed, Predator, Shepherd, Vicsek
+from usnet_env.swarm import field_follow, flock_follow, kernels
+from usnet_env.swarm.field_follow import FieldStrategy
 from usnet_env.swarm.results import read_directions
-from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy
-from usnet_env.swarm.trajectory import TrajectoryBatch
+from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
 
 __all__ = [
     "CONTROLS",
@@ -212,25 +196,25 @@ def check_strategy(strategy: Any, subject: str = "strategy") -> FollowStrategy:
 
 #: The field models by name.
 FIELD_MODELS: dict[str, FieldStrategy] = {
-    "unequal_delays": UnequalDelays(),
-    "mixed": Mixed(),
-    "switching": Switching(),
-    "chain": Chain(),
-    "pigeons": Pigeons(),
-    "cucker_smale": CuckerSmale(),
-    "vicsek": Vicsek(),
-    "couzin": Couzin(),
-    "informed": Informed(),
-    "frontness": Frontness(),
-    "part_time": PartTime(),
-    "partial_turns": PartialTurns(),
-    "predator": Predator(),
-    "shepherd": Shepherd(),
-    "reference": Reference(),
+    "unequal_delays": field_follow.UnequalDelays(),
+    "mixed": field_follow.Mixed(),
+    "switching": field_follow.Switching(),
+    "chain": field_follow.Chain(),
+    "pigeons": field_follow.Pigeons(),
+    "cucker_smale": field_follow.CuckerSmale(),
+    "vicsek": flock_follow.Vicsek(),
+    "couzin": flock_follow.Couzin(),
+    "informed": flock_follow.Informed(),
+    "frontness": field_follow.Frontness(),
+    "part_time": field_follow.PartTime(),
+    "partial_turns": field_follow.PartialTurns(),
+    "predator": flock_follow.Predator(),
+    "shepherd": flock_follow.Shepherd(),
+    "reference": field_follow.Reference(),
 }
 
 #: The swarms without a head and without followers by name.
-CONTROLS: dict[str, FieldStrategy] = {"independent": Independent(), "shifted": Shifted()}
+CONTROLS: dict[str, FieldStrategy] = {"independent": field_follow.Independent(), "shifted": field_follow.Shifted()}
 
 #: All follow strategies by name; ``"none"`` selects the control without followers.
 FOLLOW_STRATEGIES = Registry(

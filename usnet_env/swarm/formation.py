@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,19 +12,8 @@ from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
 from usnet_env.registry import Registry
 
-__all__ = [
-    "ARENA",
-    "AROUND_RADIUS",
-    "FORMATIONS",
-    "Formation",
-    "Roles",
-    "check_place",
-    "draw_corridors",
-    "draw_roles",
-    "formations",
-    "random_cluster_sizes",
-    "register_formation",
-]
+if TYPE_CHECKING:
+    from usnet_env.swarm.config import SwarmConfig
 
 ARENA = (1000.0, 1000.0, 100.0)  # metres, the box of the paper's simulations
 CORRIDORS = 3  # of civil traffic
@@ -78,37 +67,18 @@ def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int
     return np.diff(edges) - 1 + 2
 
 
-def draw_roles(
-    rng: np.random.Generator,
-    clusters: int,
-    uavs: int,
-    decoys: int,
-    cluster_sizes: Sequence[int] | None,
-    bystanders: int = 0,
-    traffic: int = 0,
-    clutter: int = 0,
-) -> Roles:
-    """Draw the roles. Indices are permuted at random, so an index carries no information about the role.
-
-    Args:
-        rng: the episode's generator.
-        clusters: M.
-        uavs: N, decoys, bystanders, traffic and false tracks included.
-        decoys: number of UAVs that move like heads but have no followers.
-        cluster_sizes: m_j, number of followers of each cluster, or ``None``: drawn at random.
-        bystanders: number of UAVs that fly on their own.
-        traffic: number of UAVs of civil traffic.
-        clutter: number of false tracks.
-    """
-    followers = uavs - clusters - decoys - bystanders - traffic - clutter
-    sizes = np.asarray(cluster_sizes) if cluster_sizes is not None else random_cluster_sizes(rng, clusters, followers)
-    heads, decoy_indices, followed, others, civil, false = np.split(
-        rng.permutation(uavs), np.cumsum([clusters, decoys, followers, bystanders, traffic])
+def draw_roles(rng: np.random.Generator, config: SwarmConfig) -> Roles:
+    """Draw the roles. Indices are permuted at random, so an index carries no information about the role."""
+    uavs, others = config.uavs, (config.bystanders, config.traffic, config.clutter)
+    followers = uavs - config.clusters - config.decoys - sum(others)
+    sizes = config.cluster_sizes or random_cluster_sizes(rng, config.clusters, followers)
+    heads, decoy_indices, followed, alone, civil, false = np.split(
+        rng.permutation(uavs), np.cumsum([config.clusters, config.decoys, followers, *others[:2]])
     )
     head, decoy, bystander, in_traffic, in_clutter = (np.zeros(uavs, bool) for _ in range(5))
     head[heads] = True
     decoy[decoy_indices] = True
-    bystander[others] = bystander[civil] = in_traffic[civil] = bystander[false] = in_clutter[false] = True
+    bystander[alone] = bystander[civil] = in_traffic[civil] = bystander[false] = in_clutter[false] = True
     root = np.arange(uavs)
     root[followed] = np.repeat(heads, sizes)
     return Roles(head, decoy, root, bystander, in_traffic, in_clutter, root.copy(), heads)

@@ -1,4 +1,4 @@
-"""The compiled inner loops of the simulator: velocities of heads and followers, and the re-merge.
+"""The compiled inner loops of the simulator: velocities of heads and followers, kinematics, and the re-merge.
 
 The same loop over episodes simulates one swarm and a batch, so episode b of a batch equals the single swarm bit for
 bit. Within an episode, time is the first axis: position ``(B, L + S + 1, N, 3)``, velocity ``(B, L + S, N, 3)``. The
@@ -14,31 +14,9 @@ import numpy as np
 
 from usnet_env.compiling import compiled
 
-__all__ = [
-    "DESTROYED",
-    "FOLLOWS",
-    "FREE",
-    "GAUSS_MARKOV",
-    "IID",
-    "LOCAL_WAYPOINT",
-    "MLP_HIDDEN",
-    "MLP_INPUTS",
-    "MLP_LAGS",
-    "MOBILITY_STATE",
-    "SMOOTH_TURN",
-    "STRAIGHT",
-    "WAYPOINT",
-    "fly_free",
-    "fly_lags",
-    "fly_mlp",
-    "fly_range",
-    "integrate",
-    "norm",
-    "remerge",
-]
-
 DESTROYED, FREE, FOLLOWS = 0, 1, 2  # how a UAV moves in a window; a free UAV (head or decoy) follows no UAV
 IID, GAUSS_MARKOV, SMOOTH_TURN, WAYPOINT, LOCAL_WAYPOINT, STRAIGHT = range(6)
+VARIED_SPEED, LAGGED, LIMITED, LAYERED = range(4)  # the kinematics models that `fly_kinematics` steps
 MOBILITY_STATE = 8  # number of float64 values in the mobility state of a UAV
 
 # The network of f7: inputs -> hidden tanh units -> 3 outputs, in the order of `Network.direction` in follow.py.
@@ -56,6 +34,14 @@ def norm(x, y, z):
     """The vector (x, y, z) scaled to length 1."""
     size = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
     return x * size, y * size, z * size
+
+
+@compiled(error_model="numpy")
+def finish_step(b, s, t, i, x, y, z, noise_scale, noise, velocity):
+    """Write norm((x, y, z) + noise) as the velocity of UAV i in step t."""
+    velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(
+        x + noise_scale * noise[b, s, i, 0], y + noise_scale * noise[b, s, i, 1], z + noise_scale * noise[b, s, i, 2]
+    )
 
 
 @compiled()
@@ -142,18 +128,11 @@ def _step_mobility(code, state, z, p, numbers, out):
 
 @compiled()
 def fly_free(code, numbers, free, start, normals, jitter, state, position, velocity):
-    """Velocities of the free UAVs by mobility ``code``; writes ``state`` and ``velocity`` in place.
+    """Velocities of the free UAVs ``(B, n)`` by mobility ``code``; writes ``state`` and ``velocity`` in place.
 
-    Args:
-        code: the mobility, ``IID`` to ``STRAIGHT``.
-        numbers: ``(6,)`` float64, the constants of the mobility.
-        free: ``(B, n)`` int64, indices of the free UAVs.
-        start: index in ``velocity`` of the first step to simulate.
-        normals: ``(B, S, n, k)`` float32, standard normal numbers for the mobility.
-        jitter: ``(B, S, N, 3)`` float32, scaled noise that is added to the unit direction; length 0: no noise.
-        state: ``(B, n, MOBILITY_STATE)`` float64, updated in place.
-        position: ``(B, >= start + 1, N, 3)`` float32, read at ``start``.
-        velocity: ``(B, start + S, N, 3)`` float32.
+    ``numbers`` ``(6,)`` are the constants of the mobility, ``normals`` ``(B, S, n, k)`` its random numbers, and
+    ``jitter`` ``(B, S, N, 3)`` is the scaled noise that is added to the unit direction; length 0: no noise. ``state``
+    is ``(B, n, MOBILITY_STATE)``; positions are read at ``start`` only.
     """
     episodes, steps, count = normals.shape[0], normals.shape[1], normals.shape[2]
     out = np.empty(3, np.float32)
@@ -177,7 +156,7 @@ def fly_free(code, numbers, free, start, normals, jitter, state, position, veloc
 
 
 @compiled()
-def _move(b, t, position, velocity):
+def move(b, t, position, velocity):
     """Write the next positions of all UAVs, p_{t+1} = p_t + v_t."""
     for i in range(velocity.shape[2]):
         for axis in range(3):
@@ -189,18 +168,7 @@ def integrate(start, position, velocity):
     """Integrate the velocities from ``start`` on, in place."""
     for b in range(velocity.shape[0]):
         for t in range(start, velocity.shape[1]):
-            _move(b, t, position, velocity)
-
-
-@compiled()
-def _find_indices(motion, value, into):
-    """Write the indices i with ``motion[i] == value`` to ``into`` and return their number."""
-    count = 0
-    for i in range(len(motion)):
-        if motion[i] == value:
-            into[count] = i
-            count += 1
-    return count
+            move(b, t, position, velocity)
 
 
 @compiled()
@@ -213,28 +181,20 @@ def fly_lags(kappa, square, noise_scale, root, motion, start, noise, position, v
     episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
     lags = len(kappa)
     target = np.zeros((uavs, 3), np.float32)
-    followers = np.empty(uavs, np.int64)
-    free = np.empty(uavs, np.int64)
     for b in range(episodes):
-        follower_count = _find_indices(motion[b], FOLLOWS, followers)
-        free_count = _find_indices(motion[b], FREE, free)
+        followers, free = np.flatnonzero(motion[b] == FOLLOWS), np.flatnonzero(motion[b] == FREE)
         for s in range(steps):
             t = start + s
-            for j in range(free_count):
-                h = free[j]
+            for h in free:
                 for axis in range(3):
                     total = _ZERO
                     for lag in range(lags):
                         v = velocity[b, t - 1 - lag, h, axis]
                         total += kappa[lag] * (v * v if square else v)
                     target[h, axis] = total
-            for j in range(follower_count):
-                i = followers[j]
+            for i in followers:
                 h = root[b, i]
-                x = target[h, 0] + noise_scale * noise[b, s, i, 0]
-                y = target[h, 1] + noise_scale * noise[b, s, i, 1]
-                z = target[h, 2] + noise_scale * noise[b, s, i, 2]
-                velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
+                finish_step(b, s, t, i, target[h, 0], target[h, 1], target[h, 2], noise_scale, noise, velocity)
     integrate(start, position, velocity)
 
 
@@ -244,14 +204,11 @@ def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, posit
 
     Followers use the positions of the previous step, so the loop also updates the positions of all UAVs.
     """
-    episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
-    followers = np.empty(uavs, np.int64)
-    for b in range(episodes):
-        follower_count = _find_indices(motion[b], FOLLOWS, followers)
-        for s in range(steps):
+    for b in range(noise.shape[0]):
+        followers = np.flatnonzero(motion[b] == FOLLOWS)
+        for s in range(noise.shape[1]):
             t = start + s
-            for j in range(follower_count):
-                i = followers[j]
+            for i in followers:
                 h = root[b, i]
                 dx = position[b, t - 1, h, 0] - position[b, t - 1, i, 0]
                 dy = position[b, t - 1, h, 1] - position[b, t - 1, i, 1]
@@ -262,7 +219,7 @@ def fly_range(kappa, pull, reach, noise_scale, root, motion, start, noise, posit
                 y = kappa * velocity[b, t - 1, h, 1] + noise_scale * noise[b, s, i, 1] + gain * dy
                 z = kappa * velocity[b, t - 1, h, 2] + noise_scale * noise[b, s, i, 2] + gain * dz
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            _move(b, t, position, velocity)
+            move(b, t, position, velocity)
 
 
 @compiled()
@@ -294,8 +251,6 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
     A head's contribution to the hidden layer is the same for all its followers: it is computed once per step and head.
     """
     episodes, steps, uavs = noise.shape[0], noise.shape[1], noise.shape[2]
-    followers = np.empty(uavs, np.int64)
-    free = np.empty(uavs, np.int64)
     from_head = np.empty((uavs, MLP_HIDDEN), np.float32)
     hidden = np.empty(MLP_HIDDEN, np.float32)
     own = np.empty(3 + 3 * MLP_LAGS, np.float32)
@@ -305,12 +260,10 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
         weights = parameters[b, :inner].reshape((MLP_INPUTS, MLP_HIDDEN))
         bias = parameters[b, inner : inner + MLP_HIDDEN]
         readout = parameters[b, inner + MLP_HIDDEN :].reshape((MLP_HIDDEN, 3))
-        follower_count = _find_indices(motion[b], FOLLOWS, followers)
-        free_count = _find_indices(motion[b], FREE, free)
+        followers, free = np.flatnonzero(motion[b] == FOLLOWS), np.flatnonzero(motion[b] == FREE)
         for s in range(steps):
             t = start + s
-            for j in range(free_count):
-                h = free[j]
+            for h in free:
                 for unit in range(MLP_HIDDEN):
                     from_head[h, unit] = bias[unit]
                 for lag in range(MLP_LAGS):
@@ -319,8 +272,7 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
                         row = 3 + 3 * MLP_LAGS + 3 * lag + axis
                         for unit in range(MLP_HIDDEN):
                             from_head[h, unit] += v * weights[row, unit]
-            for j in range(follower_count):
-                i = followers[j]
+            for i in followers:
                 h = root[b, i]
                 for axis in range(3):
                     own[axis] = (position[b, t, i, axis] - position[b, t - MLP_LAGS, h, axis]) * scale
@@ -341,20 +293,69 @@ def fly_mlp(parameters, position_scale, noise_scale, root, motion, start, noise,
                     y += active * readout[unit, 1]
                     z += active * readout[unit, 2]
                 velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = norm(x, y, z)
-            _move(b, t, position, velocity)
+            move(b, t, position, velocity)
+
+
+@compiled(error_model="numpy")
+def _steer(x, y, z, u, v, w, limit):
+    """Turn the unit vector (x, y, z) towards the unit vector (u, v, w) by at most ``limit``; also return the cosine."""
+    cosine = min(max(x * u + y * v + z * w, -_ONE), _ONE)
+    angle = min(np.float32(math.acos(cosine)), limit)
+    u, v, w = u - cosine * x, v - cosine * y, w - cosine * z
+    size = np.sqrt(u * u + v * v + w * w)
+    if size < np.float32(1e-4):  # ahead or behind: turn in the level plane
+        u, v, w = -y, x, _ZERO
+        size = np.sqrt(u * u + v * v) + _TINY
+    c, s = np.float32(math.cos(angle)), np.float32(math.sin(angle)) / size
+    x, y, z = norm(c * x + s * u, c * y + s * v, c * z + s * w)
+    return x, y, z, cosine
+
+
+@compiled(error_model="numpy")
+def fly_kinematics(code, numbers, t, motion, normals, state, position, velocity):
+    """One step of all models but ``unit``; the arguments are those of ``Kinematics.fly``."""
+    for b in range(motion.shape[0]):
+        for i in range(motion.shape[1]):
+            if motion[b, i] == DESTROYED:
+                velocity[b, t, i, 0] = velocity[b, t, i, 1] = velocity[b, t, i, 2] = _ZERO
+                continue
+            x, y, z = velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2]
+            bx, by, bz = velocity[b, t - 1, i, 0], velocity[b, t - 1, i, 1], velocity[b, t - 1, i, 2]
+            if code == VARIED_SPEED:
+                state[b, i, 1] = numbers[0] * state[b, i, 1] + numbers[1] * normals[b, i, 0]
+                speed = min(max(state[b, i, 0] * (_ONE + state[b, i, 1]), numbers[2]), numbers[3])
+                x, y, z = x * speed, y * speed, z * speed
+            elif code == LAGGED:
+                share = state[b, i, 0]
+                x, y, z = bx + (x - bx) * share, by + (y - by) * share, bz + (z - bz) * share
+            elif code == LIMITED:
+                speed = np.sqrt(bx * bx + by * by + bz * bz)
+                scale = _ONE / max(speed, np.float32(1e-6))
+                x, y, z, cosine = _steer(bx * scale, by * scale, bz * scale, x, y, z, state[b, i, 0])
+                goal = numbers[0] + (_ONE - numbers[0]) * np.float32(0.5) * (_ONE + cosine)
+                speed = min(max(goal, speed - numbers[1]), speed + numbers[1])
+                speed = min(max(speed, _ZERO), _ONE)
+                x, y, z = x * speed, y * speed, z * speed
+            else:
+                rise = (state[b, i, 0] - position[b, t, i, 2]) / np.float32(10.0)
+                z = min(max(rise, -numbers[0]), numbers[0])
+                scale = np.sqrt(_ONE - z * z) / np.sqrt(x * x + y * y + _TINY)
+                x, y = x * scale, y * scale
+            velocity[b, t, i, 0], velocity[b, t, i, 1], velocity[b, t, i, 2] = x, y, z
+        move(b, t, position, velocity)
 
 
 @compiled()
-def _nearest(position, i, heads, count):
-    """The one of the first ``count`` UAVs in ``heads`` that is nearest to UAV i; -1 if there is none."""
+def _nearest(position, i, heads):
+    """The one of the UAVs ``heads`` that is nearest to UAV i; -1 if there is none."""
     nearest, best = -1, np.inf
-    for j in range(count):
-        dx = position[i, 0] - position[heads[j], 0]
-        dy = position[i, 1] - position[heads[j], 1]
-        dz = position[i, 2] - position[heads[j], 2]
+    for h in heads:
+        dx = position[i, 0] - position[h, 0]
+        dy = position[i, 1] - position[h, 1]
+        dz = position[i, 2] - position[h, 2]
         distance = float(dx * dx + dy * dy + dz * dz)
         if distance < best:
-            nearest, best = heads[j], distance
+            nearest, best = h, distance
     return nearest
 
 
@@ -374,13 +375,8 @@ def remerge(head, alive, apart, position, root, source):
         source: ``(B, N)`` int64, the UAV that each UAV copies, updated in place.
     """
     episodes, uavs = root.shape
-    heads = np.empty(uavs, np.int64)
     for b in range(episodes):
-        count = 0
-        for i in range(uavs):
-            if head[b, i] and alive[b, i]:
-                heads[count] = i
-                count += 1
+        heads = np.flatnonzero(head[b] & alive[b])
         for i in range(uavs):
             if head[b, i] or not alive[b, i] or source[b, i] == i:
                 continue
@@ -388,7 +384,7 @@ def remerge(head, alive, apart, position, root, source):
             while 0 <= above < uavs and not alive[b, above] and source[b, above] != above:
                 above = source[b, above]
             if above < 0 or (above < uavs and not alive[b, above]):
-                above = _nearest(position[b], i, heads, count)
+                above = _nearest(position[b], i, heads)
             source[b, i] = above
         for i in range(uavs):
             if head[b, i] or apart[b, i] or not alive[b, i]:

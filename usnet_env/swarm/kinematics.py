@@ -19,19 +19,7 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Singles
 from usnet_env.config import ArgumentError, quote, real_number, whole_number
 from usnet_env.registry import Registry
-from usnet_env.swarm import kernels, kinematic_kernels
-
-__all__ = [
-    "KINEMATICS",
-    "Kinematics",
-    "Lagged",
-    "Layered",
-    "Limited",
-    "Unit",
-    "VariedSpeed",
-    "kinematics_models",
-    "register_kinematics",
-]
+from usnet_env.swarm import kernels
 
 _FASTEST = 100.0  # metres per step
 _MOST_VALUES = 64
@@ -134,7 +122,7 @@ class _Compiled(Kinematics):
         self, t: int, motion: NDArray[np.int8], normals: Singles, state: Singles, position: Singles, velocity: Singles
     ) -> None:
         """Compiled step."""
-        kinematic_kernels.fly_step(self._code, self._numbers, t, motion, normals, state, position, velocity)
+        kernels.fly_kinematics(self._code, self._numbers, t, motion, normals, state, position, velocity)
 
 
 def _unit(vectors: Singles) -> Singles:
@@ -158,7 +146,7 @@ class VariedSpeed(_Compiled):
     breaks = "all UAVs fly at one constant speed"
     values = 2  # mean speed, relative deviation
     normals = 1
-    _code = kinematic_kernels.VARIED_SPEED
+    _code = kernels.VARIED_SPEED
     slowest: float = 0.5
     fastest: float = 1.5
     spread: float = 0.2
@@ -201,7 +189,7 @@ class Lagged(_Compiled):
     source = "first-order velocity response (Beard & McLain 2012, §9)"
     breaks = "a UAV flies the wanted velocity at once"
     values = 1  # 1 / time constant
-    _code = kinematic_kernels.LAGGED
+    _code = kernels.LAGGED
     shortest: float = 1.5
     longest: float = 4.0
 
@@ -229,7 +217,7 @@ class Limited(_Compiled):
     source = "bounded turn rate and acceleration (Dubins 1957; Beard & McLain 2012)"
     breaks = "a UAV can turn at any rate"
     values = 1  # turn rate
-    _code = kinematic_kernels.LIMITED
+    _code = kernels.LIMITED
     least_turn: float = 0.15
     most_turn: float = 0.35
     slowest: float = 0.5
@@ -272,7 +260,7 @@ class Layered(_Compiled):
     source = "altitude layers of urban airspace (Sunil et al. 2015, Metropolis)"
     breaks = "the three axes are alike"
     values = 1  # altitude
-    _code = kinematic_kernels.LAYERED
+    _code = kernels.LAYERED
     layers: int = 5
     height: float = 20.0
     climb: float = 0.3

@@ -19,8 +19,6 @@ from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import ARENA
 from usnet_env.swarm.results import read_directions
 
-__all__ = ["MOBILITIES", "CompiledMobility", "Mobility", "mobilities", "mobility", "register_mobility"]
-
 
 class Mobility(ABC):
     """How heads and decoys move. Subclass it, or pass a function to :func:`register_mobility`.

@@ -14,9 +14,6 @@ import numpy as np
 from usnet_env.arrays import Singles
 from usnet_env.swarm.follow import KAPPA_NOISE, FollowInputs, FollowStrategy
 
-__all__ = ["RandomFollowStrategy", "Term", "random_follow_strategy"]
-
-
 TERM_KINDS = ("linear", "cube", "root", "product", "network")
 OUTPUT_MAPS = ("none", "rotate", "saturate", "rotate+saturate")
 

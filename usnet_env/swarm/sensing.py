@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
 from usnet_env.arrays import Indices, Mask, Singles
 from usnet_env.swarm.config import NOISE_BOUND, SWAP_RANGE, SwarmConfig
-
-__all__ = ["ObservationBatch", "sense", "shift_tracks"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +27,17 @@ class ObservationBatch:
     velocity: Singles
     seen: Mask
     alive: Mask
+
+    @classmethod
+    def unseen(cls, config: SwarmConfig, alive: Mask) -> Self:
+        """The windows of swarms, or of one without the leading axis, in which no UAV is seen."""
+        instants, uavs = config.observation_steps + 1, alive.shape[-1]
+        return cls(
+            position=np.zeros((*alive.shape[:-1], instants, uavs, 3), np.float32),
+            velocity=np.zeros((*alive.shape[:-1], instants - 1, uavs, 3), np.float32),
+            seen=np.zeros((*alive.shape[:-1], instants, uavs), bool),
+            alive=alive.copy(),
+        )
 
 
 def sense(

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from usnet_env.arrays import Floats, Indices, Mask, Singles
+from usnet_env.arrays import Floats, Indices, Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.swarm import kernels
 from usnet_env.swarm.config import SwarmConfig
@@ -26,9 +26,7 @@ from usnet_env.swarm.kinematics import Unit
 from usnet_env.swarm.mobility import MOBILITIES, CompiledMobility, Mobility
 from usnet_env.swarm.sensing import ObservationBatch, sense, shift_tracks
 from usnet_env.swarm.state import SwarmState
-from usnet_env.swarm.trajectory import TrajectoryBatch
-
-__all__ = ["advance", "start"]
+from usnet_env.swarm.strategy import TrajectoryBatch
 
 Generators = Sequence[np.random.Generator]
 
@@ -78,10 +76,7 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
     velocity = np.empty((episodes, memory, all_uavs, 3), np.float32)
     parameters = []
     for b, rng in enumerate(rngs):
-        drawn = draw_roles(
-            rng, config.clusters, uavs, config.decoys, config.cluster_sizes, config.bystanders, config.traffic,
-            config.clutter,
-        )  # fmt: skip
+        drawn = draw_roles(rng, config)
         place = check_place("formation", formation(rng, drawn), uavs)
         roles = drawn if strategy is None else strategy.arrange(rng, drawn)
         head[b], decoy[b], bystander[b] = roles.head, roles.decoy, roles.bystander
@@ -218,10 +213,11 @@ def _fly(
     if config.head_jitter:
         jitter = noise * np.float32(strategy.noise if strategy is not None else JITTER)
     flights = _draw_flights(_laws(config, free.shape[1]), flight.steps, rngs)
+    # Their velocity is assigned, not multiplied: the sign of a zero would show which of them were free.
     memory, gone = config.memory, motion == kernels.DESTROYED
     if isinstance(kinematics, Unit):
         _fly_free(flights, free, mobility_state, position, velocity, memory, slice(None), rngs, jitter)
-        _stop(velocity[:, memory:], gone)
+        velocity[:, memory:].swapaxes(1, 2)[gone] = 0.0
         if strategy is None:
             kernels.integrate(memory, position, velocity)
         else:
@@ -233,7 +229,7 @@ def _fly(
     for s in range(flight.steps):
         t, now = memory + s, slice(s, s + 1)
         _fly_free(flights, free, mobility_state, position, velocity, t, now, rngs, jitter[:, now])
-        _stop(velocity[:, t : t + 1], gone)
+        velocity[:, t][gone] = 0.0
         if strategy is not None:
             strategy.fly(
                 replace(
@@ -245,15 +241,6 @@ def _fly(
                 )
             )
         kinematics.fly(t, motion, normals[:, s], kinematic_state, position, velocity)
-
-
-def _stop(velocity: Singles, gone: Mask) -> None:
-    """Destroyed UAVs ``(B, N + R)`` have the velocity 0, in place of that of ``(B, S, N + R, 3)``.
-
-    Assignment instead of multiplication: the sign of a zero would show which of them were free.
-    """
-    if gone.any():
-        velocity.swapaxes(1, 2)[gone] = 0.0
 
 
 JITTER = 0.05  # kappa_n of the head jitter with follow="none", which has no follow strategy to define it

@@ -12,8 +12,6 @@ from usnet_env.arrays import Floats, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, quote
 from usnet_env.swarm import kernels
 
-__all__ = ["SwarmState", "destroy"]
-
 
 @dataclass(frozen=True)
 class SwarmState:

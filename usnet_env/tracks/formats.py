@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, how_to_install, quote
 from usnet_env.tracks.columns import choose_columns, is_movebank, keep_fixed
-from usnet_env.tracks.decimals import has_decimal_commas, to_points
 from usnet_env.tracks.labels import Labels, to_text
 from usnet_env.tracks.opening import check_expanded_size, damaged_file, open_expanded, read_lines
+from usnet_env.tracks.values import has_decimal_commas, to_points
 
 __all__ = ["Block", "ReadOptions", "read_csv", "read_parquet", "read_ulog"]
 
@@ -191,20 +191,7 @@ def read_parquet(path: Path, options: ReadOptions) -> Iterator[Block]:
 
 def _is_text(kind: Any) -> bool:
     """Whether cells of an Arrow type are texts or bytes of any length."""
-    import pyarrow
-
-    types = pyarrow.types
-    return any(
-        check(kind)
-        for check in (
-            types.is_string,
-            types.is_large_string,
-            types.is_string_view,
-            types.is_binary,
-            types.is_large_binary,
-            types.is_binary_view,
-        )
-    )
+    return str(kind).removeprefix("large_").removesuffix("_view") in ("string", "binary")
 
 
 def _count_bytes(metadata: Any, schema: Any, names: Sequence[str]) -> int:

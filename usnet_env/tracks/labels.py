@@ -89,9 +89,6 @@ class LabelBook:
         self._given: dict[Path, Path] = {}  # the path of each of these files as the caller has named it
         self._whole = True
 
-    def __len__(self) -> int:
-        return len(self._code)
-
     def add(self, labels: Labels, good: Mask, path: Path | None = None) -> NDArray[np.int32]:
         """The numbers of the labels of those rows that are ``good``, ``(good rows,)``.
 

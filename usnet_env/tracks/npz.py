@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import zipfile
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -83,7 +84,9 @@ def _unfold(arrays: _Arrays, columns: Mapping[str, str], where: str) -> Block:
     seen = np.isfinite(position).all(axis=2) & found.pop("seen", np.ones((), bool)).astype(bool)
     who, when = np.nonzero(seen.T)
     ids = to_labels(_plain(found.pop("id", np.arange(uavs))))
-    _check_different(ids, where)
+    twice = next((name for name, count in Counter(ids).items() if count > 1), None)
+    if twice is not None:
+        raise ArgumentError(f"id must name each of the {uavs} tracks once in {where}, got {quote(twice)} twice.")
     values: dict[str, Any] = {"id": ids[who]}
     leader = found.pop("leader", None)
     for role, time in (found or {"frame": np.arange(instants)}).items():
@@ -118,10 +121,3 @@ def _check_beside(arrays: _Arrays, instants: int, uavs: int, where: str) -> None
             raise ArgumentError(f"{role} must have shape {' or '.join(map(str, takes))} in {where}, got {array.shape}.")
     if "seen" in arrays and arrays["seen"].dtype.kind not in "biuf":
         raise ArgumentError(f"seen must hold truth values in {where}, got {quote(arrays['seen'])}.")
-
-
-def _check_different(ids: Labels, where: str) -> None:
-    first: dict[str | int, int] = {}
-    for k, name in enumerate(ids):
-        if first.setdefault(name, k) != k:
-            raise ArgumentError(f"id must name each of the {len(ids)} tracks once in {where}, got {quote(name)} twice.")

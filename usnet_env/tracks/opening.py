@@ -57,11 +57,9 @@ def _check_gzip(file: IO[bytes], path: Path, most: int) -> None:
     The size in its trailer may be that of its last part only, or wrong, so the bytes are expanded and counted.
     """
     with gzip.open(file) as expanded:
-        size = 0
-        while part := expanded.read(_LONGEST_ROW):
-            size += len(part)
-            if size > most:
-                raise _too_large(path, most)
+        limited = _Limited(expanded, path, most)
+        while limited.read(_LONGEST_ROW):
+            pass
     file.seek(0)
 
 

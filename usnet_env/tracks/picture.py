@@ -15,13 +15,13 @@ from usnet_env.drawing import (
     LINK_MARK,
     TRACK_WORDS,
     UNLED_MARK,
-    Limits,
     abbreviate,
     annotate_points,
     draw_legend,
     draw_round,
     escape_math,
     last_seen_position,
+    limits_around,
     new_figure,
     round_marks,
     text_size,
@@ -138,7 +138,8 @@ def _draw_map(
     title = escape_math(_title_map(window, words))
     draw_round(
         position, cut.window.seen, cut.window.alive, head, leader, none,
-        axes=axes, title=title, legend=False, limits=_limits(position[cut.window.seen]), number=number,
+        axes=axes, title=title, legend=False, limits=limits_around(position[cut.window.seen], 0.08, 1e-6),
+        number=number,
     )  # fmt: skip
     place = last_seen_position(position, cut.window.seen)
     names = {each: i for i, each in enumerate(cut.ids)}
@@ -163,13 +164,6 @@ def _title_map(window: DetectedWindow, words: _Words) -> str:
         more = "" if len(window.not_confirmed) <= _MOST_REJECTED else ", …"
         title += f"\n{named if len(named) <= _LONGEST_TITLE else named[: _LONGEST_TITLE - 1] + '…'}{more}"
     return title
-
-
-def _limits(place: NDArray[Any]) -> Limits:
-    """The square around positions ``(n, 3)``; unlike a swarm, recorded tracks may be smaller than a metre."""
-    low, high = place[:, :2].min(axis=0), place[:, :2].max(axis=0)
-    x, y = ((low + high) / 2).tolist()
-    return x, y, 0.54 * max(float((high - low).max()), 1e-6)
 
 
 def _draw_times(axes: Axes, found: FoundLeaders, words: _Words) -> None:

@@ -113,9 +113,8 @@ class Table:
                 )
         return ~np.logical_or.reduce([none, *missing.values()])
 
-    def _take(self, role: str) -> NDArray[Any] | None:
-        parts = self._parts.pop(role, None)
-        return None if parts is None else np.concatenate(parts)
+    def _take(self, role: str) -> NDArray[Any]:
+        return np.concatenate(self._parts.pop(role))
 
     def finish(self, paths: Sequence[Path]) -> Tracks:
         """Make the tracks.
@@ -146,13 +145,17 @@ class Table:
             notes.append("Times are numbers of frames; one frame counts as 1 s (time_unit= gives its seconds).")
         time, clock = self._take_times()
         position, origin, frame = self._take_positions()
-        velocity = None
+        velocity = leader = None
         if {"vx", "vy"} <= self._parts.keys():
-            flown = [self._take(role) for role in ("vx", "vy", "vz")]
-            velocity = np.stack([np.zeros(len(time)) if each is None else each for each in flown], axis=1)
+            velocity = np.zeros((len(time), 3))
+            for axis, role in enumerate(("vx", "vy", "vz")):
+                if role in self._parts:
+                    velocity[:, axis] = self._take(role)
         codes = self._take("id")
-        assert codes is not None
-        leader = self._take_leaders(codes, ids, notes)
+        if "leader" in self._parts:
+            where = f" in column {self._names['leader']}"
+            leader, more = match_leaders(self._take("leader"), self._leaders.names(), codes, ids, where)
+            notes += more
         return assemble(
             ids, codes, time, position, velocity, leader, clock, frame, tuple(notes), origin, self._places.name
         )
@@ -180,7 +183,6 @@ class Table:
         """``(S,)`` times in the clock's unit, or in seconds for timestamps."""
         frames = "t" not in self._names
         time = self._take("frame" if frames else "t")
-        assert time is not None
         if not self._timestamps:
             likely = None if frames or self._unit is not None else guess_time_unit(self._names["t"], time)
             return time, Clock(0.0, self._unit or 1.0, False, self._whole, frames, likely)
@@ -192,23 +194,13 @@ class Table:
     def _take_positions(self) -> tuple[list[Floats], Floats | None, str]:
         """The two or three coordinates, ``(S,)`` metres each, their origin if it is known, and what they are."""
         axes = ("lon", "lat", "z") if "lon" in self._parts else ("x", "y", "z")
-        position = [each for role in axes if (each := self._take(role)) is not None]
+        position = [self._take(role) for role in axes if role in self._parts]
         if axes[0] == "x":
             return position, None, "metres"
         height = float(np.round(position[2].mean())) if len(position) == 3 else 0.0
         position[2:] = [each - height for each in position[2:]]
         position[0], position[1], middle, frame = to_local_metres(position[0], position[1])
         return position, np.array([*middle, height]), frame
-
-    def _take_leaders(self, codes: NDArray[Any], ids: Sequence[str | int], notes: list[str]) -> Indices | None:
-        """``(S,)`` index of each sample's leader, -1 for none; ``None`` if none of those that are named has a track."""
-        named = self._take("leader")
-        if named is None:
-            return None
-        where = f" in column {self._names['leader']}"
-        leader, more = match_leaders(named, self._leaders.names(), codes, ids, where)
-        notes += more
-        return leader
 
 
 class _Places:

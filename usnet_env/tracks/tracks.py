@@ -296,19 +296,10 @@ def assemble(
 ) -> Tracks:
     """Sort samples by id and time, and move the origin of time and space to the first sample and the middle.
 
-    Args:
-        ids: the N ids.
-        codes: ``(S,)`` index of the id of each sample, in the order of the file.
-        time: ``(S,)`` times in the clock's unit, or in seconds for timestamps.
-        position: the coordinates x, y and z or only x and y, ``(S,)`` metres each. The list is emptied, which frees the
-            memory of its arrays.
-        velocity: ``(S, 3)`` metres per second, or ``None``.
-        leader: ``(S,)`` index of each sample's leader, -1 for none, or ``None``.
-        clock: how time 0 and a second are written; second 0 becomes the earliest time.
-        frame: what the positions are, in words.
-        notes: what the reader found.
-        origin: ``(3,)`` coordinates of the origin, if the positions are already relative to it.
-        name_places: names where two samples stand, which are counted in the order of the file.
+    The arguments are those of :class:`Tracks`, but for ``codes`` ``(S,)``, index of the id of each sample in the order
+    of the file; ``time`` ``(S,)`` in the clock's unit, or in seconds for timestamps; ``position``, the two or three
+    coordinates ``(S,)``, a list that is emptied to free their memory; ``origin``, if the positions are relative to it
+    already; and ``name_places``, which names where two samples stand, counted in the order of the file.
 
     Raises:
         ArgumentError: two samples of an id have one time and different places; the sentence names their rows.

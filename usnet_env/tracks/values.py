@@ -1,4 +1,4 @@
-"""Convert the values of rows to numbers: coordinates, velocities and times."""
+"""Convert the values of rows to numbers: coordinates, velocities and times, also with decimal commas."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ import numpy as np
 
 from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, quote
-from usnet_env.tracks.decimals import is_comma_number
 
-__all__ = ["guess_time_unit", "is_epoch", "is_none", "read_numbers", "read_times"]
+__all__ = ["guess_time_unit", "has_decimal_commas", "is_epoch", "is_none", "read_numbers", "read_times", "to_points"]
 
 _NO_VALUE = {"", "na", "n/a", "nan", "null", "none", "nat"}
 _LONGEST = 1e19  # of times: nanoseconds since 1970 until the year 2286
@@ -27,6 +26,9 @@ _UNITS = {  # of times, in seconds, with the words that names of columns end wit
 }
 _RECORDED = (315_532_800, 4_102_444_800)  # seconds from 1970 to 1980 and to 2100
 _LARGEST = 1e15  # of other numbers in a file: float64 has no fractions beyond
+_COMMA = re.compile(r"\s*[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?\s*")
+_POINT = re.compile(r"\s*[+-]?(\d*\.\d+|\d+\.)([eE][+-]?\d+)?\s*")
+_THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")  # 1,234 may be a whole number with a separator
 
 
 def is_none(value: Any) -> bool:
@@ -127,7 +129,7 @@ def _number(value: Any, role: str, about: Callable[[str, int], str], k: int) -> 
 
 def _hint(value: Any) -> str:
     """What to do about a value that is no number, for messages."""
-    return " (decimal=',' reads decimal commas)" if isinstance(value, str) and is_comma_number(value) else ""
+    return " (decimal=',' reads decimal commas)" if isinstance(value, str) and _is_comma_number(value) else ""
 
 
 def _timestamps(values: Sequence[Any], role: str, about: Callable[[str, int], str]) -> Floats:
@@ -146,3 +148,42 @@ def _timestamps(values: Sequence[Any], role: str, about: Callable[[str, int], st
         else:
             micros[k] = ((moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - _EPOCH) // _MICROSECOND
     return micros
+
+
+def _is_comma_number(cell: str) -> bool:
+    """Whether a text is a number with one comma and no point."""
+    return "," in cell and _COMMA.fullmatch(cell) is not None
+
+
+def has_decimal_commas(columns: Sequence[Sequence[str]]) -> bool:
+    """Whether the commas in some columns of numbers can only be decimal signs.
+
+    They can where no number has a point, and one of them has another number of digits than 3 after its comma, or more
+    than 3 digits or a 0 before it.
+
+    Args:
+        columns: the cells of each column of numbers or times.
+    """
+    commas = [cell for cells in columns for cell in cells if _is_comma_number(cell)]
+    sure = any(not _THOUSANDS.fullmatch(cell) for cell in commas)
+    return sure and not any(_POINT.fullmatch(cell) for cells in columns for cell in cells if "." in cell)
+
+
+def to_points(cells: Sequence[str], role: str, about: Callable[[str, int], str]) -> list[str]:
+    """Numbers with a decimal comma as numbers with a point; other texts, such as timestamps, stay as they are.
+
+    Args:
+        cells: the cells of a column.
+        role: what the column holds.
+        about: names the place of a row of a role, for messages.
+
+    Raises:
+        ArgumentError: a number has a point.
+    """
+    for k, cell in enumerate(cells):
+        if "." in cell and _POINT.fullmatch(cell):
+            raise ArgumentError(
+                f"{role} must be a number with a decimal comma in every row, as decimal=',' or the other numbers of "
+                f"the file say, got {quote(cell)} in {about(role, k)}."
+            )
+    return [cell.replace(",", ".") if _is_comma_number(cell) else cell for cell in cells]
