@@ -7,10 +7,10 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 from sklearn.cluster import HDBSCAN, AgglomerativeClustering, spectral_clustering
+from sklearn.cluster import KMeans as SklearnKMeans
 
 from detectors.clustering.affinity import normalise_affinity, regularise_affinity
 from detectors.clustering.base import COUNTS, OWN, Clusterer, Living
-from detectors.clustering.k_means import assign_k_means_labels
 from detectors.clustering.snmf import factorise_affinity
 from detectors.parameters import Count, Lags
 from detectors.series.evidence import regression_evidence
@@ -18,14 +18,19 @@ from detectors.series.votes import detection_from_evidence
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, quote
 
+STARTS = 10  # of K-Means; the start with the lowest within-cluster dispersion is used
+
 
 class KMeans(Clusterer):
     """K-Means on the features; a time series is flattened to one row per UAV."""
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
-        """Return labels ``(n,)`` by scikit-learn: the best of ten starts."""
+        """Return labels ``(n,)`` by scikit-learn: the best of ten starts; no more clusters than distinct rows."""
         assert count is not None
-        return assign_k_means_labels(living.flat, count, rng)
+        count = min(count, len(np.unique(living.flat, axis=0)))
+        model = SklearnKMeans(count, n_init=STARTS, random_state=int(rng.integers(2**31)))
+        labels: Indices = model.fit_predict(living.flat)
+        return labels
 
 
 class Spectral(Clusterer):
