@@ -22,8 +22,8 @@ from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_param
 from detectors.mc_gassl.meta import Clustered, OfflineTraining, Task, train_offline
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
-from detectors.mc_gassl.weights import NAMES, parameters_of, save_weights
-from detectors.weights import Checkpoint, record_training, write_losses
+from detectors.mc_gassl.weights import parameters_of
+from detectors.weights import Checkpoint, record_training, write_losses, write_weights
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.evaluation.engine import Place
@@ -150,7 +150,7 @@ def train_meta(
     """Train the GRU network off-line and write its weights.
 
     Files in ``out``, each appearing whole: ``meta.safetensors`` and ``meta.json`` (``joint.…`` with that method), see
-    :mod:`detectors.mc_gassl.weights`; ``losses.csv``, the query loss of every episode; ``checkpoint.safetensors``.
+    :mod:`detectors.weights`; ``losses.csv``, the query loss of every episode; ``checkpoint.safetensors``.
 
     Args:
         out: a folder; made if it is missing.
@@ -189,11 +189,11 @@ def train_meta(
         episodes = range(len(losses), min(len(losses) + checkpoint_every, training.episodes))
         parameters, more = _train(training, parameters, tasks, episodes)
         losses += more
-        checkpoint.write(dict(zip(NAMES, parameters.tensors(), strict=True)), losses)
+        checkpoint.write(vars(parameters), losses)
         progress(training.strategies + len(losses), total)
     write_losses(checkpoint.folder, "episode", losses)
     path, metrics = checkpoint.folder / f"{training.method}.safetensors", _metrics(training, parameters, losses)
-    return save_weights(path, parameters, record_training(training), metrics)
+    return write_weights(path, vars(parameters), record_training(training), metrics)
 
 
 def _metrics(training: MetaTraining, parameters: GruParameters, losses: list[float]) -> dict[str, Any]:
