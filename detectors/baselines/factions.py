@@ -85,9 +85,7 @@ def build_following_network(velocity: NDArray[np.floating], seen: Mask, max_lag:
     """
     flight = scale_to_unit(centre_columns(velocity.astype(np.float64), seen))
     best = correlate_over_lags(flight, flight, min(max_lag, len(velocity) - 2))
-    ahead = np.where((best >= threshold) & (best > best.T), best, 0.0)
-    np.fill_diagonal(ahead, 0.0)
-    return np.where(np.isfinite(ahead), ahead, 0.0)
+    return np.where((best >= threshold) & (best > best.T), best, 0.0)
 
 
 def compute_pagerank(network: Floats) -> Floats:

@@ -25,9 +25,6 @@ class TransferEntropy(NetworkDetector):
     Review Letters 99, 2007). The delay of a pair is the lag with the highest correlation of velocities.
 
     Args:
-        max_lag: the largest delay in samples, at least 1.
-        max_delay: the largest delay in seconds instead.
-        level: expected share of those UAVs that seem to follow but don't.
         neighbours: k, the number of nearest neighbours, at least 1.
 
     Raises:

@@ -26,9 +26,6 @@ class Mflica(NetworkDetector):
     user; here it comes from surrogates, as in all detectors on networks.
 
     Args:
-        max_lag: L in samples, at least 1.
-        max_delay: L in seconds instead.
-        level: expected share of those UAVs that seem to follow but don't.
         series: what is warped: the ``"position"`` as published, or the ``"velocity"``, for followers that keep away
             from where their leader was.
 
