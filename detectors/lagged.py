@@ -29,6 +29,9 @@ class EvidenceDetector(Detector):
         clusters: M, the number of heads at the start of the episode. Round 1 names exactly M UAVs. Later rounds, in
             which heads may be missing, name at most M by the rule for unknown M. ``None``: M is unknown, and
             :func:`detectors.series.votes.cover_voters` estimates the number of heads in every round.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True)
@@ -76,9 +79,6 @@ class LaggedCorrelation(EvidenceDetector):
 
     Args:
         max_lag: the largest lag in samples, at least 1; smaller in windows of fewer than ``max_lag`` + 6 velocities.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     max_lag: Lags = 4
@@ -104,9 +104,6 @@ class LaggedRegression(EvidenceDetector):
         lags: the number of past velocities of j among the features, at least 1.
         squares: whether the features include axis-wise squares; f4 and f5 need them.
         ridge: the penalty, in units of the features' mean squared singular value, at least 0.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True, needs_unit_speed=True)
@@ -130,9 +127,6 @@ class Granger(EvidenceDetector):
     Args:
         lags: the number of past velocities of j, at least 1; fewer in short windows.
         own_lags: the number of past velocities of i, at least 0.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     lags: Lags = 3

@@ -26,9 +26,6 @@ class TransferEntropy(NetworkDetector):
 
     Args:
         neighbours: k, the number of nearest neighbours, at least 1.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     neighbours: Annotated[int, Field(ge=1, le=20)] = 4

@@ -28,9 +28,6 @@ class Mflica(NetworkDetector):
     Args:
         series: what is warped: the ``"position"`` as published, or the ``"velocity"``, for followers that keep away
             from where their leader was.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     tags = Tags(most_uavs=10_000, least_steps=5)
