@@ -19,7 +19,7 @@ from pydantic import Field
 
 from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_parameters
-from detectors.mc_gassl.meta import Clustered, OfflineTraining, Task, train_offline
+from detectors.mc_gassl.meta import Clustered, Task, joint_step, meta_step
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
 from detectors.mc_gassl.weights import parameters_of
@@ -48,7 +48,7 @@ class MetaTraining(Config):
         episodes: E.
         seed: of all draws.
         width: entries of a feature, see :func:`detectors.mc_gassl.gru.draw_parameters`.
-        inner_rate: alpha.
+        inner_rate: alpha, of the step on the support swarm; plays no part in ``"joint"``.
         outer_rate: beta.
         sampling, margin, times, anchors, scale: of a batch, see :class:`detectors.mc_gassl.triplet.Metric`.
         clusters, uavs, observation_steps, memory, mobility, head_jitter: of the swarms, see
@@ -120,8 +120,17 @@ def trained(training: MetaTraining) -> tuple[GruParameters, list[float]]:
 def _train(
     training: MetaTraining, parameters: GruParameters, tasks: list[Task], episodes: range
 ) -> tuple[GruParameters, list[float]]:
-    settings = training.part(OfflineTraining, metric=training.part(Metric))
-    return train_offline(parameters, tasks, episodes, settings, partial(_generator, training, _EPISODE))
+    """Train by some episodes, each on one task at random and with a generator of its own."""
+    metric, losses = training.part(Metric), []
+    for episode in episodes:
+        generator = _generator(training, _EPISODE, episode)
+        task = tasks[int(torch.randint(len(tasks), (), generator=generator))]
+        if training.method == "meta":
+            parameters, loss = meta_step(parameters, task, metric, training.inner_rate, training.outer_rate, generator)
+        else:
+            parameters, loss = joint_step(parameters, task, metric, training.outer_rate, generator)
+        losses.append(loss)
+    return parameters, losses
 
 
 def online_losses(
