@@ -25,7 +25,7 @@ from usnet_env.config import quote
 def check_constructor_only_stores(detector: Any) -> None:
     """The constructor stores its keyword arguments unchanged under their names, and stores nothing else."""
     kind = type(detector)
-    given = {name: _UnknownValue() for name in _list_argument_names(detector)}
+    given = {name: object() for name in _list_argument_names(detector)}  # no constructor can interpret these
     with calling("its constructor"):
         made = kind(**given)
     stored = dict(vars(made))
@@ -76,10 +76,6 @@ def _pickle_and_unpickle(detector: Any) -> Any:
     """Pickle and unpickle; the bytes never come from a file."""
     with calling("its pickling"):
         return pickle.loads(pickle.dumps(detector))
-
-
-class _UnknownValue:
-    """The type of an argument that no constructor can interpret."""
 
 
 def _list_argument_names(detector: Any) -> list[str]:
