@@ -64,10 +64,7 @@ def check_process_settings_untouched(detector: Any, functions: Mapping[str, tupl
     Settings: thread counts (BLAS, OpenMP, Numba, PyTorch), NumPy's error handling, PyTorch's defaults, environment
     variables, signal handlers and the current folder. Code: the functions and classes of usnet_env, detectors,
     Gymnasium and NumPy. Left behind: threads, processes and open files. A daemon thread is a warning only.
-
-    Args:
-        detector: the detector.
-        functions: the code before the detector was imported, as :func:`list_functions` returns it.
+    ``functions`` is the result of :func:`list_functions` before the detector was imported.
     """
     functions = list_functions() if functions is None else functions
     threads, processes = set(threading.enumerate()), list_processes()

@@ -129,14 +129,8 @@ def check_factory(
 ) -> list[CheckResult]:
     """Run all checks on a detector that only a child process creates, so that its import can't harm this process.
 
-    Args:
-        make: function without arguments that imports and creates the detector; it is pickled.
-        name: name of the detector, for errors.
-        expected_failed_checks: as for :func:`check_detector`.
-        seconds: as for :func:`check_detector`.
-        callback: as for :func:`check_detector`.
-        time_limit: as for :func:`check_detector`; it also applies to ``make``.
-        memory_limit: as for :func:`check_detector`; it also applies to ``make``.
+    ``make`` imports and creates the detector; it takes no arguments, and is pickled. Errors call the detector ``name``.
+    The other arguments are those of :func:`check_detector`; the limits also apply to ``make``.
 
     Raises:
         ArgumentError: an argument is refused, or ``make`` raised it.

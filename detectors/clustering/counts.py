@@ -144,11 +144,8 @@ def compute_dispersions(sets: Floats, rng: np.random.Generator) -> Iterator[Floa
     K-Means with k + 1 clusters starts from the centres that it found with k and one new centre (Likas, Vlassis and
     Verbeek, Pattern Recognit. 36, 2003). The new centre is the best of a few points that are drawn in proportion to
     their squared distance to the nearest centre (greedy K-Means++, Arthur and Vassilvitskii, SODA 2007). Each data set
-    has ``CHAINS`` such sequences, which start at random points.
-
-    Args:
-        sets: ``(S, n, d)``. Centred values lose the least by the single precision that is used inside.
-        rng: generator of the points.
+    has ``CHAINS`` such sequences, which start at random points. The ``sets`` are ``(S, n, d)``; centred values lose the
+    least by the single precision that is used inside.
     """
     yield ((sets - sets.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2))
     chains: Singles = np.repeat(sets.astype(np.float32), CHAINS, axis=0)  # log W_k needs no more digits

@@ -24,12 +24,8 @@ Features = Callable[[Window], ArrayLike]
 def compute_raw_features(window: Window, memory: int) -> Floats:
     """Return the paper's window: the last T_0 velocities and the positions where they start, ``(N, 6 T_0)``.
 
-    Args:
-        window: the observer's window.
-        memory: T_0, in samples; lowered to T_ob.
-
-    Returns:
-        Metres and metres per step, sample by sample: x, y, z of the position, then of the velocity.
+    Metres and metres per step, sample by sample: x, y, z of the position, then of the velocity. T_0, the ``memory``, is
+    lowered to T_ob.
     """
     whole = fill_gaps(window)
     samples = np.concatenate([whole.position[:-1][-memory:], whole.velocity[-memory:]], axis=2, dtype=np.float64)

@@ -34,8 +34,7 @@ class IfsnSizes(Config):
     def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
         """The arrays of Γ in the order in which they lie in one flat vector; matrices map rows to columns.
 
-        Args:
-            inputs: entries of the concatenation, 6 (T_0 + 1).
+        ``inputs`` are the entries of the concatenation, 6 (T_0 + 1).
         """
         width = self.hidden
         return {

@@ -41,12 +41,7 @@ class Batch:
 
 
 def build_batch(window: Window, members: NDArray[np.intp] | None = None, memory: int = 4) -> Batch:
-    """The batch of Algorithm 1, line 2.
-
-    Args:
-        window: T_ob velocities of N UAVs.
-        members: ``(n,)`` indices of the UAVs of the cluster; by default all living ones.
-        memory: T_0.
+    """The batch of Algorithm 1, line 2, of the ``members`` ``(n,)`` of a cluster, by default all living UAVs.
 
     Raises:
         ArgumentError: the window holds no more than T_0 velocities.

@@ -92,25 +92,18 @@ class GruInputs:
 def draw_parameters(generator: torch.Generator, width: int = 3) -> GruParameters:
     """A random start: uniform in ±1/sqrt(w + 3), float32.
 
-    Args:
-        generator: where all draws come from.
-        width: w, entries of h, and so of a feature. The paper's h_0 is a position, which makes it 3; a wider h starts
-            with the position in its first three entries and 0 in the others.
+    The paper's h_0 is a position, which makes the ``width`` w 3; a wider h starts with the position in its first three
+    entries and 0 in the others.
     """
     shape = (width, width + 3)
     return GruParameters(*((2.0 * torch.rand(shape, generator=generator) - 1.0) / shape[1] ** 0.5 for _ in range(3)))
 
 
 def gru(parameters: GruParameters, first: Tensor, velocity: Tensor) -> Tensor:
-    """Equations (26) to (29), T_0 times over: h_{T_0} of any number of UAVs and times at once.
+    """Equations (26) to (29), T_0 times over: e = h_{T_0}, ``(..., w)``, of any number of UAVs and times at once.
 
-    Args:
-        parameters: W.
-        first: ``(..., 3)``, h_0 or its first three entries: positions, scaled.
-        velocity: ``(..., T_0, 3)`` metres per step, oldest first.
-
-    Returns:
-        The features e ``(..., w)``.
+    ``first`` ``(..., 3)`` are scaled positions: h_0, or its first three entries. ``velocity`` is ``(..., T_0, 3)``,
+    metres per step, oldest first.
     """
     width = parameters.width
     h = torch.nn.functional.pad(first, (0, width - 3))

@@ -178,14 +178,8 @@ def split_times(times: int, blocks: int, gap: int, device: torch.device) -> tupl
     would remain for training, there are fewer and longer blocks, because every block costs two gaps. If even one block
     leaves too few times, there are no gaps.
 
-    Args:
-        times: R, the number of times.
-        blocks: held-out blocks.
-        gap: times on each side of a block that are neither trained on nor held out.
-        device: of the result.
-
     Returns:
-        Indices of the training times and of the held-out times.
+        Indices of the training times and of the held-out times; the ``gap`` times on each side of a block are neither.
     """
     for fewer in range(min(blocks, times), 0, -1):
         held, near = _mark_blocks(times, fewer, gap, device)
