@@ -74,12 +74,9 @@ class Flica(Mflica):
 
 
 def warp_pairs(values: Floats, seen: Mask, band: int) -> tuple[Floats, Floats, Indices]:
-    """Warp each pair of series onto each other.
+    """Warp each pair of the series ``values`` ``(n, T, d)`` onto each other, with times at most ``band`` steps apart.
 
-    Args:
-        values: ``(n, T, d)``.
-        seen: ``(n, T)`` bool; a time at which one of both is unseen costs nothing.
-        band: the largest difference of two times that are matched.
+    A time at which one of both is not ``seen`` ``(n, T)`` costs nothing.
 
     Returns:
         ``(n, n)`` each: the mean sign of (time in i - time in j) along the path, the mean cost of its steps, and the

@@ -103,13 +103,10 @@ class Gassl(Detector):
     def fit_cluster(
         self, window: Window, members: NDArray[np.intp], gamma: Singles | None, rng: np.random.Generator
     ) -> Fit:
-        """Lines 1 to 7 of Algorithm 1 for some UAVs of a window; the other UAVs are taken as absent.
+        """Lines 1 to 7 of Algorithm 1 for the ``members`` ``(n,)`` of a cluster; the other UAVs are taken as absent.
 
-        Args:
-            window: of the whole swarm.
-            members: ``(n,)`` indices of the cluster's UAVs, at least 3.
-            gamma: Γ to begin with, ``(parameters,)``, such as the one that another cluster left; drawn for ``None``.
-            rng: where initial values come from.
+        There are at least 3 members. ``gamma`` is the Γ to begin with, such as the one that another cluster left; it is
+        drawn for ``None``.
         """
         agat, ifsn, training = self.check_arguments()
         inputs = prepare_inputs(build_batch(window, members, self.memory))

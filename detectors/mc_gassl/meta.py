@@ -5,7 +5,7 @@ Both read the same tasks, so that they can be compared: one strategy's support a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,21 +15,14 @@ from detectors.mc_gassl.online_training import descend
 from detectors.mc_gassl.triplet import Metric, batch_loss
 
 
-@dataclass(frozen=True, eq=False)
-class Clustered:
-    """A swarm whose clusters are known.
-
-    Args:
-        inputs: of n UAVs at R times.
-        labels: ``(n,)`` int64.
-    """
+class Clustered(NamedTuple):
+    """A swarm of n UAVs whose clusters, the ``labels`` ``(n,)`` int64, are known."""
 
     inputs: GruInputs
     labels: Tensor
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
+class Task(NamedTuple):
     """Two swarms of one follow strategy: D_S and D_Q."""
 
     support: Clustered
@@ -53,9 +46,9 @@ def meta_step(
         The new W, and L_Q(Pi).
     """
     at = parameters.trainable()
-    support = batch_loss(at, task.support.inputs, task.support.labels, metric, generator)
+    support = batch_loss(at, *task.support, metric, generator)
     temporary = descend(at, support, at, inner_rate).trainable()
-    query = batch_loss(temporary, task.query.inputs, task.query.labels, metric, generator)
+    query = batch_loss(temporary, *task.query, metric, generator)
     return descend(parameters, query, temporary, outer_rate), float(query.detach())
 
 
@@ -68,6 +61,6 @@ def joint_step(
         The new W, and L_Q(W) before the step.
     """
     at = parameters.trainable()
-    support = batch_loss(at, task.support.inputs, task.support.labels, metric, generator)
-    query = batch_loss(at, task.query.inputs, task.query.labels, metric, generator)
+    support = batch_loss(at, *task.support, metric, generator)
+    query = batch_loss(at, *task.query, metric, generator)
     return descend(parameters, 0.5 * (support + query), at, outer_rate), float(query.detach())

@@ -214,7 +214,7 @@ def _metrics(training: MetaTraining, parameters: GruParameters, losses: list[flo
         swarm = draw_task(training, number, _HELD_OUT).query
         with torch.no_grad():
             both = [  # of the same batch
-                batch_loss(weights, swarm.inputs, swarm.labels, metric, _generator(training, _MEASURE, number))
+                batch_loss(weights, *swarm, metric, _generator(training, _MEASURE, number))
                 for weights in (parameters, begin)
             ]
         held_out.append([float(loss) for loss in both])

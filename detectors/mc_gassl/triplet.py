@@ -59,15 +59,11 @@ def draw_triplets(
     FaceNet, 2015): a random positive, and of the other clusters the nearest *feature* that is farther away than the
     positive's; where there is none, the farthest. ``"random"``: both at random.
 
-    Args:
-        metric: sampling, and B, the anchors at most; all that are possible, if these are fewer.
-        parameters: W, whose features ``"semi-hard"`` looks at.
-        inputs: of n UAVs at R times.
-        labels: ``(n,)`` int64, clusters; UAVs with -1 take no part.
-        generator: where all draws come from.
+    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part.
 
     Returns:
-        Triplets whose three UAVs were seen; none where there are no two clusters, one of them with two UAVs.
+        B triplets whose three UAVs were seen, or all that are possible, if these are fewer; none where there are no two
+        clusters, one of them with two UAVs.
     """
     there = inputs.seen & (labels >= 0)
     cluster = torch.from_numpy(np.unique(labels.numpy(), return_inverse=True)[1])
