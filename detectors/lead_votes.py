@@ -102,11 +102,7 @@ class LeadVotes(Detector):
         return heads
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode.
-
-        Raises:
-            ArgumentError: an argument of the constructor is invalid.
-        """
+        """Start an episode."""
         super().reset(seed)
         self._heads  # noqa: B018  # the first random number of an episode is its seed
 

@@ -2,9 +2,16 @@
 
 from detectors.clustering.base import Clusterer, Clustering, Living
 from detectors.clustering.counts import GapStatistic, compute_gap_statistic, estimate_count_by_eigengap
-from detectors.clustering.partitions import Agglomerative, Hdbscan, KMeans, LeadVotes, Spectral, SymmetricNMF
+from detectors.clustering.partitions import (
+    Agglomerative,
+    Hdbscan,
+    KMeans,
+    LeadVotes,
+    Spectral,
+    SymmetricNMF,
+    factorise_affinity,
+)
 from detectors.clustering.registry import check_clusterer, clusterers, make_clusterer, register_clusterer
-from detectors.clustering.snmf import factorise_affinity
 
 __all__ = [
     "Agglomerative",

@@ -68,11 +68,7 @@ class Gassl(Detector):
     implementation: Literal["compiled", "printed"] = "compiled"
 
     def check_arguments(self) -> tuple[AgatSizes, Any]:
-        """Check every argument; return the widths of the AGAT, and all arguments.
-
-        Raises:
-            ArgumentError: an argument is refused.
-        """
+        """Check every argument; return the widths of the AGAT, and all arguments."""
         plain = super().check_arguments()
         return plain.part(AgatSizes), plain
 

@@ -72,11 +72,7 @@ class McGassl(Detector):
     memory: Lags = 4
 
     def check_arguments(self) -> tuple[Gassl, OnlineTraining]:
-        """Check every argument; return the settings of GASSL and of on-line training.
-
-        Raises:
-            ArgumentError: an argument is refused.
-        """
+        """Check every argument; return the settings of GASSL and of on-line training."""
         if not isinstance(self.gassl, Mapping | None):
             raise ArgumentError(f"gassl must be a mapping of argument names to values, got {quote(self.gassl)}.")
         plain = super().check_arguments()
@@ -100,11 +96,7 @@ class McGassl(Detector):
         return draw_parameters(generator)
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode: the GRU network is what it was off line.
-
-        Raises:
-            ArgumentError: an argument of the constructor is refused.
-        """
+        """Start an episode: the GRU network is what it was off line."""
         super().reset(seed)
         self._parameters  # noqa: B018  # the first random numbers of an episode are for the network
 

@@ -72,11 +72,7 @@ class NeuralGranger(Detector):
     floor: float | None = None
 
     def check_arguments(self) -> PerCandidate:
-        """Check all arguments and return the settings of the training.
-
-        Raises:
-            ArgumentError: an argument is invalid.
-        """
+        """Check all arguments and return the settings of the training."""
         super().check_arguments()
         self._resolve_device()
         given = {name: getattr(self, name) for name in PerCandidate.model_fields}
