@@ -22,6 +22,7 @@ from detectors.checks.leakage import (
 from detectors.checks.results import Check, CheckResult, DetectorChecksError, get_name, make_failure, run_check
 from usnet_env.config import ArgumentError, quote, unknown_name
 from usnet_env.processes import Limits, ProcessDied, ProcessPool
+from usnet_env.registry import describe_error
 
 if TYPE_CHECKING:
     import pytest
@@ -104,8 +105,7 @@ def check_detector(
             content = pickle.dumps(detector)
         except Exception as error:
             raise ArgumentError(
-                f"child_process must be false for a detector that cannot be pickled, got {type(error).__name__}: "
-                f"{' '.join(str(error).split())}."
+                f"child_process must be false for a detector that cannot be pickled, got {describe_error(error)}."
             ) from None
         # The child makes the detector from bytes of this process, never of a file: a failure there is a result, too.
         found = _run_in_child(functools.partial(pickle.loads, content), checks, excuses, limits)

@@ -25,7 +25,7 @@ from detectors.learned.network import Answer, HeadNetwork, NetworkSizes, draw_ne
 from detectors.random_swarms import draw_training_swarm, observe
 from detectors.weights import Checkpoint, record_training, write_losses, write_weights
 from usnet_env.arrays import Mask
-from usnet_env.config import Config
+from usnet_env.config import Config, whole_number
 from usnet_env.evaluation.engine import Place
 from usnet_env.evaluation.mapping import run_in_order
 
@@ -140,7 +140,8 @@ def train_heads(
         EvaluationError: a process that draws swarms ended.
     """
     training = HeadTraining() if training is None else training
-    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json"), checkpoint_every)
+    whole_number("checkpoint_every", checkpoint_every, 1)
+    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json"))
     network = draw_network(training.part(NetworkSizes), int(_make_rng(training, _START).integers(2**63)))
     optimiser = torch.optim.AdamW(network.parameters(), lr=training.rate, weight_decay=training.decay)
     losses = _read_checkpoint(checkpoint, network, optimiser) if resume else []

@@ -25,7 +25,7 @@ from detectors.mc_gassl.triplet import Metric, batch_loss
 from detectors.mc_gassl.weights import parameters_of
 from detectors.weights import Checkpoint, record_training, write_losses, write_weights
 from usnet_env.arrays import Indices
-from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.config import ArgumentError, Config, quote, whole_number
 from usnet_env.evaluation.engine import Place
 from usnet_env.evaluation.mapping import run_in_order
 from usnet_env.swarm import SwarmConfig, advance, start
@@ -179,7 +179,8 @@ def train_meta(
     """
     training = MetaTraining() if training is None else training
     # A training can be prolonged: a checkpoint may be of fewer episodes.
-    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json", exclude={"episodes"}), checkpoint_every)
+    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json", exclude={"episodes"}))
+    whole_number("checkpoint_every", checkpoint_every, 1)
     total = training.strategies + training.episodes
     arrays, losses = checkpoint.read() if resume else ({}, [])
     if len(losses) > training.episodes:
