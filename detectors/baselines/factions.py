@@ -67,9 +67,8 @@ class Factions(Detector):
             leads = np.flatnonzero(follows.any(axis=0) & ~follows.any(axis=1))
             candidates[living[leads]] = True
             if len(leads):
-                reached = np.isfinite(
-                    dijkstra(network.T, indices=leads, unweighted=True)
-                ).T  # backwards, from the leaders
+                backwards = dijkstra(network.T, indices=leads, unweighted=True)
+                reached = np.isfinite(backwards).T
                 member = reached.any(axis=1)
                 clusters[living[member]] = reached[member].argmax(axis=1)
                 leader[living[member]] = living[leads[clusters[living[member]]]]

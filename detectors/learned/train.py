@@ -176,9 +176,8 @@ def _run_step(
     optimiser.zero_grad()
     total = 0.0
     for example in examples:
-        loss = (
-            compute_loss(network(example.features, example.context), example, training.leader_weight) / training.swarms
-        )
+        answer = network(example.features, example.context)
+        loss = compute_loss(answer, example, training.leader_weight) / training.swarms
         loss.backward()  # type: ignore[no-untyped-call]
         total += float(loss.detach())
     torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)

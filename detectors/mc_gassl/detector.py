@@ -22,7 +22,7 @@ from detectors.mc_gassl.weights import load_meta_weights
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
 from detectors.series.votes import LEAST_UAVS, name_at_random, shows_evidence
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, named_values, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
@@ -73,13 +73,11 @@ class McGassl(Detector):
 
     def check_arguments(self) -> tuple[Gassl, OnlineTraining]:
         """Check every argument; return the settings of GASSL and of on-line training."""
-        if not isinstance(self.gassl, Mapping | None):
-            raise ArgumentError(f"gassl must be a mapping of argument names to values, got {quote(self.gassl)}.")
+        given = named_values("gassl", self.gassl)
         plain = super().check_arguments()
         check_clusterer(plain.clusterer)
         metric = Metric(sampling=plain.sampling)
         online = OnlineTraining(steps=plain.online_steps, rate=plain.online_rate, metric=metric)
-        given = plain.gassl or {}
         for name in given:
             if name not in Gassl().get_params() or name == "memory":
                 raise ArgumentError(f"gassl must hold arguments of Gassl other than memory, got {quote(name)}.")

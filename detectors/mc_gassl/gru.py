@@ -6,9 +6,8 @@ The cell has no biases, the reset gate acts before W_h, and the first hidden sta
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Self
+from typing import Annotated
 
 import torch
 from pydantic import Field
@@ -58,13 +57,9 @@ class GruParameters:
         """W_r, W_u, W_h."""
         return self.reset, self.update, self.candidate
 
-    def mapped(self, change: Callable[[Tensor], Tensor]) -> Self:
-        """New parameters: ``change`` of each array."""
-        return type(self)(*(change(tensor) for tensor in self.tensors()))
-
-    def trainable(self) -> Self:
+    def trainable(self) -> GruParameters:
         """A copy cut off from any earlier computation, in which gradients flow."""
-        return self.mapped(lambda tensor: tensor.detach().clone().requires_grad_(True))
+        return GruParameters(*(tensor.detach().clone().requires_grad_(True) for tensor in self.tensors()))
 
 
 @dataclass(frozen=True, eq=False)

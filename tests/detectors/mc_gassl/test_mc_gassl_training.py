@@ -105,7 +105,7 @@ def separable(seed=0):
 def test_online_training_parts_the_clusters(sampling):
     swarm = separable()
     at = parameters(spread=0.3)
-    kept = at.mapped(torch.clone)
+    kept = GruParameters(*map(torch.clone, at.tensors()))
     settings = OnlineTraining(steps=80, rate=0.5, metric=Metric(sampling=sampling, scale=1.0))
     before = torch.random.get_rng_state()
     _, losses = train_online(at, swarm.inputs, swarm.labels, settings, generator(1))
