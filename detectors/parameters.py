@@ -66,8 +66,6 @@ class Parameters:
         Raises:
             RuntimeError: the constructor takes any number of positional arguments, which have no names.
         """
-        if cls.__init__ is object.__init__:
-            return {}
         _, *parameters = inspect.signature(cls.__init__).parameters.values()
         if any(parameter.kind is parameter.VAR_POSITIONAL for parameter in parameters):
             raise RuntimeError(f"the constructor of {cls.__name__} must name its arguments, got one with *arguments.")

@@ -39,8 +39,6 @@ def compute_scaled_features(window: Window, memory: int) -> Floats:
     """
     samples = compute_raw_features(window, memory).reshape(window.uavs, -1, 6)
     living = samples[window.alive].reshape(-1, 6)
-    if len(living) == 0:
-        return samples.reshape(window.uavs, -1)
     spread = living.std(axis=0)
     return ((samples - living.mean(axis=0)) / np.where(spread > 1e-12, spread, 1.0)).reshape(window.uavs, -1)
 
