@@ -26,7 +26,12 @@ class EvidenceDetector(Detector):
     A subclass declares its further arguments and defines :meth:`evidence`.
 
     Args:
-        clusters: M, or ``None`` if it is unknown.
+        clusters: M, the number of heads at the start of the episode. Round 1 names exactly M UAVs. Later rounds, in
+            which heads may be missing, name at most M by the rule for unknown M. ``None``: M is unknown, and
+            :func:`detectors.series.votes.cover_voters` estimates the number of heads in every round.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True)
@@ -73,12 +78,7 @@ class LaggedCorrelation(EvidenceDetector):
     head's velocity there, so the two are uncorrelated. It isn't expected to work on f7.
 
     Args:
-        clusters: M, the number of heads at the start of the episode, or ``None`` if it is unknown; as in
-            :class:`detectors.lagged.LaggedRegression`.
         max_lag: the largest lag in samples, at least 1; smaller in windows of fewer than ``max_lag`` + 6 velocities.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     max_lag: Lags = 4
@@ -101,15 +101,9 @@ class LaggedRegression(EvidenceDetector):
     A missing sample of a feature is replaced by its mean; a missing target is left out.
 
     Args:
-        clusters: M, the number of heads at the start of the episode. Round 1 names exactly M UAVs. Later rounds, in
-            which heads may be missing, name at most M by the rule for unknown M. ``None``: M is unknown, and
-            :func:`detectors.series.votes.cover_voters` estimates the number of heads in every round.
         lags: the number of past velocities of j among the features, at least 1.
         squares: whether the features include axis-wise squares; f4 and f5 need them.
         ridge: the penalty, in units of the features' mean squared singular value, at least 0.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True, needs_unit_speed=True)
@@ -131,12 +125,8 @@ class Granger(EvidenceDetector):
     for the number of parameters. Votes and heads follow from it by :mod:`detectors.series.votes`.
 
     Args:
-        clusters: M at the start of the episode, or ``None``; as in :class:`detectors.lagged.LaggedRegression`.
         lags: the number of past velocities of j, at least 1; fewer in short windows.
         own_lags: the number of past velocities of i, at least 0.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     lags: Lags = 3

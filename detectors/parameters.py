@@ -8,14 +8,12 @@ import warnings
 from collections import defaultdict
 from collections.abc import Callable
 from functools import cache
-from typing import Annotated, Any, TypeVar, dataclass_transform
+from typing import Annotated, Any, Self, dataclass_transform
 
 from pydantic import Field, create_model
 
 from usnet_env.config import ArgumentError, Config
 from usnet_env.window import Window
-
-Self = TypeVar("Self", bound="Parameters")
 
 Count = Annotated[int, Field(ge=1, le=100_000)]  # a number of UAVs, clusters or steps
 Lags = Annotated[int, Field(ge=1, le=1000)]  # a number of samples of the past
@@ -68,8 +66,6 @@ class Parameters:
         Raises:
             RuntimeError: the constructor takes any number of positional arguments, which have no names.
         """
-        if cls.__init__ is object.__init__:
-            return {}
         _, *parameters = inspect.signature(cls.__init__).parameters.values()
         if any(parameter.kind is parameter.VAR_POSITIONAL for parameter in parameters):
             raise RuntimeError(f"the constructor of {cls.__name__} must name its arguments, got one with *arguments.")
@@ -90,7 +86,7 @@ class Parameters:
             found[name] = value
         return found
 
-    def set_params(self: Self, **params: Any) -> Self:
+    def set_params(self, **params: Any) -> Self:
         """Change arguments, given by name; ``<argument>__<parameter>`` changes a parameter of an argument.
 
         Returns:

@@ -138,9 +138,8 @@ class PolicyDetector(Detector):
             distribution = ask(policy.obs_to_tensor(observation)[0])
         inner = getattr(distribution, "distribution", None) or getattr(distribution, "distributions", None)
         if isinstance(inner, list) and all(part.probs.shape == (1, 2) for part in inner):
-            probabilities: Any = torch.cat(
-                [part.probs[:, 1] for part in inner]
-            )  # MultiDiscrete([2] * N), and masked bits
+            # MultiDiscrete([2] * N), and masked bits
+            probabilities: Any = torch.cat([part.probs[:, 1] for part in inner])
         else:
             probabilities = getattr(inner, "probs", None)
         if probabilities is None or probabilities.numel() != uavs:  # another kind of action space

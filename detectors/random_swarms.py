@@ -90,14 +90,9 @@ def draw_calibration_swarm(most_uavs: int, most_clusters: int, rng: np.random.Ge
 def observe(
     config: SwarmConfig, rng: np.random.Generator, rate: float, draw_losses: Callable[[Mask], Mask]
 ) -> tuple[Window, SwarmState]:
-    """Observe one window of a swarm, of its first round, or after some UAVs were destroyed.
+    """Observe one window of a swarm, of its first round, or with a probability ``rate`` after UAVs were destroyed.
 
-    Args:
-        config: the swarm and its observer.
-        rng: the generator.
-        rate: the probability that UAVs were destroyed before.
-        draw_losses: function of the heads ``(1, N)`` that draws the UAVs ``(1, N)`` that were destroyed; one head and
-            two other UAVs are always spared.
+    ``draw_losses`` draws these, ``(1, N)``, from the heads ``(1, N)``; one head and two other UAVs are always spared.
     """
     (own,) = rng.spawn(1)
     state = start(config, [own])

@@ -22,7 +22,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
-from usnet_env.config import ArgumentError, Config, quote, whole_number
+from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.files import atomic_write
 
 
@@ -125,18 +125,10 @@ class Checkpoint:
     Args:
         folder: of the file.
         settings: which must be equal for a training to resume from it.
-        every: number of steps between two checkpoints.
-
-    Raises:
-        ArgumentError: ``every`` is refused.
     """
 
     folder: Path
     settings: Mapping[str, Any]
-    every: int
-
-    def __post_init__(self) -> None:
-        whole_number("checkpoint_every", self.every, 1)
 
     @property
     def path(self) -> Path:

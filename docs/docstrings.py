@@ -17,7 +17,7 @@ _ROLE = re.compile(r":(\w+):`~?([\w.]+)`")
 def describe_class(described: type) -> str:
     """Markdown of what a class does and takes: its docstring without the first line; arguments have their defaults.
 
-    An argument that the docstring leaves out is described by that of a base class.
+    An argument that the docstring leaves out is described by that of a base class; so are the errors.
 
     Raises:
         ValueError: an argument of the constructor is described nowhere.
@@ -30,7 +30,8 @@ def describe_class(described: type) -> str:
     for names, meaning in entries.items():
         shown = ", ".join(f"`{name}={parameters[name].default!r}`" for name in names)
         lines.append(f"* {shown}: {indent(meaning, '  ').lstrip()}")
-    errors = [f"Raises `{name}` {meaning}" for (name,), meaning in _read_entries(text, "Raises")]
+    raised = (list(_read_entries(inspect.cleandoc(base.__doc__ or ""), "Raises")) for base in inspect.getmro(described))
+    errors = [f"Raises `{name}` {meaning}" for (name,), meaning in next(filter(None, raised), [])]
     parts = [about, "## Arguments", "\n".join(lines) or "It takes no arguments.", *errors]
     return _to_markdown("\n\n".join(part for part in parts if part))
 

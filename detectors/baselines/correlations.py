@@ -26,14 +26,6 @@ class DirectionalDelays(NetworkDetector):
     C_ij(τ) is the mean scalar product of i's direction of flight and that of j τ steps earlier. The delay of a pair is
     the τ from -L to L with the highest C_ij(τ); j leads i if it is positive. Directions are centred over the window.
     The lead is max_{τ>0} C_ij(τ) - max_{τ>0} C_ji(τ) for a positive delay, otherwise 0.
-
-    Args:
-        max_lag: L in samples, at least 1.
-        max_delay: L in seconds instead.
-        level: expected share of those UAVs that seem to follow but don't.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
@@ -53,14 +45,6 @@ class LaggedNetwork(NetworkDetector):
     After da Silva and Maia, Leadership Detection via Time-Lagged Correlation-Based Network Inference
     (arXiv:2507.04917, 2025). The lagged correlations of the three series, the highest over the lags each, are averaged;
     the lead of j over i is the average for i behind j less that for j behind i.
-
-    Args:
-        max_lag: the largest lag in samples, at least 1.
-        max_delay: the largest lag in seconds instead.
-        level: expected share of those UAVs that seem to follow but don't.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
@@ -85,16 +69,8 @@ class LaggedNetwork(NetworkDetector):
 class NetLagRegression(NetworkDetector):
     """Net time-lag regression: how much better j's past explains i's velocity than i's past explains j's.
 
-    The velocity of i is regressed on that of j at the lags 1 to L (ridge regression, one for each pair). The lead is
-    the difference of the explained shares of both directions.
-
-    Args:
-        max_lag: L in samples, at least 1; fewer in short windows.
-        max_delay: L in seconds instead.
-        level: expected share of those UAVs that seem to follow but don't.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+    The velocity of i is regressed on that of j at the lags 1 to L, fewer in short windows (ridge regression, one for
+    each pair). The lead is the difference of the explained shares of both directions.
     """
 
     def pairs(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
@@ -114,13 +90,7 @@ class FrontMost(NetworkDetector):
     Nagy et al. (2010); other pairs are not compared.
 
     Args:
-        max_lag: L in samples, at least 1.
-        max_delay: L in seconds instead.
-        level: expected share of those UAVs that seem to follow but don't.
         alike: the least correlation of directions, from 0 to 1.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     tags = Tags(most_uavs=10_000, least_steps=5)

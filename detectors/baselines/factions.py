@@ -67,9 +67,8 @@ class Factions(Detector):
             leads = np.flatnonzero(follows.any(axis=0) & ~follows.any(axis=1))
             candidates[living[leads]] = True
             if len(leads):
-                reached = np.isfinite(
-                    dijkstra(network.T, indices=leads, unweighted=True)
-                ).T  # backwards, from the leaders
+                backwards = dijkstra(network.T, indices=leads, unweighted=True)
+                reached = np.isfinite(backwards).T
                 member = reached.any(axis=1)
                 clusters[living[member]] = reached[member].argmax(axis=1)
                 leader[living[member]] = living[leads[clusters[living[member]]]]
@@ -85,9 +84,7 @@ def build_following_network(velocity: NDArray[np.floating], seen: Mask, max_lag:
     """
     flight = scale_to_unit(centre_columns(velocity.astype(np.float64), seen))
     best = correlate_over_lags(flight, flight, min(max_lag, len(velocity) - 2))
-    ahead = np.where((best >= threshold) & (best > best.T), best, 0.0)
-    np.fill_diagonal(ahead, 0.0)
-    return np.where(np.isfinite(ahead), ahead, 0.0)
+    return np.where((best >= threshold) & (best > best.T), best, 0.0)
 
 
 def compute_pagerank(network: Floats) -> Floats:

@@ -84,10 +84,13 @@ class NetworkDetector(Detector):
        of a tree; a UAV that follows and is followed is a relay.
 
     Args:
-        max_lag: the largest delay in samples, at least 1; a quarter of the window at most.
+        max_lag: L, the largest delay in samples, at least 1; a quarter of the window at most.
         max_delay: the largest delay in seconds instead; the window must know its step. ``None``: ``max_lag`` holds.
         level: false discovery rate of the followers: the expected share of them that follow no UAV. In a window in
             which no UAV leads, the probability that any is named.
+
+    Raises:
+        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     tags = Tags(most_uavs=10_000, least_steps=5, uses_positions=False)

@@ -25,13 +25,7 @@ class TransferEntropy(NetworkDetector):
     Review Letters 99, 2007). The delay of a pair is the lag with the highest correlation of velocities.
 
     Args:
-        max_lag: the largest delay in samples, at least 1.
-        max_delay: the largest delay in seconds instead.
-        level: expected share of those UAVs that seem to follow but don't.
         neighbours: k, the number of nearest neighbours, at least 1.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     neighbours: Annotated[int, Field(ge=1, le=20)] = 4
@@ -46,14 +40,9 @@ class TransferEntropy(NetworkDetector):
 def estimate_transfer_entropy(
     velocity: Floats, seen: Mask, delay: Indices, neighbours: int, needed: Mask | None = None
 ) -> Floats:
-    """Estimate the transfer entropy of pairs.
+    """Estimate the transfer entropy of the ``needed`` pairs ``(n, n)``, by default of all.
 
-    Args:
-        velocity: ``(T, n, 3)``; of more than 200 times, 200 are used.
-        seen: ``(T, n)`` bool.
-        delay: ``(n, n)`` steps from j to i, at least 1.
-        neighbours: k.
-        needed: ``(n, n)`` bool, the pairs that are estimated; by default all.
+    Of the velocities ``(T, n, 3)`` at more than 200 times, 200 are used. The ``delay`` ``(n, n)`` is at least 1 step.
 
     Returns:
         ``(n, n)`` nats; entry (i, j) is from j to i: 0 where it is not needed, a UAV never varies or too few times are

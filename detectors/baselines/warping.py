@@ -26,14 +26,8 @@ class Mflica(NetworkDetector):
     user; here it comes from surrogates, as in all detectors on networks.
 
     Args:
-        max_lag: L in samples, at least 1.
-        max_delay: L in seconds instead.
-        level: expected share of those UAVs that seem to follow but don't.
         series: what is warped: the ``"position"`` as published, or the ``"velocity"``, for followers that keep away
             from where their leader was.
-
-    Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
     """
 
     tags = Tags(most_uavs=10_000, least_steps=5)
@@ -80,12 +74,9 @@ class Flica(Mflica):
 
 
 def warp_pairs(values: Floats, seen: Mask, band: int) -> tuple[Floats, Floats, Indices]:
-    """Warp each pair of series onto each other.
+    """Warp each pair of the series ``values`` ``(n, T, d)`` onto each other, with times at most ``band`` steps apart.
 
-    Args:
-        values: ``(n, T, d)``.
-        seen: ``(n, T)`` bool; a time at which one of both is unseen costs nothing.
-        band: the largest difference of two times that are matched.
+    A time at which one of both is not ``seen`` ``(n, T)`` costs nothing.
 
     Returns:
         ``(n, n)`` each: the mean sign of (time in i - time in j) along the path, the mean cost of its steps, and the

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import builtins
+import operator
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+import types
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +21,6 @@ from sklearn.base import clone
 from threadpoolctl import threadpool_info  # type: ignore[import-untyped]
 
 from detectors.checks.harness import calling, copy_detector, play_batch, play_windows, require, warn
-from detectors.checks.process import are_same, list_files, list_functions, list_processes
 from detectors.checks.windows import draw_two_rounds, draw_window
 
 _SIGNALS = [number for number in signal.valid_signals() if isinstance(number, signal.Signals)]
@@ -24,6 +28,10 @@ _VARIABLE = "environment variable "
 _UNUSUAL_SEED = 2_718_281_828
 GRACE = 0.5  # seconds in which all threads may end after an answer
 SECONDS = 10.0  # for a window of the paper's size: N = 82, T_ob = 100
+_WATCHED_PACKAGES = ("usnet_env", "gymnasium", "detectors")  # with all their modules
+_WATCHED_MODULES = ("numpy", "numpy.random")
+_METHODS = (types.FunctionType, types.BuiltinFunctionType, property, staticmethod, classmethod)
+_PROC = Path("/proc/self")
 
 
 def check_input_unchanged(detector: Any) -> None:
@@ -56,10 +64,7 @@ def check_process_settings_untouched(detector: Any, functions: Mapping[str, tupl
     Settings: thread counts (BLAS, OpenMP, Numba, PyTorch), NumPy's error handling, PyTorch's defaults, environment
     variables, signal handlers and the current folder. Code: the functions and classes of usnet_env, detectors,
     Gymnasium and NumPy. Left behind: threads, processes and open files. A daemon thread is a warning only.
-
-    Args:
-        detector: the detector.
-        functions: the code before the detector was imported, as :func:`list_functions` returns it.
+    ``functions`` is the result of :func:`list_functions` before the detector was imported.
     """
     functions = list_functions() if functions is None else functions
     threads, processes = set(threading.enumerate()), list_processes()
@@ -174,3 +179,58 @@ def _read_process_settings() -> dict[str, Any]:
         values["torch.is_grad_enabled"] = torch.is_grad_enabled()
         values["torch.are_deterministic_algorithms_enabled"] = torch.are_deterministic_algorithms_enabled()
     return values
+
+
+def are_same(one: Sequence[Any], other: Sequence[Any]) -> bool:
+    """Whether two sequences hold the very same objects."""
+    return len(one) == len(other) and all(map(operator.is_, one, other))
+
+
+def list_functions() -> dict[str, tuple[Any, ...]]:
+    """List the code that scores detectors: all functions, classes and methods of the watched modules, by name."""
+    found: dict[str, tuple[Any, ...]] = {}
+    for name, module in list(sys.modules.items()):
+        inside = name in _WATCHED_MODULES or any(name == top or name.startswith(f"{top}.") for top in _WATCHED_PACKAGES)
+        if inside and isinstance(module, types.ModuleType):
+            _list_members(found, name, vars(module))
+    _list_members(found, "builtins", vars(builtins))
+    return found
+
+
+def _list_members(found: dict[str, tuple[Any, ...]], path: str, members: Any) -> None:
+    for key, value in list(members.items()):
+        name = f"{path}.{key}"
+        if isinstance(value, type):
+            found[name] = (value,)
+            if value.__module__ == path:
+                methods = {key: method for key, method in vars(value).items() if isinstance(method, _METHODS)}
+                _list_members(found, name, methods)
+        elif isinstance(value, types.FunctionType):
+            found[name] = (value, value.__code__, value.__defaults__)
+        elif isinstance(value, _METHODS) or callable(value):
+            found[name] = (value,)
+
+
+def list_processes() -> dict[int, str]:
+    """List the child processes of this process, dead ones included that were not waited for; Linux only."""
+    found: dict[int, str] = {}
+    tracker = getattr(getattr(resource_tracker, "_resource_tracker", None), "_pid", None)
+    for children in _PROC.glob("task/*/children"):
+        with suppress(OSError):
+            for pid in map(int, children.read_text().split()):
+                if pid != tracker:  # multiprocessing starts one process for itself
+                    command = "ended"
+                    with suppress(OSError):
+                        command = Path(f"/proc/{pid}/comm").read_text().strip()
+                    found[pid] = f"process {pid} ({command})"
+    return found
+
+
+def list_files() -> dict[int, str]:
+    """List the open files, pipes and sockets of this process by their numbers; Linux only."""
+    found: dict[int, str] = {}
+    with suppress(OSError):
+        for number in os.listdir(_PROC / "fd"):
+            with suppress(OSError):  # the one that lists them is closed by now
+                found[int(number)] = f"open file {os.readlink(_PROC / 'fd' / number)}"
+    return found

@@ -35,11 +35,7 @@ def warn(sentence: str) -> None:
 
 @contextmanager
 def calling(what: str) -> Iterator[None]:
-    """Mark a call of the detector's own code: in a child process the limits of time and memory apply to it.
-
-    Args:
-        what: a name of the call for reasons, such as ``"detect"``.
-    """
+    """Mark a call of the detector's own code, named ``what``: in a child process the limits apply to it."""
     process = os.getpid()
     try:
         with limited(what):

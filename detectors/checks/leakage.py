@@ -1,4 +1,4 @@
-"""Checks that no ground truth leaks into a detector through an environment, a swarm or a shared generator."""
+"""Checks that no truth leaks into a detector: from an environment, a swarm, a shared generator or a guessed seed."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from detectors.checks.harness import copy_detector, play_windows, require, require_same
 from detectors.checks.windows import draw_two_rounds, set_heads, start_environment
 from usnet_env.detection import Detection
+from usnet_env.evaluation.episode import episode_seeds
 from usnet_env.window import Window
 
 _WORLD = ("usnet_env.swarm", "usnet_env.envs", "usnet_env.multiagent", "usnet_env.evaluation")
@@ -26,6 +27,15 @@ _FRAMEWORKS = {"gymnasium", "gym", "pettingzoo", "stable_baselines3", "torchrl",
 _VARIABLE = "_environment_of_the_checks"
 _LEAVES = (str, bytes, int, float, complex, bool, types.NoneType, type, types.ModuleType, types.CodeType)
 _GENERATORS = (np.random.Generator, np.random.BitGenerator, sys.modules["numpy.random"].RandomState, random.Random)
+_HEAP_TYPE = 1 << 9  # Py_TPFLAGS_HEAPTYPE: a class written in Python
+
+SEEDS = (0, 2022)  # of an evaluation: the default of ``usnet evaluate``, and that of published tables
+LARGE_SEED = 0x8C2F_51D7_E6A0_934B_27F9_1B6E_D05C_48A3  # far beyond what a program can search
+# If both kinds of seeds are alike to a detector, it succeeds in all swarms of one kind and in none of the other with a
+# probability of at most 1 / C(12, 6), or 0.1 %.
+EPISODES = 6
+# Few and short windows of a strategy that is hard to see: only a rebuilt swarm shows its heads without a mistake.
+SWARM = {"clusters": 4, "uavs": 20, "observation_steps": 10, "follow": "f5"}
 
 
 def check_no_reach_for_truth(detector: Any) -> None:
@@ -168,11 +178,37 @@ def _list_children(thing: Any) -> Iterator[tuple[str, Any]]:
                     yield f".{slot}", getattr(thing, slot, None)
 
 
-_HEAP_TYPE = 1 << 9  # Py_TPFLAGS_HEAPTYPE: a class written in Python
-
-
 def _is_data(key: str, value: Any) -> bool:
     """Whether a class attribute is data, not a method, a property or a special name."""
     if isinstance(value, staticmethod | classmethod | types.FunctionType):
         return False
     return not key.startswith("__") and not hasattr(type(value), "__get__")
+
+
+def check_seeds_reveal_no_heads(detector: Any) -> None:
+    """The detector is no better at swarms whose seeds can be guessed than at swarms whose seeds cannot.
+
+    The seeds of a swarm and of its detector follow from the seed of the evaluation and the number of the episode, as in
+    :func:`usnet_env.evaluate`. A detector that searches them can simulate the swarm again, with its true heads.
+    """
+    for seed in SEEDS:
+        if all(_names_heads_only(detector, seed, episode) for episode in range(EPISODES)):
+            require(
+                any(_names_heads_only(detector, LARGE_SEED, episode) for episode in range(EPISODES)),
+                "the detector must not search the seed of the swarm, got no mistake in the first "
+                f"{EPISODES} swarms of an evaluation with seed {seed}, and a mistake in each of {EPISODES} swarms "
+                "whose seeds are too large to be searched.",
+            )
+
+
+def _names_heads_only(detector: Any, seed: int, episode: int) -> bool:
+    """Whether the detector names at least one UAV of a swarm and all UAVs that it names are heads."""
+    swarm_seed, detector_seed = episode_seeds(seed, episode)
+    _, window = start_environment(seed=swarm_seed, **SWARM)
+    try:
+        (answer,) = play_windows(copy_detector(detector), [window], detector_seed)
+    except Exception:  # a detector may refuse so short a window
+        return False
+    env, _ = start_environment(seed=swarm_seed, **SWARM)  # again, because no truth is within reach while it answers
+    head = env.unwrapped.swarm.head  # type: ignore[attr-defined]  # all environments of USNET have it
+    return bool(answer.candidates.any()) and not bool(np.any(answer.candidates & ~head))

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import functools
+import os
 import pickle
-from collections.abc import Callable, Generator, Iterable, Mapping
-from contextlib import closing
+import signal
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from detectors.checks import answers, global_state, repeatability
 from detectors.checks.arguments import check_constructor_only_stores, check_parameters_and_clone, check_pickling
-from detectors.checks.child import run_in_child
-from detectors.checks.leakage import check_no_reach_for_truth, check_truth_nearby_changes_nothing
-from detectors.checks.results import Check, CheckResult, DetectorChecksError, get_name, run_check
-from detectors.checks.seeds import check_seeds_reveal_no_heads
+from detectors.checks.harness import calling
+from detectors.checks.leakage import (
+    check_no_reach_for_truth,
+    check_seeds_reveal_no_heads,
+    check_truth_nearby_changes_nothing,
+)
+from detectors.checks.results import Check, CheckResult, DetectorChecksError, get_name, make_failure, run_check
 from usnet_env.config import ArgumentError, quote, unknown_name
-from usnet_env.processes import Limits
+from usnet_env.processes import Limits, ProcessDied, ProcessPool
+from usnet_env.registry import describe_error
 
 if TYPE_CHECKING:
     import pytest
@@ -46,6 +53,7 @@ CHECKS: tuple[Check, ...] = (
     global_state.check_time_budget,
 )
 _NAMES = tuple(check.__name__ for check in CHECKS)
+_MOST_ENDS = 2  # processes that a detector may end one after the other; the checks that follow are then not run
 
 
 def check_detector(
@@ -97,11 +105,10 @@ def check_detector(
             content = pickle.dumps(detector)
         except Exception as error:
             raise ArgumentError(
-                f"child_process must be false for a detector that cannot be pickled, got {type(error).__name__}: "
-                f"{' '.join(str(error).split())}."
+                f"child_process must be false for a detector that cannot be pickled, got {describe_error(error)}."
             ) from None
         # The child makes the detector from bytes of this process, never of a file: a failure there is a result, too.
-        found = run_in_child(functools.partial(pickle.loads, content), checks, excuses, limits)
+        found = _run_in_child(functools.partial(pickle.loads, content), checks, excuses, limits)
     else:
         found = (run_check(check, detector, excuses) for check in checks)
     results = _collect_results(found, callback)
@@ -122,20 +129,14 @@ def check_factory(
 ) -> list[CheckResult]:
     """Run all checks on a detector that only a child process creates, so that its import can't harm this process.
 
-    Args:
-        make: function without arguments that imports and creates the detector; it is pickled.
-        name: name of the detector, for errors.
-        expected_failed_checks: as for :func:`check_detector`.
-        seconds: as for :func:`check_detector`.
-        callback: as for :func:`check_detector`.
-        time_limit: as for :func:`check_detector`; it also applies to ``make``.
-        memory_limit: as for :func:`check_detector`; it also applies to ``make``.
+    ``make`` imports and creates the detector; it takes no arguments, and is pickled. Errors call the detector ``name``.
+    The other arguments are those of :func:`check_detector`; the limits also apply to ``make``.
 
     Raises:
         ArgumentError: an argument is refused, or ``make`` raised it.
     """
     excuses = _validate_excuses(expected_failed_checks, name)
-    found = run_in_child(make, _list_checks(seconds), excuses, _make_limits(time_limit, memory_limit))
+    found = _run_in_child(make, _list_checks(seconds), excuses, _make_limits(time_limit, memory_limit))
     return _collect_results(found, callback)
 
 
@@ -219,3 +220,57 @@ def _validate_excuses(excuses: Mapping[str, str] | None, detector: str) -> Mappi
                 f"expected_failed_checks must give a reason for {name} of {detector}, got {quote(reason)}."
             )
     return excuses or {}
+
+
+def _run_in_child(
+    make: Callable[[], Any], checks: Sequence[Check], excuses: Mapping[str, str], limits: Limits
+) -> Generator[CheckResult, None, None]:
+    """Yield the results of checks in a child process; a new one takes over if the detector ends it.
+
+    ``make`` is pickled, and creates the detector in the child process; what it raises is raised here, too.
+    """
+    by_name = {get_name(check): check for check in checks}
+    done = ends = 0
+    with ProcessPool[str, CheckResult](_Checker(make, by_name, dict(excuses)), 1, limits) as pool:
+        for outcome in pool.run(list(by_name)):
+            if isinstance(outcome.error, ProcessDied):
+                ends += 1
+                yield make_failure(outcome.task, f"a detector must return, but {outcome.error}.", 0.0, excuses)
+            elif outcome.error is not None:
+                raise outcome.error
+            elif outcome.result is not None:
+                ends = 0
+                yield outcome.result
+            done += 1
+            if ends == _MOST_ENDS:
+                break
+    for name in list(by_name)[done:]:
+        yield make_failure(name, f"not run, because the {_MOST_ENDS} checks before did not end by themselves.", 0.0, {})
+
+
+@dataclass
+class _Checker:
+    """Runs single checks in a child process; the first call creates the detector."""
+
+    make: Callable[[], Any]
+    checks: dict[str, Check]
+    excuses: dict[str, str]
+
+    @functools.cached_property
+    def _made(self) -> tuple[Any, dict[str, tuple[Any, ...]]]:
+        """The detector, and the code as it was before the detector was imported."""
+        functions = global_state.list_functions()
+        with calling("its constructor"):
+            return self.make(), functions
+
+    def __call__(self, name: str) -> CheckResult:
+        """Run the check of this name."""
+        (detector, functions), check = self._made, self.checks[name]
+        if check is global_state.check_process_settings_untouched:
+            check = functools.partial(global_state.check_process_settings_untouched, functions=functions)
+        result = run_check(check, detector, self.excuses)
+        for pid in global_state.list_processes():  # those that the detector has left behind
+            with suppress(OSError):
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
+        return replace(result, error=None)  # an exception may refer to anything, and not everything can be sent

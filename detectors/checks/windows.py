@@ -25,16 +25,9 @@ def simulate_window(
     round: int = 1,
     **config: Any,
 ) -> Window:
-    """Simulate a swarm and return one window.
+    """Simulate a swarm by the arguments of :class:`usnet_env.swarm.SwarmConfig` and return one window.
 
-    Args:
-        clusters: M, the number of clusters.
-        uavs: N, at least 3 M.
-        seed: seed of the swarm.
-        destroyed: number of destroyed UAVs, heads included, at most N - 3; one head always survives.
-        observation_steps: T_ob.
-        round: number of the round.
-        config: further arguments of :class:`usnet_env.swarm.SwarmConfig`.
+    Of the ``destroyed`` UAVs, heads included, there are at most N - 3; one head always survives.
     """
     swarm = SwarmConfig(clusters=clusters, uavs=uavs, observation_steps=observation_steps, **config)
     rng = np.random.default_rng(seed)
@@ -48,14 +41,7 @@ def simulate_window(
 
 
 def draw_window(detector: Any, uavs: int = 14, *, observation_steps: int = STEPS, **more: Any) -> Window:
-    """Simulate a window that the detector takes by its tags, with at most ``uavs`` UAVs and at least T_ob steps.
-
-    Args:
-        detector: the detector that is checked.
-        uavs: N, lowered to the most UAVs that the detector takes.
-        observation_steps: T_ob, raised to the least steps that it takes.
-        more: as for :func:`simulate_window`.
-    """
+    """Simulate a window by :func:`simulate_window`, of at most ``uavs`` UAVs, that the detector takes by its tags."""
     uavs, steps = _fit_size(detector, uavs, observation_steps)
     more["clusters"] = min(more.get("clusters", 3), uavs // 3)
     return simulate_window(uavs=uavs, observation_steps=steps, **more)
@@ -83,9 +69,7 @@ def simulate_missing_samples(detector: Any = None, seed: int = 0) -> Window:
 def make_hovering_window(detector: Any = None, *, together: bool = False) -> Window:
     """Make a window in which no UAV moves, so that every spread is 0 and no UAV looks like a head.
 
-    Args:
-        detector: the detector that is checked; its tags limit the window as in :func:`draw_window`.
-        together: whether all UAVs are at one point and differ in their indices only.
+    If ``together``, all UAVs are at one point and differ in their indices only.
     """
     uavs, steps = _fit_size(detector, 8)
     place = np.random.default_rng(0).uniform(0, 100, (1 if together else uavs, 3))
@@ -102,13 +86,9 @@ def permute_uavs(window: Window, order: NDArray[np.intp]) -> Window:
 
 
 def start_environment(detector: Any = None, seed: int = 0, **arguments: Any) -> tuple[gym.Env[Any, Any], Window]:
-    """Start an episode of an environment; returns the environment, with its wrappers, and the first window.
+    """Start an episode of ``USNET/MultiCluster-v0``; returns it, with its wrappers, and the first window.
 
-    Args:
-        detector: the detector that is checked; its tags limit the window as in :func:`draw_window`.
-        seed: seed of the episode.
-        arguments: of the environment ``USNET/MultiCluster-v0``; by default it has 15 UAVs, which no other window of
-            the checks has, in 3 clusters.
+    By default it has 15 UAVs, which no other window of the checks has, in 3 clusters.
     """
     uavs, steps = _fit_size(detector, 15)
     arguments = {"clusters": min(3, uavs // 3), "uavs": uavs, "observation_steps": steps, **arguments}

@@ -1,11 +1,17 @@
 """Clustering of the UAVs of a window, and estimation of the number of clusters."""
 
 from detectors.clustering.base import Clusterer, Clustering, Living
-from detectors.clustering.eigengap import estimate_count_by_eigengap
-from detectors.clustering.gap_statistic import GapStatistic, compute_gap_statistic
-from detectors.clustering.partitions import Agglomerative, Hdbscan, KMeans, LeadVotes, Spectral, SymmetricNMF
+from detectors.clustering.counts import GapStatistic, compute_gap_statistic, estimate_count_by_eigengap
+from detectors.clustering.partitions import (
+    Agglomerative,
+    Hdbscan,
+    KMeans,
+    LeadVotes,
+    Spectral,
+    SymmetricNMF,
+    factorise_affinity,
+)
 from detectors.clustering.registry import check_clusterer, clusterers, make_clusterer, register_clusterer
-from detectors.clustering.snmf import factorise_affinity
 
 __all__ = [
     "Agglomerative",

@@ -12,6 +12,7 @@ from detectors.series.regressions import correlate_at_lag, correlate_over_lags
 from detectors.series.surrogates import compute_chance, shift_in_time
 from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError
+from usnet_env.registry import describe_error
 from usnet_env.window import frozen_array
 
 _NEIGHBOURS = 7
@@ -125,9 +126,8 @@ def compute_affinity(affinity: str | Affinity | None, features: Floats, max_lag:
     try:
         computed = affinity(features)
     except Exception as error:  # a function of another package may raise anything
-        text = " ".join(str(error).split()).rstrip(".")
         raise ArgumentError(
-            f"affinity must be a function of features {features.shape}, got {type(error).__name__}: {text}."
+            f"affinity must be a function of features {features.shape}, got {describe_error(error)}."
         ) from error
     values = frozen_array("affinity", computed, np.float64, (len(features), len(features))).copy()
     if values.min() < 0.0 or values.max() > 1.0 or not np.allclose(values, values.T):

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.clustering.affinity import AFFINITIES, Affinity, compute_affinity
-from detectors.clustering.eigengap import estimate_count_by_eigengap
+from detectors.clustering.counts import compute_gap_statistic, estimate_count_by_eigengap
 from detectors.clustering.features import FEATURES, Features, compute_features
-from detectors.clustering.gap_statistic import compute_gap_statistic
 from detectors.parameters import Count, Lags, Parameters
 from detectors.series.votes import spread
 from usnet_env.arrays import Floats, Indices

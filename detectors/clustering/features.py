@@ -24,12 +24,8 @@ Features = Callable[[Window], ArrayLike]
 def compute_raw_features(window: Window, memory: int) -> Floats:
     """Return the paper's window: the last T_0 velocities and the positions where they start, ``(N, 6 T_0)``.
 
-    Args:
-        window: the observer's window.
-        memory: T_0, in samples; lowered to T_ob.
-
-    Returns:
-        Metres and metres per step, sample by sample: x, y, z of the position, then of the velocity.
+    Metres and metres per step, sample by sample: x, y, z of the position, then of the velocity. T_0, the ``memory``, is
+    lowered to T_ob.
     """
     whole = fill_gaps(window)
     samples = np.concatenate([whole.position[:-1][-memory:], whole.velocity[-memory:]], axis=2, dtype=np.float64)
@@ -43,8 +39,6 @@ def compute_scaled_features(window: Window, memory: int) -> Floats:
     """
     samples = compute_raw_features(window, memory).reshape(window.uavs, -1, 6)
     living = samples[window.alive].reshape(-1, 6)
-    if len(living) == 0:
-        return samples.reshape(window.uavs, -1)
     spread = living.std(axis=0)
     return ((samples - living.mean(axis=0)) / np.where(spread > 1e-12, spread, 1.0)).reshape(window.uavs, -1)
 

@@ -13,14 +13,14 @@ import torch
 from torch import Tensor
 
 from detectors.gassl.agat import SLOPE, AgatSizes
-from detectors.gassl.ifsn import VARIANCE_FLOOR, IfsnSizes
-from detectors.gassl.training import Fit, Inputs, Training
+from detectors.gassl.ifsn import VARIANCE_FLOOR, list_ifsn_shapes
+from detectors.gassl.training import Fit, Inputs
 
 Parameters = Mapping[str, Tensor]
 
 
 def algorithm_1(
-    inputs: Inputs, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: IfsnSizes, training: Training
+    inputs: Inputs, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int, steps: int, learning_rate: float
 ) -> Fit:
     """Algorithm 1, lines 1 to 7; the votes of lines 6 and 8 are :func:`vote`.
 
@@ -30,8 +30,9 @@ def algorithm_1(
         phi: ``(n, parameters)`` initial Φ_1, ..., Φ_n.
         gamma: ``(parameters,)`` initial Γ.
         agat: widths of the AGAT.
-        ifsn: widths of the IFSN.
-        training: Ω and β.
+        ifsn: width of the IFSN.
+        steps: Ω.
+        learning_rate: β.
 
     Returns:
         The same as :func:`detectors.gassl.training.train`.
@@ -39,17 +40,17 @@ def algorithm_1(
     uavs = inputs.uavs
     gamma = gamma.detach().clone()
     attn_heads = torch.zeros(uavs, agat.attn_heads, uavs)
-    losses = torch.zeros(uavs, training.steps)
+    losses = torch.zeros(uavs, steps)
     explained = torch.zeros(uavs)
     for i in range(uavs):  # line 1
         phi_i = phi[i].detach().clone()
-        for step in range(training.steps):  # line 3
+        for step in range(steps):  # line 3
             phi_i.requires_grad_(True)
             gamma.requires_grad_(True)
             loss, _ = batch_loss(inputs, i, phi_i, gamma, agat, ifsn)
             d_phi, d_gamma = torch.autograd.grad(loss, (phi_i, gamma))
-            phi_i = phi_i.detach() - training.learning_rate * d_phi  # line 4, equation (24)
-            gamma = gamma.detach() - training.learning_rate * d_gamma  # line 4, equation (25)
+            phi_i = phi_i.detach() - learning_rate * d_phi  # line 4, equation (24)
+            gamma = gamma.detach() - learning_rate * d_gamma  # line 4, equation (25)
             losses[i, step] = loss.detach()
         last, alpha = batch_loss(inputs, i, phi_i, gamma, agat, ifsn)  # alpha_{i,i',l} at all times, (T_0 + 1, R, n)
         attn_heads[i] = alpha.mean(dim=1)  # over the times: decision (t)
@@ -77,9 +78,7 @@ def vote(attention: Tensor) -> tuple[Tensor, Tensor]:
     return chosen, c
 
 
-def batch_loss(
-    inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: IfsnSizes
-) -> tuple[Tensor, Tensor]:
+def batch_loss(inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int) -> tuple[Tensor, Tensor]:
     """L_B(Θ_i), equation (23), and alpha_{i,i',l} at all times, ``(T_0 + 1, R, n)``."""
     network = _named(phi, agat.shapes())
     value = torch.from_numpy(inputs.value).to(phi.dtype).permute(0, 3, 1, 2)  # (T_0 + 1, R, 3, n)
@@ -95,7 +94,7 @@ def batch_loss(
     concatenation = torch.cat([own, *pooled], dim=1)  # (R, 6 (T_0 + 1)): P_{i,t+1}, V̂_{i,t}, p̂_{i,t-T_0+1}
     variance, mean = torch.var_mean(concatenation, dim=0, correction=0)
     standardised = (concatenation - mean) / torch.sqrt(variance + VARIANCE_FLOOR)
-    predicted = _ifsn(_named(gamma, ifsn.shapes(inputs.entries)), standardised)
+    predicted = _ifsn(_named(gamma, list_ifsn_shapes(inputs.entries, ifsn)), standardised)
     target = torch.from_numpy(inputs.target[i]).to(phi.dtype)
     weight = torch.from_numpy(inputs.weight[i]).to(phi.dtype)
     return (weight * ((target - predicted) ** 2).sum(dim=1)).sum(), torch.stack(alphas)

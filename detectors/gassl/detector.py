@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 
 from detectors.base import Detector
 from detectors.gassl.agat import AgatSizes, Width, draw_agat
 from detectors.gassl.algorithm_1 import algorithm_1
-from detectors.gassl.ifsn import IfsnSizes, draw_ifsn
+from detectors.gassl.ifsn import draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
-from detectors.gassl.training import Fit, Training, prepare_inputs, train
+from detectors.gassl.training import Fit, prepare_inputs, train
 from detectors.parameters import Count
 from detectors.series.designs import check_window
 from detectors.series.votes import choose_heads, count_votes, name_at_random, select_top, shows_evidence, spread
@@ -55,8 +56,8 @@ class Gassl(Detector):
 
     top_k: Count = 1
     rule: Literal["paper", "exclude-self"] = "paper"
-    steps: int = 100
-    learning_rate: float = 3e-3
+    steps: Annotated[int, Field(ge=1, le=1_000_000)] = 100
+    learning_rate: Annotated[float, Field(gt=0)] = 3e-3
     query_hidden: int = 16
     query: int = 8
     key: int = 8
@@ -66,14 +67,10 @@ class Gassl(Detector):
     memory: int = 4
     implementation: Literal["compiled", "printed"] = "compiled"
 
-    def check_arguments(self) -> tuple[AgatSizes, IfsnSizes, Training]:
-        """Check every argument; return the widths of both networks, and Ω and β.
-
-        Raises:
-            ArgumentError: an argument is refused.
-        """
+    def check_arguments(self) -> tuple[AgatSizes, Any]:
+        """Check every argument; return the widths of the AGAT, and all arguments."""
         plain = super().check_arguments()
-        return plain.part(AgatSizes), IfsnSizes(hidden=plain.ifsn_hidden), plain.part(Training)
+        return plain.part(AgatSizes), plain
 
     def detect(self, window: Window) -> Detection:
         """Train on one window and name the candidates.
@@ -97,28 +94,26 @@ class Gassl(Detector):
 
     def draw_gamma(self, rng: np.random.Generator) -> Singles:
         """An initial Γ, ``(parameters,)``."""
-        agat, ifsn, _ = self.check_arguments()
-        return draw_ifsn(ifsn, 6 * agat.attn_heads, rng)
+        agat, plain = self.check_arguments()
+        return draw_ifsn(6 * agat.attn_heads, plain.ifsn_hidden, rng)
 
     def fit_cluster(
         self, window: Window, members: NDArray[np.intp], gamma: Singles | None, rng: np.random.Generator
     ) -> Fit:
-        """Lines 1 to 7 of Algorithm 1 for some UAVs of a window; the other UAVs are taken as absent.
+        """Lines 1 to 7 of Algorithm 1 for the ``members`` ``(n,)`` of a cluster; the other UAVs are taken as absent.
 
-        Args:
-            window: of the whole swarm.
-            members: ``(n,)`` indices of the cluster's UAVs, at least 3.
-            gamma: Γ to begin with, ``(parameters,)``, such as the one that another cluster left; drawn for ``None``.
-            rng: where initial values come from.
+        There are at least 3 members. ``gamma`` is the Γ to begin with, such as the one that another cluster left; it is
+        drawn for ``None``.
         """
-        agat, ifsn, training = self.check_arguments()
+        agat, plain = self.check_arguments()
         inputs = prepare_inputs(build_batch(window, members, self.memory))
         phi = draw_agat(agat, len(members), rng)
         if gamma is None:
-            gamma = draw_ifsn(ifsn, inputs.entries, rng)
+            gamma = self.draw_gamma(rng)
         if self.implementation == "compiled":
-            return train(inputs, phi, gamma, agat, training)
-        return algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, ifsn, training)
+            return train(inputs, phi, gamma, agat, plain.steps, plain.learning_rate)
+        initial = torch.from_numpy(phi), torch.from_numpy(gamma)
+        return algorithm_1(inputs, *initial, agat, plain.ifsn_hidden, plain.steps, plain.learning_rate)
 
 
 def answer(

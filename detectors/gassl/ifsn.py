@@ -6,15 +6,11 @@ variance, each entry over the batch's times (decision (s)). Three hidden layers 
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from pydantic import Field
 
 from detectors.gassl.layers import affine, affine_backward, tanh_backward, tanh_in_place
 from usnet_env.arrays import Singles
 from usnet_env.compiling import compiled
-from usnet_env.config import Config
 
 VARIANCE_FLOOR = 1e-6  # added to the variance of an entry, which is 0 where a UAV does not move along an axis
 _FLOOR = np.float32(VARIANCE_FLOOR)
@@ -22,35 +18,25 @@ _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 
 
-class IfsnSizes(Config):
-    """Width of the IFSN, on which the paper is silent (decision (u)).
+def list_ifsn_shapes(inputs: int, width: int) -> dict[str, tuple[int, ...]]:
+    """The arrays of Γ in the order in which they lie in one flat vector; matrices map rows to columns.
 
-    Args:
-        hidden: units of each of the three hidden layers.
+    ``inputs`` are the entries of the concatenation, 6 (T_0 + 1); ``width`` are the units of each of the three hidden
+    layers, on which the paper is silent (decision (u)).
     """
-
-    hidden: Annotated[int, Field(ge=1, le=4096)] = 8
-
-    def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
-        """The arrays of Γ in the order in which they lie in one flat vector; matrices map rows to columns.
-
-        Args:
-            inputs: entries of the concatenation, 6 (T_0 + 1).
-        """
-        width = self.hidden
-        return {
-            "first": (inputs, width), "first_bias": (width,),
-            "second": (width, width), "second_bias": (width,),
-            "third": (width, width), "third_bias": (width,),
-            "output": (width, 3), "output_bias": (3,),
-        }  # fmt: skip
+    return {
+        "first": (inputs, width), "first_bias": (width,),
+        "second": (width, width), "second_bias": (width,),
+        "third": (width, width), "third_bias": (width,),
+        "output": (width, 3), "output_bias": (3,),
+    }  # fmt: skip
 
 
-def draw_ifsn(sizes: IfsnSizes, inputs: int, rng: np.random.Generator) -> Singles:
+def draw_ifsn(inputs: int, width: int, rng: np.random.Generator) -> Singles:
     """Initial Γ, ``(parameters,)``: uniform in ±1 / sqrt(inputs of the layer)."""
     parts = []
-    for name, shape in sizes.shapes(inputs).items():
-        bound = 1.0 / (inputs if name.startswith("first") else sizes.hidden) ** 0.5
+    for name, shape in list_ifsn_shapes(inputs, width).items():
+        bound = 1.0 / (inputs if name.startswith("first") else width) ** 0.5
         parts.append(rng.uniform(-bound, bound, int(np.prod(shape))))
     return np.concatenate(parts).astype(np.float32)
 

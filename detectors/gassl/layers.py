@@ -27,11 +27,9 @@ _LOWEST = np.float32(-120.0)  # 2**-120 is 0 beside any other term of a softmax,
 
 @compiled()
 def exp_in_place(x, bits):  # type: ignore[no-untyped-def]
-    """``x`` becomes e**x, for x <= 0: a power of two by its exponent bits times a polynomial of degree 6.
+    """``x`` ``(n,)`` becomes e**x, for x <= 0: a power of two by its exponent bits times a polynomial of degree 6.
 
-    Args:
-        x: ``(n,)`` float32.
-        bits: ``(>= n,)`` int32, a buffer.
+    ``bits`` ``(>= n,)`` int32 is a buffer.
     """
     power = bits.view(np.float32)
     for p in range(x.shape[0]):

@@ -1,4 +1,4 @@
-"""The time series topology matrix X of equation (5), and the batch of all matrices that a window holds."""
+"""The batch of all time series topology matrices X, equation (5), that a window holds."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from detectors.series.designs import check_window, stack_past
 from detectors.series.gaps import fill_gaps
 from usnet_env.arrays import AxisLength, Singles
-from usnet_env.config import whole_number
 from usnet_env.window import Window
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
     """The matrices X_t of n UAVs at all R = T_ob - T_0 times t that have a next velocity to predict.
+
+    X_t has three rows for each UAV, and the head is a UAV of its cluster (decision (e)).
 
     Args:
         position: ``(R, n, 3)`` metres, p_{i,t-T_0+1}, the first column of X_t.
@@ -40,12 +41,7 @@ class Batch:
 
 
 def build_batch(window: Window, members: NDArray[np.intp] | None = None, memory: int = 4) -> Batch:
-    """The batch of Algorithm 1, line 2.
-
-    Args:
-        window: T_ob velocities of N UAVs.
-        members: ``(n,)`` indices of the UAVs of the cluster; by default all living ones.
-        memory: T_0.
+    """The batch of Algorithm 1, line 2, of the ``members`` ``(n,)`` of a cluster, by default all living UAVs.
 
     Raises:
         ArgumentError: the window holds no more than T_0 velocities.
@@ -66,25 +62,3 @@ def build_batch(window: Window, members: NDArray[np.intp] | None = None, memory:
 def _stack_columns(values: Singles, columns: int) -> Singles:
     """``(R, n, columns, 3)``, oldest first, of ``values`` ``(R + columns, n, 3)``."""
     return np.ascontiguousarray(stack_past(values, columns)[:, :, ::-1].transpose(1, 2, 0, 3)).swapaxes(1, 2)
-
-
-def topology_matrix(window: Window, time: int, members: NDArray[np.intp] | None = None, memory: int = 4) -> Singles:
-    """X_t of equation (5), ``(3 n, T_0 + 1)``: three rows for each UAV.
-
-    The columns are p_{i,t-T_0+1} in metres, and v_{i,t-T_0+1}, ..., v_{i,t} in metres per step. The head is a UAV of
-    its cluster, decision (e).
-
-    Args:
-        window: what the observer saw.
-        time: t, from T_0 - 1 to T_ob - 1.
-        members: ``(n,)`` indices of the UAVs of the cluster; by default all living ones.
-        memory: T_0.
-
-    Raises:
-        ArgumentError: the window does not hold all columns of that time.
-    """
-    first = whole_number("time", time, memory - 1, window.observation_steps - 1) - memory + 1
-    index = np.flatnonzero(window.alive) if members is None else np.asarray(members)
-    whole = fill_gaps(window)
-    columns = np.concatenate([whole.position[first, None], whole.velocity[first : first + memory]])[:, index]
-    return np.ascontiguousarray(columns.transpose(1, 2, 0).reshape(3 * len(index), memory + 1))

@@ -3,32 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from detectors.gassl.agat import AgatSizes, attend, attend_backward
 from detectors.gassl.ifsn import predict, predict_backward, standardise
 from detectors.gassl.topology_matrix import Batch
 from usnet_env.arrays import AxisLength, Singles
 from usnet_env.compiling import compiled
-from usnet_env.config import Config
 
 _ZERO = np.float32(0.0)
 _TWO = np.float32(2.0)
-
-
-class Training(Config):
-    """Settings of Algorithm 1, on whose values the paper is silent (decision (u)).
-
-    Args:
-        steps: Ω, gradient steps for each UAV.
-        learning_rate: β of equations (24) and (25).
-    """
-
-    steps: Annotated[int, Field(ge=1, le=1_000_000)] = 100
-    learning_rate: Annotated[float, Field(gt=0)] = 3e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,18 +148,19 @@ def _train_uav(  # type: ignore[no-untyped-def]
     return last
 
 
-def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, training: Training) -> Fit:
+def train(inputs: Inputs, phi: Singles, gamma: Singles, sizes: AgatSizes, steps: int, learning_rate: float) -> Fit:
     """Lines 1 to 7 of Algorithm 1: one UAV after another, all times in every step, Γ handed on.
 
-    The initial Φ ``phi`` ``(n, parameters)`` and the initial Γ ``gamma`` ``(parameters,)`` stay as they are.
+    There are ``steps``, Ω, with the rate β for each UAV. The initial Φ ``phi`` ``(n, parameters)`` and the initial Γ
+    ``gamma`` ``(parameters,)`` stay as they are.
     """
     uavs, heads = inputs.uavs, sizes.attn_heads
     phi, gamma = phi.copy(), gamma.copy()
-    loss = np.zeros((uavs, training.steps), np.float32)
+    loss = np.zeros((uavs, steps), np.float32)
     attn_heads = np.zeros((uavs, heads, uavs), np.float32)
     explained = np.zeros(uavs, np.float32)
     for i in range(uavs):
-        rate = np.float32(training.learning_rate)
+        rate = np.float32(learning_rate)
         last = _train_uav(phi[i], gamma, sizes.numbers(), *inputs.of(i), rate, loss[i], attn_heads[i])
         power = float((inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum())
         explained[i] = 1.0 - last / max(power, 1e-12)

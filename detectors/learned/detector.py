@@ -68,11 +68,7 @@ class Learned(Detector):
         return load_network(self.check_arguments().weights)
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode and load the network; the generator only breaks ties.
-
-        Raises:
-            ArgumentError: an argument of the constructor is refused.
-        """
+        """Start an episode and load the network; the generator only breaks ties."""
         super().reset(seed)
         self._network  # noqa: B018  # a broken file is refused here
 

@@ -104,12 +104,7 @@ class HeadNetwork(nn.Module):
         self.head = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), nn.Linear(width, 1))
 
     def forward(self, features: Tensor, context: Tensor) -> Answer:
-        """Compute the logits for n UAVs.
-
-        Args:
-            features: ``(n, n, PAIR_FEATURES)``, see :func:`detectors.learned.features.make_inputs`.
-            context: ``(3,)``, see there.
-        """
+        """Compute the logits for n UAVs from the inputs that :func:`detectors.learned.features.make_inputs` makes."""
         n = len(features)
         diagonal = torch.eye(n)[..., None] * self.itself
         pair = self.forth(features) + self.back(features).transpose(0, 1) + diagonal + self.context(context)

@@ -25,7 +25,7 @@ from detectors.learned.network import Answer, HeadNetwork, NetworkSizes, draw_ne
 from detectors.random_swarms import draw_training_swarm, observe
 from detectors.weights import Checkpoint, record_training, write_losses, write_weights
 from usnet_env.arrays import Mask
-from usnet_env.config import Config
+from usnet_env.config import Config, whole_number
 from usnet_env.evaluation.engine import Place
 from usnet_env.evaluation.mapping import run_in_order
 
@@ -140,7 +140,8 @@ def train_heads(
         EvaluationError: a process that draws swarms ended.
     """
     training = HeadTraining() if training is None else training
-    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json"), checkpoint_every)
+    whole_number("checkpoint_every", checkpoint_every, 1)
+    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json"))
     network = draw_network(training.part(NetworkSizes), int(_make_rng(training, _START).integers(2**63)))
     optimiser = torch.optim.AdamW(network.parameters(), lr=training.rate, weight_decay=training.decay)
     losses = _read_checkpoint(checkpoint, network, optimiser) if resume else []
@@ -175,9 +176,8 @@ def _run_step(
     optimiser.zero_grad()
     total = 0.0
     for example in examples:
-        loss = (
-            compute_loss(network(example.features, example.context), example, training.leader_weight) / training.swarms
-        )
+        answer = network(example.features, example.context)
+        loss = compute_loss(answer, example, training.leader_weight) / training.swarms
         loss.backward()  # type: ignore[no-untyped-call]
         total += float(loss.detach())
     torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)

@@ -22,7 +22,7 @@ from detectors.mc_gassl.weights import load_meta_weights
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
 from detectors.series.votes import LEAST_UAVS, name_at_random, shows_evidence
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, named_values, quote
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
 
@@ -72,18 +72,12 @@ class McGassl(Detector):
     memory: Lags = 4
 
     def check_arguments(self) -> tuple[Gassl, OnlineTraining]:
-        """Check every argument; return the settings of GASSL and of on-line training.
-
-        Raises:
-            ArgumentError: an argument is refused.
-        """
-        if not isinstance(self.gassl, Mapping | None):
-            raise ArgumentError(f"gassl must be a mapping of argument names to values, got {quote(self.gassl)}.")
+        """Check every argument; return the settings of GASSL and of on-line training."""
+        given = named_values("gassl", self.gassl)
         plain = super().check_arguments()
         check_clusterer(plain.clusterer)
         metric = Metric(sampling=plain.sampling)
         online = OnlineTraining(steps=plain.online_steps, rate=plain.online_rate, metric=metric)
-        given = plain.gassl or {}
         for name in given:
             if name not in Gassl().get_params() or name == "memory":
                 raise ArgumentError(f"gassl must hold arguments of Gassl other than memory, got {quote(name)}.")
@@ -100,11 +94,7 @@ class McGassl(Detector):
         return draw_parameters(generator)
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode: the GRU network is what it was off line.
-
-        Raises:
-            ArgumentError: an argument of the constructor is refused.
-        """
+        """Start an episode: the GRU network is what it was off line."""
         super().reset(seed)
         self._parameters  # noqa: B018  # the first random numbers of an episode are for the network
 

@@ -24,14 +24,10 @@ class _Arguments(Config):
 
 
 def inputs_of(window: Window, memory: int = 4) -> GruInputs:
-    """What the GRU network reads of all N UAVs at all R = T_ob - T_0 + 1 times of a window.
+    """What the GRU network reads of all N UAVs at all R = T_ob - T_0 + 1 times of a window, float32.
 
-    Args:
-        window: what the observer saw. What it did not see is filled in, see :func:`detectors.series.gaps.fill_gaps`.
-        memory: T_0; of a shorter window, all samples that there are make one time.
-
-    Returns:
-        Float32 inputs; destroyed UAVs are 0 and never seen.
+    What was not seen is filled in (:func:`detectors.series.gaps.fill_gaps`). Destroyed UAVs are 0 and never seen. Of a
+    window shorter than ``memory``, T_0, all samples that there are make one time.
     """
     steps = window.observation_steps
     memory = min(memory, steps)

@@ -6,9 +6,8 @@ The cell has no biases, the reset gate acts before W_h, and the first hidden sta
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Self
+from typing import Annotated
 
 import torch
 from pydantic import Field
@@ -58,13 +57,9 @@ class GruParameters:
         """W_r, W_u, W_h."""
         return self.reset, self.update, self.candidate
 
-    def mapped(self, change: Callable[[Tensor], Tensor]) -> Self:
-        """New parameters: ``change`` of each array."""
-        return type(self)(*(change(tensor) for tensor in self.tensors()))
-
-    def trainable(self) -> Self:
+    def trainable(self) -> GruParameters:
         """A copy cut off from any earlier computation, in which gradients flow."""
-        return self.mapped(lambda tensor: tensor.detach().clone().requires_grad_(True))
+        return GruParameters(*(tensor.detach().clone().requires_grad_(True) for tensor in self.tensors()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,25 +87,18 @@ class GruInputs:
 def draw_parameters(generator: torch.Generator, width: int = 3) -> GruParameters:
     """A random start: uniform in ±1/sqrt(w + 3), float32.
 
-    Args:
-        generator: where all draws come from.
-        width: w, entries of h, and so of a feature. The paper's h_0 is a position, which makes it 3; a wider h starts
-            with the position in its first three entries and 0 in the others.
+    The paper's h_0 is a position, which makes the ``width`` w 3; a wider h starts with the position in its first three
+    entries and 0 in the others.
     """
     shape = (width, width + 3)
     return GruParameters(*((2.0 * torch.rand(shape, generator=generator) - 1.0) / shape[1] ** 0.5 for _ in range(3)))
 
 
 def gru(parameters: GruParameters, first: Tensor, velocity: Tensor) -> Tensor:
-    """Equations (26) to (29), T_0 times over: h_{T_0} of any number of UAVs and times at once.
+    """Equations (26) to (29), T_0 times over: e = h_{T_0}, ``(..., w)``, of any number of UAVs and times at once.
 
-    Args:
-        parameters: W.
-        first: ``(..., 3)``, h_0 or its first three entries: positions, scaled.
-        velocity: ``(..., T_0, 3)`` metres per step, oldest first.
-
-    Returns:
-        The features e ``(..., w)``.
+    ``first`` ``(..., 3)`` are scaled positions: h_0, or its first three entries. ``velocity`` is ``(..., T_0, 3)``,
+    metres per step, oldest first.
     """
     width = parameters.width
     h = torch.nn.functional.pad(first, (0, width - 3))

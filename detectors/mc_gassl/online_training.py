@@ -41,14 +41,9 @@ def train_online(
     settings: OnlineTraining,
     generator: torch.Generator,
 ) -> tuple[GruParameters, list[float]]:
-    """Gradient descent on the triplet loss of one window whose clusters are known, or taken as known.
+    """Gradient descent from ``parameters`` on the triplet loss of one window of n UAVs whose clusters are known.
 
-    Args:
-        parameters: where to start; left as they are.
-        inputs: of n UAVs at R times, see :func:`detectors.mc_gassl.features.inputs_of`.
-        labels: ``(n,)`` int64, clusters; UAVs with -1 take no part.
-        settings: steps, rate, batches.
-        generator: where all draws come from.
+    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part.
 
     Returns:
         The trained parameters, and the loss before each step. Where no triplet can be drawn (one cluster, or

@@ -11,12 +11,7 @@ from usnet_env.arrays import Floats, Indices, Singles
 
 
 def best_heads(inputs: Inputs, gamma: Singles) -> Indices:
-    """i_H of every UAV, ``(n,)``: the other UAV from which the trained IFSN predicts it best, equation (37).
-
-    Args:
-        inputs: of all n living UAVs of the swarm.
-        gamma: ``(parameters,)`` the Γ that GASSL trained in the clusters.
-    """
+    """i_H of every UAV, ``(n,)``: the other UAV from which the trained IFSN, Γ, predicts it best, equation (37)."""
     own, source = inputs.own.copy(), inputs.history.copy()
     for i in range(inputs.uavs):
         standardise(own[i])
@@ -34,13 +29,7 @@ def count_scores(chosen: Indices) -> Floats:
 def recluster(chosen: Indices, count: int, rng: np.random.Generator) -> Indices:
     """The clusters of the dataset D_r, ``(n,)``: the M̂ UAVs with the highest scores, each with the UAVs that chose it.
 
-    Args:
-        chosen: ``(n,)`` i_H.
-        count: M̂.
-        rng: breaks ties.
-
-    Returns:
-        Labels from 0; -1 for UAVs of no cluster.
+    ``chosen`` is i_H, ``count`` M̂, and ``rng`` breaks ties. Labels begin at 0; UAVs of no cluster have -1.
     """
     score = count_scores(chosen)
     heads = select_top(score, count, rng)

@@ -19,13 +19,13 @@ from pydantic import Field
 
 from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_parameters
-from detectors.mc_gassl.meta import Clustered, OfflineTraining, Task, train_offline
+from detectors.mc_gassl.meta import Clustered, Task, joint_step, meta_step
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
-from detectors.mc_gassl.weights import NAMES, parameters_of, save_weights
-from detectors.weights import Checkpoint, record_training, write_losses
+from detectors.mc_gassl.weights import parameters_of
+from detectors.weights import Checkpoint, record_training, write_losses, write_weights
 from usnet_env.arrays import Indices
-from usnet_env.config import ArgumentError, Config, quote
+from usnet_env.config import ArgumentError, Config, quote, whole_number
 from usnet_env.evaluation.engine import Place
 from usnet_env.evaluation.mapping import run_in_order
 from usnet_env.swarm import SwarmConfig, advance, start
@@ -48,7 +48,7 @@ class MetaTraining(Config):
         episodes: E.
         seed: of all draws.
         width: entries of a feature, see :func:`detectors.mc_gassl.gru.draw_parameters`.
-        inner_rate: alpha.
+        inner_rate: alpha, of the step on the support swarm; plays no part in ``"joint"``.
         outer_rate: beta.
         sampling, margin, times, anchors, scale: of a batch, see :class:`detectors.mc_gassl.triplet.Metric`.
         clusters, uavs, observation_steps, memory, mobility, head_jitter: of the swarms, see
@@ -120,8 +120,17 @@ def trained(training: MetaTraining) -> tuple[GruParameters, list[float]]:
 def _train(
     training: MetaTraining, parameters: GruParameters, tasks: list[Task], episodes: range
 ) -> tuple[GruParameters, list[float]]:
-    settings = training.part(OfflineTraining, metric=training.part(Metric))
-    return train_offline(parameters, tasks, episodes, settings, partial(_generator, training, _EPISODE))
+    """Train by some episodes, each on one task at random and with a generator of its own."""
+    metric, losses = training.part(Metric), []
+    for episode in episodes:
+        generator = _generator(training, _EPISODE, episode)
+        task = tasks[int(torch.randint(len(tasks), (), generator=generator))]
+        if training.method == "meta":
+            parameters, loss = meta_step(parameters, task, metric, training.inner_rate, training.outer_rate, generator)
+        else:
+            parameters, loss = joint_step(parameters, task, metric, training.outer_rate, generator)
+        losses.append(loss)
+    return parameters, losses
 
 
 def online_losses(
@@ -150,7 +159,7 @@ def train_meta(
     """Train the GRU network off-line and write its weights.
 
     Files in ``out``, each appearing whole: ``meta.safetensors`` and ``meta.json`` (``joint.…`` with that method), see
-    :mod:`detectors.mc_gassl.weights`; ``losses.csv``, the query loss of every episode; ``checkpoint.safetensors``.
+    :mod:`detectors.weights`; ``losses.csv``, the query loss of every episode; ``checkpoint.safetensors``.
 
     Args:
         out: a folder; made if it is missing.
@@ -170,7 +179,8 @@ def train_meta(
     """
     training = MetaTraining() if training is None else training
     # A training can be prolonged: a checkpoint may be of fewer episodes.
-    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json", exclude={"episodes"}), checkpoint_every)
+    checkpoint = Checkpoint(Path(out), training.model_dump(mode="json", exclude={"episodes"}))
+    whole_number("checkpoint_every", checkpoint_every, 1)
     total = training.strategies + training.episodes
     arrays, losses = checkpoint.read() if resume else ({}, [])
     if len(losses) > training.episodes:
@@ -189,11 +199,11 @@ def train_meta(
         episodes = range(len(losses), min(len(losses) + checkpoint_every, training.episodes))
         parameters, more = _train(training, parameters, tasks, episodes)
         losses += more
-        checkpoint.write(dict(zip(NAMES, parameters.tensors(), strict=True)), losses)
+        checkpoint.write(vars(parameters), losses)
         progress(training.strategies + len(losses), total)
     write_losses(checkpoint.folder, "episode", losses)
     path, metrics = checkpoint.folder / f"{training.method}.safetensors", _metrics(training, parameters, losses)
-    return save_weights(path, parameters, record_training(training), metrics)
+    return write_weights(path, vars(parameters), record_training(training), metrics)
 
 
 def _metrics(training: MetaTraining, parameters: GruParameters, losses: list[float]) -> dict[str, Any]:
@@ -205,7 +215,7 @@ def _metrics(training: MetaTraining, parameters: GruParameters, losses: list[flo
         swarm = draw_task(training, number, _HELD_OUT).query
         with torch.no_grad():
             both = [  # of the same batch
-                batch_loss(weights, swarm.inputs, swarm.labels, metric, _generator(training, _MEASURE, number))
+                batch_loss(weights, *swarm, metric, _generator(training, _MEASURE, number))
                 for weights in (parameters, begin)
             ]
         held_out.append([float(loss) for loss in both])

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -32,8 +31,7 @@ class Metric(Config):
     scale: Scale = ARENA_SCALE
 
 
-@dataclass(frozen=True, eq=False)
-class Triplets:
+class Triplets(NamedTuple):
     """B triplets, each at one time.
 
     Args:
@@ -59,15 +57,11 @@ def draw_triplets(
     FaceNet, 2015): a random positive, and of the other clusters the nearest *feature* that is farther away than the
     positive's; where there is none, the farthest. ``"random"``: both at random.
 
-    Args:
-        metric: sampling, and B, the anchors at most; all that are possible, if these are fewer.
-        parameters: W, whose features ``"semi-hard"`` looks at.
-        inputs: of n UAVs at R times.
-        labels: ``(n,)`` int64, clusters; UAVs with -1 take no part.
-        generator: where all draws come from.
+    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part.
 
     Returns:
-        Triplets whose three UAVs were seen; none where there are no two clusters, one of them with two UAVs.
+        B triplets whose three UAVs were seen, or all that are possible, if these are fewer; none where there are no two
+        clusters, one of them with two UAVs.
     """
     there = inputs.seen & (labels >= 0)
     cluster = torch.from_numpy(np.unique(labels.numpy(), return_inverse=True)[1])
@@ -132,10 +126,10 @@ def batch_loss(
     if labels.shape != (inputs.uavs,):
         raise ArgumentError(f"labels must have shape ({inputs.uavs},), got {tuple(labels.shape)}.")
     batch = inputs.at(torch.randperm(inputs.times, generator=generator)[: metric.times])
-    triplets = draw_triplets(metric, parameters, batch, labels, generator)
+    time, *three = draw_triplets(metric, parameters, batch, labels, generator)
     # The Siamese network: the same cells for anchors, positives and negatives, and for no other UAV.
-    members = torch.stack([triplets.anchor, triplets.positive, triplets.negative])
+    members = torch.stack(three)
     scale = batch.position.new_tensor(metric.scale)
-    features = gru(parameters, batch.position[triplets.time, members] / scale, batch.velocity[triplets.time, members])
+    features = gru(parameters, batch.position[time, members] / scale, batch.velocity[time, members])
     losses = triplet_loss(features[0], features[1], features[2], metric.margin)
     return losses.sum() / max(len(losses), 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -58,7 +58,7 @@ class NeuralGranger(Detector):
     top_k: Count = 1
     gate: bool = False
     gate_threshold: Annotated[float, Field(ge=0)] = 0.5
-    device: str = "cpu"
+    device: Literal["cpu", "cuda", "auto"] = "cpu"
     memory: Lags = 4
     steps: int | None = None
     times: int | None = None
@@ -72,19 +72,13 @@ class NeuralGranger(Detector):
     floor: float | None = None
 
     def check_arguments(self) -> PerCandidate:
-        """Check all arguments and return the settings of the training.
-
-        Raises:
-            ArgumentError: an argument is invalid.
-        """
+        """Check all arguments and return the settings of the training."""
         super().check_arguments()
         self._resolve_device()
         given = {name: getattr(self, name) for name in PerCandidate.model_fields}
         return PerCandidate(**{name: value for name, value in given.items() if value is not None})
 
     def _resolve_device(self) -> torch.device:
-        if self.device not in ("cpu", "cuda", "auto"):
-            raise ArgumentError(f"device must be 'cpu', 'cuda' or 'auto', got {quote(self.device)}.")
         if self.device == "cuda" and not torch.cuda.is_available():
             raise ArgumentError("device must be 'cpu' or 'auto' on a machine without a GPU, got 'cuda'.")
         return torch.device("cuda" if self.device != "cpu" and torch.cuda.is_available() else "cpu")

@@ -42,14 +42,7 @@ class Samples:
 def build_samples(
     windows: Sequence[Window], members: Sequence[NDArray[np.intp]], memory: int, device: torch.device
 ) -> Samples:
-    """Build the samples of some UAVs of each window.
-
-    Args:
-        windows: E windows of one T_ob.
-        members: for each window the indices of the UAVs to use, n of them.
-        memory: T_0.
-        device: of the tensors.
-    """
+    """Build the samples of E windows of one T_ob, each of the n UAVs with the indices in ``members``."""
     stacked: list[tuple[Singles, ...]] = []
     for window, index in zip(windows, members, strict=True):
         whole = fill_gaps(window)

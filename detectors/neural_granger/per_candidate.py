@@ -178,33 +178,20 @@ def split_times(times: int, blocks: int, gap: int, device: torch.device) -> tupl
     would remain for training, there are fewer and longer blocks, because every block costs two gaps. If even one block
     leaves too few times, there are no gaps.
 
-    Args:
-        times: R, the number of times.
-        blocks: held-out blocks.
-        gap: times on each side of a block that are neither trained on nor held out.
-        device: of the result.
-
     Returns:
-        Indices of the training times and of the held-out times.
+        Indices of the training times and of the held-out times; the ``gap`` times on each side of a block are neither.
     """
     for fewer in range(min(blocks, times), 0, -1):
-        held, near = _mark_blocks(times, fewer, gap, device)
+        held, near = torch.zeros(2, times, dtype=torch.bool, device=device)
+        length = max(1, times // (5 * fewer))
+        for block in range(fewer):
+            first = int((block + 0.5) * times / fewer) - length // 2
+            held[first : first + length] = True
+            near[max(0, first - gap) : first + length + gap] = True
         if (~near).sum() >= max(1, times // 3):
             return (~near).nonzero()[:, 0], held.nonzero()[:, 0]
     used = ~held if times > 1 else held  # around the single block of the last try
     return used.nonzero()[:, 0], held.nonzero()[:, 0]
-
-
-def _mark_blocks(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Masks of the times in evenly spread blocks, a fifth of all times together, and in the blocks or their gaps."""
-    held = torch.zeros(times, dtype=torch.bool, device=device)
-    near = torch.zeros(times, dtype=torch.bool, device=device)
-    length = max(1, times // (5 * blocks))
-    for block in range(blocks):
-        first = int((block + 0.5) * times / blocks) - length // 2
-        held[first : first + length] = True
-        near[max(0, first - gap) : first + length + gap] = True
-    return held, near
 
 
 def find_untrained_times(used: Tensor, times: int) -> Tensor:

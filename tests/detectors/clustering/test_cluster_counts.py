@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from gaussian_blobs import blobs
 
-from detectors.clustering import compute_gap_statistic, estimate_count_by_eigengap, gap_statistic
+from detectors.clustering import compute_gap_statistic, counts, estimate_count_by_eigengap
 from detectors.clustering.affinity import normalise_affinity
-from detectors.clustering.eigengap import compute_largest_eigenvalues
-from detectors.clustering.gap_statistic import compute_max_count
-from detectors.clustering.k_means import compute_dispersions
+from detectors.clustering.counts import compute_dispersions, compute_largest_eigenvalues, compute_max_count
 
 SLOW = pytest.mark.slow
 
@@ -61,12 +59,12 @@ def test_a_later_peak_finds_more_blobs_in_the_plane_than_the_rule_alone():
 
 def test_the_rule():
     # 1: Gap(2) is more than s_2 higher; 2: Gap(3) is higher, but by less than s_3
-    assert gap_statistic._choose_count([0.0, 1.0, 1.05], [0.1, 0.1, 0.1], np.inf) == 2
-    assert gap_statistic._choose_count([0.0, 1.0], [0.1, 0.1], np.inf) is None
+    assert counts._choose_count([0.0, 1.0, 1.05], [0.1, 0.1, 0.1], np.inf) == 2
+    assert counts._choose_count([0.0, 1.0], [0.1, 0.1], np.inf) is None
     # a later peak that is clearly higher passes 1 over
-    assert gap_statistic._choose_count([0.0, -0.1, 0.5, 2.0, 1.9], [0.1] * 5, 10.0) == 4
-    assert gap_statistic._choose_count([0.0, -0.1, 0.5, 0.4], [0.1] * 4, 10.0) == 1
-    assert gap_statistic._choose_count([0.0, -0.1, 0.5, 2.0, 1.9], [0.1] * 5, np.inf) == 1
+    assert counts._choose_count([0.0, -0.1, 0.5, 2.0, 1.9], [0.1] * 5, 10.0) == 4
+    assert counts._choose_count([0.0, -0.1, 0.5, 0.4], [0.1] * 4, 10.0) == 1
+    assert counts._choose_count([0.0, -0.1, 0.5, 2.0, 1.9], [0.1] * 5, np.inf) == 1
 
 
 def test_the_gap_is_its_definition():

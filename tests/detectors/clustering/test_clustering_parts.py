@@ -19,7 +19,7 @@ from detectors.clustering.features import (
     compute_raw_features,
     compute_scaled_features,
 )
-from detectors.clustering.snmf import factorise_affinity
+from detectors.clustering.partitions import factorise_affinity
 from usnet_env import Window
 
 

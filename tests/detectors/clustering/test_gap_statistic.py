@@ -7,7 +7,7 @@ from gaussian_blobs import blobs
 from sklearn.cluster import KMeans as SklearnKMeans
 
 from detectors.clustering import compute_gap_statistic, make_clusterer
-from detectors.clustering.k_means import compute_dispersions
+from detectors.clustering.counts import compute_dispersions
 from usnet_env import Window
 
 REFERENCES = 4  # few, so that sqrt(1 + 1/B) = 1.118 is far from 1

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from detectors.gassl.agat import SLOPE, AgatSizes
-from detectors.gassl.ifsn import VARIANCE_FLOOR, IfsnSizes
+from detectors.gassl.ifsn import VARIANCE_FLOOR
 from detectors.gassl.training import Inputs
 
 
@@ -110,11 +110,11 @@ def standardised(rows: list[Tensor]) -> list[Tensor]:
     return [(row - mean) / (variance + VARIANCE_FLOOR) ** 0.5 for row in rows]
 
 
-def predicted_at(gamma: Tensor, sizes: IfsnSizes, concatenation: Tensor) -> Tensor:
+def predicted_at(gamma: Tensor, width: int, concatenation: Tensor) -> Tensor:
     """v̂_{i,t+1} ``(3,)`` of one standardised concatenation: three hidden layers and a linear output."""
     hidden, rest = concatenation, gamma
     for layer in range(4):
-        inputs, outputs = len(hidden), sizes.hidden if layer < 3 else 3
+        inputs, outputs = len(hidden), width if layer < 3 else 3
         matrix, bias = rest[: inputs * outputs].view(inputs, outputs), rest[inputs * outputs : (inputs + 1) * outputs]
         rest = rest[(inputs + 1) * outputs :]
         hidden = matrix.T @ hidden + bias
@@ -125,7 +125,7 @@ def predicted_at(gamma: Tensor, sizes: IfsnSizes, concatenation: Tensor) -> Tens
 
 
 def loss_and_attention(
-    inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: IfsnSizes
+    inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int
 ) -> tuple[Tensor, Tensor]:
     """L_B(Θ_i) of equation (23), and alpha_{i,i',l} ``(T_0 + 1, R, n)``."""
     network, dtype = agat_of(phi, agat), phi.dtype

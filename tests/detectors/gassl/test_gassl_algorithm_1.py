@@ -9,14 +9,15 @@ from single_cluster_windows import cluster
 from detectors.gassl import Gassl
 from detectors.gassl.agat import AgatSizes, draw_agat
 from detectors.gassl.algorithm_1 import algorithm_1, batch_loss, vote
-from detectors.gassl.ifsn import IfsnSizes, draw_ifsn
+from detectors.gassl.ifsn import draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
-from detectors.gassl.training import Training, gradient, prepare_inputs, train
+from detectors.gassl.training import gradient, prepare_inputs, train
 from detectors.series.votes import choose_heads, count_votes
 
 #: widths that all differ, so that no two axes can be confused
 ODD = {"query_hidden": 7, "query": 5, "key": 6, "similarity_hidden": (9, 3)}
 
+RATE = 3e-3
 CASES = [
     {"followers": 3},
     {"followers": 5, "miss_rate": 0.3, "widths": ODD, "hidden": 11},
@@ -30,8 +31,8 @@ def problem(followers, memory=4, miss_rate=0.0, widths=None, hidden=8, steps=14,
     window, _ = cluster(seed, follow="f6", followers=followers, miss_rate=miss_rate, observation_steps=steps)
     assert bool(miss_rate) == (not window.seen.all())
     inputs = prepare_inputs(build_batch(window, memory=memory))
-    agat, ifsn, rng = AgatSizes(memory=memory, **widths or {}), IfsnSizes(hidden=hidden), np.random.default_rng(seed)
-    return inputs, draw_agat(agat, inputs.uavs, rng), draw_ifsn(ifsn, inputs.entries, rng), agat, ifsn
+    agat, ifsn, rng = AgatSizes(memory=memory, **widths or {}), hidden, np.random.default_rng(seed)
+    return inputs, draw_agat(agat, inputs.uavs, rng), draw_ifsn(inputs.entries, ifsn, rng), agat, ifsn
 
 
 def doubles(*arrays):
@@ -67,9 +68,8 @@ def test_the_compiled_loss_and_gradients_are_those_of_the_readable_loss(case):
 @pytest.mark.parametrize("case", CASES[:2])
 def test_a_compiled_run_is_the_readable_run(case):
     inputs, phi, gamma, agat, ifsn = problem(**case)
-    training = Training(steps=6)
-    fast = train(inputs, phi, gamma, agat, training)
-    slow = algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, ifsn, training)
+    fast = train(inputs, phi, gamma, agat, 6, RATE)
+    slow = algorithm_1(inputs, torch.from_numpy(phi), torch.from_numpy(gamma), agat, ifsn, 6, RATE)
     np.testing.assert_allclose(fast.attn_heads, slow.attn_heads, atol=1e-4)
     np.testing.assert_allclose(fast.gamma, slow.gamma, atol=1e-4)
     np.testing.assert_allclose(fast.loss, slow.loss, rtol=1e-3)
@@ -85,7 +85,7 @@ def test_a_compiled_run_is_the_readable_run(case):
 def test_one_gamma_is_handed_from_uav_to_uav():
     """The first loss of the second UAV is that of the Γ which the first UAV left, and of its own initial Φ."""
     inputs, phi, gamma, agat, _ = problem(followers=2)
-    fit = train(inputs, phi, gamma, agat, Training(steps=3))
+    fit = train(inputs, phi, gamma, agat, 3, RATE)
     handed_on = gamma.copy()
     phi_0 = phi[0].copy()
     for step in range(3):
@@ -101,7 +101,7 @@ def test_one_gamma_is_handed_from_uav_to_uav():
 def test_initial_values_and_gamma_are_left_as_they_are():
     inputs, phi, gamma, agat, _ = problem(followers=2)
     kept = phi.copy(), gamma.copy()
-    train(inputs, phi, gamma, agat, Training(steps=2))
+    train(inputs, phi, gamma, agat, 2, RATE)
     np.testing.assert_array_equal(phi, kept[0])
     np.testing.assert_array_equal(gamma, kept[1])
 
@@ -128,6 +128,6 @@ def test_both_implementations_name_the_same_candidates(memory):
 
 def test_steps_lower_the_loss():
     inputs, phi, gamma, agat, _ = problem(followers=4, steps=60)
-    fit = train(inputs, phi, gamma, agat, Training(steps=60))
+    fit = train(inputs, phi, gamma, agat, 60, RATE)
     assert (fit.loss[:, -1] < fit.loss[:, 0]).all()
     assert fit.explained.mean() > 0.1

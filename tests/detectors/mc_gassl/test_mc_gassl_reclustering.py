@@ -7,7 +7,7 @@ import pytest
 import torch
 from mc_gassl_inputs import swarm_window
 
-from detectors.gassl.ifsn import VARIANCE_FLOOR, IfsnSizes, draw_ifsn, pair_losses, standardise
+from detectors.gassl.ifsn import VARIANCE_FLOOR, draw_ifsn, pair_losses, standardise
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import prepare_inputs
 from detectors.mc_gassl.reclustering import best_heads, count_scores, recluster
@@ -20,7 +20,7 @@ def inputs_of_swarm(seed=0, **config):
 
 
 def draw_gamma(inputs, hidden=8, seed=0):
-    return 3.0 * draw_ifsn(IfsnSizes(hidden=hidden), inputs.entries, np.random.default_rng(seed))
+    return 3.0 * draw_ifsn(inputs.entries, hidden, np.random.default_rng(seed))
 
 
 def predicted(gamma, hidden, values):

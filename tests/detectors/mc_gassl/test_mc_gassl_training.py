@@ -5,8 +5,9 @@ import torch
 from mc_gassl_inputs import clustered, generator, parameters
 
 from detectors.mc_gassl.gru import GruParameters
-from detectors.mc_gassl.meta import OfflineTraining, Task, joint_step, meta_step, train_offline
+from detectors.mc_gassl.meta import Task, joint_step, meta_step
 from detectors.mc_gassl.online_training import OnlineTraining, train_online
+from detectors.mc_gassl.train import MetaTraining
 from detectors.mc_gassl.triplet import Metric, batch_loss
 from usnet_env.config import ArgumentError
 
@@ -63,8 +64,7 @@ def test_the_meta_step_is_equations_35_and_36_to_first_order():
     support, query = losses_of(drawn, SMOOTH, generator(5))
     temporary = less(at, 0.3, numerical_gradient(support, at))
     want = less(at, 0.2, numerical_gradient(query, temporary))
-    settings = OfflineTraining(inner_rate=0.3, outer_rate=0.2, metric=SMOOTH)
-    found, loss = meta_step(at, drawn, settings, generator(5))
+    found, loss = meta_step(at, drawn, SMOOTH, 0.3, 0.2, generator(5))
     assert_equal_parameters(found, want, 1e-7)
     assert loss == pytest.approx(float(query(temporary)), abs=1e-7)
     # neither a plain step from W, nor one from the temporary parameters, nor the whole derivative through both steps
@@ -87,23 +87,9 @@ def test_the_joint_step_descends_the_mean_of_both_losses():
     drawn, at = task(3), parameters(seed=4)
     support, query = losses_of(drawn, SMOOTH, generator(6))
     gradients = numerical_gradient(lambda weights: 0.5 * (support(weights) + query(weights)), at)
-    settings = OfflineTraining(method="joint", outer_rate=0.2, metric=SMOOTH)
-    found, loss = joint_step(at, drawn, settings, generator(6))
+    found, loss = joint_step(at, drawn, SMOOTH, 0.2, generator(6))
     assert_equal_parameters(found, less(at, 0.2, gradients), 1e-7)
     assert loss == pytest.approx(float(query(at)))
-
-
-@pytest.mark.parametrize("method", ["meta", "joint"])
-def test_offline_training_can_stop_anywhere_and_leaves_global_generators_alone(method):
-    tasks = [task(seed) for seed in range(4)]
-    settings = OfflineTraining(method=method, metric=SMOOTH)
-    before = torch.random.get_rng_state()
-    whole, losses = train_offline(parameters(), tasks, range(12), settings, generator)
-    first, one = train_offline(parameters(), tasks, range(5), settings, generator)
-    second, two = train_offline(first, tasks, range(5, 12), settings, generator)
-    assert_equal_parameters(whole, second)
-    assert losses == one + two
-    assert torch.equal(before, torch.random.get_rng_state())
 
 
 def separable(seed=0):
@@ -119,7 +105,7 @@ def separable(seed=0):
 def test_online_training_parts_the_clusters(sampling):
     swarm = separable()
     at = parameters(spread=0.3)
-    kept = at.mapped(torch.clone)
+    kept = GruParameters(*map(torch.clone, at.tensors()))
     settings = OnlineTraining(steps=80, rate=0.5, metric=Metric(sampling=sampling, scale=1.0))
     before = torch.random.get_rng_state()
     _, losses = train_online(at, swarm.inputs, swarm.labels, settings, generator(1))
@@ -157,9 +143,9 @@ def test_online_training_without_a_triplet_changes_nothing(labels):
     [
         (OnlineTraining, {"steps": -1}),
         (OnlineTraining, {"rate": 0.0}),
-        (OfflineTraining, {"method": "maml"}),
-        (OfflineTraining, {"inner_rate": -1.0}),
-        (OfflineTraining, {"outer_rate": float("nan")}),
+        (MetaTraining, {"method": "maml"}),
+        (MetaTraining, {"inner_rate": -1.0}),
+        (MetaTraining, {"outer_rate": float("nan")}),
     ],
 )
 def test_bad_settings_are_refused(kind, bad):

@@ -138,7 +138,7 @@ def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences(
 def test_collapsed_features_have_the_margin_as_loss_and_a_finite_gradient():
     inputs, labels = random_inputs(), torch.arange(9) % 3
     inputs.position.zero_()
-    at = parameters().mapped(torch.zeros_like).trainable()
+    at = GruParameters(*map(torch.zeros_like, parameters().tensors())).trainable()
     loss = batch_loss(at, inputs, labels, Metric(margin=0.7, scale=1.0), generator())
     assert loss.item() == pytest.approx(0.7)
     assert all(bool(gradient.isfinite().all()) for gradient in torch.autograd.grad(loss, at.tensors()))

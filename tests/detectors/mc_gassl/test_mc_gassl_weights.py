@@ -10,14 +10,15 @@ from safetensors.torch import save
 
 from detectors.mc_gassl import weights as weights_module
 from detectors.mc_gassl.train import MetaTraining
-from detectors.mc_gassl.weights import load_meta_weights, load_weights, meta_record, save_weights
+from detectors.mc_gassl.weights import load_meta_weights, load_weights
+from detectors.weights import packaged_record, write_weights
 from usnet_env.config import ArgumentError
 
 
 @pytest.fixture
 def saved(tmp_path):
     drawn = parameters(4, dtype=torch.float32)
-    return save_weights(tmp_path / "new" / "w.safetensors", drawn, {"seed": 1}, {"loss": 0.5}), drawn
+    return write_weights(tmp_path / "new" / "w.safetensors", vars(drawn), {"seed": 1}, {"loss": 0.5}), drawn
 
 
 def replace(path, data):
@@ -86,11 +87,11 @@ def test_a_missing_file_is_refused(saved, tmp_path):
 
 def test_another_suffix_is_refused(tmp_path):
     with pytest.raises(ArgumentError, match=r"path must be a name that ends in \.safetensors"):
-        save_weights(tmp_path / "w.pt", parameters(), {}, {})
+        write_weights(tmp_path / "w.pt", vars(parameters()), {}, {})
 
 
 def test_the_shipped_weights_are_the_default_trainings():
-    shipped, record = load_meta_weights(), meta_record()
+    shipped, record = load_meta_weights(), packaged_record("detectors.mc_gassl", "meta")
     training = {name: value for name, value in record["training"].items() if name not in ("torch", "numpy")}
     assert training == MetaTraining().model_dump(mode="json")
     assert shipped.width == training["width"]

@@ -102,11 +102,7 @@ class LeadVotes(Detector):
         return heads
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode.
-
-        Raises:
-            ArgumentError: an argument of the constructor is invalid.
-        """
+        """Start an episode."""
         super().reset(seed)
         self._heads  # noqa: B018  # the first random number of an episode is its seed
 
@@ -137,8 +133,12 @@ class LeadVotes(Detector):
             leader = spread(living[following.leader.numpy()], living, window.uavs, fill=-1)
             score = followed + score / (1.0 + score.sum())
             candidates = self._keep_followed(proposed, followed, score, window.alive)
-        extras = {"count": clustering.count, "proposed": proposed, "followed": followed}
-        extras["features"] = clustering.features
+        extras = {
+            "count": clustering.count,
+            "proposed": proposed,
+            "followed": followed,
+            "features": clustering.features,
+        }
         return Detection(candidates, score, clustering.labels, leader, attention, extras)
 
     def _propose_heads(self, window: Window, clustering: Clustering) -> tuple[Mask, Floats, Indices, Floats]:
@@ -155,8 +155,10 @@ class LeadVotes(Detector):
             members = clustering.labels == label
             if shows_evidence(window, np.flatnonzero(members)):
                 large.append(members)
+            elif self.gate:
+                proposed |= members
             else:
-                proposed |= members if self.gate else self._draw_one(members)
+                proposed[self.rng.choice(np.flatnonzero(members))] = True
         large.sort(key=np.sum)
         while large:
             size = max(1, _BATCH_UAVS // int(large[0].sum()))
@@ -170,11 +172,6 @@ class LeadVotes(Detector):
                 if found.attention is not None:
                     attention[np.ix_(members, members)] = found.attention[np.ix_(members, members)]
         return proposed, score, leader, attention
-
-    def _draw_one(self, members: Mask) -> Mask:
-        chosen = np.zeros(len(members), bool)
-        chosen[self.rng.choice(np.flatnonzero(members))] = True
-        return chosen
 
     def _find_leaders(
         self, window: Window, clustering: Clustering, proposed: Mask, score: Floats, living: NDArray[np.intp]
