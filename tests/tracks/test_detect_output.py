@@ -13,9 +13,9 @@ from usnet_env.tracks import find_leaders, read_tracks
 QUICK = ("--detector", "lagged-regression")
 
 
-def flock(path, rename=str, shift=0.0, move=0.0):
+def flock(path, rename=str, shift=0.0, move=0.0, scale=1.0):
     """A flock of 12 ids in which the first one leads; ``shift`` seconds later, and ``move`` metres away."""
-    rows = [[rename(name), t + shift, x + move, y] for name, t, x, y, _ in example().flock()]
+    rows = [[rename(name), t + shift, scale * x + move, scale * y] for name, t, x, y, _ in example().flock()]
     return write_csv(path, rows)
 
 
@@ -87,11 +87,12 @@ def test_the_picture_has_the_coordinates_and_times_of_the_file(tmp_path):
     assert axes.get_title(loc="left").startswith("1700000000.5 to 17000000")
 
 
-def test_the_picture_of_recorded_tracks_names_no_missed_heads(run, tmp_path):
+@pytest.mark.parametrize("scale", [1.0, 1e-4])
+def test_the_picture_of_recorded_tracks_names_no_missed_heads(run, tmp_path, scale):
     pytest.importorskip("matplotlib")
     from usnet_env.replay import draw_episode
 
-    assert run("detect", flock(tmp_path / "flock.csv"), *QUICK, "--out", tmp_path / "out", "--record")[0] == 0
+    assert run("detect", flock(tmp_path / "flock.csv", scale=scale), *QUICK, "--out", tmp_path / "out", "--record")[0] == 0
     record = EpisodeRecord.load(tmp_path / "out" / "episode.npz")
     figure = draw_episode(record)
     legends = [text.get_text() for axes in figure.axes if axes.get_legend() for text in axes.get_legend().get_texts()]
@@ -99,9 +100,11 @@ def test_the_picture_of_recorded_tracks_names_no_missed_heads(run, tmp_path):
     assert "head, not a candidate" not in legends
     first = figure.axes[0]
     seen = record.position[0][record.seen[0]]
+    largest = max(np.ptp(record.position[r][record.seen[r]], axis=0).max() for r in range(len(record.position)))
     for axis, (low, high) in enumerate((first.get_xlim(), first.get_ylim())):
         assert low <= seen[:, axis].min()
         assert seen[:, axis].max() <= high
+        assert high - low < 1.5 * largest
     assert write_picture(record, tmp_path / "episode.png").exists()
 
 

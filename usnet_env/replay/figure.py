@@ -149,7 +149,8 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         record.position[n - 1][record.seen[n - 1]] if record.recorded else place
         for place, n in zip(places, panels, strict=True)
     ]
-    limits = [limits_around(place) for place in shown]
+    least = 1e-6 if record.recorded else 1.0  # metres; recorded animals may be smaller
+    limits = [limits_around(place, least=least) for place in shown]
     half = max(each[2] for each in limits)
     marks: set[str] = set()
     for place, number in enumerate(panels):
