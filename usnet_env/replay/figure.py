@@ -12,6 +12,7 @@ import numpy as np
 from usnet_env.config import ArgumentError, format_count, quote
 from usnet_env.drawing import (
     HIT,
+    HIT_MARK,
     MISSED,
     REDUNDANT,
     TRACK_WORDS,
@@ -178,7 +179,10 @@ def draw_episode(record: EpisodeRecord) -> Figure:
         scores = figure.add_axes((left / width, 1 - bottom / total, _MAP / width, _SCORES / total))
         _draw_scores(scores, record, number)
     words = {} if record.labelled else TRACK_WORDS
-    draw_legend(beside, {mark: words.get(mark, mark) for mark in present if mark in marks})
+    labels = {mark: words.get(mark, mark) for mark in present if mark in marks}
+    if not record.labelled and record.candidates.any():
+        labels[HIT_MARK] = "score of a leader"
+    draw_legend(beside, labels)
     return figure
 
 
