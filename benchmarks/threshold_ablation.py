@@ -24,6 +24,7 @@ import numpy as np
 from follow_mixture import cells, shifted_tracks
 from numpy.typing import NDArray
 from running import RESULTS, make_parser, play_games
+from scipy.special import expit
 
 from detectors.follow_mixture import FollowMixture, delays, detector, evidence, fit, motion, pooling
 from detectors.follow_mixture.motion import lagged
@@ -128,6 +129,10 @@ CHANGES = {
     ),
     "direction-velocities": Change(
         "only velocities are compared so, not their changes", ((direction, "_REVERSED", ((0, -1.0),)),)
+    ),
+    "direction-alone": Change(
+        "what other heads of a window do says nothing about a head's direction",
+        ((detector, "lead_probabilities", expit),),
     ),
     "unit-spread": Change(
         "speeds are never taken for equal", ((motion, "_UNIT_SPREAD", 0.0), (motion, "_ROUNDING", 0.0))

@@ -14,6 +14,7 @@ from detectors.follow_mixture.fit import Fit, fit_motion
 from detectors.follow_mixture.motion import read_motion
 from detectors.parameters import Count, Lags, Seconds, count_lags
 from detectors.policy import choose
+from detectors.series.direction import lead_probabilities
 from usnet_env.config import ArgumentError
 from usnet_env.detection import Detection, Tags
 from usnet_env.window import Window
@@ -100,7 +101,7 @@ class FollowMixture(Detector):
             calibration = shipped_calibration()
             doubt, leads = calibration.doubt, np.maximum(calibration(found.log_odds), expit(found.relays[1]))
             probability[living] = leads * expit(-found.relays[0])
-            direction, led = expit(found.leads), found.root >= 0
+            direction, led = lead_probabilities(found.leads), found.root >= 0
             ranked = probability.copy()  # a doubtful direction lowers a tree; among clear ones, it ranks no head
             ranked[living[led]] *= np.minimum(2.0 * direction, 1.0)[np.searchsorted(found.heads, found.root[led])]
             probability[living[found.heads]] *= direction

@@ -22,6 +22,7 @@ _BLOCKS = 8
 _CHUNK = 500  # pairs; bounds the memory
 _RIDGE = 1e-6  # of the square of each feature
 _NOTHING = 1e-12
+_CERTAIN = 100.0  # of a logarithm: more is the same
 _REVERSED = ((0, -1.0), (1, 1.0))  # the sign of velocities in reversed time, and that of their changes
 SHARES, WEIGHTS = (np.polynomial.legendre.leggauss(24) + np.array([[1.0], [0.0]])) / 2.0  # of an integral from 0 to 1
 
@@ -83,6 +84,19 @@ def compare_directions(
         for sign, most in zip((1.0, -1.0), expected.T, strict=True)
     )
     return np.asarray(leads - np.maximum(_log_density(found), follows))
+
+
+def lead_probabilities(ratio: Floats) -> Floats:
+    """Probabilities ``(M,)`` that heads lead, by the log-likelihood ratios ``(M,)`` of :func:`compare_directions`.
+
+    An unknown share of the heads of a window lead their followers, and the others have a common cause with them: all
+    shares are as probable. So a head with a doubtful direction is a leader rather where the other heads are leaders.
+    """
+    ratio = np.minimum(ratio, _CERTAIN)
+    each = np.logaddexp(np.log1p(-SHARES)[:, None], np.log(SHARES)[:, None] + ratio)  # (K, M)
+    whole = np.log(WEIGHTS) + each.sum(axis=1)
+    given = np.log(SHARES)[:, None] + ratio - each
+    return np.asarray(np.exp(logsumexp((whole - logsumexp(whole))[:, None] + given, axis=0)))
 
 
 def _log_density(values: Floats) -> Floats:

@@ -1,11 +1,14 @@
 """Leading or a common cause: what the past of a UAV says about a group, compared with what its future says."""
 
+import itertools
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from detectors.series.direction import compare_directions
+from detectors.series.direction import compare_directions, lead_probabilities
 
 STEPS, DELAY, FOLLOWERS = 100, 3, 4
 
@@ -113,3 +116,21 @@ def test_nothing_is_compared_in_a_short_window_or_without_followers():
 
 def test_still_uavs_have_no_lead():
     assert abs(compare(np.zeros((5, STEPS, 3)))) < 1e-6
+
+
+@given(st.lists(st.floats(-30.0, 30.0), min_size=1, max_size=6))
+@settings(max_examples=40)
+def test_the_probability_to_lead_is_that_of_all_sets_of_leaders(ratio):
+    """If all shares of leaders are as probable, so are all numbers of them, and all sets with the same number."""
+    count, found, total = len(ratio), np.zeros(len(ratio)), 0.0
+    for leads in itertools.product((0, 1), repeat=count):
+        weight = np.exp(np.dot(leads, ratio)) / math.comb(count, sum(leads))
+        total += weight
+        found += weight * np.array(leads)
+    np.testing.assert_allclose(lead_probabilities(np.array(ratio)), found / total, rtol=1e-6)
+
+
+def test_other_heads_that_lead_make_a_doubtful_head_a_leader():
+    assert lead_probabilities(np.array([-0.2]))[0] < 0.5 < lead_probabilities(np.array([-0.2, 8.0, 8.0]))[0]
+    assert lead_probabilities(np.array([0.2]))[0] > 0.5 > lead_probabilities(np.array([0.2, -8.0, -8.0]))[0]
+    np.testing.assert_allclose(lead_probabilities(np.full(3, np.inf)), 1.0)
