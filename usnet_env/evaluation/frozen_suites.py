@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,7 +31,8 @@ from usnet_env.evaluation.report import format_interval, format_latex, format_ma
 from usnet_env.evaluation.result import EvaluationResult, Results, Summary, summarise
 from usnet_env.evaluation.runner import evaluate
 from usnet_env.evaluation.statistics import Interval
-from usnet_env.evaluation.store import COLUMNS, KEYS, RUN, write_text
+from usnet_env.evaluation.store import COLUMNS, KEYS, RUN
+from usnet_env.evaluation.suite_folder import FAILURES, SUITE, read_failures, read_suite, write_failures, write_suite
 from usnet_env.evaluation.table import Columns, RowTable
 from usnet_env.files import as_path
 from usnet_env.progress import part_of
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 _FOLDER = files("usnet_env.evaluation") / "suites"
-_SUITE, _FAILURES = "suite.json", "failures.yaml"  # in the folder of a suite, beside the runs of its cells
 _CELL = re.compile(r"\w[\w .,=+-]*")  # a folder of a run has the name of its cell
 
 
@@ -70,7 +70,7 @@ class FrozenSuite(Config):
     @classmethod
     def _check_names(cls, cells: Any) -> Any:
         for name in cells if isinstance(cells, Mapping) else ():
-            if not isinstance(name, str) or not _CELL.fullmatch(name) or name in (_SUITE, _FAILURES):
+            if not isinstance(name, str) or not _CELL.fullmatch(name) or name in (SUITE, FAILURES):
                 raise ArgumentError(
                     "cells must have names of letters, digits, spaces and '_.,=+-' that begin with a letter or a "
                     f"digit, got {quote(name)}."
@@ -189,7 +189,7 @@ def evaluate_suite(
             check_labelled(env)
     folder = None if out is None else as_path("out", out)
     results: dict[str, EvaluationResult] = {}
-    failures = {} if folder is None else _read_failures(folder)
+    failures = {} if folder is None else read_failures(folder)
     played = list(dict.fromkeys(cells or chosen.cells))
     for number, name in enumerate(played, 1):
         cell, failed, asked = chosen.cells[name], {}, chosen.episodes if episodes is None else episodes
@@ -213,7 +213,7 @@ def evaluate_suite(
                 results[name] = error.result
         finally:  # not before: a call that is refused leaves nothing
             if folder is not None and (folder / name / RUN).exists():
-                _write_suite(folder, chosen)
+                write_suite(folder, chosen)
         # Failures of an earlier call stay until the detector has played all episodes.
         summary = results[name].summary if name in results else []
         complete = {entry["detector"] for entry in summary if entry["episodes"] >= asked}
@@ -221,48 +221,19 @@ def evaluate_suite(
         if kept | failed:
             failures[name] = kept | failed
         if folder is not None:
-            write_text(folder / _FAILURES, yaml.safe_dump(failures, allow_unicode=True))
+            write_failures(folder, failures)
     return SuiteResult(chosen, results, {cell: failures[cell] for cell in played if cell in failures})
-
-
-def _write_suite(folder: Path, suite: FrozenSuite) -> None:
-    """Write which suite was played last, unless the folder says so; objects among its arguments are described."""
-    text = json.dumps(describe(suite), indent=2) + "\n"
-    path = folder / _SUITE
-    if not path.is_file() or path.read_bytes() != text.encode():
-        write_text(path, text)
-
-
-def _read_part(path: Path, argument: str, parse: Callable[[str], Any]) -> Any:
-    """Read a file of the folder ``argument``; ``None`` if there is none."""
-    if not path.exists():
-        return None
-    try:
-        return parse(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, AttributeError, TypeError, ValueError):
-        raise ArgumentError(
-            f"{argument} must hold a {path.name} of a suite, got a broken one in {str(path.parent)!r}."
-        ) from None
-
-
-def _read_failures(folder: Path) -> dict[str, dict[str, str]]:
-    """The failures of earlier calls with the same folder, by cell and by detector."""
-
-    def parse(text: str) -> dict[str, dict[str, str]]:
-        return {cell: dict(own) for cell, own in (yaml.safe_load(text) or {}).items()}
-
-    return _read_part(folder / _FAILURES, "out", parse) or {}
 
 
 def _restore_suite(folder: Path) -> FrozenSuite | None:
     """The suite that was played last in a folder; ``None`` if an earlier version wrote it."""
-    fields = _read_part(folder / _SUITE, "folder", lambda text: dict(json.loads(text)))
+    fields = read_suite(folder)
     if fields is None:
         return None
     try:
         return FrozenSuite(**fields | {"cells": {name: Cell(**cell) for name, cell in fields["cells"].items()}})
     except (ArgumentError, AttributeError, KeyError, TypeError):
-        raise ArgumentError(f"folder must hold a {_SUITE} of a suite, got another one in {str(folder)!r}.") from None
+        raise ArgumentError(f"folder must hold a {SUITE} of a suite, got another one in {str(folder)!r}.") from None
 
 
 def _find_suite(runs: Mapping[str, EvaluationResult], kept: FrozenSuite | None) -> FrozenSuite | None:
@@ -320,7 +291,7 @@ class SuiteResult(Results):
             raise ArgumentError(f"folder must hold runs of {of}, got {quote(str(root))}.")
         if chosen is None and (chosen := _find_suite(results, _restore_suite(root))):
             results = {name: results[name] for name in chosen.cells if name in results}
-        known = _read_failures(root)
+        known = read_failures(root)
         failures = {}
         for cell in chosen.cells if chosen else dict.fromkeys([*results, *known]):
             run = results.get(cell)
