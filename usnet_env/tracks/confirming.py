@@ -20,8 +20,9 @@ _BLOCKS = 8
 LEAST_STEPS = 2 * _BLOCKS
 LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leader
 _LEVEL_OUTSIDE = 0.5
-_NEAREST, _SHIFTS = 5, 6
-_SHIFTS_OF_FOLLOWERS, _DEVIATIONS = 19, 3.0
+_NEAREST = 5
+_SHIFTS = 19  # the largest of 20 values is the true one by chance at the level 0.05
+_DEVIATIONS = 3.0
 _LEAST_SHIFT = 3 * _LAGS  # a smaller shift leaves a part of the likeness at some lag
 _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 
@@ -55,7 +56,7 @@ def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[in
     if steps < 2 * LEAST_STEPS:
         return list(followers)
     unit = _scale(window.velocity, window.velocity_seen)
-    late = np.linspace(_LEAST_SHIFT, steps - _LEAST_SHIFT, _SHIFTS_OF_FOLLOWERS).astype(int)
+    late = np.linspace(_LEAST_SHIFT, steps - _LEAST_SHIFT, _SHIFTS).astype(int)
     group, left = [leader], np.array(followers, np.int64)
     new = group
     while len(new) and len(left):
@@ -104,8 +105,9 @@ def find_followers(
     If groups change within a window, a UAV that follows one head after another moves like neither of them through the
     whole window, and may look like a head. In one of the halves it follows one head for most of the time. In each half,
     those 5 UAVs are tested whose velocities are most correlated with its own, at any lag up to 4, if the correlation
-    exceeds those of 6 circular shifts in time: it follows one if :func:`confirm_lead`'s test says so. The level is 0.05
-    for all five; for a UAV outside of its group, which should not move like its head at all, any lead is enough.
+    exceeds those after 19 circular shifts in time, the largest of all UAVs at each: it follows one if
+    :func:`confirm_lead`'s test says so. The level is 0.05 for all five; for a UAV outside of its group, which should
+    not move like its head at all, any lead is enough.
 
     Args:
         window: the window.
@@ -118,13 +120,16 @@ def find_followers(
     steps, follows, uavs = window.observation_steps, np.zeros(len(leaders), bool), np.asarray(leaders, np.int64)
     if steps < 2 * LEAST_STEPS or not len(uavs):
         return follows
-    for half in (slice(0, steps // 2), slice(steps // 2, steps)):
-        velocity, seen = window.velocity[half], window.velocity_seen[half]
+    half = steps // 2
+    late = np.linspace(min(_LEAST_SHIFT, half), steps - half, _SHIFTS).astype(int)
+    for begin, shifts in ((0, late), (steps - half, -late)):
+        velocity, seen = window.velocity[begin : begin + half], window.velocity_seen[begin : begin + half]
         unit = _scale(velocity, seen)
         best = _correlate(unit[:, uavs], unit)
         best[np.arange(len(uavs)), uavs] = 0.0
-        late = len(unit) * np.arange(1, _SHIFTS + 1) // (_SHIFTS + 1)
-        chance = np.max([_correlate(np.roll(unit[:, uavs], k, axis=0), unit).max(axis=1) for k in late], axis=0)
+        others = (slice(begin + shift, begin + shift + half) for shift in shifts)
+        shifted = (_scale(window.velocity[part], window.velocity_seen[part]) for part in others)
+        chance = np.max([_correlate(unit[:, uavs], each).max(axis=1) for each in shifted], axis=0)
         for c in map(int, np.flatnonzero(~follows)):
             for other in np.argsort(-best[c], kind="stable")[:_NEAREST]:
                 if best[c, other] <= chance[c]:
