@@ -20,9 +20,8 @@ _BLOCKS = 8
 LEAST_STEPS = 2 * _BLOCKS
 LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leader
 _LEVEL_OUTSIDE = 0.5
-_NEAREST = 5
-_SHIFTS = 19  # the largest of 20 values is the true one by chance at the level 0.05
-_DEVIATIONS = 3.0
+_NEAREST, _SHIFTS = 5, 9
+_SHIFTS_OF_FOLLOWERS, _DEVIATIONS = 19, 3.0
 _LEAST_SHIFT = 3 * _LAGS  # a smaller shift leaves a part of the likeness at some lag
 _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 
@@ -56,7 +55,7 @@ def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[in
     if steps < 2 * LEAST_STEPS:
         return list(followers)
     unit = _scale(window.velocity, window.velocity_seen)
-    late = np.linspace(_LEAST_SHIFT, steps - _LEAST_SHIFT, _SHIFTS).astype(int)
+    late = np.linspace(_LEAST_SHIFT, steps - _LEAST_SHIFT, _SHIFTS_OF_FOLLOWERS).astype(int)
     group, left = [leader], np.array(followers, np.int64)
     new = group
     while len(new) and len(left):
@@ -104,10 +103,13 @@ def find_followers(
 
     If groups change within a window, a UAV that follows one head after another moves like neither of them through the
     whole window, and may look like a head. In one of the halves it follows one head for most of the time. In each half,
-    those 5 UAVs are tested whose velocities are most correlated with its own, at any lag up to 4, if the correlation
-    exceeds those after 19 circular shifts in time, the largest of all UAVs at each: it follows one if
-    :func:`confirm_lead`'s test says so. The level is 0.05 for all five; for a UAV outside of its group, which should
-    not move like its head at all, any lead is enough.
+    those 5 UAVs are tested whose velocities are most correlated with its own, at any lag up to 4, if the correlation is
+    significant: it follows one if :func:`confirm_lead`'s test says so. The level is 0.05 for all five; for a UAV
+    outside of its group, which should not move like its head at all, any lead is enough.
+
+    A correlation is significant if Fisher's z of it exceeds a quantile of the Gumbel distribution, that of maxima. Its
+    mean and standard deviation are those of the largest z of the other UAVs in parts of the window that begin at 9
+    other times; unlike circular shifts, these have no jumps. The level is 0.05 for all leaders and both halves.
 
     Args:
         window: the window.
@@ -121,18 +123,24 @@ def find_followers(
     if steps < 2 * LEAST_STEPS or not len(uavs):
         return follows
     half = steps // 2
+    quantile = -np.log(-np.log1p(-LEVEL / (2 * len(uavs))))  # of the standard Gumbel distribution
     late = np.linspace(min(_LEAST_SHIFT, half), steps - half, _SHIFTS).astype(int)
     for begin, shifts in ((0, late), (steps - half, -late)):
         velocity, seen = window.velocity[begin : begin + half], window.velocity_seen[begin : begin + half]
         unit = _scale(velocity, seen)
-        best = _correlate(unit[:, uavs], unit)
-        best[np.arange(len(uavs)), uavs] = 0.0
-        others = (slice(begin + shift, begin + shift + half) for shift in shifts)
-        shifted = (_scale(window.velocity[part], window.velocity_seen[part]) for part in others)
-        chance = np.max([_correlate(unit[:, uavs], each).max(axis=1) for each in shifted], axis=0)
+        parts = [slice(start, start + half) for start in (begin, *(begin + shifts))]
+        like = np.stack(
+            [_correlate(unit[:, uavs], _scale(window.velocity[each], window.velocity_seen[each])) for each in parts]
+        )
+        like[:, np.arange(len(uavs)), uavs] = 0.0
+        like = np.arctanh(np.minimum(like, _MOST_ALIKE))
+        by_chance = like[1:].max(axis=2)
+        scale = by_chance.std(axis=0) * np.sqrt(6) / np.pi
+        limit = by_chance.mean(axis=0) + scale * (quantile - np.euler_gamma)
+        best = like[0]
         for c in map(int, np.flatnonzero(~follows)):
             for other in np.argsort(-best[c], kind="stable")[:_NEAREST]:
-                if best[c, other] <= chance[c]:
+                if best[c, other] <= limit[c]:
                     break
                 own, ahead = velocity[:, uavs[c]].astype(np.float64), velocity[:, other].astype(np.float64)
                 level = LEVEL / _NEAREST if other in followers[c] else _LEVEL_OUTSIDE
