@@ -7,7 +7,7 @@ all their followers, and ten followers of large groups become heads. A tenth of 
 leave earlier. A head is counted in a window if it leads at least three ids that are seen in half of the window's steps,
 through four fifths of the window. A window is right if the detector names all these heads, and no id that leads no
 other id in the window. The test of confirmed leaders was developed on the seeds 0 to 3 and 100 to
-106; the seeds 10 to 13 were played once, after that.
+106; the seeds 10 to 13 were played after that.
 """
 
 from __future__ import annotations
