@@ -107,7 +107,7 @@ def ask_delays(
     row, column = np.nonzero((odds > 0) & (names < groups)[:, None] & (size == 1))
     group, uav = names[row], uavs[first[column]]
     better = (targets.label[uav] != group) & (odds[row, column] > gain[group])
-    return pair(targets, group[better], uav[better]), odds[row, column][better]
+    return pair(group[better], uav[better]), odds[row, column][better]
 
 
 def find_hierarchy(

@@ -28,7 +28,7 @@ _ROWS_A_LAG = 12  # rows of a window per lag of the own past in Z
 RIDGE = 1e-6  # of the mean square of a feature
 _GRAIN = 1e-3  # innovations below this share of the mean speed are rounding of the positions
 _ASKED = 3  # candidates of each sort that a class nominates for a group; their evidence is exact
-_CHUNK = 1000  # UAVs or pairs of one matrix product; bounds the memory
+_CHUNK = 1000
 _FREEDOM = 4.0  # of the t distribution whose weights the rows have: a sharp turn counts little more than other rows
 _MEDIAN = {1: 0.455, 2: 1.386, 3: 2.366}  # of a chi-square variable, by its degrees of freedom
 _LEAST_SPREAD = 0.005  # least standard deviation of an innovation, in mean speeds
@@ -37,14 +37,14 @@ _NOTHING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What is to be explained: C groups, then each UAV's group without this UAV.
+    """What is to be explained: C groups, then some of them without one member, which is a candidate: G targets in all.
 
     Args:
         label: ``(n,)`` the group of each UAV.
-        innovation: ``(C + n, R, a)`` e; 0 for the rest of a group of one.
-        own: ``(C + n, R, z)`` orthonormal columns that span Z.
-        weight: ``(C + n, R)`` weight of each row, in units of which e and Z are.
-        rows: ``(C + n,)`` effective number of rows: R - z, less if a few rows hold most of |e|² or if e is not white.
+        innovation: ``(G, R, a)`` e.
+        own: ``(G, R, z)`` orthonormal columns that span Z.
+        weight: ``(G, R)`` weight of each row, in units of which e and Z are.
+        rows: ``(G,)`` effective number of rows: R - z, less if a few rows hold most of |e|² or if e is not white.
         least: the least share of |e|² that a leader explains.
     """
 
@@ -72,12 +72,8 @@ class Targets:
 
     @property
     def energy(self) -> Floats:
-        """``(C + n,)`` |e|², and the energy of rounding, which no candidate explains."""
+        """``(G,)`` |e|², and the energy of rounding, which no candidate explains."""
         return np.asarray((self.innovation**2).sum(axis=(1, 2)) + self.grain)
-
-    def price(self, target: Indices) -> Floats:
-        """Log-likelihood ``(k,)`` that a leader gains which explains no more than the least share."""
-        return np.asarray(-0.5 * self.axes * self.rows[target] * np.log1p(-self.least))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,21 +120,40 @@ def make_targets(velocity: Floats, label: Indices, lags: int, least: float = 0.0
         lags: L; the rows are the steps from L on.
         least: the least share of the innovations that a leader explains.
     """
-    _, steps, axes = velocity.shape
+    sizes = np.bincount(label)
+    return Targets(label, *_innovate(_sum_groups(velocity, label) / sizes[:, None, None], lags), least)
+
+
+def add_rests(targets: Targets, pairs: Pairs, velocity: Floats) -> tuple[Targets, Pairs]:
+    """Add the groups without the members that are their candidates; the pairs of these refer to them."""
+    member = np.flatnonzero(targets.label[pairs.uav] == pairs.group)
+    group, uav = pairs.group[member], pairs.uav[member]
+    groups, lags = len(targets.sizes), velocity.shape[1] - targets.innovation.shape[1]
+    rest = _sum_groups(velocity, targets.label)[group] - velocity[uav]
+    added = _innovate(rest / (targets.sizes[group] - 1)[:, None, None], lags)
+    four = (targets.innovation, targets.own, targets.weight, targets.rows)
+    joined = (np.concatenate([some[:groups], more]) for some, more in zip(four, added, strict=True))
+    target = pairs.group.copy()
+    target[member] = groups + np.arange(len(member))
+    return Targets(targets.label, *joined, targets.least), Pairs(pairs.group, pairs.uav, target)
+
+
+def _sum_groups(velocity: Floats, label: Indices) -> Floats:
+    """``(C, T, a)``."""
+    total = np.zeros((len(np.bincount(label)), *velocity.shape[1:]))
+    np.add.at(total, label, velocity)
+    return total
+
+
+def _innovate(mean: Floats, lags: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Innovations, own pasts, weights and rows, as :class:`Targets` has them, of mean velocities ``(G, T, a)``."""
+    count, steps, axes = mean.shape
     rows = steps - lags
     own_lags = int(np.clip(rows // _ROWS_A_LAG, 1, lags))
-    sizes = np.bincount(label)
-    total = np.zeros((len(sizes), steps, axes))
-    np.add.at(total, label, velocity)
-    rest = total[label] - velocity
-    few = np.maximum(sizes[label] - 1, 1)[:, None, None]
-    mean = np.concatenate([total / sizes[:, None, None], rest / few])
     width = 1 + axes * own_lags
-    innovation, own = np.zeros((len(mean), rows, axes)), np.zeros((len(mean), rows, width))
-    weight = np.ones((len(mean), rows))
-    there = np.flatnonzero(np.append(sizes > 0, sizes[label] > 1))  # nothing is the rest of a group of one
-    for first in range(0, len(there), _CHUNK):
-        part = there[first : first + _CHUNK]
+    innovation, own, weight = np.empty((count, rows, axes)), np.empty((count, rows, width)), np.empty((count, rows))
+    for first in range(0, count, _CHUNK):
+        part = slice(first, first + _CHUNK)
         past = lagged(mean[part], lags)[:, :, :own_lags].reshape(-1, rows, axes * own_lags)
         known = np.concatenate([np.ones((len(past), rows, 1)), past], axis=2)
         plain = _residuals(whiten(known), mean[part, lags:])
@@ -147,21 +162,13 @@ def make_targets(velocity: Floats, label: Indices, lags: int, least: float = 0.0
         weight[part] = 1.0 / np.sqrt(1.0 + square / (_FREEDOM * scale))
         own[part] = whiten(known * weight[part][:, :, None])
         innovation[part] = _residuals(own[part], mean[part, lags:] * weight[part][:, :, None])
-    share = np.minimum(_steadiness(innovation), _whiteness(innovation))
-    return Targets(label, innovation, own, weight, np.minimum(rows * share, rows - width), least)
-
-
-def _steadiness(innovation: Floats) -> Floats:
-    """``(k,)``: effective share of the rows of ``(k, R, a)``: below 1 if a few sharp turns hold most of the energy."""
-    axes = innovation.shape[2]  # of normal innovations it is a / (a + 2)
-    return np.minimum((axes + 2) / axes * _participation((innovation**2).sum(axis=2)), 1.0)
-
-
-def _whiteness(innovation: Floats) -> Floats:
-    """``(k,)``: effective share of the rows of ``(k, R, a)``, for features with their spectrum (Bartlett's formula)."""
+    # Fewer rows count if a few sharp turns hold most of the energy, or, of features with their spectrum, if the
+    # innovations are not white (Bartlett's formula). Of normal and white innovations, a / (a + 2) and a / (a + 1) take
+    # part.
     power = (np.abs(np.fft.rfft(innovation, axis=1)[:, 1:]) ** 2).sum(axis=2)
-    axes = innovation.shape[2]  # of white innovations it is a / (a + 1)
-    return np.minimum((axes + 1) / axes * _participation(power), 1.0)
+    steady = (axes + 2) / axes * _participation((innovation**2).sum(axis=2))
+    share = np.minimum(np.minimum(steady, (axes + 1) / axes * _participation(power)), 1.0)
+    return innovation, own, weight, np.minimum(rows * share, rows - width)
 
 
 def _participation(values: Floats) -> Floats:
@@ -209,19 +216,20 @@ def screen(
         only: ``(n,)`` the single group of which each UAV is a candidate, -1 or ``None``: of all. Others: no evidence.
     """
     weight = targets.weight[groups]
-    rows, price = targets.rows[groups, None], targets.price(groups)[:, None]
+    rows = targets.rows[groups, None]
+    price = -0.5 * targets.axes * rows * np.log1p(-targets.least)  # what a leader gains that explains the least share
     power = targets.energy[groups][:, None]
     # Single precision is enough to order the candidates, and this is most of the work in a large swarm.
-    flat, plain, own = (
+    every_target = [
         np.ascontiguousarray(values.transpose(1, 2, 0), np.float32)
         for values in (
             targets.innovation[groups] * weight[:, :, None],
             targets.innovation[groups] / weight[:, :, None],
             targets.own[groups] * weight[:, :, None],
         )
-    )
+    ]
     square = (weight**2).astype(np.float32)
-    rough = ((plain**2).sum(axis=(0, 1)) + targets.grain)[:, None]
+    rough = ((every_target[1] ** 2).sum(axis=(0, 1)) + targets.grain)[:, None]
     screened = [name for name in names if name in SCREENED]
     evidence = np.zeros((len(screened), len(groups), len(past)))
     only = np.full(len(past), -1) if only is None else only
@@ -230,12 +238,13 @@ def screen(
     for part in np.split(order, [*range(_CHUNK, every, _CHUNK), *range(every, uavs, _CHUNK)]):
         valid = (only[part] < 0) | (only[part] == groups[:, None])
         some = np.flatnonzero(valid.any(axis=1))
+        flat, plain, own = (values.take(some, axis=2) for values in every_target)
         for number, (_, found) in enumerate(make_features(past[part], screened)):
             if found.shape[2] == targets.axes:
-                share = _explain_exactly(found.astype(np.float32), flat[:, :, some], own[:, :, some], square[some])
+                share = _explain_exactly(found.astype(np.float32), flat, own, square[some])
                 share /= power[some]
             else:
-                share = _explain_roughly(whiten(found).astype(np.float32), plain[:, :, some]) / rough[some]
+                share = _explain_roughly(whiten(found).astype(np.float32), plain) / rough[some]
             gained = bayes_factor(share, rows[some], found.shape[2], targets.axes) - price[some]
             evidence[number, some[:, None], part] = np.where(valid[some], gained, 0.0)
     return evidence
@@ -254,7 +263,7 @@ def choose_pairs(targets: Targets, evidence: Floats, groups: Indices) -> Pairs:
             some = np.flatnonzero((sort & (values > 0.0)).any(axis=0))
             asked[:, some] |= _find_highest(np.where(sort[:, some], values[:, some], 0.0))
     place, uav = np.nonzero(asked)
-    return pair(targets, groups[place], uav)
+    return pair(groups[place], uav)
 
 
 def _find_highest(values: Floats) -> Mask:
@@ -265,10 +274,9 @@ def _find_highest(values: Floats) -> Mask:
     return (values >= least) & (values > 0.0)
 
 
-def pair(targets: Targets, group: Indices, uav: Indices) -> Pairs:
-    """The pairs of groups ``(P,)`` and candidates ``(P,)``."""
-    member = targets.label[uav] == group
-    return Pairs(group, uav, np.where(member, len(targets.sizes) + uav, group))
+def pair(group: Indices, uav: Indices) -> Pairs:
+    """The pairs of groups ``(P,)`` and candidates ``(P,)``; the whole group is to be explained."""
+    return Pairs(group, uav, group)
 
 
 def pick(pairs: Pairs, places: Indices | Mask) -> Pairs:

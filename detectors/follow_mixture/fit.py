@@ -14,6 +14,7 @@ from detectors.follow_mixture.evidence import (
     Pairs,
     Statistics,
     Targets,
+    add_rests,
     choose_pairs,
     fit_law,
     gain_by_law,
@@ -146,6 +147,7 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
     more: MorePairs | None = None  # at first no single UAV follows, as heads and decoys do not
     for names in LEVELS:
         pairs = choose_pairs(targets, screen(targets, past, names, several, only), several)
+        targets, pairs = add_rests(targets, pairs, velocity)
         if more is not None:
             pairs = more.join(targets, pairs)
         classes = gather_statistics(targets, past, pairs, names)
@@ -202,13 +204,14 @@ def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) ->
         chosen: pairs of a group and its head.
         heads: ``(M,)`` ascending.
     """
-    evidence = np.zeros((past.shape[2], len(heads)))
-    for lag, gained in enumerate(evidence):
-        classes = gather_statistics(targets, past[:, :, lag : lag + 1], chosen, LONE)
-        own = np.max([own_evidence(targets, chosen, some) for some in classes], axis=0)
-        led = np.isin(chosen.uav, heads)
-        np.add.at(gained, np.searchsorted(heads, chosen.uav[led]), own[led])
-    return np.where(evidence.max(axis=0) > 0, evidence.argmax(axis=0) + 1, 0)
+    _, rows, lags, axes = past.shape
+    each = past[chosen.uav].swapaxes(1, 2).reshape(-1, rows, 1, axes)  # one candidate for each lag
+    pairs = Pairs(np.repeat(chosen.group, lags), np.arange(len(each)), np.repeat(chosen.target, lags))
+    classes = gather_statistics(targets, each, pairs, LONE)
+    own = np.max([own_evidence(targets, pairs, some) for some in classes], axis=0).reshape(-1, lags)
+    evidence, led = np.zeros((len(heads), lags)), np.isin(chosen.uav, heads)
+    np.add.at(evidence, np.searchsorted(heads, chosen.uav[led]), own[led])
+    return np.where(evidence.max(axis=1) > 0, evidence.argmax(axis=1) + 1, 0)
 
 
 def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _Answer:

@@ -104,7 +104,7 @@ def ask_single_uavs(
     alone = np.isin(late.group, single)
     asked[np.searchsorted(single, late.group[alone]), late.uav[alone]] = True
     place, uav = np.nonzero(asked)
-    return MorePairs(pair(targets, single[place], uav), late, odds, bool(len(new) or len(odds)), head)
+    return MorePairs(pair(single[place], uav), late, odds, bool(len(new) or len(odds)), head)
 
 
 def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indices) -> Indices:
@@ -251,4 +251,4 @@ def _choose(targets: Targets, evidence: Floats, single: Indices) -> tuple[Pairs,
     gain = (first - second) / max(2.0 * float((second - third).mean()), 1.0)
     odds = gain.max(axis=0) - np.log(len(evidence)) - np.log(1.0 / RARE - 1.0)
     choice = evidence[gain.argmax(axis=0), np.arange(len(single))].argmax(axis=1)
-    return pair(targets, single[odds > 0], choice[odds > 0]), odds[odds > 0]
+    return pair(single[odds > 0], choice[odds > 0]), odds[odds > 0]

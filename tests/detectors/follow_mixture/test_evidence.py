@@ -1,7 +1,5 @@
 """Innovations, features and evidence of follow-mixture against direct regressions."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from detectors.follow_mixture.evidence import (
+    add_rests,
     bayes_factor,
     choose_pairs,
     fit_law,
@@ -16,6 +15,7 @@ from detectors.follow_mixture.evidence import (
     gather_statistics,
     make_targets,
     own_evidence,
+    pair,
     screen,
 )
 from detectors.series.features import make_features
@@ -59,11 +59,10 @@ def members_of(group, uav):
     return np.setdiff1d(np.flatnonzero(group == LABEL), uav)
 
 
-def all_pairs(targets, past):
-    """Every group with every UAV, but a single UAV with itself."""
+def all_pairs(velocity):
+    """The targets, and every group with every UAV, but a single UAV with itself."""
     group, uav = np.nonzero((np.bincount(LABEL)[:, None] > 1) | (LABEL[None] != np.arange(5)[:, None]))
-    target = np.where(LABEL[uav] == group, 5 + uav, group)
-    return replace(choose(targets, past, NAMES[:1]), group=group, uav=uav, target=target)
+    return add_rests(make_targets(velocity, LABEL, LAGS), pair(group, uav), velocity)
 
 
 def choose(targets, past, names):
@@ -75,19 +74,20 @@ def choose(targets, past, names):
 @pytest.mark.parametrize("steps", [20, 60])
 def test_innovations_are_residuals_of_a_weighted_regression_on_the_own_past(steps):
     velocity, _ = make_problem(steps=steps)
-    targets = make_targets(velocity, LABEL, LAGS)
-    for row, members in [(1, members_of(1, -1)), (3, [6]), (5 + 3, members_of(1, 3)), (5 + 4, members_of(2, 4))]:
+    targets, pairs = all_pairs(velocity)
+    without = [int(pairs.target[(pairs.group == group) & (pairs.uav == uav)][0]) for group, uav in ((1, 3), (2, 4))]
+    rows = {1: members_of(1, -1), 3: [6], without[0]: members_of(1, 3), without[1]: members_of(2, 4)}
+    for row, members in rows.items():
         target, known, weight = weighted_parts(velocity, members)
         np.testing.assert_allclose(targets.innovation[row], regress(known, target), atol=1e-4)
         np.testing.assert_allclose(targets.weight[row], weight, rtol=1e-3)
-    assert not targets.innovation[5 + 6].any()  # the rest of a group of one
+    assert len(targets.innovation) == 5 + (np.bincount(LABEL)[LABEL] > 1).sum()  # a group of one has no rest
     assert (targets.rows <= steps - LAGS - targets.own.shape[2] + 1e-9).all()
 
 
 def test_the_evidence_of_a_pair_is_that_of_a_regression_on_both_pasts():
     velocity, past = make_problem(1)
-    targets = make_targets(velocity, LABEL, LAGS)
-    pairs = all_pairs(targets, past)
+    targets, pairs = all_pairs(velocity)
     for statistics in gather_statistics(targets, past, pairs, NAMES):
         evidence = own_evidence(targets, pairs, statistics)
         ((_, features),) = make_features(past, [statistics.name])
@@ -137,8 +137,7 @@ def test_the_bayes_factor_is_the_largest_of_a_g_prior(seed, width, strength, axe
 @pytest.mark.parametrize("name", [0, 1, 3])
 def test_a_shared_law_is_a_stacked_weighted_regression(name):
     velocity, past = make_problem(2)
-    targets = make_targets(velocity, LABEL, LAGS)
-    pairs = all_pairs(targets, past)
+    targets, pairs = all_pairs(velocity)
     (statistics,) = gather_statistics(targets, past, pairs, [NAMES[name]])
     ((_, features),) = make_features(past, [NAMES[name]])
     used = np.array([np.flatnonzero((pairs.group == g) & (pairs.uav == h))[0] for g, h in [*HEAD_OF.items(), (2, 5)]])
@@ -165,8 +164,7 @@ def test_a_shared_law_is_a_stacked_weighted_regression(name):
 
 def test_the_best_candidates_of_each_sort_are_nominated():
     velocity, past = make_problem(3)
-    targets = make_targets(velocity, LABEL, LAGS)
-    every = all_pairs(targets, past)
+    targets, every = all_pairs(velocity)
     (statistics,) = gather_statistics(targets, past, every, ["v(1)"])
     evidence = own_evidence(targets, every, statistics)
     chosen = choose(targets, past, ["v(1)"])
@@ -182,8 +180,12 @@ def test_the_best_candidates_of_each_sort_are_nominated():
             np.testing.assert_allclose(np.sort(evidence[some][kept])[-len(best) :], best, rtol=1e-3, atol=1e-3)
     assert all((group, head) in named for group, head in HEAD_OF.items())
     member = LABEL[chosen.uav] == chosen.group
-    assert np.array_equal(chosen.target, np.where(member, 5 + chosen.uav, chosen.group))  # without the member itself
+    assert np.array_equal(chosen.target, chosen.group)
+    joined, pairs = add_rests(make_targets(velocity, LABEL, LAGS), chosen, velocity)
+    assert np.array_equal(pairs.target[~member], chosen.group[~member])
+    assert np.array_equal(np.sort(pairs.target[member]), 5 + np.arange(member.sum()))  # each without the member itself
     assert member.any()
+    assert len(joined.innovation) == 5 + member.sum()
 
 
 def test_features_of_a_row_are_functions_of_its_past():
