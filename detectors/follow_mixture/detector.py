@@ -68,13 +68,12 @@ class FollowMixture(Detector):
         Returns:
             Candidates by the policy, scores (log-odds of being a head; a doubtful direction lowers those of its whole
             tree), clusters and leader (the direct one, a head or a relay); in ``extras``: ``root`` ``(N,)``, the head
-            of each UAV (-1: none); ``relay`` ``(N,)`` bool, UAVs
-            that lead and follow; ``probability`` ``(N,)``, if the fit is right, and ``doubt``, that it is not; ``gain``
-            ``(N,)``, the log-likelihood that the UAV's group gains by its head, in nats; ``group`` ``(N,)``, the group
-            of each living UAV, -1 for others; ``heads`` (indices), ``reasons`` (one sentence per head, with its most
-            probable lag in samples) and ``direction`` (log-likelihood ratio of each: that it leads, against a common
-            cause); ``strategy`` (feature class, weights of the shared law, noise) or ``None``;
-            ``nats``, the gain of the whole fit less the prices.
+            of each UAV (-1: none); ``relay`` ``(N,)`` bool, UAVs that lead and follow; ``probability`` ``(N,)``, if the
+            fit is right, and ``doubt``, that it is not; ``gain`` ``(N,)``, the log-likelihood that the UAV's group
+            gains by its head, in nats; ``group`` ``(N,)``, the group of each living UAV, -1 for others; ``heads``
+            (indices), ``reasons`` (one sentence per head, with its most probable lag in samples) and ``direction``
+            (log-likelihood ratio of each: that it leads, against a common cause); ``strategy`` (feature class, weights
+            of the shared law, noise) or ``None``; ``nats``, the gain of the whole fit less the prices.
 
         Raises:
             ArgumentError: an argument of the constructor is refused, ``clusters`` exceeds the window's N, or the window
@@ -93,8 +92,8 @@ class FollowMixture(Detector):
         found = None if motion is None else fit_motion(motion, arguments.memory, longest, most, rng)
         probability, gain = np.zeros(window.uavs), np.zeros(window.uavs)
         leader, root, clusters, group = np.full((4, window.uavs), -1, np.int64)
-        extras: dict[str, Any] = {"strategy": None, "heads": np.empty(0, np.int64), "reasons": [], "nats": 0.0}
-        extras["direction"] = np.empty(0)
+        extras: dict[str, Any] = {"strategy": None, "reasons": [], "nats": 0.0, "direction": np.empty(0)}
+        extras["heads"] = np.empty(0, np.int64)
         probability[living] = 1.0 / (len(living) + 1.0)  # if no UAV seems to follow another one
         doubt, ranked = 0.0, probability
         if found is not None:
@@ -102,15 +101,15 @@ class FollowMixture(Detector):
             doubt, leads = calibration.doubt, np.maximum(calibration(found.log_odds), expit(found.relays[1]))
             probability[living] = leads * expit(-found.relays[0])
             direction, led = lead_probabilities(found.leads), found.root >= 0
+            tree = np.searchsorted(found.heads, found.root[led])
             ranked = probability.copy()  # a doubtful direction lowers a tree; among clear ones, it ranks no head
-            ranked[living[led]] *= np.minimum(2.0 * direction, 1.0)[np.searchsorted(found.heads, found.root[led])]
+            ranked[living[led]] *= np.minimum(2.0 * direction, 1.0)[tree]
             probability[living[found.heads]] *= direction
             heads = living[found.heads]
             leader[living] = np.where(found.leader >= 0, living[found.leader], -1)
             root[living] = np.where(found.root >= 0, living[found.root], -1)
             leader[heads] = heads
-            for label, head in enumerate(heads):
-                clusters[root == head] = label
+            clusters[living[led]] = tree
             gain[living], group[living] = found.gain, found.group
             extras |= {
                 "strategy": {"features": found.features, "law": found.law, "noise": found.noise},

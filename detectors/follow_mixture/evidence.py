@@ -132,10 +132,10 @@ def add_rests(targets: Targets, pairs: Pairs, velocity: Floats) -> tuple[Targets
     rest = _sum_groups(velocity, targets.label)[group] - velocity[uav]
     added = _innovate(rest / (targets.sizes[group] - 1)[:, None, None], lags)
     four = (targets.innovation, targets.own, targets.weight, targets.rows)
-    joined = (np.concatenate([some[:groups], more]) for some, more in zip(four, added, strict=True))
+    e, own, weight, rows = (np.concatenate([some[:groups], more]) for some, more in zip(four, added, strict=True))
     target = pairs.group.copy()
     target[member] = groups + np.arange(len(member))
-    return Targets(targets.label, *joined, targets.least), Pairs(pairs.group, pairs.uav, target)
+    return Targets(targets.label, e, own, weight, rows, targets.least), Pairs(pairs.group, pairs.uav, target)
 
 
 def _sum_groups(velocity: Floats, label: Indices) -> Floats:
@@ -162,9 +162,8 @@ def _innovate(mean: Floats, lags: int) -> tuple[Floats, Floats, Floats, Floats]:
         weight[part] = 1.0 / np.sqrt(1.0 + square / (_FREEDOM * scale))
         own[part] = whiten(known * weight[part][:, :, None])
         innovation[part] = _residuals(own[part], mean[part, lags:] * weight[part][:, :, None])
-    # Fewer rows count if a few sharp turns hold most of the energy, or, of features with their spectrum, if the
-    # innovations are not white (Bartlett's formula). Of normal and white innovations, a / (a + 2) and a / (a + 1) take
-    # part.
+    # Fewer rows count where a few sharp turns hold most of the energy, or where innovations are not white, for features
+    # with their spectrum (Bartlett's formula). The shares of normal and white ones are a / (a + 2) and a / (a + 1).
     power = (np.abs(np.fft.rfft(innovation, axis=1)[:, 1:]) ** 2).sum(axis=2)
     steady = (axes + 2) / axes * _participation((innovation**2).sum(axis=2))
     share = np.minimum(np.minimum(steady, (axes + 1) / axes * _participation(power)), 1.0)

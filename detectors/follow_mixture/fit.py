@@ -151,25 +151,21 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
         if more is not None:
             pairs = more.join(targets, pairs)
         classes = gather_statistics(targets, past, pairs, names)
-        own = np.array([own_evidence(targets, pairs, some) for some in classes])
-        if more is not None:
-            own = np.array(
-                [more.compare(targets, pairs, some, values) for values, some in zip(own, classes, strict=True)]
-            )
+        compare = own_evidence if more is None else more.compare
+        own = np.array([compare(targets, pairs, some) for some in classes])
         search = _Search(targets, pairs, most)
         found = _search_laws(search, classes, own)
         log_odds = _posterior(search, found, spectra.memory**lags)
+        leads = np.union1d(found.assignment.heads, np.flatnonzero(log_odds > 0))
         certain = np.abs(log_odds).min() > _CERTAIN
         if more is not None or (certain and search.explains(found.assignment)):
             break
-        leads = np.union1d(found.assignment.heads, np.flatnonzero(log_odds > 0))
         late = ask_delays(targets, velocity, past, leads, search.gain(found), longest)
         more = ask_single_uavs(targets, past, LEVELS[-1], found.assignment.head, *late)
         if certain and search.explains(found.assignment, single=False) and not more.new:
             break
     if found.assignment.value <= 0 and not (targets.sizes > 1).any():
         return None
-    leads = np.union1d(found.assignment.heads, np.flatnonzero(log_odds > 0))
     behind, gain = pick(pairs, search.chosen(found.assignment)), search.gain(found)
     order = find_hierarchy(targets, velocity, past, leads, found.assignment.head, gain, longest)
     heads, count = np.unique(order.root, return_counts=True)
@@ -196,14 +192,7 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
 
 
 def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) -> Indices:
-    """``(M,)``: the lag, from 1, at which each head alone explains best the groups that follow it; 0 if none does.
-
-    Args:
-        targets: the groups.
-        past: ``(n, R, L, a)`` pasts of the candidates.
-        chosen: pairs of a group and its head.
-        heads: ``(M,)`` ascending.
-    """
+    """``(M,)``: the lag at which each head alone explains best the groups of its ``chosen`` pairs; 0 if none does."""
     _, rows, lags, axes = past.shape
     each = past[chosen.uav].swapaxes(1, 2).reshape(-1, rows, 1, axes)  # one candidate for each lag
     pairs = Pairs(np.repeat(chosen.group, lags), np.arange(len(each)), np.repeat(chosen.target, lags))

@@ -106,8 +106,7 @@ def common_drift(velocity: Floats, speeds: Floats) -> tuple[Floats, bool]:
 
 def lagged(velocity: Floats, lags: int) -> Floats:
     """The velocities before each step from ``lags`` on: ``(n, T - lags, lags, a)``, newest first."""
-    rows = velocity.shape[1] - lags
-    return velocity[:, np.arange(rows)[:, None] + lags - 1 - np.arange(lags)[None]]
+    return np.stack([velocity[:, lag : lag - lags] for lag in reversed(range(lags))], axis=2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,6 +25,7 @@ from detectors.follow_mixture.evidence import (
     Statistics,
     Targets,
     gain_by_law,
+    own_evidence,
     pair,
     pick,
     screen,
@@ -64,8 +65,9 @@ class MorePairs:
         three = zip(*(vars(some).values() for some in (pairs, pick(self.late, new), self.single)), strict=True)
         return Pairs(*map(np.concatenate, three))
 
-    def compare(self, targets: Targets, pairs: Pairs, some: Statistics, evidence: Floats) -> Floats:
-        """Evidence ``(P,)`` of all ``pairs`` that :meth:`join` made, in one class; ``evidence`` is that of own laws."""
+    def compare(self, targets: Targets, pairs: Pairs, some: Statistics) -> Floats:
+        """Evidence ``(P,)`` of all ``pairs`` that :meth:`join` made, in one class."""
+        evidence = own_evidence(targets, pairs, some)
         single = np.arange(len(evidence)) >= len(evidence) - len(self.single.group)
         follows = np.where(single, evidence > 0, self.head[pairs.group] == pairs.uav)
         found = np.where(single, _pool(targets, pairs, some, follows, ~single), evidence)

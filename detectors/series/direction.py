@@ -8,6 +8,7 @@ this comparison, because it holds the common cause as well.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.special import logsumexp
 from detectors.series.features import make_features
 from usnet_env.arrays import Floats, Indices
 
-_CLASSES = ("v(1)", "v²(1)", "v+v²+v×v(2)")
+_CLASS = "v+v²+v×v(2)"  # with a axes, the newest velocity is its first a columns, and the squares begin at column 2 a
 _LEAST_STEPS = 32  # 4 in each block
 _BLOCKS = 8
 _CHUNK = 500  # pairs; bounds the memory
@@ -126,7 +127,7 @@ def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, tu
         longest: the longest delay in steps.
         turned: the sign that they have in reversed time.
     """
-    count, steps, _ = group.shape
+    count, steps, axes = group.shape
     total = np.maximum((group**2).sum(axis=(1, 2)), _NOTHING)
     blocks, expected = np.zeros((count, _BLOCKS)), np.zeros((count, 2))
     starts = np.arange(_BLOCKS) * steps // _BLOCKS
@@ -134,9 +135,11 @@ def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, tu
     def reverse(values: Floats) -> Floats:
         return turned * values[:, ::-1]
 
+    parts = (slice(axes), slice(2 * axes, 3 * axes), slice(None))  # the newest velocity, its squares, and all
     sides = [
-        [_fit_delays(features, target, longest) for _, features in make_features(_look_back(values), _CLASSES)]
+        _fit_delays(features, target, longest, parts)
         for values, target in ((past, group), (reverse(future), reverse(group)))
+        for _, features in make_features(_look_back(values), [_CLASS])
     ]
     energy = np.array([[laws.energy for laws in side] for side in sides])  # (2, K, P)
     widths = np.array([laws.features.shape[2] for laws in sides[0]])
@@ -150,8 +153,8 @@ def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, tu
         gained = ((forward - reverse(backward)) * group[some]).sum(axis=2)
         blocks[some] = np.add.reduceat(gained, starts, axis=1) / total[some, None]
         for side, (laws, predicted) in enumerate(((after, forward), (before, backward))):
-            other = _fit_delays(laws.features, reverse(predicted), longest).energy
-            expected[some, side] = (adjusted[side, number, some] - other) / total[some]
+            (other,) = _fit_delays(laws.features, reverse(predicted), longest)
+            expected[some, side] = (adjusted[side, number, some] - other.energy) / total[some]
     return blocks, expected
 
 
@@ -179,8 +182,8 @@ class _Laws:
         return np.where((source >= 0)[:, :, None], predicted, 0.0)
 
 
-def _fit_delays(features: Floats, group: Floats, longest: int) -> _Laws:
-    """Fit groups ``(P, T, a)`` by features ``(P, T, p)`` at the best delay, from 1 to ``longest`` steps."""
+def _fit_delays(features: Floats, group: Floats, longest: int, parts: Sequence[slice] = (slice(None),)) -> list[_Laws]:
+    """Fit groups ``(P, T, a)`` by parts of features ``(P, T, p)``, each at its best delay, 1 to ``longest`` steps."""
     count, steps, axes = group.shape
     across, width = features.transpose(0, 2, 1), features.shape[2]
     gram = across @ features
@@ -189,7 +192,12 @@ def _fit_delays(features: Floats, group: Floats, longest: int) -> _Laws:
     for lag in range(longest):
         later[:, : -lag - 1, lag] = group[:, lag + 1 :]
     moment = across @ later.reshape(count, steps, longest * axes)
-    law = np.linalg.solve(gram, moment).reshape(count, width, longest, axes)
-    energy: Floats = (moment.reshape(law.shape) * law).sum(axis=(1, 3))
-    best, every = energy.argmax(axis=1), np.arange(count)
-    return _Laws(features, np.asarray(law[every, :, best]), best + 1, np.asarray(energy[every, best]))
+    every, found = np.arange(count), []
+    for part in parts:
+        aim = moment[:, part]
+        law = np.linalg.solve(gram[:, part, part], aim)
+        energy: Floats = (aim * law).reshape(count, -1, longest, axes).sum(axis=(1, 3))
+        best = energy.argmax(axis=1)
+        chosen = np.asarray(law.reshape(count, -1, longest, axes)[every, :, best])
+        found.append(_Laws(features[:, :, part], chosen, best + 1, np.asarray(energy[every, best])))
+    return found
