@@ -126,7 +126,7 @@ class AdditiveNetwork:
         return self._map(lambda parameter: parameter.detach()[index])
 
     def repeat(self, count: int) -> AdditiveNetwork:
-        """Repeat the only network ``count`` times; the gradients of the copies add up."""
+        """Expand to ``count`` networks: the only one is repeated, and the gradients of the copies add up."""
         return self._map(lambda parameter: parameter.expand(count, *parameter.shape[1:]))
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> AdditiveNetwork:
@@ -134,18 +134,6 @@ class AdditiveNetwork:
         changed = copy(self)
         changed.weights, changed.free = ([change(each) for each in part] for part in (self.weights, self.free))
         return changed
-
-    def train(self, settings: PerCandidate, draw_loss: Callable[[], Tensor]) -> None:
-        """Lower a loss by AdamW, with weight decay for ``weights`` only; ``draw_loss`` draws a batch in every step."""
-        groups: list[dict[str, Any]] = [{"params": self.weights}, {"params": self.free, "weight_decay": 0.0}]
-        optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
-        for _ in range(settings.steps):
-            loss = draw_loss()
-            optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
-            optimiser.step()
-            schedule.step()
 
     def encode_source(self, window: Tensor) -> Tensor:
         """Compute the terms that depend on the source alone: ``(S, t, C)`` to ``(S, t, 3)``."""
@@ -279,7 +267,9 @@ def fit_per_candidate(samples: Samples, settings: PerCandidate, generator: torch
     problem = Problem(samples, settings)
     used, held = split_times(samples.times, settings.blocks, samples.velocity.shape[3], device)
     network = AdditiveNetwork(windows * uavs, problem.source.shape[2], settings.units, generator)
-    _train(problem, network, used, generator)
+    everyone = torch.arange(uavs, device=device)
+    others = everyone[:, None] != everyone
+    train_on_pairs(problem, network, (everyone, everyone, others), used, generator)
 
     rows = torch.arange(windows, device=device)[:, None] * uavs
     with torch.no_grad():
@@ -302,25 +292,45 @@ def fit_per_candidate(samples: Samples, settings: PerCandidate, generator: torch
     return Fit(trained, held_out, torch.softmax(likelihood, dim=2), likelihood, winner, explained)
 
 
-def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: torch.Generator) -> None:
-    """Train every candidate's network to predict the other UAVs; the loss is the mean logarithm of the UAVs' errors.
+def train_on_pairs(
+    problem: Problem,
+    network: AdditiveNetwork,
+    pairs: tuple[Tensor, Tensor, Tensor],
+    used: Tensor,
+    generator: torch.Generator,
+) -> None:
+    """Train by AdamW to predict UAVs from sources; the loss is the mean logarithm of the UAVs' errors.
 
     The logarithm of a UAV's mean error is a Gaussian log-likelihood in which each UAV has its own variance. A UAV that
     no network can predict, such as a decoy, then has no more weight than the others.
+
+    Args:
+        problem: E windows of n UAVs.
+        network: a network for each source of each window, or one for all; only ``weights`` decay.
+        pairs: indices ``(c,)`` of the sources and ``(v,)`` of the UAVs to predict, and which of the pairs count,
+            ``(c, n)`` bool.
+        used: ``(t,)`` indices of the training times.
+        generator: of all random numbers.
     """
-    settings, samples = problem.settings, problem.samples
-    device = samples.target.device
-    columns = torch.arange(samples.uavs, device=device)
+    samples, settings, (sources, followers, counts) = problem.samples, problem.settings, pairs
+    groups: list[dict[str, Any]] = [{"params": network.weights}, {"params": network.free, "weight_decay": 0.0}]
+    optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
 
-    def draw_loss() -> Tensor:
-        times = used[torch.randperm(len(used), generator=generator, device=device)[: settings.times]]
-        voters = torch.randperm(samples.uavs, generator=generator, device=device)[: settings.voters]
-        errors = problem.compute_errors(network, columns, voters, times, generator)
+    def draw(indices: Tensor, most: int) -> Tensor:
+        return indices[torch.randperm(len(indices), generator=generator, device=indices.device)[:most]]
+
+    for _ in range(settings.steps):
+        times, voters = draw(used, settings.times), draw(followers, settings.voters)
+        networks = network.repeat(samples.windows * len(sources))
+        errors = problem.compute_errors(networks, sources, voters, times, generator)
         weight = samples.weight[:, voters][:, :, times].unsqueeze(1)
-        others = (columns[:, None] != voters[None]) & (weight.sum(-1) > 0)
-        return (torch.log(compute_weighted_mean(errors, weight) + settings.floor) * others).sum() / len(voters)
-
-    network.train(settings, draw_loss)
+        counted = counts[:, voters] & (weight.sum(-1) > 0)
+        loss = (torch.log(compute_weighted_mean(errors, weight) + settings.floor) * counted).sum() / len(voters)
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        optimiser.step()
+        schedule.step()
 
 
 def compute_all_errors(
