@@ -90,7 +90,8 @@ class NetworkDetector(Detector):
             which no UAV leads, the probability that any is named.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, a window has more than 10,000 UAVs
+            or fewer than 5 velocities, or it doesn't know the step that ``max_delay`` needs.
     """
 
     tags = Tags(most_uavs=10_000, least_steps=5, uses_positions=False)
@@ -120,10 +121,6 @@ class NetworkDetector(Detector):
             lead, clipped at 0); and in ``extras``: ``root`` ``(N,)``, the head of each UAV's tree (-1: none), ``relay``
             ``(N,)`` bool, ``delay`` ``(N,)`` steps after which each follows its leader (-1: unknown), ``threshold``,
             ``heads``, and ``reasons``, a sentence for each of them.
-
-        Raises:
-            ArgumentError: an argument is refused, the window has more than 10,000 UAVs or fewer than 5 velocities, or
-                it doesn't know the step that ``max_delay`` needs.
         """
         self.check_arguments()
         check_pairs(window.uavs)
