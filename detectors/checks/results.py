@@ -73,8 +73,7 @@ class DetectorChecksError(AssertionError):
 
 def get_name(check: Check) -> str:
     """Return the name of a check, also of one with bound arguments."""
-    name: str = (check.func if isinstance(check, partial) else check).__name__
-    return name
+    return (check.func if isinstance(check, partial) else check).__name__
 
 
 def run_check(check: Check, detector: Any, excuses: Mapping[str, str]) -> CheckResult:
