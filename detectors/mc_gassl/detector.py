@@ -15,10 +15,9 @@ from detectors.clustering import check_clusterer, make_clusterer
 from detectors.gassl import Gassl
 from detectors.mc_gassl.algorithm_2 import run_round
 from detectors.mc_gassl.features import gru_features
-from detectors.mc_gassl.gru import GruParameters, draw_parameters
-from detectors.mc_gassl.online_training import OnlineTraining
+from detectors.mc_gassl.gru import GruParameters, draw_parameters, load_meta_weights
+from detectors.mc_gassl.training_steps import OnlineTraining
 from detectors.mc_gassl.triplet import Metric
-from detectors.mc_gassl.weights import load_meta_weights
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
 from detectors.series.votes import LEAST_UAVS, name_at_random, shows_evidence

@@ -49,7 +49,7 @@ def gru_features(
 
     Args:
         window: what the observer saw.
-        parameters: W, see :func:`detectors.mc_gassl.weights.load_meta_weights`.
+        parameters: W, see :func:`detectors.mc_gassl.gru.load_meta_weights`.
         mode: ``"single"``, the paper's e_{i,t} of the last T_0 samples; ``"mean"``, the mean of e_{i,t} over the times
             at which the UAV was seen throughout (over all, if there are none); ``"series"``, e_{i,t} at all times.
         memory: T_0.
