@@ -73,21 +73,16 @@ class Fit:
     """The result of training, for E windows of n UAVs.
 
     Args:
-        trained_gain: ``(E, n, n)`` entry (i, j): logarithm of the null model's error for UAV i, divided by the error of
-            candidate j's network for UAV i, on the training times.
-        held_out_gain: the same on the held-out times.
+        held_out_gain: ``(E, n, n)`` entry (i, j): logarithm of the null model's error for UAV i, divided by the error
+            of candidate j's network for UAV i, on the held-out times.
         attention: ``(E, n, n)`` entry (i, j): alpha_ij; the diagonal is the weight of the null model.
-        log_likelihood: ``(E, n, n)`` entry (i, j): of the flight of UAV i when the winner's network predicts it from
-            the past of candidate j; the diagonal is that of the null model.
         winner: ``(E,)`` the candidate whose network predicts best.
         explained: ``(E, n)`` fraction of the squared velocity of UAV i that is explained on held-out times by the
             candidate to which i attends most.
     """
 
-    trained_gain: Tensor
     held_out_gain: Tensor
     attention: Tensor
-    log_likelihood: Tensor
     winner: Tensor
     explained: Tensor
 
@@ -289,7 +284,7 @@ def fit_per_candidate(samples: Samples, settings: PerCandidate, generator: torch
         ties = better == better.max(1, keepdim=True).values  # all candidates if none beats the null model
         winner = (ties * (1.0 - torch.rand(ties.shape, generator=generator, device=device))).argmax(1)
         likelihood, explained = _attend(problem, network, winner, held)
-    return Fit(trained, held_out, torch.softmax(likelihood, dim=2), likelihood, winner, explained)
+    return Fit(held_out, torch.softmax(likelihood, dim=2), winner, explained)
 
 
 def train_on_pairs(
