@@ -349,21 +349,19 @@ def compute_all_errors(
 def _attend(problem: Problem, network: AdditiveNetwork, winner: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
     """Log-likelihoods ``(E, n, n)`` of all pairs by the winner's network, and the explained fractions ``(E, n)``."""
     samples, floor = problem.samples, problem.settings.floor
-    all_times = torch.arange(samples.times, device=winner.device)
     rows = torch.arange(samples.windows, device=winner.device) * samples.uavs + winner
 
-    def shared(times: Tensor) -> Tensor:
-        return compute_all_errors(problem, lambda columns: network.select(rows.repeat_interleave(len(columns))), times)
+    def measure(times: Tensor) -> Tensor:
+        """Errors ``(E, n, n)`` by the winner's network at these times; on the diagonal those of the null model."""
+        errors = compute_all_errors(
+            problem, lambda columns: network.select(rows.repeat_interleave(len(columns))), times
+        )
+        null = compute_weighted_mean(problem.null_error[:, :, times], samples.weight[:, :, times])
+        errors.diagonal(dim1=1, dim2=2).copy_(null)
+        return errors
 
-    error = shared(all_times)
-    null = compute_weighted_mean(problem.null_error, samples.weight)
-    error.diagonal(dim1=1, dim2=2).copy_(null)
-    seen = samples.weight.sum(-1)
-    likelihood = -1.5 * seen.unsqueeze(2) * torch.log(error + floor)
-    choice = likelihood.argmax(2)
-    weight = samples.weight[:, :, held]
-    left = shared(held)
-    left.diagonal(dim1=1, dim2=2).copy_(compute_weighted_mean(problem.null_error[:, :, held], weight))
-    power = compute_weighted_mean((samples.target[:, :, held] ** 2).sum(-1), weight)
-    chosen = left.gather(2, choice.unsqueeze(2)).squeeze(2)
+    errors = measure(torch.arange(samples.times, device=winner.device))
+    likelihood = -1.5 * samples.weight.sum(-1).unsqueeze(2) * torch.log(errors + floor)
+    power = compute_weighted_mean((samples.target[:, :, held] ** 2).sum(-1), samples.weight[:, :, held])
+    chosen = measure(held).gather(2, likelihood.argmax(2).unsqueeze(2)).squeeze(2)
     return likelihood, 1.0 - chosen / power.clamp(min=1e-12)
