@@ -56,6 +56,7 @@ class Learned(Detector):
     """
 
     tags = Tags(needs=("torch",), most_uavs=1500)
+    _made_by_reset = "_network"  # a broken file is refused there
 
     policy: Literal["cost", "threshold", "map"] = "cost"
     threshold: Annotated[float, Field(ge=0, le=1)] = 0.5
@@ -65,11 +66,6 @@ class Learned(Detector):
     @cached_property
     def _network(self) -> HeadNetwork:
         return load_network(self.check_arguments().weights)
-
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode and load the network; the generator only breaks ties."""
-        super().reset(seed)
-        self._network  # noqa: B018  # a broken file is refused here
 
     def detect(self, window: Window) -> Detection:
         """Name the heads of one window.

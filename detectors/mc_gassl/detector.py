@@ -58,6 +58,7 @@ class McGassl(Detector):
     """
 
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, takes_clusters=True, needs_unit_speed=True)
+    _made_by_reset = "_parameters"
 
     clusterer: Any = "kmeans"
     features: Any = GRU
@@ -91,11 +92,6 @@ class McGassl(Detector):
             return load_meta_weights()
         generator = torch.Generator().manual_seed(int(self.rng.integers(2**63)))
         return draw_parameters(generator)
-
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode: the GRU network is what it was off line."""
-        super().reset(seed)
-        self._parameters  # noqa: B018  # the first random numbers of an episode are for the network
 
     def detect(self, window: Window) -> Detection:
         """One round of Algorithm 2.
