@@ -122,12 +122,9 @@ def _find_changes(detector: Any, state: Callable[[], dict[str, Any]], new: str |
     if callable(getattr(own, "detect_batch", None)):
         play_batch(own, windows)
     after = state()
-    names = [*before, *(name for name in after if new and name not in before and name.startswith(new))]
-    return [
-        name
-        for name in names
-        if after.get(name, None if name.startswith(_VARIABLE) else before.get(name)) != before.get(name)
-    ]
+    names = [name for name in before if name in after or name.startswith(_VARIABLE)]
+    names += [name for name in after if new and name not in before and name.startswith(new)]
+    return [name for name in names if after.get(name) != before.get(name)]
 
 
 @contextmanager
