@@ -46,6 +46,7 @@ class Detector(Parameters):
 
     tags: ClassVar[Tags] = Tags()
     side_by_side: ClassVar[bool] = False
+    _made_by_reset: ClassVar[str | None] = None  # the name of a cached property whose draws are the first of an episode
 
     def __init_subclass__(cls, **values: Any) -> None:
         """Let ``detect`` of each subclass refuse an observation, which is a common slip, in one sentence."""
@@ -73,6 +74,8 @@ class Detector(Parameters):
                 if isinstance(value, cached_property):
                     vars(self).pop(name, None)
         self.rng = np.random.default_rng(optional_seed("seed", seed))
+        if self._made_by_reset is not None:
+            getattr(self, self._made_by_reset)
 
     def detect(self, window: Window) -> Detection:
         """Name the candidates of one round.

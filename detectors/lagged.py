@@ -31,7 +31,8 @@ class EvidenceDetector(Detector):
             :func:`detectors.series.votes.cover_voters` estimates the number of heads in every round.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, ``clusters`` exceeds the window's
+            N, or N is above 10,000.
     """
 
     tags = Tags(most_uavs=10_000, uses_positions=False, takes_clusters=True)
@@ -50,10 +51,6 @@ class EvidenceDetector(Detector):
             (the evidence, clipped at 0) and in ``extras``: ``vote`` and ``weight`` ``(N,)``, the vote of each UAV and
             its weight; ``threshold``, above which a vote is significant; ``heads_found``, the number of heads that the
             rule for unknown M found (0: no UAV seems to follow another one).
-
-        Raises:
-            ArgumentError: an argument of the constructor is refused, ``clusters`` exceeds the window's N, or N is above
-                10,000.
         """
         self.check_arguments()
         check_pairs(window.uavs)

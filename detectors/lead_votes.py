@@ -68,6 +68,7 @@ class LeadVotes(Detector):
     """
 
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, takes_clusters=True, needs_unit_speed=True)
+    _made_by_reset = "_heads"
 
     clusterer: Any = "lead-votes"
     features: Any = "velocities"
@@ -100,11 +101,6 @@ class LeadVotes(Detector):
         heads = self.head_detector or NeuralGranger(memory=self.memory)
         heads.reset(int(self.rng.integers(2**31)))
         return heads
-
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode."""
-        super().reset(seed)
-        self._heads  # noqa: B018  # the first random number of an episode is its seed
 
     def detect(self, window: Window) -> Detection:
         """Answer one round.

@@ -87,8 +87,7 @@ def packaged_arrays(package: str, name: str) -> dict[str, Tensor]:
 
 def packaged_record(package: str, name: str) -> dict[str, Any]:
     """Read ``data/<name>.json`` in a package, with the keys ``sha256``, ``training`` and ``metrics``."""
-    record: dict[str, Any] = json.loads((files(package) / "data" / f"{name}.json").read_text(encoding="utf-8"))
-    return record
+    return json.loads((files(package) / "data" / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def _verify_arrays(path: str, data: bytes, record: str) -> dict[str, Tensor]:
@@ -112,10 +111,9 @@ def arrays_of(path: str, data: bytes) -> dict[str, Tensor]:
         ArgumentError: the bytes are not a safetensors file; the message names ``path``.
     """
     try:
-        arrays: dict[str, Tensor] = load(data)
+        return load(data)
     except SafetensorError as error:
         raise ArgumentError(f"path must be a safetensors file, got {quote(path)}: {error}.") from None
-    return arrays
 
 
 @dataclass(frozen=True)

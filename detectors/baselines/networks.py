@@ -90,7 +90,8 @@ class NetworkDetector(Detector):
             which no UAV leads, the probability that any is named.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`, if an argument is refused.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, a window has more than 10,000 UAVs
+            or fewer than 5 velocities, or it doesn't know the step that ``max_delay`` needs.
     """
 
     tags = Tags(most_uavs=10_000, least_steps=5, uses_positions=False)
@@ -120,10 +121,6 @@ class NetworkDetector(Detector):
             lead, clipped at 0); and in ``extras``: ``root`` ``(N,)``, the head of each UAV's tree (-1: none), ``relay``
             ``(N,)`` bool, ``delay`` ``(N,)`` steps after which each follows its leader (-1: unknown), ``threshold``,
             ``heads``, and ``reasons``, a sentence for each of them.
-
-        Raises:
-            ArgumentError: an argument is refused, the window has more than 10,000 UAVs or fewer than 5 velocities, or
-                it doesn't know the step that ``max_delay`` needs.
         """
         self.check_arguments()
         check_pairs(window.uavs)
@@ -151,11 +148,23 @@ class NetworkDetector(Detector):
         return _describe(window, living, replace(pairs, lead=lead), threshold)
 
     def _relate(self, flight: Flight, pairs: Pairs, lags: int, count: int) -> Mask:
-        half = split_flight(flight)
-        apart = half[:, None] != half
-        shifted = [self._measure(each, lags, apart).strength for each in shift_half(flight, half, count // 2)]
-        by_chance = [np.where(apart, each, -np.inf).max(axis=1) for each in shifted]
-        return pairs.strength > _find_threshold(pairs.strength.max(axis=1), by_chance, self.level)
+        """Pairs ``(n, n)`` that are closer than in ``count`` / 2 surrogates with half of the UAVs shifted in time.
+
+        The shift is circular. The half is every second UAV in the order of their changes of velocity. So the order of
+        the UAVs in the window does not matter, nor do the directions of the axes and the unit of length.
+        """
+        changes = (np.diff(flight.velocity, axis=0) ** 2).sum(axis=(0, 2))
+        half = np.zeros(len(changes), bool)
+        half[np.argsort(changes, kind="stable")[::2]] = True
+        apart, maxima = half[:, None] != half, list[Floats]()
+        for late in len(flight.velocity) * np.arange(1, count // 2 + 1) // (count // 2 + 1):
+            shifted = (
+                np.where(half[:, None] if values.ndim == 3 else half, np.roll(values, late, axis=0), values)
+                for values in (flight.velocity, flight.place, flight.seen)
+            )
+            strength = self._measure(Flight(*shifted), lags, apart).strength
+            maxima.append(np.where(apart, strength, -np.inf).max(axis=1))
+        return pairs.strength > _find_threshold(pairs.strength.max(axis=1), maxima, self.level)
 
     def _measure(self, flight: Flight, lags: int, needed: Mask | None = None) -> Pairs:
         pairs = self.pairs(flight, lags, needed)
@@ -171,28 +180,6 @@ def _read_flight(window: Window, living: Indices) -> Flight:
     middle = place.sum(axis=(0, 1)) / max(int(seen.sum()), 1)
     velocity = np.where(seen[..., None], window.velocity[:, living], 0.0).astype(np.float64)
     return Flight(velocity, np.where(seen[..., None], place - middle, 0.0), seen)
-
-
-def split_flight(flight: Flight) -> Mask:
-    """A half of the UAVs, ``(n,)``: every second one in the order of their changes of velocity.
-
-    The order of the UAVs in the window does not matter, nor do the directions of the axes and the unit of length.
-    """
-    changes = (np.diff(flight.velocity, axis=0) ** 2).sum(axis=(0, 2))
-    half = np.zeros(len(changes), bool)
-    half[np.argsort(changes, kind="stable")[::2]] = True
-    return half
-
-
-def shift_half(flight: Flight, half: Mask, count: int) -> Iterator[Flight]:
-    """Yield ``count`` surrogates in which a half ``(n,)`` of the UAVs is shifted in time, circularly."""
-    for k in range(count):
-        late = len(flight.velocity) * (k + 1) // (count + 1)
-        moved = (
-            np.where(half[:, None] if values.ndim == 3 else half, np.roll(values, late, axis=0), values)
-            for values in (flight.velocity, flight.place, flight.seen)
-        )
-        yield Flight(*moved)
 
 
 def reverse_blocks(flight: Flight, lags: int, count: int) -> Iterator[Flight]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import builtins
-import operator
 import os
 import signal
 import sys
 import threading
 import time
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -76,7 +75,7 @@ def check_process_settings_untouched(detector: Any, functions: Mapping[str, tupl
     changed = changed or _find_changes(detector, _read_process_settings, new=_VARIABLE)
     os.environ.update(added)
     after = list_functions()
-    changed += [name for name, parts in functions.items() if not are_same(after.get(name, ()), parts)]
+    changed += [name for name, parts in functions.items() if [*map(id, after.get(name, ()))] != [*map(id, parts)]]
     require(
         not changed,
         "a detector must leave the settings and the libraries of the process unchanged, got a change of "
@@ -123,12 +122,9 @@ def _find_changes(detector: Any, state: Callable[[], dict[str, Any]], new: str |
     if callable(getattr(own, "detect_batch", None)):
         play_batch(own, windows)
     after = state()
-    names = [*before, *(name for name in after if new and name not in before and name.startswith(new))]
-    return [
-        name
-        for name in names
-        if after.get(name, None if name.startswith(_VARIABLE) else before.get(name)) != before.get(name)
-    ]
+    names = [name for name in before if name in after or name.startswith(_VARIABLE)]
+    names += [name for name in after if new and name not in before and name.startswith(new)]
+    return [name for name in names if after.get(name) != before.get(name)]
 
 
 @contextmanager
@@ -179,11 +175,6 @@ def _read_process_settings() -> dict[str, Any]:
         values["torch.is_grad_enabled"] = torch.is_grad_enabled()
         values["torch.are_deterministic_algorithms_enabled"] = torch.are_deterministic_algorithms_enabled()
     return values
-
-
-def are_same(one: Sequence[Any], other: Sequence[Any]) -> bool:
-    """Whether two sequences hold the very same objects."""
-    return len(one) == len(other) and all(map(operator.is_, one, other))
 
 
 def list_functions() -> dict[str, tuple[Any, ...]]:

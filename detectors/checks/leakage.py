@@ -55,7 +55,11 @@ def check_no_reach_for_truth(detector: Any) -> None:
     held = [path for path, _ in _find_generators(window, "window")]
     require(not held, f"the window must hold no generator, got one at {''.join(held[:1])}.")
     mine = list(_find_generators(own, "detector"))
-    others = {id(thing) for _, thing in _find_generators(other, "detector")} | _list_global_generators()
+    others = {id(thing) for _, thing in _find_generators(other, "detector")}
+    # The generators behind the functions of random, numpy.random and torch.
+    others |= {id(sys.modules[name].random.__self__) for name in ("random", "numpy.random")}
+    if torch := sys.modules.get("torch"):
+        others.add(id(torch.default_generator))
     shared = [path for path, thing in mine if id(thing) in others]
     require(
         not shared, f"each copy of a detector must have its own generator, got a shared one at {''.join(shared[:1])}."
@@ -109,14 +113,6 @@ def _find_generators(root: Any, name: str) -> Iterator[tuple[str, Any]]:
     torch = sys.modules.get("torch")
     kinds = (*_GENERATORS, torch.Generator) if torch is not None else _GENERATORS
     return ((path, thing) for path, thing in walk_references(root, name) if isinstance(thing, kinds))
-
-
-def _list_global_generators() -> set[int]:
-    """``id`` of each generator behind the functions of ``random``, ``numpy.random`` and ``torch``."""
-    found = {id(sys.modules[name].random.__self__) for name in ("random", "numpy.random")}
-    if torch := sys.modules.get("torch"):
-        found.add(id(torch.default_generator))
-    return found
 
 
 def walk_references(root: Any, name: str) -> Iterator[tuple[str, Any]]:

@@ -73,8 +73,7 @@ class DetectorChecksError(AssertionError):
 
 def get_name(check: Check) -> str:
     """Return the name of a check, also of one with bound arguments."""
-    name: str = (check.func if isinstance(check, partial) else check).__name__
-    return name
+    return (check.func if isinstance(check, partial) else check).__name__
 
 
 def run_check(check: Check, detector: Any, excuses: Mapping[str, str]) -> CheckResult:
@@ -125,10 +124,7 @@ def _format_failure(failure: BaseException) -> str:
 
 def _find_location(failure: BaseException | None) -> str:
     """Find the last line of the traceback that is not in an installed library; empty if the checks raised it."""
-    if failure is None or isinstance(failure, CheckError):
-        return ""
-    frame = find_frame(failure, _NOT_SHOWN)
-    if frame is None:
+    if failure is None or isinstance(failure, CheckError) or (frame := find_frame(failure, _NOT_SHOWN)) is None:
         return ""
     path = os.path.relpath(frame.filename)
     shown = frame.filename if path.startswith(os.pardir) else path

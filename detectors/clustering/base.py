@@ -1,4 +1,4 @@
-"""The base class of the clusterers, their result, and the registry of their names."""
+"""The base class of the clusterers, and their result."""
 
 from __future__ import annotations
 

@@ -88,7 +88,9 @@ def compute_gap_statistic(
     distinct = len(np.unique(features, axis=0))
     max_count = min(compute_max_count(len(features)) if max_count is None else max_count, distinct)
     data = _rotate_to_principal_axes(features)
-    sets = np.concatenate([data[None], _draw_references(data, references, rng)])
+    low, high = data.min(axis=0), data.max(axis=0)
+    drawn = low + (high - low) * rng.random((references, *data.shape))  # B sets, uniform in the box around the data
+    sets = np.concatenate([data[None], drawn])
     total = float((data**2).sum())
     gaps: list[float] = []
     deviations: list[float] = []
@@ -130,12 +132,6 @@ def _rotate_to_principal_axes(features: Floats) -> Floats:
         values, vectors = np.linalg.eigh(centred @ centred.T)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
     return np.asarray(centred @ np.linalg.eigh(centred.T @ centred)[1])
-
-
-def _draw_references(data: Floats, references: int, rng: np.random.Generator) -> Floats:
-    """Draw B sets ``(B, n, d)`` that are uniform in the box around ``data`` ``(n, d)``."""
-    low, high = data.min(axis=0), data.max(axis=0)
-    return low + (high - low) * rng.random((references, *data.shape))
 
 
 def compute_dispersions(sets: Floats, rng: np.random.Generator) -> Iterator[Floats]:

@@ -29,8 +29,7 @@ class KMeans(Clusterer):
         assert count is not None
         count = min(count, len(np.unique(living.flat, axis=0)))
         model = SklearnKMeans(count, n_init=STARTS, random_state=int(rng.integers(2**31)))
-        labels: Indices = model.fit_predict(living.flat)
-        return labels
+        return model.fit_predict(living.flat)
 
 
 class Spectral(Clusterer):
@@ -42,13 +41,8 @@ class Spectral(Clusterer):
         if count in (1, len(living.index)):
             return np.arange(len(living.index)) % count
         # K-Means on the embedding sometimes makes a cluster of one head that is similar to no UAV; cluster_qr does not.
-        labels: Indices = spectral_clustering(
-            regularise_affinity(living.affinity),
-            n_clusters=count,
-            random_state=int(rng.integers(2**31)),
-            assign_labels="cluster_qr",
-        )
-        return labels
+        affinity, state = regularise_affinity(living.affinity), int(rng.integers(2**31))
+        return spectral_clustering(affinity, n_clusters=count, random_state=state, assign_labels="cluster_qr")
 
 
 class SymmetricNMF(Clusterer):
@@ -132,8 +126,7 @@ class Agglomerative(Clusterer):
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
         """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
         model = AgglomerativeClustering(count, metric="precomputed", linkage=self.linkage)
-        labels: Indices = model.fit_predict(1.0 - living.affinity)
-        return labels
+        return model.fit_predict(1.0 - living.affinity)
 
 
 class Hdbscan(Clusterer):

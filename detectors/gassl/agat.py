@@ -35,12 +35,7 @@ class AgatSizes(Config):
     """Widths of the AGAT, on which the paper is silent (decision (u)).
 
     Args:
-        memory: T_0.
-        query_hidden: hidden units of L.
-        query: outputs of L.
-        key: K, rows of K_l.
-        similarity_hidden: units of the two hidden layers of s_l.
-        gain: scale of the initial values of K_l and s_l, in units of 1 / sqrt(inputs of the layer).
+        memory, query_hidden, query, key, similarity_hidden, gain: as in :class:`detectors.gassl.Gassl`.
     """
 
     memory: Annotated[int, Field(ge=1, le=1000)] = 4

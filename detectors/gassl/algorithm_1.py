@@ -22,7 +22,7 @@ Parameters = Mapping[str, Tensor]
 def algorithm_1(
     inputs: Inputs, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int, steps: int, learning_rate: float
 ) -> Fit:
-    """Algorithm 1, lines 1 to 7; the votes of lines 6 and 8 are :func:`vote`.
+    """Algorithm 1, lines 1 to 7; the votes of lines 6 and 8 are in :mod:`detectors.series.votes`.
 
     Args:
         inputs: line 2, the batch of R time series topology matrices, as
@@ -57,25 +57,6 @@ def algorithm_1(
         power = (inputs.weight[i] * (inputs.target[i] ** 2).sum(axis=1)).sum()
         explained[i] = 1.0 - last / max(float(power), 1e-12)
     return Fit(attn_heads.numpy(), gamma.numpy(), losses.numpy(), explained.numpy())
-
-
-def vote(attention: Tensor) -> tuple[Tensor, Tensor]:
-    """Lines 6 and 8 of Algorithm 1.
-
-    Args:
-        attention: ``(n, n)`` alpha_{i,i'}, the mean of alpha_{i,i',l} over the attention heads, equation (12).
-
-    Returns:
-        i_L^{(i)} ``(n,)`` and c_i ``(n,)``; the top K of c are the candidates, equations (21) and (22).
-    """
-    uavs = len(attention)
-    chosen = attention.argmax(dim=1)  # equation (19)
-    c = torch.zeros(uavs)
-    for i in range(uavs):  # equation (20)
-        for other in range(uavs):
-            if other != i and chosen[other] == i:
-                c[i] += 1.0 / uavs
-    return chosen, c
 
 
 def batch_loss(inputs: Inputs, i: int, phi: Tensor, gamma: Tensor, agat: AgatSizes, ifsn: int) -> tuple[Tensor, Tensor]:

@@ -41,8 +41,8 @@ class Gassl(Detector):
         key: K, rows of K_l.
         similarity_hidden: units of the two hidden layers of s_l.
         ifsn_hidden: units of each of the three hidden layers of the IFSN.
-        gain: scale of the initial values of K_l and s_l; with a small one, the IFSN learns the window by heart before
-            attention has moved.
+        gain: scale of the initial values of K_l and s_l, in units of 1 / sqrt(inputs of the layer); with a small one,
+            the IFSN learns the window by heart before attention has moved.
         memory: T_0.
         implementation: ``"compiled"``, or ``"printed"``: the readable loop of
             :mod:`detectors.gassl.algorithm_1`, much slower, the same to float rounding.

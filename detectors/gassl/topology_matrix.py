@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detectors.series.designs import check_window, stack_past
+from detectors.series.designs import stack_past
 from detectors.series.gaps import fill_gaps
 from usnet_env.arrays import AxisLength, Singles
 from usnet_env.window import Window
@@ -43,10 +43,8 @@ class Batch:
 def build_batch(window: Window, members: NDArray[np.intp] | None = None, memory: int = 4) -> Batch:
     """The batch of Algorithm 1, line 2, of the ``members`` ``(n,)`` of a cluster, by default all living UAVs.
 
-    Raises:
-        ArgumentError: the window holds no more than T_0 velocities.
+    The window holds more than T_0 velocities, see :func:`detectors.series.designs.check_window`.
     """
-    check_window(window, memory)
     index = np.flatnonzero(window.alive) if members is None else np.asarray(members)
     whole = fill_gaps(window)
     position, velocity, seen = whole.position[:, index], whole.velocity[:, index], window.velocity_seen[memory:, index]

@@ -84,8 +84,7 @@ class Fit:
     @property
     def attention(self) -> Singles:
         """``(n, n)`` alpha_{i,i'}, the mean over the attention heads, equation (12)."""
-        mean: Singles = self.attn_heads.mean(axis=1)
-        return mean
+        return self.attn_heads.mean(axis=1)
 
 
 @compiled()

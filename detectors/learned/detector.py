@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field
 
 from detectors.base import Detector
@@ -52,11 +51,12 @@ class Learned(Detector):
         weights: ``"shipped"``, or the path of a weights file of :func:`detectors.learned.train.train_heads`.
 
     Raises:
-        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, or the weights file is missing,
-            broken, or not what the JSON beside it says.
+        ArgumentError: from :meth:`reset` and :meth:`detect`: an argument is refused, the weights file is missing,
+            broken, or not what the JSON beside it says, or more than 1,500 UAVs are alive.
     """
 
     tags = Tags(needs=("torch",), most_uavs=1500)
+    _made_by_reset = "_network"  # a broken file is refused there
 
     policy: Literal["cost", "threshold", "map"] = "cost"
     threshold: Annotated[float, Field(ge=0, le=1)] = 0.5
@@ -67,11 +67,6 @@ class Learned(Detector):
     def _network(self) -> HeadNetwork:
         return load_network(self.check_arguments().weights)
 
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode and load the network; the generator only breaks ties."""
-        super().reset(seed)
-        self._network  # noqa: B018  # a broken file is refused here
-
     def detect(self, window: Window) -> Detection:
         """Name the heads of one window.
 
@@ -79,9 +74,6 @@ class Learned(Detector):
             Candidates; scores, the probabilities of being a head; ``leader``, the UAV that each UAV most probably
             follows (its own index: it follows no UAV; -1: destroyed); ``clusters``, one per leader; attention, the
             probability that UAV i follows UAV j; in ``extras`` ``probability`` ``(N,)``, equal to the scores.
-
-        Raises:
-            ArgumentError: an argument of the constructor is refused, or more than ``MOST_UAVS`` UAVs are alive.
         """
         arguments = self.check_arguments()
         check_pairs(window.uavs)
@@ -93,7 +85,10 @@ class Learned(Detector):
         probability, attention = np.zeros(window.uavs), np.zeros((window.uavs, window.uavs))
         leader, clusters = np.full((2, window.uavs), -1, np.int64)
         if len(living):
-            probability[living], following = _predict_probabilities(self._network, window, living)
+            with torch.no_grad():
+                answer = self._network(*make_inputs(window, living))
+            probability[living] = torch.sigmoid(answer.head.double()).numpy().round(_DECIMALS)
+            following = torch.softmax(answer.leader.double(), dim=1).numpy()
             if not window.velocity_seen.any():  # equal inputs, of which rounding must not make an order
                 probability[living] = probability[living].mean()
             attention[np.ix_(living, living)] = following
@@ -112,15 +107,6 @@ def load_network(weights: str = "shipped") -> HeadNetwork:
     if weights == "shipped":
         return build_network("learned.safetensors", packaged_arrays("detectors.learned", "learned"))
     return build_network(weights, read_arrays(weights))
-
-
-def _predict_probabilities(network: HeadNetwork, window: Window, living: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Probabilities ``(n,)`` of being a head, and ``(n, n)`` that UAV i follows UAV j; j = i means no UAV."""
-    with torch.no_grad():
-        answer = network(*make_inputs(window, living))
-        head = torch.sigmoid(answer.head.double())
-        following = torch.softmax(answer.leader.double(), dim=1)
-    return head.numpy().round(_DECIMALS), following.numpy()
 
 
 def _choose_candidates(probability: Floats, alive: Mask, arguments: Any, tie: Floats) -> Mask:

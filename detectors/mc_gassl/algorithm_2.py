@@ -1,7 +1,7 @@
 """Algorithm 2 of the paper, the on-line executions: one detection round, to be read from top to bottom.
 
-The off-line meta-learning, Algorithm 2's first part, is in :mod:`detectors.mc_gassl.meta`. Equation numbers are those
-of the paper's LaTeX source.
+The off-line meta-learning, Algorithm 2's first part, is in :mod:`detectors.mc_gassl.training_steps`. Equation numbers
+are those of the paper's LaTeX source.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import torch
 from detectors.clustering import Clustering
 from detectors.gassl import Gassl
 from detectors.gassl.detector import answer
+from detectors.gassl.ifsn import pair_losses, standardise
 from detectors.gassl.topology_matrix import build_batch
-from detectors.gassl.training import prepare_inputs
+from detectors.gassl.training import Inputs, prepare_inputs
 from detectors.mc_gassl.features import inputs_of
 from detectors.mc_gassl.gru import GruParameters
-from detectors.mc_gassl.online_training import OnlineTraining, train_online
-from detectors.mc_gassl.reclustering import best_heads, count_scores, recluster
-from detectors.series.votes import shows_evidence, spread
-from usnet_env.arrays import Floats, Singles
+from detectors.mc_gassl.training_steps import OnlineTraining, train_online
+from detectors.series.votes import select_top, shows_evidence, spread
+from usnet_env.arrays import Floats, Indices, Singles
 from usnet_env.detection import Detection
 from usnet_env.window import Window
 
@@ -110,3 +110,33 @@ def update_gru(
     dataset = inputs_of(window, gassl.memory), torch.from_numpy(labels)
     updated, loss = train_online(parameters, *dataset, online, generator)  # equation (39)
     return followed, updated, loss
+
+
+def best_heads(inputs: Inputs, gamma: Singles) -> Indices:
+    """i_H of every UAV, ``(n,)``: the other UAV from which the trained IFSN, Γ, predicts it best, equation (37)."""
+    own, source = inputs.own.copy(), inputs.history.copy()
+    for i in range(inputs.uavs):
+        standardise(own[i])
+        standardise(source[i])
+    loss = pair_losses(gamma, own, source, inputs.target, inputs.weight)
+    np.fill_diagonal(loss, np.inf)
+    return np.asarray(np.nan_to_num(loss, nan=np.inf).argmin(axis=1).astype(np.int64))
+
+
+def count_scores(chosen: Indices) -> Floats:
+    """c_{i'} of every UAV, ``(n,)``: how many UAVs have i' as their i_H, equation (38)."""
+    return np.bincount(chosen, minlength=len(chosen)).astype(np.float64)
+
+
+def recluster(chosen: Indices, count: int, rng: np.random.Generator) -> Indices:
+    """The clusters of the dataset D_r, ``(n,)``: the M̂ UAVs with the highest scores, each with the UAVs that chose it.
+
+    ``chosen`` is i_H, ``count`` M̂, and ``rng`` breaks ties. Labels begin at 0; UAVs of no cluster have -1.
+    """
+    score = count_scores(chosen)
+    heads = select_top(score, count, rng)
+    labels = np.full(len(chosen), -1, np.int64)
+    for label, head in enumerate(heads):
+        labels[chosen == head] = label
+    labels[heads] = np.arange(len(heads))
+    return labels

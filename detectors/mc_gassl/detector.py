@@ -15,10 +15,9 @@ from detectors.clustering import check_clusterer, make_clusterer
 from detectors.gassl import Gassl
 from detectors.mc_gassl.algorithm_2 import run_round
 from detectors.mc_gassl.features import gru_features
-from detectors.mc_gassl.gru import GruParameters, draw_parameters
-from detectors.mc_gassl.online_training import OnlineTraining
+from detectors.mc_gassl.gru import GruParameters, draw_parameters, load_meta_weights
+from detectors.mc_gassl.training_steps import OnlineTraining
 from detectors.mc_gassl.triplet import Metric
-from detectors.mc_gassl.weights import load_meta_weights
 from detectors.parameters import Count, Lags
 from detectors.series.designs import check_window
 from detectors.series.votes import LEAST_UAVS, name_at_random, shows_evidence
@@ -59,6 +58,7 @@ class McGassl(Detector):
     """
 
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, takes_clusters=True, needs_unit_speed=True)
+    _made_by_reset = "_parameters"
 
     clusterer: Any = "kmeans"
     features: Any = GRU
@@ -92,11 +92,6 @@ class McGassl(Detector):
             return load_meta_weights()
         generator = torch.Generator().manual_seed(int(self.rng.integers(2**63)))
         return draw_parameters(generator)
-
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode: the GRU network is what it was off line."""
-        super().reset(seed)
-        self._parameters  # noqa: B018  # the first random numbers of an episode are for the network
 
     def detect(self, window: Window) -> Detection:
         """One round of Algorithm 2.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
@@ -10,15 +12,15 @@ from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale,
 from detectors.parameters import Lags
 from detectors.series.gaps import fill_gaps
 from usnet_env.arrays import Floats
-from usnet_env.config import Config, unknown_name
+from usnet_env.config import Config
 from usnet_env.window import Window
 
 #: features of the newest T_0 samples (the paper's), their mean over all times, or one for every time
-MODES = ("single", "mean", "series")
+Mode = Literal["single", "mean", "series"]
 
 
 class _Arguments(Config):
-    mode: str
+    mode: Mode
     memory: Lags
     scale: Scale
 
@@ -39,7 +41,7 @@ def inputs_of(window: Window, memory: int = 4) -> GruInputs:
 
 
 def gru_features(
-    window: Window, parameters: GruParameters, mode: str = "single", memory: int = 4, scale: Scale = ARENA_SCALE
+    window: Window, parameters: GruParameters, mode: Mode = "single", memory: int = 4, scale: Scale = ARENA_SCALE
 ) -> Floats:
     """The GRU network's features of all N UAVs; destroyed UAVs are 0.
 
@@ -47,7 +49,7 @@ def gru_features(
 
     Args:
         window: what the observer saw.
-        parameters: W, see :func:`detectors.mc_gassl.weights.load_meta_weights`.
+        parameters: W, see :func:`detectors.mc_gassl.gru.load_meta_weights`.
         mode: ``"single"``, the paper's e_{i,t} of the last T_0 samples; ``"mean"``, the mean of e_{i,t} over the times
             at which the UAV was seen throughout (over all, if there are none); ``"series"``, e_{i,t} at all times.
         memory: T_0.
@@ -60,8 +62,6 @@ def gru_features(
         ArgumentError: an argument is refused.
     """
     arguments = _Arguments(mode=mode, memory=memory, scale=scale)
-    if mode not in MODES:
-        raise unknown_name("mode", mode, MODES)
     inputs = inputs_of(window, arguments.memory)
     if mode == "single":
         inputs = inputs.at(torch.tensor([inputs.times - 1]))

@@ -6,6 +6,8 @@ The cell has no biases, the reset gate acts before W_h, and the first hidden sta
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -13,6 +15,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from detectors.weights import packaged_arrays, read_arrays
 from usnet_env.arrays import AxisLength
 from usnet_env.config import ArgumentError, quote
 
@@ -21,6 +24,8 @@ Scale = Metres | tuple[Metres, Metres, Metres]
 
 #: metres by which positions are divided, axis by axis: the paper's arena. Metres as they are saturate the gates.
 ARENA_SCALE = (1000.0, 1000.0, 100.0)
+#: the arrays of a weights file
+NAMES = ("reset", "update", "candidate")
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,3 +121,31 @@ def gru(parameters: GruParameters, first: Tensor, velocity: Tensor) -> Tensor:
 def embed(parameters: GruParameters, inputs: GruInputs, scale: Scale = ARENA_SCALE) -> Tensor:
     """Features e_{i,t} ``(R, n, w)``; positions are divided by ``scale`` metres, one number or one an axis."""
     return gru(parameters, inputs.position / inputs.position.new_tensor(scale), inputs.velocity)
+
+
+def load_weights(path: str | os.PathLike[str]) -> GruParameters:
+    """The weights in a file that :func:`detectors.mc_gassl.train.train_meta` wrote.
+
+    Raises:
+        ArgumentError: a file is missing or broken, or the weights are not those that the JSON names.
+    """
+    return parameters_of(str(path), read_arrays(path))
+
+
+def load_meta_weights() -> GruParameters:
+    """The meta-trained weights that this package ships, made by :func:`detectors.mc_gassl.train.train_meta`."""
+    return parameters_of("meta", packaged_arrays("detectors.mc_gassl", "meta"))
+
+
+def parameters_of(path: str, arrays: Mapping[str, Tensor]) -> GruParameters:
+    """W from the arrays :data:`NAMES` of a file, which may hold others.
+
+    Raises:
+        ArgumentError: the arrays are not those of a GRU network; ``path`` is named.
+    """
+    if any(name not in arrays for name in NAMES):
+        raise ArgumentError(f"path must hold the arrays {', '.join(NAMES)}, got {quote(path)} with {sorted(arrays)}.")
+    parameters = GruParameters(*(arrays[name] for name in NAMES))
+    if any(value.dtype != torch.float32 or not bool(value.isfinite().all()) for value in parameters.tensors()):
+        raise ArgumentError(f"path must hold finite float32 arrays, got others in {quote(path)}.")
+    return parameters

@@ -18,11 +18,9 @@ import torch
 from pydantic import Field
 
 from detectors.mc_gassl.features import inputs_of
-from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_parameters
-from detectors.mc_gassl.meta import Clustered, Task, joint_step, meta_step
-from detectors.mc_gassl.online_training import OnlineTraining, train_online
+from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_parameters, parameters_of
+from detectors.mc_gassl.training_steps import Clustered, OnlineTraining, Task, joint_step, meta_step, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
-from detectors.mc_gassl.weights import parameters_of
 from detectors.weights import Checkpoint, record_training, write_losses, write_weights
 from usnet_env.arrays import Indices
 from usnet_env.config import ArgumentError, Config, quote, whole_number

@@ -73,21 +73,16 @@ class Fit:
     """The result of training, for E windows of n UAVs.
 
     Args:
-        trained_gain: ``(E, n, n)`` entry (i, j): logarithm of the null model's error for UAV i, divided by the error of
-            candidate j's network for UAV i, on the training times.
-        held_out_gain: the same on the held-out times.
+        held_out_gain: ``(E, n, n)`` entry (i, j): logarithm of the null model's error for UAV i, divided by the error
+            of candidate j's network for UAV i, on the held-out times.
         attention: ``(E, n, n)`` entry (i, j): alpha_ij; the diagonal is the weight of the null model.
-        log_likelihood: ``(E, n, n)`` entry (i, j): of the flight of UAV i when the winner's network predicts it from
-            the past of candidate j; the diagonal is that of the null model.
         winner: ``(E,)`` the candidate whose network predicts best.
         explained: ``(E, n)`` fraction of the squared velocity of UAV i that is explained on held-out times by the
             candidate to which i attends most.
     """
 
-    trained_gain: Tensor
     held_out_gain: Tensor
     attention: Tensor
-    log_likelihood: Tensor
     winner: Tensor
     explained: Tensor
 
@@ -126,7 +121,7 @@ class AdditiveNetwork:
         return self._map(lambda parameter: parameter.detach()[index])
 
     def repeat(self, count: int) -> AdditiveNetwork:
-        """Repeat the only network ``count`` times; the gradients of the copies add up."""
+        """Expand to ``count`` networks: the only one is repeated, and the gradients of the copies add up."""
         return self._map(lambda parameter: parameter.expand(count, *parameter.shape[1:]))
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> AdditiveNetwork:
@@ -134,18 +129,6 @@ class AdditiveNetwork:
         changed = copy(self)
         changed.weights, changed.free = ([change(each) for each in part] for part in (self.weights, self.free))
         return changed
-
-    def train(self, settings: PerCandidate, draw_loss: Callable[[], Tensor]) -> None:
-        """Lower a loss by AdamW, with weight decay for ``weights`` only; ``draw_loss`` draws a batch in every step."""
-        groups: list[dict[str, Any]] = [{"params": self.weights}, {"params": self.free, "weight_decay": 0.0}]
-        optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
-        for _ in range(settings.steps):
-            loss = draw_loss()
-            optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
-            optimiser.step()
-            schedule.step()
 
     def encode_source(self, window: Tensor) -> Tensor:
         """Compute the terms that depend on the source alone: ``(S, t, C)`` to ``(S, t, 3)``."""
@@ -279,7 +262,9 @@ def fit_per_candidate(samples: Samples, settings: PerCandidate, generator: torch
     problem = Problem(samples, settings)
     used, held = split_times(samples.times, settings.blocks, samples.velocity.shape[3], device)
     network = AdditiveNetwork(windows * uavs, problem.source.shape[2], settings.units, generator)
-    _train(problem, network, used, generator)
+    everyone = torch.arange(uavs, device=device)
+    others = everyone[:, None] != everyone
+    train_on_pairs(problem, network, (everyone, everyone, others), used, generator)
 
     rows = torch.arange(windows, device=device)[:, None] * uavs
     with torch.no_grad():
@@ -299,28 +284,48 @@ def fit_per_candidate(samples: Samples, settings: PerCandidate, generator: torch
         ties = better == better.max(1, keepdim=True).values  # all candidates if none beats the null model
         winner = (ties * (1.0 - torch.rand(ties.shape, generator=generator, device=device))).argmax(1)
         likelihood, explained = _attend(problem, network, winner, held)
-    return Fit(trained, held_out, torch.softmax(likelihood, dim=2), likelihood, winner, explained)
+    return Fit(held_out, torch.softmax(likelihood, dim=2), winner, explained)
 
 
-def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: torch.Generator) -> None:
-    """Train every candidate's network to predict the other UAVs; the loss is the mean logarithm of the UAVs' errors.
+def train_on_pairs(
+    problem: Problem,
+    network: AdditiveNetwork,
+    pairs: tuple[Tensor, Tensor, Tensor],
+    used: Tensor,
+    generator: torch.Generator,
+) -> None:
+    """Train by AdamW to predict UAVs from sources; the loss is the mean logarithm of the UAVs' errors.
 
     The logarithm of a UAV's mean error is a Gaussian log-likelihood in which each UAV has its own variance. A UAV that
     no network can predict, such as a decoy, then has no more weight than the others.
+
+    Args:
+        problem: E windows of n UAVs.
+        network: a network for each source of each window, or one for all; only ``weights`` decay.
+        pairs: indices ``(c,)`` of the sources and ``(v,)`` of the UAVs to predict, and which of the pairs count,
+            ``(c, n)`` bool.
+        used: ``(t,)`` indices of the training times.
+        generator: of all random numbers.
     """
-    settings, samples = problem.settings, problem.samples
-    device = samples.target.device
-    columns = torch.arange(samples.uavs, device=device)
+    samples, settings, (sources, followers, counts) = problem.samples, problem.settings, pairs
+    groups: list[dict[str, Any]] = [{"params": network.weights}, {"params": network.free, "weight_decay": 0.0}]
+    optimiser = torch.optim.AdamW(groups, lr=settings.learning_rate, weight_decay=settings.weight_decay)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.steps)
 
-    def draw_loss() -> Tensor:
-        times = used[torch.randperm(len(used), generator=generator, device=device)[: settings.times]]
-        voters = torch.randperm(samples.uavs, generator=generator, device=device)[: settings.voters]
-        errors = problem.compute_errors(network, columns, voters, times, generator)
+    def draw(indices: Tensor, most: int) -> Tensor:
+        return indices[torch.randperm(len(indices), generator=generator, device=indices.device)[:most]]
+
+    for _ in range(settings.steps):
+        times, voters = draw(used, settings.times), draw(followers, settings.voters)
+        networks = network.repeat(samples.windows * len(sources))
+        errors = problem.compute_errors(networks, sources, voters, times, generator)
         weight = samples.weight[:, voters][:, :, times].unsqueeze(1)
-        others = (columns[:, None] != voters[None]) & (weight.sum(-1) > 0)
-        return (torch.log(compute_weighted_mean(errors, weight) + settings.floor) * others).sum() / len(voters)
-
-    network.train(settings, draw_loss)
+        counted = counts[:, voters] & (weight.sum(-1) > 0)
+        loss = (torch.log(compute_weighted_mean(errors, weight) + settings.floor) * counted).sum() / len(voters)
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        optimiser.step()
+        schedule.step()
 
 
 def compute_all_errors(
@@ -344,21 +349,19 @@ def compute_all_errors(
 def _attend(problem: Problem, network: AdditiveNetwork, winner: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
     """Log-likelihoods ``(E, n, n)`` of all pairs by the winner's network, and the explained fractions ``(E, n)``."""
     samples, floor = problem.samples, problem.settings.floor
-    all_times = torch.arange(samples.times, device=winner.device)
     rows = torch.arange(samples.windows, device=winner.device) * samples.uavs + winner
 
-    def shared(times: Tensor) -> Tensor:
-        return compute_all_errors(problem, lambda columns: network.select(rows.repeat_interleave(len(columns))), times)
+    def measure(times: Tensor) -> Tensor:
+        """Errors ``(E, n, n)`` by the winner's network at these times; on the diagonal those of the null model."""
+        errors = compute_all_errors(
+            problem, lambda columns: network.select(rows.repeat_interleave(len(columns))), times
+        )
+        null = compute_weighted_mean(problem.null_error[:, :, times], samples.weight[:, :, times])
+        errors.diagonal(dim1=1, dim2=2).copy_(null)
+        return errors
 
-    error = shared(all_times)
-    null = compute_weighted_mean(problem.null_error, samples.weight)
-    error.diagonal(dim1=1, dim2=2).copy_(null)
-    seen = samples.weight.sum(-1)
-    likelihood = -1.5 * seen.unsqueeze(2) * torch.log(error + floor)
-    choice = likelihood.argmax(2)
-    weight = samples.weight[:, :, held]
-    left = shared(held)
-    left.diagonal(dim1=1, dim2=2).copy_(compute_weighted_mean(problem.null_error[:, :, held], weight))
-    power = compute_weighted_mean((samples.target[:, :, held] ** 2).sum(-1), weight)
-    chosen = left.gather(2, choice.unsqueeze(2)).squeeze(2)
+    errors = measure(torch.arange(samples.times, device=winner.device))
+    likelihood = -1.5 * samples.weight.sum(-1).unsqueeze(2) * torch.log(errors + floor)
+    power = compute_weighted_mean((samples.target[:, :, held] ** 2).sum(-1), samples.weight[:, :, held])
+    chosen = measure(held).gather(2, likelihood.argmax(2).unsqueeze(2)).squeeze(2)
     return likelihood, 1.0 - chosen / power.clamp(min=1e-12)

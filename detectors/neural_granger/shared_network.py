@@ -21,6 +21,7 @@ from detectors.neural_granger.per_candidate import (
     compute_weighted_mean,
     find_untrained_times,
     split_times,
+    train_on_pairs,
 )
 
 
@@ -64,37 +65,18 @@ def follow_by_shared_network(
     problem = Problem(samples, settings, centre=False)
     used, _ = split_times(samples.times, settings.blocks, samples.velocity.shape[3], head.device)
     rest = find_untrained_times(used, samples.times)
-    heads = torch.unique(head)
+    heads, everyone = torch.unique(head), torch.arange(samples.uavs, device=head.device)
     for number in range(passes):
         network = AdditiveNetwork(1, problem.source.shape[2], settings.units, generator)
-        _train(problem, network, head, heads, used, generator)
+        followers = torch.nonzero((head != everyone) & (samples.weight[0].sum(-1) > 0))[:, 0]
+        if len(followers):
+            pairs = heads, followers, heads[:, None] == head
+            train_on_pairs(problem, network, pairs, used, generator)
         if number < passes - 1 and len(heads) > 1:
             chosen = _find_best_source(problem, network, heads)
-            head = torch.where(torch.isin(torch.arange(len(head), device=head.device), heads), head, chosen)
+            head = torch.where(torch.isin(everyone, heads), head, chosen)
     leader = _find_best_source(problem, network, sources)
     return Following(leader, _compute_gain(problem, network, leader, rest))
-
-
-def _train(
-    problem: Problem, network: AdditiveNetwork, head: Tensor, heads: Tensor, used: Tensor, generator: torch.Generator
-) -> None:
-    """Train the network to predict every follower from its head; the loss is the mean logarithm of their errors."""
-    settings, samples = problem.settings, problem.samples
-    all_uavs = torch.arange(samples.uavs, device=head.device)
-    followers = all_uavs[(head != all_uavs) & (samples.weight[0].sum(-1) > 0)]
-    if not len(followers):
-        return
-
-    def draw_loss() -> Tensor:
-        times = used[torch.randperm(len(used), generator=generator, device=head.device)[: settings.times]]
-        voters = followers[torch.randperm(len(followers), generator=generator, device=head.device)[: settings.voters]]
-        errors = problem.compute_errors(network.repeat(len(heads)), heads, voters, times, generator)[0]
-        weight = samples.weight[0, voters][:, times]
-        mean = compute_weighted_mean(errors, weight)
-        theirs = (heads[:, None] == head[voters]) & (weight.sum(-1) > 0)
-        return (torch.log(mean + settings.floor) * theirs).sum() / len(voters)
-
-    network.train(settings, draw_loss)
 
 
 @torch.no_grad()

@@ -200,8 +200,8 @@ def draw_feature_spaces(
     """
     from detectors.clustering import make_clusterer
     from detectors.mc_gassl.features import gru_features
+    from detectors.mc_gassl.gru import load_meta_weights
     from detectors.mc_gassl.train import MetaTraining, online_losses, start_of
-    from detectors.mc_gassl.weights import load_meta_weights
 
     window, labels, truth = _draw_swarm(MultiClusterEnv(follow=follow, clusters=clusters, uavs=uavs), seed, 0)
     training = MetaTraining(seed=seed)

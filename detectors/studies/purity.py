@@ -133,9 +133,10 @@ def _make_features(name: str) -> Any:
     if not name.startswith("gru-"):
         return name
     from detectors.mc_gassl.features import gru_features  # they need PyTorch
-    from detectors.mc_gassl.weights import load_meta_weights
+    from detectors.mc_gassl.gru import load_meta_weights
 
-    return partial(gru_features, parameters=load_meta_weights(), mode=name.removeprefix("gru-"))
+    mode: Any = name.removeprefix("gru-")
+    return partial(gru_features, parameters=load_meta_weights(), mode=mode)
 
 
 def cluster_windows(games: Sequence[Game[Cell]], seed: int) -> list[Row]:

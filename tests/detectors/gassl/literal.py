@@ -144,3 +144,22 @@ def loss_and_attention(
         error = torch.from_numpy(inputs.target[i, t]).to(dtype) - predicted_at(gamma, ifsn, concatenation)
         loss = loss + float(inputs.weight[i, t]) * (error**2).sum()
     return loss, torch.stack(alphas, dim=1)
+
+
+def vote(attention: Tensor) -> tuple[Tensor, Tensor]:
+    """Lines 6 and 8 of Algorithm 1.
+
+    Args:
+        attention: ``(n, n)`` alpha_{i,i'}, the mean of alpha_{i,i',l} over the attention heads, equation (12).
+
+    Returns:
+        i_L^{(i)} ``(n,)`` and c_i ``(n,)``; the top K of c are the candidates, equations (21) and (22).
+    """
+    uavs = len(attention)
+    chosen = attention.argmax(dim=1)  # equation (19)
+    c = torch.zeros(uavs)
+    for i in range(uavs):  # equation (20)
+        for other in range(uavs):
+            if other != i and chosen[other] == i:
+                c[i] += 1.0 / uavs
+    return chosen, c

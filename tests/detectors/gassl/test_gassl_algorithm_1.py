@@ -8,7 +8,7 @@ from single_cluster_windows import cluster
 
 from detectors.gassl import Gassl
 from detectors.gassl.agat import AgatSizes, draw_agat
-from detectors.gassl.algorithm_1 import algorithm_1, batch_loss, vote
+from detectors.gassl.algorithm_1 import algorithm_1, batch_loss
 from detectors.gassl.ifsn import draw_ifsn
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import gradient, prepare_inputs, train
@@ -76,7 +76,7 @@ def test_a_compiled_run_is_the_readable_run(case):
     np.testing.assert_allclose(fast.explained, slow.explained, atol=1e-3)
     np.testing.assert_allclose(fast.attn_heads.sum(axis=2), 1.0, atol=1e-5)
     assert np.abs(fast.gamma - gamma).max() > 1e-3  # the steps did something
-    chosen, c = vote(torch.from_numpy(slow.attention))
+    chosen, c = literal.vote(torch.from_numpy(slow.attention))
     attention = fast.attention.astype(np.float64)
     np.testing.assert_array_equal(choose_heads(attention, False, np.random.default_rng(0)), chosen)
     np.testing.assert_allclose(count_votes(chosen.numpy()), c, atol=1e-6)
@@ -106,9 +106,9 @@ def test_initial_values_and_gamma_are_left_as_they_are():
     np.testing.assert_array_equal(gamma, kept[1])
 
 
-def test_the_readable_vote_is_equations_19_and_20():
+def test_the_literal_vote_is_equations_19_and_20():
     attention = torch.tensor([[0.1, 0.6, 0.3], [0.2, 0.5, 0.3], [0.1, 0.7, 0.2]])
-    chosen, c = vote(attention)
+    chosen, c = literal.vote(attention)
     assert chosen.tolist() == [1, 1, 1]
     np.testing.assert_allclose(c, [0, 2 / 3, 0], atol=1e-6)  # UAV 1 chose itself, which is no vote
 

@@ -6,6 +6,7 @@ import pytest
 from single_cluster_windows import changed, cluster, without
 
 from detectors.baselines.trivial import NoCandidates
+from detectors.gassl import Gassl
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import prepare_inputs
 from detectors.series.gaps import fill_gaps
@@ -92,7 +93,7 @@ def test_a_batch_needs_more_velocities_than_the_memory():
     window, _ = cluster(followers=2, observation_steps=5)
     assert build_batch(window).times == 1
     with pytest.raises(ArgumentError, match=r"^window must hold more than memory = 5 velocities, got 5\.$"):
-        build_batch(window, memory=5)
+        Gassl(memory=5).detect(window)
 
 
 def test_inputs_are_the_standardised_batch():

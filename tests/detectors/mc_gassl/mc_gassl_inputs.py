@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from detectors.mc_gassl.gru import GruInputs, GruParameters
-from detectors.mc_gassl.meta import Clustered
+from detectors.mc_gassl.training_steps import Clustered
 from usnet_env import Window
 from usnet_env.swarm import SwarmConfig, advance, start
 

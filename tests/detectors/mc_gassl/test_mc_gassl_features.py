@@ -1,6 +1,7 @@
 """Features of a window: shapes, masks, and the GRU network behind them."""
 
 from functools import partial
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from mc_gassl_inputs import parameters, swarm_window
 
 from detectors.clustering import make_clusterer
-from detectors.mc_gassl.features import MODES, gru_features, inputs_of
+from detectors.mc_gassl.features import Mode, gru_features, inputs_of
 from detectors.mc_gassl.gru import embed
 from usnet_env import Window
 from usnet_env.config import ArgumentError
@@ -47,7 +48,7 @@ def test_inputs_are_the_windows_samples():
 @settings(max_examples=25, deadline=None)
 @given(
     steps=st.integers(1, 12), uavs=st.integers(1, 7), memory=st.integers(1, 6), seed=st.integers(0, 1000),
-    mode=st.sampled_from(MODES), width=st.integers(3, 5),
+    mode=st.sampled_from(get_args(Mode)), width=st.integers(3, 5),
 )  # fmt: skip
 def test_any_window_has_features(steps, uavs, memory, seed, mode, width):
     rng = np.random.default_rng(seed)
@@ -98,7 +99,7 @@ def test_the_mean_leaves_out_times_that_were_not_seen():
     np.testing.assert_array_equal(mean[others], gru_features(window, weights(), "mean")[others])
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", get_args(Mode))
 def test_the_destroyed_are_zero_and_change_nobody(mode):
     window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
     fewer = without(window, [3, 11])
@@ -109,7 +110,7 @@ def test_the_destroyed_are_zero_and_change_nobody(mode):
     assert not bool(inputs_of(fewer).seen[:, [3, 11]].any())
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", get_args(Mode))
 def test_features_follow_the_order_of_the_uavs_and_touch_no_generator(mode):
     window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
     order = np.random.default_rng(0).permutation(20)
@@ -126,7 +127,7 @@ def test_features_follow_the_order_of_the_uavs_and_touch_no_generator(mode):
     assert torch.equal(before, torch.random.get_rng_state())
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", get_args(Mode))
 def test_clusterers_take_them(mode):
     window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
     clusterer = make_clusterer("kmeans", count=3, features=partial(gru_features, parameters=weights(), mode=mode))

@@ -10,7 +10,7 @@ from mc_gassl_inputs import swarm_window
 from detectors.gassl.ifsn import VARIANCE_FLOOR, draw_ifsn, pair_losses, standardise
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import prepare_inputs
-from detectors.mc_gassl.reclustering import best_heads, count_scores, recluster
+from detectors.mc_gassl.algorithm_2 import best_heads, count_scores, recluster
 
 
 def inputs_of_swarm(seed=0, **config):

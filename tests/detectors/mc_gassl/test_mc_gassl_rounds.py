@@ -12,11 +12,10 @@ from detectors.gassl import Gassl
 from detectors.gassl.topology_matrix import build_batch
 from detectors.gassl.training import prepare_inputs
 from detectors.mc_gassl import McGassl
+from detectors.mc_gassl.algorithm_2 import best_heads, count_scores, recluster
 from detectors.mc_gassl.features import gru_features, inputs_of
-from detectors.mc_gassl.gru import GruParameters
-from detectors.mc_gassl.reclustering import best_heads, count_scores, recluster
+from detectors.mc_gassl.gru import GruParameters, load_meta_weights
 from detectors.mc_gassl.triplet import Metric, batch_loss
-from detectors.mc_gassl.weights import load_meta_weights
 from detectors.series.votes import choose_heads, count_votes, select_top
 from usnet_env import Window
 

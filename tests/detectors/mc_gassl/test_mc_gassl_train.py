@@ -7,8 +7,8 @@ import pytest
 import torch
 from interrupted_training import Interrupted, read_losses, same_files, stop_at, unchanged_generators
 
+from detectors.mc_gassl.gru import load_weights
 from detectors.mc_gassl.train import MetaTraining, draw_task, train_meta
-from detectors.mc_gassl.weights import load_weights
 from usnet_env.config import ArgumentError
 
 SMALL = {"strategies": 3, "episodes": 12, "uavs": 16, "clusters": 3, "observation_steps": 12, "times": 2, "anchors": 20}

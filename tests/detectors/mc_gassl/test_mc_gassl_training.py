@@ -5,9 +5,8 @@ import torch
 from mc_gassl_inputs import clustered, generator, parameters
 
 from detectors.mc_gassl.gru import GruParameters
-from detectors.mc_gassl.meta import Task, joint_step, meta_step
-from detectors.mc_gassl.online_training import OnlineTraining, train_online
 from detectors.mc_gassl.train import MetaTraining
+from detectors.mc_gassl.training_steps import OnlineTraining, Task, joint_step, meta_step, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
 from usnet_env.config import ArgumentError
 

@@ -8,9 +8,8 @@ import torch
 from mc_gassl_inputs import parameters
 from safetensors.torch import save
 
-from detectors.mc_gassl import weights as weights_module
+from detectors.mc_gassl.gru import NAMES, load_meta_weights, load_weights
 from detectors.mc_gassl.train import MetaTraining
-from detectors.mc_gassl.weights import load_meta_weights, load_weights
 from detectors.weights import packaged_record, write_weights
 from usnet_env.config import ArgumentError
 
@@ -55,10 +54,10 @@ def test_weights_that_the_record_does_not_name_are_refused(saved):
         (b"\x80\x04}q\x00.", "must be a safetensors file"),  # a pickle
         (b"", "must be a safetensors file"),
         (save({"reset": torch.zeros(3, 6)}), "must hold the arrays reset, update, candidate"),
-        (save({name: torch.full((3, 6), torch.nan) for name in weights_module.NAMES}), "finite float32"),
-        (save({name: torch.zeros(3, 6).double() for name in weights_module.NAMES}), "finite float32"),
-        (save({name: torch.zeros(3, 5) for name in weights_module.NAMES}), "parameters must be three arrays"),
-        (save({name: torch.zeros(()) for name in weights_module.NAMES}), "parameters must be three arrays"),
+        (save({name: torch.full((3, 6), torch.nan) for name in NAMES}), "finite float32"),
+        (save({name: torch.zeros(3, 6).double() for name in NAMES}), "finite float32"),
+        (save({name: torch.zeros(3, 5) for name in NAMES}), "parameters must be three arrays"),
+        (save({name: torch.zeros(()) for name in NAMES}), "parameters must be three arrays"),
     ],
 )
 def test_files_without_weights_are_refused(saved, data, message):

@@ -1,0 +1,116 @@
+"""Gradient steps of the GRU network: off line over a set of follow strategies, and on line on the re-clustered swarm.
+
+Off line there is first-order meta learning, equations (35) and (36), and joint training. Both read the same tasks, so
+that they can be compared: one strategy's support and query swarm. On-line training is that of equations (34) and (39).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from detectors.mc_gassl.gru import GruInputs, GruParameters
+from detectors.mc_gassl.triplet import Metric, batch_loss
+from usnet_env.config import Config
+
+
+class OnlineTraining(Config):
+    """Settings of :func:`train_online`.
+
+    Args:
+        steps: gradient steps a round.
+        rate: beta'.
+        metric: batches and loss.
+    """
+
+    steps: Annotated[int, Field(ge=0, le=1_000_000)] = 1
+    rate: Annotated[float, Field(gt=0)] = 1.0
+    metric: Metric = Metric()
+
+
+def descend(parameters: GruParameters, loss: Tensor, at: GruParameters, rate: float) -> GruParameters:
+    """``parameters`` less ``rate`` times the gradient of ``loss`` with respect to ``at``; no graph is kept."""
+    gradients = torch.autograd.grad(loss, at.tensors())
+    pairs = zip(parameters.tensors(), gradients, strict=True)
+    return GruParameters(*(tensor.detach() - rate * gradient for tensor, gradient in pairs))
+
+
+def train_online(
+    parameters: GruParameters,
+    inputs: GruInputs,
+    labels: Tensor,
+    settings: OnlineTraining,
+    generator: torch.Generator,
+) -> tuple[GruParameters, list[float]]:
+    """Gradient descent from ``parameters`` on the triplet loss of one window of n UAVs whose clusters are known.
+
+    UAVs with -1 in ``labels`` ``(n,)`` int64 take no part.
+
+    Returns:
+        The trained parameters, and the loss before each step. Where no triplet can be drawn (one cluster, or
+        clusters of one UAV only), the parameters are returned unchanged and the losses are 0.
+
+    Raises:
+        ArgumentError: ``labels`` has another length than n.
+    """
+    losses: list[float] = []
+    for _ in range(settings.steps):
+        at = parameters.trainable()
+        loss = batch_loss(at, inputs, labels, settings.metric, generator)
+        parameters = descend(at, loss, at, settings.rate)
+        losses.append(float(loss.detach()))
+    return parameters, losses
+
+
+class Clustered(NamedTuple):
+    """A swarm of n UAVs whose clusters, the ``labels`` ``(n,)`` int64, are known."""
+
+    inputs: GruInputs
+    labels: Tensor
+
+
+class Task(NamedTuple):
+    """Two swarms of one follow strategy: D_S and D_Q."""
+
+    support: Clustered
+    query: Clustered
+
+
+def meta_step(
+    parameters: GruParameters,
+    task: Task,
+    metric: Metric,
+    inner_rate: float,
+    outer_rate: float,
+    generator: torch.Generator,
+) -> tuple[GruParameters, float]:
+    """One episode, equations (35) and (36), first order; the rates are alpha and beta.
+
+    The temporary parameters are Pi = W - alpha grad L_S(W); then W loses beta grad L_Q(Pi), the gradient with respect
+    to Pi. The paper writes one rate for both steps where its text names two; here they are two.
+
+    Returns:
+        The new W, and L_Q(Pi).
+    """
+    at = parameters.trainable()
+    support = batch_loss(at, *task.support, metric, generator)
+    temporary = descend(at, support, at, inner_rate).trainable()
+    query = batch_loss(temporary, *task.query, metric, generator)
+    return descend(parameters, query, temporary, outer_rate), float(query.detach())
+
+
+def joint_step(
+    parameters: GruParameters, task: Task, metric: Metric, outer_rate: float, generator: torch.Generator
+) -> tuple[GruParameters, float]:
+    """One episode of joint training: W loses beta times the gradient of the mean of L_S(W) and L_Q(W).
+
+    Returns:
+        The new W, and L_Q(W) before the step.
+    """
+    at = parameters.trainable()
+    support = batch_loss(at, *task.support, metric, generator)
+    query = batch_loss(at, *task.query, metric, generator)
+    return descend(parameters, 0.5 * (support + query), at, outer_rate), float(query.detach())
