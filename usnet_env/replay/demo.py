@@ -24,8 +24,6 @@ from usnet_env.replay.recording import write_recording
 from usnet_env.replay.story import describe_outcome
 from usnet_env.replay.viewer import find_viewer
 
-__all__ = ["DEMO", "PAPER_EXAMPLE", "run_demo"]
-
 _ROW = "{:>5}  {:>10}  {:>9}  {:>9}  {:>10}  {:>7}"
 
 

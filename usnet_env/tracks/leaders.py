@@ -23,8 +23,6 @@ from usnet_env.tracks.links import Link, find_links
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.windows import TrackWindow
 
-__all__ = ["DetectedWindow", "FoundLeaders", "Leader", "find_leaders"]
-
 DEFAULT_DETECTOR = "follow-mixture(policy='map')"
 _SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
 _SAME_LEADER = 0.25

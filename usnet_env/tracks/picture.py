@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["MOST_MAPS", "draw_leaders"]
-
 MOST_MAPS, _COLUMNS = 6, 3
 _MAP, _GAP, _LEGEND, _HEADER = 4.6, 0.75, 2.7, 1.3  # inches
 _TITLES = 0.4  # inches between rows of maps, for titles of two lines

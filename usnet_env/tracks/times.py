@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from usnet_env.tracks.leaders import FoundLeaders
 
-__all__ = ["find_date", "format_time"]
-
 
 def find_date(found: FoundLeaders) -> str:
     """The date of all windows if the times are timestamps of one day, otherwise nothing."""

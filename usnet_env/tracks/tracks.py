@@ -20,8 +20,6 @@ from usnet_env.tracks.resampling import choose_step, resample_positions
 from usnet_env.tracks.windows import TrackWindow, cut_windows
 from usnet_env.window import as_array, frozen_array
 
-__all__ = ["Clock", "Tracks"]
-
 _DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
 _EPOCH = datetime(1970, 1, 1)
 _UNIT_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "µs", 1e-9: "ns", 60.0: "min", 3600.0: "h"}
