@@ -26,8 +26,7 @@ from usnet_env.drawing import (
     round_marks,
     text_size,
 )
-from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders
-from usnet_env.tracks.times import find_date, format_time
+from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders, find_date, format_time
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.windows import TrackWindow
 

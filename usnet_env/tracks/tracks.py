@@ -275,10 +275,6 @@ def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str |
     return np.array([code.setdefault(each, len(code)) for each in plain], np.int64), tuple(code)
 
 
-def _name_samples(one: int, other: int) -> str:
-    return f"samples {min(one, other)} and {max(one, other)}"
-
-
 def assemble(
     ids: tuple[str | int, ...],
     codes: NDArray[np.integer[Any]],
@@ -290,7 +286,7 @@ def assemble(
     frame: str,
     notes: tuple[str, ...],
     origin: Floats | None = None,
-    name_places: Callable[[int, int], str] = _name_samples,
+    name_places: Callable[[int, int], str] = lambda *both: f"samples {min(both)} and {max(both)}",
 ) -> Tracks:
     """Sort samples by id and time, and move the origin of time and space to the first sample and the middle.
 
