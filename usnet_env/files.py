@@ -71,6 +71,19 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
             aside.unlink()
 
 
+def reserve_folder(folder: Path, file: str) -> FileLock:
+    """Lock a file of the folder ``out`` before the work begins: one that can't be written should not cost the work.
+
+    Raises:
+        ArgumentError: another process uses the folder, or it can't be written.
+    """
+    try:
+        return FileLock(folder / file)
+    except OSError as error:
+        why = error.strerror or error
+        raise ArgumentError(f"out must be a folder that can be written, got {quote(str(folder))}: {why}.") from None
+
+
 class FileLock:
     """Allows only one process to change a file and the files that belong to it.
 

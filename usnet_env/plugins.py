@@ -18,6 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
+from operator import attrgetter
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
@@ -210,7 +211,12 @@ def detector_label(detector: Any, arguments: Mapping[str, Any] | None = None) ->
         if detector in _function_labels:
             return _function_labels[detector]
     detector_class = type(detector)
-    return format_label(_find_registered_name(detector_class) or detector_class.__name__, _changed_arguments(detector))
+    changed = {
+        name: getattr(detector, name)
+        for name, parameter in named_parameters(detector_class).items()
+        if hasattr(detector, name) and not are_equal(getattr(detector, name), parameter.default)
+    }
+    return format_label(_find_registered_name(detector_class) or detector_class.__name__, changed)
 
 
 def _find_registered_name(detector_class: type) -> str | None:
@@ -228,15 +234,6 @@ def _find_registered_name(detector_class: type) -> str | None:
     return None
 
 
-def _changed_arguments(detector: Any) -> dict[str, Any]:
-    """Return the constructor's arguments that differ from their defaults, read from attributes of the same name."""
-    return {
-        name: getattr(detector, name)
-        for name, parameter in named_parameters(type(detector)).items()
-        if hasattr(detector, name) and not are_equal(getattr(detector, name), parameter.default)
-    }
-
-
 def _find_factory(name: str) -> Factory:
     """Return the class or function for a name without brackets."""
     module, colon, attribute = name.partition(":")
@@ -244,19 +241,12 @@ def _find_factory(name: str) -> Factory:
         if name in DETECTORS:
             return DETECTORS[name]
         if colon and module and attribute:
-            return DETECTORS.load(name, lambda: _import_attribute(module, attribute))
+            return DETECTORS.load(name, lambda: attrgetter(attribute)(import_module(module)))
     except ArgumentError as error:
         if reason := describe_foreign_detectors():
             raise ArgumentError(f"detector {name!r} can't be loaded: {reason}") from error
         raise
     raise unknown_name("detector", name, [*DETECTORS, "module:Class"])
-
-
-def _import_attribute(module: str, path: str) -> Any:
-    target: Any = import_module(module)
-    for part in path.split("."):
-        target = getattr(target, part)
-    return target
 
 
 def describe_foreign_detectors() -> str | None:

@@ -139,7 +139,7 @@ def detect(
     if record and out is None:
         raise ArgumentError("--record must be given together with --out, got no --out.")
     mapping = _parse_columns(columns)
-    from usnet_env.files import as_path
+    from usnet_env.files import as_path, reserve_folder
     from usnet_env.plugins import make_detector
     from usnet_env.tracks import find_leaders, read_tracks
     from usnet_env.tracks.confirming import LEAST_STEPS
@@ -147,7 +147,7 @@ def detect(
 
     folder = None if out is None else as_path("out", out)
     if folder is not None:
-        _reserve(folder)
+        click.get_current_context().call_on_close(reserve_folder(folder, "leaders.json").release)
     player = make_detector(detector)
     with progress_bar("rows") as progress:
         read = read_tracks(
@@ -202,24 +202,6 @@ def detect(
             _write_record(folder, _make_record(even, kept, found, title, window, seed))
 
 
-def _reserve(folder: Path) -> None:
-    """Keep the folder of the results for this command, before the work begins.
-
-    Raises:
-        ArgumentError: another command writes to it, or it can't be written.
-    """
-    from usnet_env.files import FileLock
-
-    try:
-        lock = FileLock(folder / "leaders.json")
-    except OSError as error:
-        reason = error.strerror or error
-        raise ArgumentError(
-            f"--out must be a folder that can be written, got {quote(str(folder))}: {reason}."
-        ) from None
-    click.get_current_context().call_on_close(lock.release)
-
-
 def _parse_columns(words: Sequence[str]) -> dict[str, str]:
     """Parse ``role=name`` words."""
     mapping: dict[str, str] = {}
@@ -246,7 +228,7 @@ def _choose_maps(found: FoundLeaders, cuts: Iterable[TrackWindow]) -> list[Map]:
 
 def _tables(found: FoundLeaders) -> list[Table]:
     """The tables of windows and of leaders over the file, with the first rows of long ones."""
-    from usnet_env.tracks.times import find_date, format_time
+    from usnet_env.tracks.leaders import find_date, format_time
 
     rows: list[list[Any]] = []
     date = find_date(found)

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.text import Text
 
-__all__ = ["abbreviate", "annotate_points", "text_size"]
-
 _OFFSET = 7  # points between a point and its name
 _INSET = 4  # points between a name and the frame; in a file with more pixels, texts are a little wider
 _WEIGHT = 10  # a name on another one is worse than a name on a point

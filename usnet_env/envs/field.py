@@ -18,8 +18,6 @@ from usnet_env.envs.vector import check_batch
 from usnet_env.swarm import FollowStrategy, Kinematics, Mobility, SwarmConfig
 from usnet_env.swarm.config import Burst, Count, Few, Metres, Rate, Ratio, Share, Steps
 
-__all__ = ["DISTRIBUTION", "FieldDistribution", "FieldEnv", "FieldVectorEnv"]
-
 Weights = Mapping[str, float]
 
 

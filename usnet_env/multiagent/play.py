@@ -17,8 +17,6 @@ from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.plugins import detector_label
 from usnet_env.provenance import versions
 
-__all__ = ["GameResult", "PolicyLike", "agent_role", "choose_policies", "play_game"]
-
 
 class PolicyLike(Protocol):
     """The methods that a policy needs; :class:`usnet_env.multiagent.policies.Policy` is a base class with them."""

@@ -19,8 +19,6 @@ from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 from usnet_env.swarm.config import SensorArguments, Steps
 from usnet_env.swarm.flock_follow import Flock
 
-__all__ = ["env", "parallel_env", "raw_env"]
-
 OBSERVER = "observer_0"
 
 

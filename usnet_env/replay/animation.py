@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from PIL.Image import Image
 
-__all__ = ["Painter", "Scene", "animate", "reduce_colors", "scenes"]
-
 _WIDTH, _HEIGHT, _DPI = 9.6, 6.0, 100  # inches, pixels per inch
 _PANEL, _LEFT, _BOTTOM = 4.55, 0.2, 0.52  # inches: side of a map, margins
 _WATCH, _NAME, _DESTROY, _REMERGE, _END = range(5)

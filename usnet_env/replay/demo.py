@@ -15,7 +15,7 @@ from rich.console import Console
 import usnet_env.envs  # noqa: F401  # registers the environments
 from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.drawing import MissingExtraError
-from usnet_env.files import FileLock, as_path
+from usnet_env.files import as_path, reserve_folder
 from usnet_env.plugins import DetectorLike, detector_label, make_detector
 from usnet_env.replay.figure import write_picture
 from usnet_env.replay.page import write_episode_page
@@ -23,8 +23,6 @@ from usnet_env.replay.play import Round, record_episode
 from usnet_env.replay.recording import write_recording
 from usnet_env.replay.story import describe_outcome
 from usnet_env.replay.viewer import find_viewer
-
-__all__ = ["DEMO", "PAPER_EXAMPLE", "run_demo"]
 
 _ROW = "{:>5}  {:>10}  {:>9}  {:>9}  {:>10}  {:>7}"
 
@@ -86,17 +84,8 @@ def run_demo(
     usual = "mc-gassl" if paper_example else "lagged-correlation"
     player = make_detector(usual if detector is None else detector)
     game = (PAPER_EXAMPLE if paper_example else DEMO) | arguments
-    with closing(gym.make("USNET/MultiCluster-v0", **game)) as env, _reserve(folder):
+    with closing(gym.make("USNET/MultiCluster-v0", **game)) as env, reserve_folder(folder, "episode.npz"):
         return _play(env, game, seed, player, folder, console)
-
-
-def _reserve(folder: Path) -> FileLock:
-    """Keep the folder for this game, before it is played: a folder that can't be written should not cost a game."""
-    try:
-        return FileLock(folder / "episode.npz")
-    except OSError as error:
-        reason = error.strerror or error
-        raise ArgumentError(f"out must be a folder that can be written, got {quote(str(folder))}: {reason}.") from None
 
 
 def _play(

@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from usnet_env.config import ArgumentError, format_count, is_whole_number, plain_text, quote, whole_number
 from usnet_env.drawing import last_seen_position
 from usnet_env.objectives import hits_and_redundant
-from usnet_env.replay.episode_file import FORMAT_VERSION, read_episode_file, write_episode_file
+from usnet_env.replay.episode_file import read_episode_file, write_episode_file
 from usnet_env.window import frozen_array
-
-__all__ = ["FORMAT_VERSION", "EpisodeRecord", "check_record"]
 
 MOST_SEED = 2**128 - 1  # the seeds that NumPy draws from the operating system have 128 bits
 _LINKS = "communication_links"  # derived from ``root`` when a file is written, compared when it is read

@@ -14,8 +14,6 @@ import numpy as np
 from usnet_env.config import ArgumentError, quote
 from usnet_env.files import as_path, atomic_write
 
-__all__ = ["FORMAT_VERSION", "read_episode_file", "write_episode_file"]
-
 #: Version 2 added ``attention`` and ``communication_links``, version 3 ``labelled``, version 4 ``attention_heads``,
 #: ``probability``, ``features``, ``reasons``, ``choices`` and ``observers``. In version 5 ``leader`` became ``root``.
 #: Older files are read as well.

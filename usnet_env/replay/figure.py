@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_episode", "write_picture"]
-
 _MOST_PANELS, _MOST_COLUMNS = 6, 3
 _MAP, _SCORES, _LEGEND, _GAP, _LINE = 5.4, 1.5, 2.6, 0.6, 0.17  # inches
 _CELL = _MAP + _SCORES + 1.35  # inches: a map, its scores, and the words above and below them

@@ -25,8 +25,6 @@ from usnet_env.replay.world import OBSERVERS, SMALL, SWARM, VERDICT, WORLD
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
-__all__ = ["arrange_comparison", "arrange_views"]
-
 _BACKGROUND, _UNKNOWN = "#101418", "#8C949C"
 _MOST_LINKS, _MOST_ATTENTION = 60, 30  # UAVs; in a larger swarm, these lines are hidden until they are asked for
 

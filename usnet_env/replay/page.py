@@ -35,8 +35,6 @@ from usnet_env.replay.story import (
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["write_episode_page", "write_page"]
-
 _FRAMES = 6  # of a window; the answer, the destruction and the re-merge have one or two each
 _MOST_ROUNDS, _LEAST_ROUNDS = 24, 4  # with pictures: of all episodes together, and of each; the tables have all of them
 _MOST_BARS = 20

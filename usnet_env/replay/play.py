@@ -21,8 +21,6 @@ from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.swarm import SwarmState
 from usnet_env.window import Window
 
-__all__ = ["Round", "check_environment", "make_record", "record_episode"]
-
 
 @dataclass(frozen=True)
 class Round:

@@ -19,8 +19,6 @@ from usnet_env.files import as_path
 from usnet_env.replay.play import check_environment, make_record
 from usnet_env.swarm import SwarmState
 
-__all__ = ["RecordReplay"]
-
 
 class RecordReplay(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Write episodes as episode files, from which replays and pictures are made.

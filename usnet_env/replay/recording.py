@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-__all__ = ["write_comparison", "write_recording"]
-
 
 def _make_stream() -> rr.RecordingStream:
     """The stream of a recording, without a file yet."""

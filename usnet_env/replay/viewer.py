@@ -21,8 +21,6 @@ from usnet_env.files import as_path, atomic_write
 from usnet_env.replay.episode import EpisodeRecord
 from usnet_env.replay.scribe import Clock
 
-__all__ = ["check_screenshot", "find_time", "find_viewer", "open_replay", "take_screenshot"]
-
 _START_SECONDS, _LEAST_SECONDS, _MOST_SECONDS = 60.0, 4.0, 30.0
 
 

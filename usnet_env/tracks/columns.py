@@ -10,17 +10,6 @@ import numpy as np
 from usnet_env.arrays import Mask
 from usnet_env.config import ArgumentError, quote, unknown_name
 
-__all__ = [
-    "OPTIONAL",
-    "ROLES",
-    "check_mapping",
-    "check_names",
-    "choose_columns",
-    "is_movebank",
-    "keep_fixed",
-    "read_marks",
-]
-
 #: The roles of columns, with the names that are guessed, the preferred one first.
 ROLES: dict[str, tuple[str, ...]] = {
     "id": (

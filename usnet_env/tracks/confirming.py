@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Floats, Mask
 from usnet_env.window import Window
 
-__all__ = ["LEAST_STEPS", "LEVEL", "confirm_lead", "confirm_leaders", "find_followers", "keep_group"]
-
 _LAGS = 4  # steps; the step of resampled tracks puts delays at 1 to 4 of them
 _BLOCKS = 8
 LEAST_STEPS = 2 * _BLOCKS

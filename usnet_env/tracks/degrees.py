@@ -6,8 +6,6 @@ import numpy as np
 
 from usnet_env.arrays import Floats
 
-__all__ = ["to_local_metres"]
-
 _AXIS, _SQUARED_ECCENTRICITY = 6_378_137.0, 6.694379990141317e-3  # metres; the ellipsoid of WGS 84
 
 

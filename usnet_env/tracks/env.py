@@ -20,8 +20,6 @@ from usnet_env.tracks.reading import read_tracks
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.windows import TrackWindow
 
-__all__ = ["TracksEnv"]
-
 
 class TracksArguments(Config):
     """The arguments of :class:`TracksEnv`."""

@@ -18,8 +18,6 @@ from usnet_env.tracks.values import is_epoch
 if TYPE_CHECKING:
     from usnet_env.tracks.tracks import Tracks
 
-__all__ = ["Finding", "TrackReport", "find_problems"]
-
 _GAP = 3.0  # a gap is an interval of more than this many typical intervals of its id
 _UNEVEN = 0.1  # sampling is uneven if a tenth of the intervals differ from the typical one by more than this share
 _EXCHANGE = 0.25  # after an exchange of ids, each is this close to the place expected of the other, in jump lengths

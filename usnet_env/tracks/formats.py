@@ -19,8 +19,6 @@ from usnet_env.tracks.labels import Labels, to_text
 from usnet_env.tracks.opening import check_expanded_size, damaged_file, open_expanded, read_lines
 from usnet_env.tracks.values import has_decimal_commas, to_points
 
-__all__ = ["Block", "ReadOptions", "read_csv", "read_parquet", "read_ulog"]
-
 _ROWS = 50_000  # rows of a block: some megabytes
 _DELIMITERS = ",;\t|"
 

@@ -17,8 +17,6 @@ from usnet_env.tracks.formats import Block, ReadOptions
 from usnet_env.tracks.labels import Labels
 from usnet_env.tracks.opening import damaged_file, open_expanded
 
-__all__ = ["read_gpx"]
-
 _LONGEST_TEXT = 10_000  # characters of a name, height or time
 
 

@@ -13,8 +13,6 @@ from usnet_env.arrays import Floats
 if TYPE_CHECKING:
     from usnet_env.tracks.tracks import Tracks
 
-__all__ = ["JUMP", "Jumps", "close_jumps", "find_jumps", "leave_out_spikes"]
-
 JUMP = 5.0  # a jump is faster than this many times the speed that 95 % of the steps don't exceed
 _USUAL_SHARE = 0.95
 _GROSS = 20.0  # times the usual speed; such a jump has the squared length of more than 400 steps

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from usnet_env.arrays import Indices, Mask
 from usnet_env.tracks.values import is_none
 
-__all__ = ["LabelBook", "Labels", "find_labels", "match_leaders", "to_labels", "to_text"]
-
 _MOST_NAMED = 3  # leaders without a track
 _DECIMAL = re.compile(r"[+-]?[0-9]+(\.[0-9]*)?")
 

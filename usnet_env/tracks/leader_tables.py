@@ -11,8 +11,6 @@ from typing import Any
 from usnet_env.files import atomic_write
 from usnet_env.tracks.leaders import FoundLeaders
 
-__all__ = ["write_tables"]
-
 _ID, _TIME = "id", "time"  # types that depend on the tracks
 _LARGEST = 2**63  # of int64, exclusive
 #: The columns of each table and their types; in brackets: a list.

@@ -23,8 +23,6 @@ from usnet_env.tracks.links import Link, find_links
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.windows import TrackWindow
 
-__all__ = ["DetectedWindow", "FoundLeaders", "Leader", "find_leaders"]
-
 DEFAULT_DETECTOR = "follow-mixture(policy='map')"
 _SAME_GROUP = 0.25  # two groups are one if they share this part of all their members
 _SAME_LEADER = 0.25
@@ -207,7 +205,8 @@ def find_leaders(
             for head, led in zip(heads, followers, strict=True)
         ]
         labels = _number_groups(groups_here, groups)
-        probability = _probabilities(detection)
+        given = detection.extras.get("probability")
+        probability = None if given is None else np.array(given, np.float64)
         if probability is not None:
             probability[rejected] = 0.0
         reasons = _reasons(detection, heads, followers, len(cut.ids))
@@ -259,12 +258,6 @@ def _answer(player: DetectorLike, cut: TrackWindow, seed: int, number: int, when
     if not isinstance(detection, Detection) or len(detection.candidates) != len(cut.ids):
         raise ArgumentError(f"detector must answer a Detection for {len(cut.ids)} UAVs, got {quote(detection)}.")
     return detection
-
-
-def _probabilities(detection: Detection) -> NDArray[np.float64] | None:
-    """A copy of the detector's probabilities, ``(N,)``, or ``None`` if it gives none."""
-    given = detection.extras.get("probability")
-    return None if given is None else np.array(given, np.float64)
 
 
 def _reasons(detection: Detection, heads: NDArray[np.intp], followers: list[list[int]], uavs: int) -> list[str]:
@@ -343,3 +336,19 @@ def _summarise(
         share = count / len(windows)
         found.append(Leader(ids[head], probability if sure else None, tuple(behind), reason, group, score, share))
     return tuple(found)
+
+
+def find_date(found: FoundLeaders) -> str:
+    """The date of all windows if the times are timestamps of one day, otherwise nothing."""
+    times = [time for window in found.windows for time in (window.start, window.end)]
+    dates = {time.partition("T")[0] for time in times if isinstance(time, str)}
+    return dates.pop() if len(dates) == 1 else ""
+
+
+def format_time(time: float | int | str, date: str) -> str:
+    """A time of the file: up to 12 digits, or a timestamp in UTC without ``date`` and final zeros."""
+    if not isinstance(time, str):
+        return f"{time:.12g}" if isinstance(time, float) else str(time)
+    day, _, clock = time.removesuffix("Z").partition("T")
+    clock = clock.rstrip("0").removesuffix(".") if "." in clock else clock
+    return clock if day == date else f"{day} {clock}"

@@ -12,8 +12,6 @@ from usnet_env.arrays import Floats
 from usnet_env.detection import Detection
 from usnet_env.tracks.windows import TrackWindow
 
-__all__ = ["Link", "find_links"]
-
 _MOST_LAG = 12  # steps
 _DIGITS = 9  # decimals of a delay
 _LEAST_STEPS = 4  # of the window for each step of the longest lag

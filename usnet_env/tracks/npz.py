@@ -18,8 +18,6 @@ from usnet_env.tracks.formats import Block, ReadOptions
 from usnet_env.tracks.labels import Labels, to_labels, to_text
 from usnet_env.tracks.opening import check_expanded_size, damaged_file
 
-__all__ = ["read_npz"]
-
 _Arrays = Mapping[str, NDArray[Any]]
 #: The arrays beside ``position`` by role, with the names that are guessed.
 _BESIDE = {"id": ("id", "ids"), "t": ("t", "time"), "frame": (), "leader": ("leader",), "seen": ("seen",)}

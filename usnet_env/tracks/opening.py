@@ -14,8 +14,6 @@ from typing import IO, Any
 
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["check_expanded_size", "damaged_file", "find_suffix", "is_zip", "open_expanded", "read_lines"]
-
 SMALL_BYTES, LARGEST_RATIO = 2**28, 20  # without max_bytes: 256 MiB, or this multiple of the file's size
 _LONGEST_ROW = 2**20  # bytes
 _GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"

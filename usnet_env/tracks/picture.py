@@ -26,16 +26,13 @@ from usnet_env.drawing import (
     round_marks,
     text_size,
 )
-from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders
-from usnet_env.tracks.times import find_date, format_time
+from usnet_env.tracks.leaders import DetectedWindow, FoundLeaders, find_date, format_time
 from usnet_env.tracks.tracks import Tracks
 from usnet_env.tracks.windows import TrackWindow
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["MOST_MAPS", "draw_leaders"]
 
 MOST_MAPS, _COLUMNS = 6, 3
 _MAP, _GAP, _LEGEND, _HEADER = 4.6, 0.75, 2.7, 1.3  # inches

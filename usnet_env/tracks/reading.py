@@ -18,8 +18,6 @@ from usnet_env.tracks.opening import find_suffix, is_zip
 from usnet_env.tracks.table import Table
 from usnet_env.tracks.tracks import Tracks
 
-__all__ = ["read_tracks"]
-
 _READERS = {
     ".parquet": read_parquet, ".pq": read_parquet, ".npz": read_npz, ".gpx": read_gpx, ".ulg": read_ulog,
 }  # fmt: skip

@@ -20,8 +20,6 @@ from usnet_env.tracks.labels import LabelBook, Labels, match_leaders, to_labels
 from usnet_env.tracks.tracks import Clock, Tracks, assemble
 from usnet_env.tracks.values import guess_time_unit, read_numbers, read_times
 
-__all__ = ["Table"]
-
 _NUMBERS = ("x", "y", "lon", "lat", "z", "vx", "vy", "vz")
 _TOGETHER = (("z",), ("vx", "vy", "vz"))  # the optional numbers; one without the others of its group is of no use
 

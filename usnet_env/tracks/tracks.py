@@ -20,8 +20,6 @@ from usnet_env.tracks.resampling import choose_step, resample_positions
 from usnet_env.tracks.windows import TrackWindow, cut_windows
 from usnet_env.window import as_array, frozen_array
 
-__all__ = ["Clock", "Tracks"]
-
 _DIGITS = 9  # decimals of a time that is written as a number, where float64 has as many
 _EPOCH = datetime(1970, 1, 1)
 _UNIT_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "µs", 1e-9: "ns", 60.0: "min", 3600.0: "h"}
@@ -277,10 +275,6 @@ def _read_ids(name: str, value: Any, samples: int) -> tuple[Indices, tuple[str |
     return np.array([code.setdefault(each, len(code)) for each in plain], np.int64), tuple(code)
 
 
-def _name_samples(one: int, other: int) -> str:
-    return f"samples {min(one, other)} and {max(one, other)}"
-
-
 def assemble(
     ids: tuple[str | int, ...],
     codes: NDArray[np.integer[Any]],
@@ -292,7 +286,7 @@ def assemble(
     frame: str,
     notes: tuple[str, ...],
     origin: Floats | None = None,
-    name_places: Callable[[int, int], str] = _name_samples,
+    name_places: Callable[[int, int], str] = lambda *both: f"samples {min(both)} and {max(both)}",
 ) -> Tracks:
     """Sort samples by id and time, and move the origin of time and space to the first sample and the middle.
 

@@ -13,8 +13,6 @@ import numpy as np
 from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError, quote
 
-__all__ = ["guess_time_unit", "has_decimal_commas", "is_epoch", "is_none", "read_numbers", "read_times", "to_points"]
-
 _NO_VALUE = {"", "na", "n/a", "nan", "null", "none", "nat"}
 _LONGEST = 1e19  # of times: nanoseconds since 1970 until the year 2286
 _LIMITS = {"lon": 360.0, "lat": 90.0, "t": _LONGEST, "frame": _LONGEST}  # lon and lat: degrees

@@ -15,8 +15,6 @@ from usnet_env.window import Window
 if TYPE_CHECKING:
     from usnet_env.tracks.tracks import Tracks
 
-__all__ = ["TrackWindow", "count_windows", "cut_windows", "describe_rest"]
-
 
 @dataclass(frozen=True, eq=False)
 class TrackWindow:
