@@ -133,6 +133,27 @@ def test_a_detector_without_followers_has_no_confirmed_leaders(run, tmp_path):
     assert "names no followers" not in run("detect", path, "--detector", "destroy-all", "--unconfirmed")[2]
 
 
+def test_ids_that_are_not_confirmed_are_named_beside_confirmed_leaders(run, tmp_path, monkeypatch):
+    path = flock(tmp_path / "flock.csv")
+    (tmp_path / "names_two.py").write_text(
+        "import numpy as np\n"
+        "from usnet_env import Detection\n"
+        "class NamesTwo:\n"
+        "    def reset(self, seed=None):\n"
+        "        pass\n"
+        "    def detect(self, window):\n"
+        "        leader = np.where(np.arange(window.uavs) == 1, 1, 0)\n"
+        "        return Detection(np.arange(window.uavs) < 2, np.zeros(window.uavs), leader=leader)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    code, out, _ = run("detect", path, "--detector", "names_two:NamesTwo")
+    assert code == 0
+    windows = json.loads(run("detect", path, "--detector", "names_two:NamesTwo", "--json")[1])["windows"]
+    both = [window for window in windows if window["leaders"] and window["not_confirmed"] == ["bird-1"]]
+    assert both
+    assert out.count("Not confirmed: bird-1.") == sum("bird-1" in window["not_confirmed"] for window in windows)
+
+
 def test_windows_that_are_too_short_for_the_test_are_named(run, tmp_path):
     path = flock(tmp_path / "flock.csv")
     for length, words in (("15", ()), ("15", ("--unconfirmed",)), ("16", ())):

@@ -237,13 +237,10 @@ def _tables(found: FoundLeaders) -> list[Table]:
         for leader in window.leaders:
             rows.append([*when, *_cells(leader)])
             when = ["", ""]
-        if not window.leaders:
-            named = (
-                f"Not confirmed: {', '.join(map(str, window.not_confirmed[:_MOST_NAMES]))}."
-                if window.not_confirmed
-                else ""
-            )
-            rows.append([*when, "none found", "", "", named])
+        if window.not_confirmed or not window.leaders:
+            named = ", ".join(map(str, window.not_confirmed[:_MOST_NAMES]))
+            found_none = "" if window.leaders else "none found"
+            rows.append([*when, found_none, "", "", f"Not confirmed: {named}." if named else ""])
     over_file = []
     for leader in found.leaders:
         name, *cells = _cells(leader)

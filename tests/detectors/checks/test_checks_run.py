@@ -186,6 +186,17 @@ def test_an_error_of_a_library_is_located_in_the_detector():
     assert results["check_smallest_swarm"].location.endswith(", in scores")
 
 
+def test_an_error_of_usnet_is_located_in_the_detector():
+    class WrongLength(broken.Good):
+        def detect(self, window):
+            return Detection(np.zeros(window.uavs, bool), np.zeros(window.uavs + 1))
+
+    results = by_check(check_detector(WrongLength(), on_fail=None))
+    place = results["check_smallest_swarm"].location
+    assert place.startswith("tests/detectors/checks/test_checks_run.py")
+    assert place.endswith(", in detect")
+
+
 @pytest.mark.parametrize("name", ["time_limit", "memory_limit"])
 @pytest.mark.parametrize("value", [0, -1, "1", True, float("nan"), float("inf")])
 def test_a_limit_is_a_positive_number(name, value):
