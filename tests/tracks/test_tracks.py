@@ -98,6 +98,8 @@ def test_windows_overlap_by_the_stride_and_leave_out_where_too_few_are_seen():
     assert starts == [12.5 * k for k in (0, 1, 2, 7, 8, 9, 10, 11, 12, 13)]  # 75 to 174 see one id in most steps
     with pytest.raises(ArgumentError, match=r"^length must be at most 399, the number of steps"):
         even.windows(500)
+    with pytest.raises(ArgumentError, match=r"^step must be shorter: the tracks last less than two steps, got 400 s"):
+        dense(wandering()).resample(400.0).windows(50)
 
 
 def test_a_leader_column_becomes_indices_in_the_window():

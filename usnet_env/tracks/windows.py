@@ -83,8 +83,11 @@ def cut_windows(tracks: Tracks, length: int, stride: int, least_steps: int) -> I
     assert tracks.step is not None
     count = count_windows(tracks, length, stride)
     if not count:
+        steps = round(tracks.duration / tracks.step)
+        if steps < 2:
+            raise ArgumentError(f"step must be shorter: the tracks last less than two steps, got {tracks.step:g} s.")
         raise ArgumentError(
-            f"length must be at most {round(tracks.duration / tracks.step)}, the number of steps of {tracks.step:g} s "
+            f"length must be at most {steps}, the number of steps of {tracks.step:g} s "
             f"in the tracks, got {quote(length)}."
         )
     number = np.round(tracks.time / tracks.step).astype(np.int64)
