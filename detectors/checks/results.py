@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 from unittest import SkipTest
 
-import usnet_env
 from detectors.checks.harness import CheckError, CheckWarning
-from usnet_env.processes import find_frame
+from usnet_env.processes import find_frame, limits
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 Check = Callable[[Any], None]
 Status = Literal["passed", "warning", "failed", "expected failure", "skipped"]
 
-_NOT_SHOWN = (Path(__file__).parent, Path(usnet_env.__file__).parent)  # a detector's own line is shown instead
+_NOT_SHOWN = (Path(__file__).parent, Path(limits.__file__).parents[1])  # a detector's own line is shown instead
 _COLOURS: dict[Status, str] = {
     "passed": "green",
     "warning": "yellow",
