@@ -70,6 +70,20 @@ def test_numpy_values_and_lists_are_taken_as_plain_python():
     assert Sample(sizes=[np.int8(1), 2]).sizes == (1, 2)
 
 
+def test_an_argument_that_is_declared_as_a_list_or_an_array_keeps_its_type():
+    class Declared(Config):
+        lags: list[int]
+        bounds: list[float] | None = None
+        weights: np.ndarray | None = None
+
+    weights = np.ones((2, 2))
+    declared = Declared(lags=[1, 2], bounds=[0.5], weights=weights)
+    assert (declared.lags, declared.bounds) == ([1, 2], [0.5])
+    assert declared.weights is weights
+    with pytest.raises(ArgumentError, match=r"^lags must be a list, got 3\.$"):
+        Declared(lags=3)
+
+
 def test_a_config_is_frozen_and_compares_by_value():
     sample = Sample(count=2)
     with pytest.raises(ValueError, match="frozen"):

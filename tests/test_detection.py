@@ -80,6 +80,13 @@ def test_a_bad_part_is_refused_in_one_sentence_that_names_it(name, value):
     assert "\n" not in str(caught.value)
 
 
+def test_refusals_of_lengths_name_both_arrays_and_write_shapes_as_numpy_does():
+    with pytest.raises(ArgumentError, match=r"^scores must have one value for each UAV, as candidates has 3, got 4 "):
+        Detection(candidates=np.zeros(3, bool), scores=np.zeros(4))
+    with pytest.raises(ArgumentError, match=r"^clusters must have shape \(3,\), got \(4,\)\.$"):
+        Detection(candidates=np.zeros(3, bool), scores=np.zeros(3), clusters=np.zeros(4, int))
+
+
 @given(
     hnp.arrays(st.sampled_from([bool, np.int8, np.float64]), 3, elements=st.sampled_from([0, 1])),
     hnp.arrays(np.float64, 3),

@@ -13,8 +13,8 @@ from difflib import get_close_matches
 from functools import update_wrapper
 from inspect import Parameter, Signature
 from pathlib import PurePath
-from types import MappingProxyType
-from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar, get_type_hints
+from types import MappingProxyType, UnionType
+from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
@@ -33,6 +33,7 @@ _EXPECTED = {  # texts for pydantic's error types
     "bool_type": "true or false",
     "string_type": "a name",
     "tuple_type": "a list",
+    "list_type": "a list",
     "finite_number": "a finite number",
     "missing": "longer",
     "too_long": "shorter",
@@ -174,6 +175,15 @@ def _to_python(value: Any) -> Any:
     return value
 
 
+def _is_declared(field: FieldInfo | None, kind: type) -> bool:
+    """Whether ``kind`` is a list or an array, and the argument is declared as such."""
+    if field is None or kind not in (list, np.ndarray):
+        return False
+    declared = field.annotation
+    kinds = get_args(declared) if get_origin(declared) in (Union, UnionType) else (declared,)
+    return any(kind in (some, get_origin(some)) for some in kinds)
+
+
 def unknown_argument(
     name: str, owner: str, known: Iterable[str], instead: Mapping[str, str] = MappingProxyType({})
 ) -> ArgumentError:
@@ -239,7 +249,10 @@ class Config(BaseModel):
     @classmethod
     def _plain_values(cls, values: Any) -> Any:
         if isinstance(values, dict):
-            return {name: _to_python(value) for name, value in values.items()}
+            return {
+                name: value if _is_declared(cls.model_fields.get(name), type(value)) else _to_python(value)
+                for name, value in values.items()
+            }
         return values
 
     @classmethod

@@ -66,7 +66,11 @@ class Detection:
         candidates = frozen_array("candidates", self.candidates, bool, (None,))
         uavs = len(candidates)
         put(self, "candidates", candidates)
-        put(self, "scores", frozen_array("scores", self.scores, np.float64, (uavs,)))
+        put(self, "scores", frozen_array("scores", self.scores, np.float64, (None,)))
+        if len(self.scores) != uavs:
+            raise ArgumentError(
+                f"scores must have one value for each UAV, as candidates has {uavs}, got {len(self.scores)} values."
+            )
         for name in ("clusters", "leader"):
             if (value := getattr(self, name)) is not None:
                 put(self, name, frozen_array(name, value, np.int64, (uavs,)))

@@ -40,7 +40,8 @@ def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | No
         ArgumentError: another shape, values that are not finite numbers, or values that ``dtype`` can't hold: other
             values than 0 and 1 for ``bool``, fractions for ``int``, too large numbers for ``float``.
     """
-    takes = "(" + ", ".join("any" if length is None else str(length) for length in shape) + ")"
+    lengths = ["any" if length is None else str(length) for length in shape]
+    takes = f"({', '.join(lengths)}{',' * (len(shape) == 1)})"
     try:
         array = np.asarray(value)
     except Exception as error:  # a foreign class may raise anything when it is converted

@@ -91,8 +91,8 @@ def _range(counts: Sequence[int]) -> str:
 def _explain_columns(short: bool) -> str:
     """What the columns of the tables mean."""
     rules = (
-        "Intervals are 95 %; the [results pages](docs/results/index.md) explain them, and have all detectors, tables "
-        "and figures."
+        "Intervals are 95 %; at 0 % or 100 % they use the number of seeds as n, so they can be wider than those of "
+        "other rates. The [results pages](docs/results/index.md) have all detectors, tables and figures."
         if short
         else "n is behind a semicolon where a slow detector played fewer episodes. Intervals are 95 %. "
         f"{SAME_SEEDS} A mean without an interval means that all values were equal, or that each cell has one episode."

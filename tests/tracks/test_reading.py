@@ -232,6 +232,7 @@ BAD = {
     "no x": ("id,t,y\na,1,2\n", "for x;"),
     "no time": ("id,x,y\na,1,2\n", "for t (or frame);"),
     "no names": ("1,0,1,2\n1,1,2,3\n", "row 1"),
+    "ids but no names": ("a,0,1,2\nb,0,2,3\n", "must name its columns in row 1"),
     "NaN": ("id,t,x,y\na,0,1,2\nb,0,nan,2\n", "row 3 of column 'x'"),
     "empty cell": ("id,t,x,y\na,0,1,2\nb,0,1,\n", "row 3 of column 'y'"),
     "empty id": ("id,t,x,y\na,0,1,2\n,0,1,3\n", "row 3 of column 'id'"),

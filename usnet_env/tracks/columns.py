@@ -123,7 +123,8 @@ def choose_columns(
     Raises:
         ArgumentError: a column is missing, and the sentence lists those that are there, or another one has its name.
     """
-    if header and all(name.strip() and set(name.strip()) <= _NUMBER_SIGNS for name in header):
+    numbers = sum(bool(name.strip()) and set(name.strip()) <= _NUMBER_SIGNS for name in header)
+    if numbers > 1 and numbers >= len(header) - 1:  # all but the id are numbers: a row of values
         raise ArgumentError(f"path must name its columns in row 1, got {where}, whose row 1 is {quote(list(header))}.")
     given = check_names(header, mapping, where)
     found = dict(given)
