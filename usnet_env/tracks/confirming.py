@@ -18,8 +18,7 @@ _BLOCKS = 8
 LEAST_STEPS = 2 * _BLOCKS
 LEVEL = 0.05  # of a group and window: how often a leaderless group gets a leader
 _LEVEL_OUTSIDE = 0.5
-_NEAREST, _SHIFTS = 5, 9
-_SHIFTS_OF_FOLLOWERS, _DEVIATIONS = 19, 3.0
+_NEAREST, _SHIFTS, _DEVIATIONS = 5, 9, 3.0
 _LEAST_SHIFT = 3 * _LAGS  # a smaller shift leaves a part of the likeness at some lag
 _MOST_ALIKE = 0.999  # the logarithm of equal tracks is infinite
 
@@ -45,7 +44,7 @@ def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[in
 
     The likeness of a follower is the inverse hyperbolic tangent (Fisher's z) of the largest correlation of its velocity
     with those of the leader and of the followers kept so far, at any lag up to 4. A follower is kept if its likeness
-    exceeds the mean of those after 19 circular shifts in time by 3 of their standard deviations. The likeness does not
+    exceeds the mean of those after 9 circular shifts in time by 3 of their standard deviations. The likeness does not
     depend on who is first, so the choice does not favour a lead. All stay in a window of fewer than 32 steps, and where
     none is kept: then single followers are too unlike for this test.
     """
@@ -53,7 +52,7 @@ def keep_group(window: Window, leader: int, followers: Sequence[int]) -> list[in
     if steps < 2 * LEAST_STEPS:
         return list(followers)
     unit = _scale(window.velocity, window.velocity_seen)
-    late = np.linspace(_LEAST_SHIFT, steps - _LEAST_SHIFT, _SHIFTS_OF_FOLLOWERS).astype(int)
+    late = np.linspace(_LEAST_SHIFT, steps - _LEAST_SHIFT, _SHIFTS).astype(int)
     group, left = [leader], np.array(followers, np.int64)
     new = group
     while len(new) and len(left):
