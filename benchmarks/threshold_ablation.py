@@ -97,6 +97,10 @@ CHANGES = {
         "the first level is final if all groups follow, whatever its doubt", ((fit, "_CERTAIN", -1.0),)
     ),
     "certain-never": Change("all classes of features are always tried", ((fit, "_CERTAIN", INFINITE),)),
+    "heads-never": Change(
+        "single UAVs are not asked about the heads found before all classes are tried",
+        ((fit, "ask_about_heads", lambda *arguments: None),),
+    ),
     "rare-0.5": Change("what is rare has the prior probability 0.5 instead of 0.05", _everywhere("RARE", 0.5)),
     "rare-0.001": Change("what is rare has the prior probability 0.001", _everywhere("RARE", 0.001)),
     "together-1": Change("a member of a group is as likely a head as a single UAV", ((fit, "_LEAST_TOGETHER", 1.0),)),

@@ -18,7 +18,7 @@ from detectors.series.votes import find_trees
 from usnet_env.arrays import Floats, Indices
 
 _RELAY = 1 / 3  # least share of a UAV's innovations that its leader explains
-_ASKED = 200  # most single UAVs that are asked; bounds time and memory
+ASKED = 200  # most single UAVs that are asked; bounds time and memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def compare_delays(velocity: Floats, past: Floats, longest: int) -> tuple[Floats
 def sample_single_uavs(targets: Targets) -> Indices:
     """The groups of one UAV; in a large swarm a part of them, which bounds time and memory."""
     single = np.flatnonzero(targets.sizes == 1)
-    return single[:: max(-(-len(single) // _ASKED), 1)]
+    return single[:: max(-(-len(single) // ASKED), 1)]
 
 
 def ask_delays(

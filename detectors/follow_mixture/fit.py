@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,7 @@ from detectors.follow_mixture.evidence import (
 )
 from detectors.follow_mixture.groups import find_groups, limit_candidates
 from detectors.follow_mixture.motion import Motion, filter_tracks, fit_spectra, lagged, smoothed_pasts
-from detectors.follow_mixture.pooling import MorePairs, ask_single_uavs
+from detectors.follow_mixture.pooling import MorePairs, ask_about_heads, ask_single_uavs
 from detectors.series.direction import SHARES, WEIGHTS, compare_directions
 from detectors.series.features import LEVELS, LONE
 from usnet_env.arrays import Floats, Indices
@@ -145,28 +146,37 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
     past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
     several, only = np.flatnonzero(targets.sizes > 1), limit_candidates(label, rng)
     more: MorePairs | None = None  # at first no single UAV follows, as heads and decoys do not
-    for names in LEVELS:
-        pairs = choose_pairs(targets, screen(targets, past, names, several, only), several)
-        targets, pairs = add_rests(targets, pairs, velocity)
-        if more is not None:
-            pairs = more.join(targets, pairs)
+
+    def fit(names: Sequence[str], pairs: Pairs, more: MorePairs | None) -> tuple[_Search, _Answer, Floats, bool, bool]:
+        pairs = pairs if more is None else more.join(targets, pairs)
         classes = gather_statistics(targets, past, pairs, names)
         compare = own_evidence if more is None else more.compare
         own = np.array([compare(targets, pairs, some) for some in classes])
         search = _Search(targets, pairs, most)
         found = _search_laws(search, classes, own)
         log_odds = _posterior(search, found, spectra.memory**lags)
+        certain = bool(np.abs(log_odds).min() > _CERTAIN) and search.explains(found.assignment, single=False)
+        return search, found, log_odds, certain, certain and search.explains(found.assignment)
+
+    for names in LEVELS:
+        groups = choose_pairs(targets, screen(targets, past, names, several, only), several)
+        targets, groups = add_rests(targets, groups, velocity)
+        search, found, log_odds, certain, complete = fit(names, groups, more)
+        if more is None and certain and not complete:  # if single UAVs follow these heads, no further one is needed
+            known = ask_about_heads(targets, past, found.assignment.head)
+            joined = None if known is None else fit(names, groups, known)
+            if joined is not None and joined[-1]:
+                search, found, log_odds, certain, complete = joined
         leads = np.union1d(found.assignment.heads, np.flatnonzero(log_odds > 0))
-        certain = np.abs(log_odds).min() > _CERTAIN
-        if more is not None or (certain and search.explains(found.assignment)):
+        if more is not None or complete:
             break
         late = ask_delays(targets, velocity, past, leads, search.gain(found), longest)
         more = ask_single_uavs(targets, past, LEVELS[-1], found.assignment.head, *late)
-        if certain and search.explains(found.assignment, single=False) and not more.new:
+        if certain and not more.new:
             break
     if found.assignment.value <= 0 and not (targets.sizes > 1).any():
         return None
-    behind, gain = pick(pairs, search.chosen(found.assignment)), search.gain(found)
+    behind, gain = pick(search.pairs, search.chosen(found.assignment)), search.gain(found)
     order = find_hierarchy(targets, velocity, past, leads, found.assignment.head, gain, longest)
     heads, count = np.unique(order.root, return_counts=True)
     heads = heads[(count > 1) & np.isin(heads, order.root[found.assignment.heads])]
@@ -260,13 +270,8 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
 
     Every group of two and more UAVs has one head, unless it is not in the window. A priori that is any single UAV, or
     with a smaller probability a member of a group: followers copy their head later, so that it moves with them only as
-    far as its velocity predicts that of L steps later. A UAV that leads other followers already has paid the price of a
-    head. The groups are independent. A head follows no UAV.
-
-    Args:
-        search: the groups and pairs.
-        found: the heads and the evidence.
-        kept: ``(n,)`` autocorrelation of each UAV's velocity at lag L.
+    far as its velocity predicts that of L steps later, with the autocorrelation ``kept`` ``(n,)``. A UAV that leads
+    other followers already has paid the price of a head. The groups are independent. A head follows no UAV.
     """
     targets, pairs = search.targets, search.pairs
     sizes, uavs = targets.sizes, len(targets.label)

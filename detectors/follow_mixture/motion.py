@@ -129,16 +129,6 @@ class FlightSpectra:
         shape = (1.0 - memory**2) / (1.0 - 2.0 * memory * np.cos(omega) + memory**2)
         return np.asarray(float(np.median(self.power)) * shape)
 
-    def flight(self, steps: int) -> Floats:
-        """Covariances ``(n, steps, steps)`` of the true velocities."""
-        apart = np.abs(np.arange(steps)[:, None] - np.arange(steps)[None, :])
-        decay = self.memory[:, None] ** np.arange(steps)
-        return np.asarray(self.power[:, None, None] * decay[:, apart])
-
-    def seen(self, steps: int) -> Floats:
-        """Covariance ``(steps, steps)`` of the noise in the observed velocities."""
-        return self.noise * (2.0 * np.eye(steps) - np.eye(steps, k=1) - np.eye(steps, k=-1))
-
 
 def fit_spectra(velocity: Floats, noiseless: bool) -> FlightSpectra:
     """Fit the spectra by Whittle's likelihood of the periodograms; power and memory of each UAV, one noise for all.
@@ -219,10 +209,12 @@ def filter_tracks(velocity: Floats, spectra: FlightSpectra, uavs: Indices) -> tu
 def _whiten_tracks(velocity: Floats, spectra: FlightSpectra) -> tuple[Floats, Floats, Floats]:
     """The mean ``(n, 1, a)`` of each track, and its innovations ``(n, T, a)`` with what they tell ``(n, T, T)`` of it.
 
-    With V = L L' and z = L^-1 y, the expectation of v at s given y before t is the sum over k < t of (S L'^-1)_sk z_k.
+    With V = S + noise = L L' and z = L^-1 y, the expectation of v at s given y before t is the sum over k < t of
+    (S L'^-1)_sk z_k, where S are the covariances of the true velocities.
     """
-    steps = velocity.shape[1]
-    flight, noise = spectra.flight(steps), spectra.seen(steps)
+    steps = np.arange(velocity.shape[1])
+    flight = spectra.power[:, None, None] * (spectra.memory[:, None] ** steps)[:, np.abs(steps[:, None] - steps)]
+    noise = spectra.noise * (2.0 * np.eye(len(steps)) - np.eye(len(steps), k=1) - np.eye(len(steps), k=-1))
     mean = velocity.mean(axis=1, keepdims=True)
     lower = np.linalg.cholesky(flight + noise)
     reach = np.linalg.solve(lower, flight).transpose(0, 2, 1)

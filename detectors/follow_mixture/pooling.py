@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import betaln
 
-from detectors.follow_mixture.delays import sample_single_uavs
+from detectors.follow_mixture.delays import ASKED, sample_single_uavs
 from detectors.follow_mixture.evidence import (
     RARE,
     RIDGE,
@@ -81,6 +81,15 @@ def _code(targets: Targets, pairs: Pairs) -> Indices:
     return np.asarray(pairs.group * len(targets.label) + pairs.uav)
 
 
+def ask_about_heads(targets: Targets, past: Floats, head: Indices) -> MorePairs | None:
+    """Pairs of the other single UAVs and their best candidates if all these are heads ``(C,)`` found, else ``None``."""
+    none, heads = np.empty(0, np.int64), head[head >= 0]
+    single = np.setdiff1d(np.flatnonzero(targets.sizes == 1), targets.label[heads])
+    best = _screen_single_uavs(targets, past, single[:ASKED]).max(axis=0).argmax(axis=1)
+    known = len(single) == len(best) and np.isin(best, heads).all()
+    return MorePairs(pair(single, best), pair(none, none), np.empty(0), False, head) if known else None
+
+
 def ask_single_uavs(
     targets: Targets, past: Floats, names: Sequence[str], head: Indices, late: Pairs, odds: Floats
 ) -> MorePairs:
@@ -96,17 +105,21 @@ def ask_single_uavs(
     """
     single = sample_single_uavs(targets)
     new = _nominate(targets, past, names, single)
-    itself = single[:, None] == targets.label
     if len(single) and len(past) > 3:
-        chosen, gained = _choose(targets, np.where(itself, -np.inf, screen(targets, past, LONE, single)), single)
+        chosen, gained = _choose(targets, _screen_single_uavs(targets, past, single), single)
         other = ~np.isin(_code(targets, chosen), _code(targets, late))
         late = Pairs(*map(np.append, vars(late).values(), vars(pick(chosen, other)).values()))
         odds = np.append(odds, gained[other])
-    asked = np.isin(np.arange(len(past)), np.union1d(head[head >= 0], new)) & ~itself
+    asked = np.isin(np.arange(len(past)), np.union1d(head[head >= 0], new)) & (single[:, None] != targets.label)
     alone = np.isin(late.group, single)
     asked[np.searchsorted(single, late.group[alone]), late.uav[alone]] = True
     place, uav = np.nonzero(asked)
     return MorePairs(pair(single[place], uav), late, odds, bool(len(new) or len(odds)), head)
+
+
+def _screen_single_uavs(targets: Targets, past: Floats, single: Indices) -> Floats:
+    """``(K, c, n)``: the evidence of :func:`screen` for ``single`` ``(c,)`` groups of one UAV; -inf for itself."""
+    return np.where(single[:, None] == targets.label, -np.inf, screen(targets, past, LONE, single))
 
 
 def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indices) -> Indices:
@@ -160,8 +173,7 @@ class _Screening:
     def weigh(self, gained: Floats) -> tuple[Floats, Floats]:
         """What the followers of each candidate gain, less their description length ``(k,)``; the gains ``(k, c)``.
 
-        Args:
-            gained: ``(c,)`` what the single UAVs gain already, by other candidates.
+        ``gained`` ``(c,)`` is what the single UAVs gain already, by other candidates.
         """
         moment, axes, width = self.moment, self.targets.axes, self.moment.shape[2] // self.targets.axes
         rows, energy = self.targets.rows[self.single], self.targets.energy[self.single]
@@ -201,14 +213,8 @@ def _screenings(
 def _pool(targets: Targets, pairs: Pairs, some: Statistics, follows: Mask, fixed: Mask) -> Floats:
     """``(P,)``: log-likelihood that each pair gains by the law of the candidate's other followers.
 
-    A candidate without other followers has no law: 0.
-
-    Args:
-        targets: the groups.
-        pairs: the pairs.
-        some: the statistics of one class.
-        follows: ``(P,)`` the followers at first; then, in turns, those that gain.
-        fixed: ``(P,)`` pairs of which that does not change.
+    A candidate without other followers has no law: 0. ``follows`` ``(P,)`` are the followers at first; then, in turns,
+    those that gain, and of the pairs ``fixed`` ``(P,)`` the same as at first.
     """
     weight = (targets.axes * targets.rows / targets.energy)[pairs.target]
     gram, moment = some.gram * weight[:, None, None], some.moment * weight[:, None, None]
@@ -244,10 +250,7 @@ def _choose(targets: Targets, evidence: Floats, single: Indices) -> tuple[Pairs,
     largest of many exponential variables exceeds the second by their scale on average, and the second exceeds the third
     by half of it. So the first difference, which is the gain, is measured in units of the second ones.
 
-    Args:
-        targets: the groups.
-        evidence: ``(K, c, n)`` of the screening, -inf for the UAV itself.
-        single: ``(c,)`` the groups of one UAV.
+    ``evidence`` ``(K, c, n)`` is that of :func:`_screen_single_uavs`.
     """
     first, second, third = np.moveaxis(-np.partition(-evidence, 2, axis=2)[:, :, :3], 2, 0)
     gain = (first - second) / max(2.0 * float((second - third).mean()), 1.0)

@@ -136,25 +136,24 @@ def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, tu
         return turned * values[:, ::-1]
 
     parts = (slice(axes), slice(2 * axes, 3 * axes), slice(None))  # the newest velocity, its squares, and all
-    sides = [
-        _fit_delays(features, target, longest, parts)
-        for values, target in ((past, group), (reverse(future), reverse(group)))
-        for _, features in make_features(_look_back(values), [_CLASS])
-    ]
-    energy = np.array([[laws.energy for laws in side] for side in sides])  # (2, K, P)
-    widths = np.array([laws.features.shape[2] for laws in sides[0]])
-    chance = (widths / (steps - 1 - widths))[:, None]  # the share of what is left; an adjusted R²
+    known, target = np.concatenate([past, reverse(future)]), np.concatenate([group, reverse(group)])  # both directions
+    ((_, features),) = make_features(_look_back(known), [_CLASS])
+    classes = _fit_delays(features, target, longest, parts)
+    energy = np.array([laws.energy for laws in classes]).reshape(len(parts), 2, count)
+    widths = np.array([laws.features.shape[2] for laws in classes])
+    chance = (widths / (steps - 1 - widths))[:, None, None]  # the share of what is left; an adjusted R²
     adjusted = energy - chance * (total - energy)
-    best = adjusted.max(axis=0).argmax(axis=0)
+    best = adjusted.max(axis=1).argmax(axis=0)
     for number in np.unique(best):
         some = np.flatnonzero(best == number)
-        before, after = (side[number].pick(some) for side in sides)
-        forward, backward = before.predict(), after.predict()
+        laws = classes[number].pick(np.concatenate([some, count + some]))
+        predicted = laws.predict()
+        forward, backward = predicted[: len(some)], predicted[len(some) :]
         gained = ((forward - reverse(backward)) * group[some]).sum(axis=2)
         blocks[some] = np.add.reduceat(gained, starts, axis=1) / total[some, None]
-        for side, (laws, predicted) in enumerate(((after, forward), (before, backward))):
-            (other,) = _fit_delays(laws.features, reverse(predicted), longest)
-            expected[some, side] = (adjusted[side, number, some] - other.energy) / total[some]
+        other = np.concatenate([laws.features[len(some) :], laws.features[: len(some)]])
+        (again,) = _fit_delays(other, reverse(predicted), longest)
+        expected[some] = ((adjusted[number][:, some] - again.energy.reshape(2, -1)) / total[some]).T
     return blocks, expected
 
 

@@ -31,6 +31,12 @@ def test_smooth_heads(follow, mobility):
     assert np.array_equal(answer(window).candidates, truth.head)
 
 
+@pytest.mark.parametrize("seed", [708, 732])
+def test_a_head_outside_all_groups_is_not_taken_for_a_follower_of_the_heads_found_first(seed):
+    window, truth = swarm_window(seed, follow="f3", mobility="smooth_turn", head_jitter=True, uavs=82, clusters=5)
+    assert np.array_equal(answer(window).candidates, truth.head)
+
+
 @pytest.mark.parametrize("follow", F1_TO_F6)
 def test_short_windows(follow):
     window, truth = swarm_window(720, follow=follow, observation_steps=20, uavs=82, clusters=5)
