@@ -15,6 +15,7 @@ from pathlib import Path
 
 from result_pages import (
     clusters,
+    confirmation,
     cores,
     decoys,
     index,
@@ -54,6 +55,7 @@ PAGES = {
     "docs/results/learned.md": learned.text,
     "docs/results/multiagent.md": multiagent.text,
     "docs/results/real_tracks.md": real_tracks.text,
+    "docs/results/confirmation.md": confirmation.text,
     "docs/results/literature.md": literature.text,
     "docs/results/suites.md": suites.text,
     "docs/results/suites_cells.md": suites.cells_text,

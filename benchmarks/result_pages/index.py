@@ -180,6 +180,7 @@ PAGES = (
     ("suites_cells", "every cell of the frozen suites"),
     ("literature", "experiments of the literature on leaders"),
     ("real_tracks", "recorded tracks with known leaders"),
+    ("confirmation", "what each part of the test of leaders in recorded tracks is worth"),
     ("speed", "speed and memory"),
 )
 

@@ -71,7 +71,8 @@ def text() -> str:
         "A threshold *earns* its place if the change is worse in all windows or in one tier, and the interval shows "
         f"it: 95 % over all windows, and {100 * (1 - 0.05 / len(tiers)):.1f} % in each of the {len(tiers)} tiers "
         "(corrected for their number). *Not shown*: worse by more than half a point, or by more than 0.005 of J, in "
-        "all windows or in one tier, but the interval holds 0.",
+        "all windows or in one tier, but the interval holds 0. `certain-never` and `heads-never` move parts that are "
+        "there for speed: they end the search where it would find the same heads.",
         f"Windows by tier: {counts}.",
         "These rows are of the detector before the comparison of directions was added to it (commit 2baf9cf), which is "
         "the present detector with the change `direction-never`:",
