@@ -25,7 +25,7 @@ from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
-from running import RESULTS, make_parser, play_games
+from running import RESULTS, make_parser, parse_or_list, play_games
 from tracks_speed import LENGTH, STEP, write_file
 
 from usnet_env import Window, make_detector
@@ -92,7 +92,14 @@ CHANGES = {
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A window of N ids, those that lead ``(N,)``, those that must be named, and who follows whom ``(N, N)``."""
+    """A window of N ids and its truth.
+
+    Args:
+        window: the window.
+        leads: ``(N,)`` whether an id leads another one.
+        needed: ``(N,)`` whether a detector must name the id.
+        follows: ``(N, N)`` whether id i follows id j.
+    """
 
     window: Window
     leads: NDArray[np.bool_]
@@ -179,11 +186,7 @@ def main() -> None:
     parser = make_parser(__doc__)
     parser.add_argument("--data", type=Path, help="folder with a folder of CSV files for each set of recordings")
     parser.add_argument("--results", type=Path, default=FILE)
-    parser.add_argument("--list", action="store_true", help="list the changes and play nothing")
-    arguments = parser.parse_args()
-    if arguments.list:
-        for key, change in CHANGES.items():
-            print(f"{key or 'whole':18} {change.what}")
+    if (arguments := parse_or_list(parser, CHANGES)) is None:
         return
     files = sorted(arguments.data.glob("*/*.csv")) if arguments.data else []
     paths = {(path.parent.name, path.stem): path for path in files}

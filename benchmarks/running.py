@@ -26,6 +26,17 @@ def make_parser(words: str | None) -> argparse.ArgumentParser:
     return argparse.ArgumentParser(description=words, formatter_class=argparse.RawDescriptionHelpFormatter)
 
 
+def parse_or_list(parser: argparse.ArgumentParser, changes: Mapping[str, Any]) -> argparse.Namespace | None:
+    """Parse the arguments of an ablation; with ``--list``, print ``what`` each change is, and return ``None``."""
+    parser.add_argument("--list", action="store_true", help="list the changes and play nothing")
+    arguments = parser.parse_args()
+    if not arguments.list:
+        return arguments
+    for key, change in changes.items():
+        print(f"{key or 'whole':18} {change.what}")
+    return None
+
+
 def answer_help(words: str | None) -> None:
     """End a script without arguments that was called with ``--help``, after its docstring, or with any other."""
     make_parser(words).parse_args()

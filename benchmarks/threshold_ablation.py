@@ -23,7 +23,7 @@ from unittest.mock import patch
 import numpy as np
 from follow_mixture import cells, shifted_tracks
 from numpy.typing import NDArray
-from running import RESULTS, make_parser, play_games
+from running import RESULTS, make_parser, parse_or_list, play_games
 from scipy.special import expit
 
 from detectors.follow_mixture import FollowMixture, delays, detector, evidence, fit, motion, pooling
@@ -228,11 +228,7 @@ def main() -> None:
     parser.add_argument("--policy", choices=["cost", "map"], default="cost", help="where a UAV follows another")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--results", type=Path, default=FILE)
-    parser.add_argument("--list", action="store_true", help="list the changes and play nothing")
-    arguments = parser.parse_args()
-    if arguments.list:
-        for key, change in CHANGES.items():
-            print(f"{key or 'whole':18} {change.what}")
+    if (arguments := parse_or_list(parser, CHANGES)) is None:
         return
 
     def play_one(cell: Mapping[str, Any], number: int) -> dict[str, Any]:
