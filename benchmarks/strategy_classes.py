@@ -95,7 +95,9 @@ def measure(name: str) -> list[dict[str, str]]:
     direction, past = fly(name)
     direction = direction - direction.mean(axis=1, keepdims=True)  # each follower has a constant of its own
     rows = []
-    for library, features in make_features(past, CLASSES):
+    values, columns = make_features(past, CLASSES)
+    for library, used in columns.items():
+        features = values[:, used].swapaxes(1, 2)
         together = explained(features.reshape(-1, features.shape[2]), direction.reshape(-1, 3))
         alone = min(explained(own, wanted) for own, wanted in zip(features, direction, strict=True))
         rows.append({"strategy": name, "class": library, "r2_shared": f"{together:.6f}", "r2_each": f"{alone:.6f}"})

@@ -48,13 +48,13 @@ def compare_delays(velocity: Floats, past: Floats, longest: int) -> tuple[Floats
 
     Args:
         velocity: ``(k, T, a)``.
-        past: ``(k, T - L, L, a)``.
+        past: ``(k, L, a, T - L)``.
         longest: the longest delay in samples; a quarter of the steps at most.
 
     Returns:
         ``(k, k)`` log-odds that i follows j, -inf on the diagonal; ``(k, k)`` the evidence.
     """
-    count, lags, every = len(velocity), past.shape[2], np.arange(len(velocity))
+    count, lags, every = len(velocity), past.shape[1], np.arange(len(velocity))
     longest = max(lags, min(longest, velocity.shape[1] // 4))
 
     def ask(candidates: Floats, lags: int, classes: tuple[str, ...]) -> Floats:
@@ -63,8 +63,8 @@ def compare_delays(velocity: Floats, past: Floats, longest: int) -> tuple[Floats
 
     evidence = ask(past, lags, LEVELS[0])
     if longest > lags:
-        late = lagged(velocity, longest)[:, :, lags:].swapaxes(1, 2)  # (k, D, R, a)
-        each = ask(late.reshape(-1, late.shape[2], 1, late.shape[3]), longest, LEVELS[0][:1])
+        late = lagged(velocity, longest)[:, lags:]  # (k, D, a, R)
+        each = ask(late.reshape(-1, 1, *late.shape[2:]), longest, LEVELS[0][:1])
         evidence = np.maximum(evidence, each.reshape(count, count, longest - lags).max(axis=2))
     laws = len(LEVELS[0]) + longest - lags
     price = np.log(1.0 / RARE - 1.0) + np.log(max(count - 1, 1) * laws)
@@ -87,7 +87,7 @@ def ask_delays(
     Args:
         targets: the groups.
         velocity: ``(n, T, a)``.
-        past: ``(n, R, L, a)``.
+        past: ``(n, L, a, R)``.
         leads: the UAVs that lead; of the others, only single ones can be followed.
         gain: ``(C,)`` what each group gains already; the log-odds are higher.
         longest: see :func:`compare_delays`.
@@ -118,7 +118,7 @@ def find_hierarchy(
     Args:
         targets: the groups.
         velocity: ``(n, T, a)``.
-        past: ``(n, R, L, a)``.
+        past: ``(n, L, a, R)``.
         leads: the UAVs that lead.
         head: ``(C,)`` the UAV that each group was assigned to, -1 for none.
         gained: ``(C,)`` the evidence for this.

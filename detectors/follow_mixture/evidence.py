@@ -28,7 +28,7 @@ _ROWS_A_LAG = 12  # rows of a window per lag of the own past in Z
 RIDGE = 1e-6  # of the mean square of a feature
 _GRAIN = 1e-3  # innovations below this share of the mean speed are rounding of the positions
 _ASKED = 3  # candidates of each sort that a class nominates for a group; their evidence is exact
-_CHUNK = 1000
+_CHUNK = 500  # groups, candidates or pairs; bounds the memory
 _FREEDOM = 4.0  # of the t distribution whose weights the rows have: a sharp turn counts little more than other rows
 _MEDIAN = {1: 0.455, 2: 1.386, 3: 2.366}  # of a chi-square variable, by its degrees of freedom
 _LEAST_SPREAD = 0.005  # least standard deviation of an innovation, in mean speeds
@@ -41,8 +41,8 @@ class Targets:
 
     Args:
         label: ``(n,)`` the group of each UAV.
-        innovation: ``(G, R, a)`` e.
-        own: ``(G, R, z)`` orthonormal columns that span Z.
+        innovation: ``(G, a, R)`` e.
+        own: ``(G, z, R)`` orthonormal rows that span Z.
         weight: ``(G, R)`` weight of each row, in units of which e and Z are.
         rows: ``(G,)`` effective number of rows: R - z, less if a few rows hold most of |e|² or if e is not white.
         least: the least share of |e|² that a leader explains.
@@ -63,12 +63,12 @@ class Targets:
     @property
     def axes(self) -> int:
         """Number of axes, a: each is a regression by itself."""
-        return int(self.innovation.shape[2])
+        return int(self.innovation.shape[1])
 
     @property
     def grain(self) -> float:
         """Energy of rounding."""
-        return self.axes * self.innovation.shape[1] * _GRAIN**2
+        return self.axes * self.innovation.shape[2] * _GRAIN**2
 
     @property
     def energy(self) -> Floats:
@@ -128,7 +128,7 @@ def add_rests(targets: Targets, pairs: Pairs, velocity: Floats) -> tuple[Targets
     """Add the groups without the members that are their candidates; the pairs of these refer to them."""
     member = np.flatnonzero(targets.label[pairs.uav] == pairs.group)
     group, uav = pairs.group[member], pairs.uav[member]
-    groups, lags = len(targets.sizes), velocity.shape[1] - targets.innovation.shape[1]
+    groups, lags = len(targets.sizes), velocity.shape[1] - targets.innovation.shape[2]
     rest = _sum_groups(velocity, targets.label)[group] - velocity[uav]
     added = _innovate(rest / (targets.sizes[group] - 1)[:, None, None], lags)
     four = (targets.innovation, targets.own, targets.weight, targets.rows)
@@ -151,21 +151,21 @@ def _innovate(mean: Floats, lags: int) -> tuple[Floats, Floats, Floats, Floats]:
     rows = steps - lags
     own_lags = int(np.clip(rows // _ROWS_A_LAG, 1, lags))
     width = 1 + axes * own_lags
-    innovation, own, weight = np.empty((count, rows, axes)), np.empty((count, rows, width)), np.empty((count, rows))
+    innovation, own, weight = np.empty((count, axes, rows)), np.empty((count, width, rows)), np.empty((count, rows))
     for first in range(0, count, _CHUNK):
         part = slice(first, first + _CHUNK)
-        past = lagged(mean[part], lags)[:, :, :own_lags].reshape(-1, rows, axes * own_lags)
-        known = np.concatenate([np.ones((len(past), rows, 1)), past], axis=2)
-        plain = _residuals(whiten(known), mean[part, lags:])
-        square = (plain**2).sum(axis=2)
+        target = mean[part, lags:].transpose(0, 2, 1)
+        past = lagged(mean[part], lags)[:, :own_lags].reshape(len(target), -1, rows)
+        known = np.concatenate([np.ones((len(past), 1, rows)), past], axis=1)
+        square = (_residuals(whiten(known), target) ** 2).sum(axis=1)
         scale = np.maximum(np.median(square, axis=1, keepdims=True) / _MEDIAN[axes], _LEAST_SPREAD**2)
         weight[part] = 1.0 / np.sqrt(1.0 + square / (_FREEDOM * scale))
-        own[part] = whiten(known * weight[part][:, :, None])
-        innovation[part] = _residuals(own[part], mean[part, lags:] * weight[part][:, :, None])
+        own[part] = whiten(known * weight[part, None])
+        innovation[part] = _residuals(own[part], target * weight[part, None])
     # Fewer rows count where a few sharp turns hold most of the energy, or where innovations are not white, for features
     # with their spectrum (Bartlett's formula). The shares of normal and white ones are a / (a + 2) and a / (a + 1).
-    power = (np.abs(np.fft.rfft(innovation, axis=1)[:, 1:]) ** 2).sum(axis=2)
-    steady = (axes + 2) / axes * _participation((innovation**2).sum(axis=2))
+    power = (np.abs(np.fft.rfft(innovation)[:, :, 1:]) ** 2).sum(axis=1)
+    steady = (axes + 2) / axes * _participation((innovation**2).sum(axis=1))
     share = np.minimum(np.minimum(steady, (axes + 1) / axes * _participation(power)), 1.0)
     return innovation, own, weight, np.minimum(rows * share, rows - width)
 
@@ -175,19 +175,38 @@ def _participation(values: Floats) -> Floats:
     return np.asarray(values.mean(axis=1) ** 2 / np.maximum((values**2).mean(axis=1), _NOTHING**2))
 
 
-def _residuals(columns: Floats, target: Floats) -> Floats:
-    """``(k, R, a)``: what orthonormal columns ``(k, R, z)`` leave of targets."""
-    return np.asarray(target - columns @ (columns.transpose(0, 2, 1) @ target))
+def _residuals(known: Floats, target: Floats) -> Floats:
+    """``(k, a, R)``: what orthonormal rows ``(k, z, R)`` leave of targets."""
+    return np.asarray(target - (target @ known.transpose(0, 2, 1)) @ known)
 
 
-def whiten(columns: Floats, ridge: float = RIDGE) -> Floats:
-    """Orthonormal columns of the span of each ``(R, p)`` block, up to a small ridge."""
-    gram = columns.transpose(0, 2, 1) @ columns
+def whiten(features: Floats, ridge: float = RIDGE) -> Floats:
+    """Orthonormal rows of the span of each ``(p, R)`` block, up to a small ridge."""
+    gram = features @ features.transpose(0, 2, 1)
+    _invert_roots(gram, ridge, _NOTHING)
+    return np.asarray(gram @ features)
+
+
+@compiled()
+def _invert_roots(gram: Floats, ridge: float, nothing: float) -> None:
+    """Replace each of the matrices ``(k, p, p)`` by the inverse of its lower Cholesky factor, with a ridge."""
     width = gram.shape[1]
-    power = np.trace(gram, axis1=1, axis2=2) / width
-    gram += (ridge * power + _NOTHING)[:, None, None] * np.eye(width)
-    inverse = np.linalg.inv(np.linalg.cholesky(gram))
-    return np.asarray(columns @ inverse.transpose(0, 2, 1))
+    for matrix in gram:
+        added = nothing + ridge * np.trace(matrix) / width
+        for p in range(width):
+            matrix[p, p] += added
+            for q in range(p + 1):
+                value = matrix[p, q]
+                for r in range(q):
+                    value -= matrix[p, r] * matrix[q, r]
+                matrix[p, q] = value / matrix[q, q] if q < p else np.sqrt(max(value, added))
+        for q in range(width):
+            matrix[:q, q] = 0.0
+            for p in range(q, width):
+                value = 1.0 if p == q else 0.0
+                for r in range(q, p):
+                    value -= matrix[p, r] * matrix[r, q]
+                matrix[p, q] = value / matrix[p, p]
 
 
 def bayes_factor(share: Floats, rows: Floats, width: int, axes: int) -> Floats:
@@ -209,26 +228,24 @@ def screen(
 
     Args:
         targets: the groups.
-        past: ``(n, R, L, a)`` pasts of the candidates.
+        past: ``(n, L, a, R)`` pasts of the candidates.
         names: the feature classes; those that others contain are left out.
         groups: ``(c,)`` the groups that are screened.
         only: ``(n,)`` the single group of which each UAV is a candidate, -1 or ``None``: of all. Others: no evidence.
     """
-    weight = targets.weight[groups]
+    weight = targets.weight[groups][:, None]
     rows = targets.rows[groups, None]
     price = -0.5 * targets.axes * rows * np.log1p(-targets.least)  # what a leader gains that explains the least share
-    power = targets.energy[groups][:, None]
     # Single precision is enough to order the candidates, and this is most of the work in a large swarm.
     every_target = [
-        np.ascontiguousarray(values.transpose(1, 2, 0), np.float32)
+        np.ascontiguousarray(values.transpose(2, 1, 0), np.float32)  # (R, a or z, C)
         for values in (
-            targets.innovation[groups] * weight[:, :, None],
-            targets.innovation[groups] / weight[:, :, None],
-            targets.own[groups] * weight[:, :, None],
+            np.concatenate([targets.innovation[groups], targets.own[groups]], axis=1) * weight,
+            targets.innovation[groups] / weight,
+            weight**2,
         )
     ]
-    square = (weight**2).astype(np.float32)
-    rough = ((every_target[1] ** 2).sum(axis=(0, 1)) + targets.grain)[:, None]
+    energy = targets.energy[groups][:, None], ((every_target[1] ** 2).sum(axis=(0, 1)) + targets.grain)[:, None]
     screened = [name for name in names if name in SCREENED]
     evidence = np.zeros((len(screened), len(groups), len(past)))
     only = np.full(len(past), -1) if only is None else only
@@ -237,14 +254,12 @@ def screen(
     for part in np.split(order, [*range(_CHUNK, every, _CHUNK), *range(every, uavs, _CHUNK)]):
         valid = (only[part] < 0) | (only[part] == groups[:, None])
         some = np.flatnonzero(valid.any(axis=1))
-        flat, plain, own = (values.take(some, axis=2) for values in every_target)
-        for number, (_, found) in enumerate(make_features(past[part], screened)):
-            if found.shape[2] == targets.axes:
-                share = _explain_exactly(found.astype(np.float32), flat, own, square[some])
-                share /= power[some]
-            else:
-                share = _explain_roughly(whiten(found).astype(np.float32), plain) / rough[some]
-            gained = bayes_factor(share, rows[some], found.shape[2], targets.axes) - price[some]
+        both, plain, square = (values.take(some, axis=2) for values in every_target)
+        features, columns = make_features(past[part], screened)
+        for number, used in enumerate(columns.values()):
+            found, exact = features.take(used, axis=1), len(used) == targets.axes
+            share = _explain_exactly(found, both, square[:, 0]) if exact else _explain_roughly(found, plain)
+            gained = bayes_factor(share / energy[not exact][some], rows[some], len(used), targets.axes) - price[some]
             evidence[number, some[:, None], part] = np.where(valid[some], gained, 0.0)
     return evidence
 
@@ -283,35 +298,38 @@ def pick(pairs: Pairs, places: Indices | Mask) -> Pairs:
     return Pairs(pairs.group[places], pairs.uav[places], pairs.target[places])
 
 
-def _explain_roughly(white: Singles, flat: Singles) -> Floats:
-    """``(C, k)``: energy of unweighted innovations ``(R, a, C)`` that orthonormal features ``(k, R, p)`` explain."""
-    product = np.tensordot(white, flat, (1, 0))  # (k, p, a, C)
-    return np.asarray(np.einsum("kpac,kpac->kac", product, product).sum(axis=1).T)
+def _explain_roughly(features: Floats, target: Singles) -> Floats:
+    """``(C, k)``: energy of unweighted innovations ``(R, a, C)`` that features ``(k, p, R)`` explain."""
+    return np.asarray((_multiply(whiten(features), target) ** 2).sum(axis=(1, 2)).T)
 
 
-def _explain_exactly(features: Singles, flat: Singles, own: Singles, weight: Singles) -> Floats:
-    """``(C, k)``: energy that few features ``(k, R, p)`` explain beyond the own pasts.
+def _explain_exactly(features: Floats, target: Singles, weight: Singles) -> Floats:
+    """``(C, k)``: energy that few features ``(k, p, R)`` explain beyond the own pasts.
 
-    ``flat`` ``(R, a, C)`` are the innovations and ``own`` ``(R, z, C)`` the own pasts, times the weights of their rows;
-    ``weight`` ``(C, R)`` are the squares of these weights.
+    ``target`` ``(R, a + z, C)`` are the innovations and the own pasts, times the weights of their rows; ``weight``
+    ``(R, C)`` are the squares of these weights.
     """
-    moment, known = np.tensordot(features, flat, (1, 0)), np.tensordot(features, own, (1, 0))
-    row, column = np.tril_indices(features.shape[2])
-    products = features[:, :, row] * features[:, :, column]
-    gram = np.tensordot(products, weight, (1, 1))
-    return np.asarray(_solve(moment, known, gram).T)
+    row, column = np.tril_indices(features.shape[1])
+    gram = _multiply(features[:, row] * features[:, column], weight)
+    return np.asarray(_solve(_multiply(features, target), gram, features.shape[1]).T)
+
+
+def _multiply(features: Floats, target: Singles) -> Singles:
+    """``(k, p, ..., C)``: products, summed over the rows, of features ``(k, p, R)`` and targets ``(R, ..., C)``."""
+    product = features.astype(np.float32).reshape(-1, features.shape[2]) @ target.reshape(len(target), -1)
+    return product.reshape(*features.shape[:2], *target.shape[1:])
 
 
 @compiled()
-def _solve(moment: Singles, known: Singles, gram: Singles) -> Floats:
+def _solve(product: Singles, gram: Singles, axes: int) -> Floats:
     """``(k, C)``: m' G^-1 m, summed over the axes, with G less what the own past explains, by Cholesky's method.
 
     Args:
-        moment: ``(k, p, a, C)`` features times innovations.
-        known: ``(k, p, z, C)`` features times own pasts.
+        product: ``(k, p, a + z, C)`` features times innovations, which are m, and times own pasts.
         gram: ``(k, p (p + 1) / 2, C)`` lower triangles of features times features.
+        axes: a.
     """
-    uavs, features, width, count = known.shape
+    uavs, features, width, count = product.shape
     explained = np.zeros((uavs, count))
     lower, left = np.empty((features, features, count)), np.empty((features, count))
     for k in range(uavs):
@@ -319,9 +337,9 @@ def _solve(moment: Singles, known: Singles, gram: Singles) -> Floats:
             for q in range(p + 1):
                 value = lower[p, q]
                 value[:] = gram[k, p * (p + 1) // 2 + q]
-                for z in range(width):
+                for z in range(axes, width):
                     for c in range(count):
-                        value[c] -= known[k, p, z, c] * known[k, q, z, c]
+                        value[c] -= product[k, p, z, c] * product[k, q, z, c]
                 for r in range(q):
                     for c in range(count):
                         value[c] -= lower[p, r, c] * lower[q, r, c]
@@ -333,10 +351,10 @@ def _solve(moment: Singles, known: Singles, gram: Singles) -> Floats:
                     for i in range(features):
                         trace += gram[k, i * (i + 3) // 2, c]
                     value[c] = np.sqrt(max(value[c], 0.0) + RIDGE * trace / features + _NOTHING)
-        for axis in range(moment.shape[2]):
+        for axis in range(axes):
             for p in range(features):
                 for c in range(count):
-                    rest = moment[k, p, axis, c]
+                    rest = product[k, p, axis, c]
                     for r in range(p):
                         rest -= lower[p, r, c] * left[r, c]
                     left[p, c] = rest / lower[p, p, c]
@@ -345,23 +363,25 @@ def _solve(moment: Singles, known: Singles, gram: Singles) -> Floats:
 
 
 def gather_statistics(targets: Targets, past: Floats, pairs: Pairs, names: Sequence[str]) -> list[Statistics]:
-    """Compute the cross products of the feature classes ``names`` for the pairs; ``past`` ``(n, R, L, a)``."""
+    """Compute the cross products of the feature classes ``names`` for the pairs; ``past`` ``(n, L, a, R)``."""
     asked, place = np.unique(pairs.uav, return_inverse=True)
+    features, columns = make_features(past[asked], names)
+    width = features.shape[1]
+    moment, gram = np.empty((len(place), width, targets.axes)), np.empty((len(place), width, width))
+    power = np.empty((len(place), width))
+    for first in range(0, len(place), _CHUNK):
+        part, target = slice(first, first + _CHUNK), pairs.target[first : first + _CHUNK]
+        weighted = features[place[part]] * targets.weight[target, None]
+        moment[part] = weighted @ targets.innovation[target].transpose(0, 2, 1)
+        known = weighted @ targets.own[target].transpose(0, 2, 1)
+        gram[part] = weighted @ weighted.transpose(0, 2, 1)
+        power[part] = np.einsum("kpp->kp", gram[part])
+        gram[part] -= known @ known.transpose(0, 2, 1)
     found = []
-    for name, features in make_features(past[asked], names):
-        width = features.shape[2]
-        moment, gram = np.empty((len(place), width, targets.axes)), np.empty((len(place), width, width))
-        for first in range(0, len(place), _CHUNK):
-            part, target = slice(first, first + _CHUNK), pairs.target[first : first + _CHUNK]
-            weighted = features[place[part]] * targets.weight[target][:, :, None]
-            turned = weighted.transpose(0, 2, 1)
-            moment[part] = turned @ targets.innovation[target]
-            whole = turned @ weighted
-            power = np.trace(whole, axis1=1, axis2=2) / width
-            known = turned @ targets.own[target]
-            gram[part] = whole - known @ known.transpose(0, 2, 1)
-            gram[part] += (RIDGE * power + _NOTHING)[:, None, None] * np.eye(width)
-        found.append(Statistics(name, moment, gram))
+    for name, used in columns.items():
+        ridge = RIDGE * power[:, used].mean(axis=1) + _NOTHING
+        own = gram[:, used[:, None], used] + ridge[:, None, None] * np.eye(len(used))
+        found.append(Statistics(name, moment[:, used], own))
     return found
 
 

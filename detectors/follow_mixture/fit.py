@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from detectors.follow_mixture.assignment import Assignment, assign_groups
 from detectors.follow_mixture.delays import ask_delays, find_hierarchy
@@ -203,8 +202,8 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
 
 def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) -> Indices:
     """``(M,)``: the lag at which each head alone explains best the groups of its ``chosen`` pairs; 0 if none does."""
-    _, rows, lags, axes = past.shape
-    each = past[chosen.uav].swapaxes(1, 2).reshape(-1, rows, 1, axes)  # one candidate for each lag
+    _, lags, axes, rows = past.shape
+    each = past[chosen.uav].reshape(-1, 1, axes, rows)  # one candidate for each lag
     pairs = Pairs(np.repeat(chosen.group, lags), np.arange(len(each)), np.repeat(chosen.target, lags))
     classes = gather_statistics(targets, each, pairs, LONE)
     own = np.max([own_evidence(targets, pairs, some) for some in classes], axis=0).reshape(-1, lags)
@@ -288,7 +287,8 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
     logit = np.tile(np.append(prior, np.log(RARE * np.exp(prior).sum())), (several.sum(), 1))
     some = several[pairs.group]
     logit[row[pairs.group[some]], pairs.uav[some]] += found.evidence[some] + paid[some]
-    share = np.exp(logit - logsumexp(logit, axis=1, keepdims=True))[:, :uavs]
+    share = np.exp(logit - logit.max(axis=1, keepdims=True))
+    share = share[:, :uavs] / share.sum(axis=1, keepdims=True)
     stays = np.log1p(-np.minimum(share, 1.0 - _NOTHING)).sum(axis=0)  # log probability of leading no group of several
     stays -= np.logaddexp(pool, 0.0)
     with np.errstate(divide="ignore"):
@@ -313,14 +313,14 @@ def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats,
     evidence = np.full((len(single), len(candidates)), -np.inf)
     evidence[row, column] = found.evidence[lone]
     head = np.isin(candidates, heads)
-    together = logsumexp(np.c_[evidence[:, head], np.zeros(len(single))], axis=1)  # 0: of following none
+    together = np.logaddexp.reduce(evidence[:, head], axis=1, initial=0.0)  # 0: of following none
     odds = evidence - together[:, None]  # of a further head
     odds[:, head] -= np.log1p(-np.minimum(np.exp(odds[:, head]), 1.0 - _NOTHING))  # instead of the other heads
     odds[np.isin(single, targets.label[heads])] = -np.inf
     follows = odds + np.log(np.maximum(known + ~head, 1))  # instead of one of the other heads, or none
     ratio = np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + follows[:, :, None])
     asked = np.isfinite(odds)
-    every = logsumexp(np.where(asked[:, :, None], ratio, 0.0).sum(axis=0), b=WEIGHTS, axis=1)
+    every = np.logaddexp.reduce(np.where(asked[:, :, None], ratio, 0.0).sum(axis=0) + np.log(WEIGHTS), axis=1)
     leads = np.log(np.maximum(-np.expm1(-every - np.log1p(asked.sum(axis=0))), _NOTHING))  # that at least one follows
     pool = np.where(targets.sizes[targets.label] == 1, np.log(RARE / uavs), -np.inf)  # without any evidence
     singles, itself = np.zeros(uavs), np.zeros(len(targets.sizes))

@@ -60,7 +60,8 @@ def read_motion(window: Window, living: Indices) -> Motion | None:
     if len(living) < 2 or window.observation_steps < LEAST_STEPS:
         return None
     seen = window.velocity_seen[:, living]
-    found = window.velocity[:, living][seen].astype(np.float64)
+    found = window.velocity[:, living].astype(np.float64)
+    found = found.reshape(-1, 3) if seen.all() else found[seen]
     flown = np.sqrt(np.vecdot(found, found))
     if not flown.sum() > 0:
         return None
@@ -73,7 +74,8 @@ def read_motion(window: Window, living: Indices) -> Motion | None:
         velocity = filled.velocity.astype(np.float64)
     velocity = np.ascontiguousarray(velocity[:, living].swapaxes(0, 1))
     speed = float(np.sqrt(np.vecdot(velocity, velocity))[seen.T].mean())
-    moves = np.ptp(velocity, axis=(0, 1)) > _ROUNDING * speed  # tracks in a plane are evidence of two axes, not three
+    # Tracks in a plane are evidence of two axes, not three.
+    moves = np.array([np.ptp(along) for along in np.moveaxis(velocity, 2, 0)]) > _ROUNDING * speed
     moves |= not moves.any()
     return Motion(np.ascontiguousarray(velocity[:, :, moves]) / speed, speed, unit, drift)
 
@@ -89,14 +91,14 @@ def common_drift(velocity: Floats, speeds: Floats) -> tuple[Floats, bool]:
         ``(3,)``, 0 if the swarm flies at one speed or does not drift fast as a whole. A drift is the centre of the
         sphere of velocities of one speed, or else the mean velocity.
     """
-    none, mean = np.zeros(3), velocity.mean(axis=0)
-    scatter = float(np.sqrt(velocity.var(axis=0).sum()))
+    none, mean = np.zeros(3), np.full(len(velocity), 1.0 / len(velocity)) @ velocity
+    about = velocity - mean
+    scatter = float(np.sqrt(np.vdot(about, about) / len(about)))
     if speeds.std() < max(_UNIT_SPREAD * scatter, _ROUNDING * float(speeds.mean())):
         return none, True
     if not np.sqrt(mean @ mean) > _DRIFT * scatter > 0:
         return none, False
     # On a sphere about c, |u|² = 2 (c - mean)·u + constant holds for u = v - mean: a linear regression.
-    about = velocity - mean
     squares = (about**2).sum(axis=1)
     half, *_ = np.linalg.lstsq(2.0 * about, squares - squares.mean(), rcond=1e-6)
     relative = np.sqrt(((about - half) ** 2).sum(axis=1))
@@ -105,8 +107,9 @@ def common_drift(velocity: Floats, speeds: Floats) -> tuple[Floats, bool]:
 
 
 def lagged(velocity: Floats, lags: int) -> Floats:
-    """The velocities before each step from ``lags`` on: ``(n, T - lags, lags, a)``, newest first."""
-    return np.stack([velocity[:, lag : lag - lags] for lag in reversed(range(lags))], axis=2)
+    """The velocities ``(n, T, a)`` before each step from ``lags`` on: ``(n, lags, a, T - lags)``, newest first."""
+    across = velocity.transpose(0, 2, 1)
+    return np.stack([across[:, :, lag : lag - lags] for lag in reversed(range(lags))], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +142,8 @@ def fit_spectra(velocity: Floats, noiseless: bool) -> FlightSpectra:
     """
     uavs, steps = velocity.shape[:2]
     flight = velocity - velocity.mean(axis=1, keepdims=True)
-    periodogram = (np.abs(np.fft.rfft(flight, axis=1)) ** 2).mean(axis=2)[:, 1:] / steps
+    transformed = np.fft.rfft(flight.transpose(0, 2, 1))[:, :, 1:]
+    periodogram = (transformed.real**2 + transformed.imag**2).mean(axis=1) / steps
     omega = 2.0 * np.pi * np.arange(1, periodogram.shape[1] + 1) / steps
     wave = 2.0 * (1.0 - np.cos(omega))
     scale = max(float(periodogram.mean()), _NOTHING)
@@ -171,15 +175,15 @@ def smoothed_pasts(velocity: Floats, spectra: FlightSpectra, lags: int) -> Float
         lags: L, the number of past velocities.
 
     Returns:
-        ``(n, T - L, L, a)``, newest first, in place of :func:`lagged`.
+        ``(n, L, a, T - L)``, newest first, in place of :func:`lagged`.
     """
     uavs, steps = velocity.shape[:2]
     mean, reach, innovation = _whiten_tracks(velocity, spectra)
     times = np.arange(lags, steps)
     before = np.arange(steps)[None, :] < times[:, None]
-    past = np.empty((uavs, steps - lags, lags, velocity.shape[2]))
+    past = np.empty((uavs, lags, velocity.shape[2], steps - lags))
     for lag in range(lags):
-        past[:, :, lag] = mean + (reach[:, times - 1 - lag] * before) @ innovation
+        past[:, lag] = (mean + (reach[:, times - 1 - lag] * before) @ innovation).transpose(0, 2, 1)
     return past
 
 

@@ -97,7 +97,7 @@ def ask_single_uavs(
 
     Args:
         targets: the groups.
-        past: ``(n, R, L, a)`` pasts of the candidates.
+        past: ``(n, L, a, R)`` pasts of the candidates.
         names: the feature classes of laws that followers share.
         head: ``(C,)`` the heads of the groups of several; -1 for none.
         late: D pairs of a group and a UAV that it follows with a delay of its own.
@@ -129,7 +129,7 @@ def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indi
     a candidate gain must exceed their description length. The arguments are those of :func:`_screenings`.
     """
     worth = np.full((len(names), len(past)), -np.inf)
-    chunk = max(_NUMBERS // (past.shape[1] * max(len(single), 1)), 1)
+    chunk = max(_NUMBERS // max(past.shape[3] * len(single), past[0].size), 1)
     every = np.arange(len(past))
     gained = np.zeros(len(single))
     for first in range(0, len(past) if len(single) > 1 else 0, chunk):
@@ -203,10 +203,10 @@ def _screenings(
     targets: Targets, past: Floats, uav: Indices, names: Sequence[str], single: Indices
 ) -> Iterator[_Screening]:
     """The products of some candidates with the single UAVs, by class."""
-    weight = targets.weight[single]
-    flat = (targets.innovation[single] * weight[:, :, None]).swapaxes(0, 1)  # (R, c, a)
-    for name, features in make_features(past[uav], names):
-        product = np.tensordot(whiten(features), flat, (1, 0)).swapaxes(1, 2)  # (k, c, p, a)
+    flat = targets.innovation[single] * targets.weight[single, None]
+    features, columns = make_features(past[uav], names)
+    for name, used in columns.items():
+        product = np.tensordot(whiten(features[:, used]), flat, (2, 2)).swapaxes(1, 2)  # (k, c, p, a)
         yield _Screening(name, uav, product.reshape(len(uav), len(single), -1), targets, single)
 
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
+from numpy.lib.stride_tricks import sliding_window_view
 
 from detectors.series.features import make_features
 from usnet_env.arrays import Floats, Indices
@@ -81,7 +81,7 @@ def compare_directions(
     error = np.sqrt(_BLOCKS) * lead.std(axis=1, ddof=1) + _NOTHING
     found, expected = lead.sum(axis=1) / error, np.maximum(whole, 0.0) / error[:, None]
     leads, follows = (
-        logsumexp(_log_density(sign * found[:, None] - most[:, None] * SHARES), b=WEIGHTS, axis=1)
+        np.logaddexp.reduce(np.log(WEIGHTS) + _log_density(sign * found[:, None] - most[:, None] * SHARES), axis=1)
         for sign, most in zip((1.0, -1.0), expected.T, strict=True)
     )
     return np.asarray(leads - np.maximum(_log_density(found), follows))
@@ -97,7 +97,7 @@ def lead_probabilities(ratio: Floats) -> Floats:
     each = np.logaddexp(np.log1p(-SHARES)[:, None], np.log(SHARES)[:, None] + ratio)  # (K, M)
     whole = np.log(WEIGHTS) + each.sum(axis=1)
     given = np.log(SHARES)[:, None] + ratio - each
-    return np.asarray(np.exp(logsumexp((whole - logsumexp(whole))[:, None] + given, axis=0)))
+    return np.asarray(np.exp(np.logaddexp.reduce((whole - np.logaddexp.reduce(whole))[:, None] + given, axis=0)))
 
 
 def _log_density(values: Floats) -> Floats:
@@ -137,10 +137,10 @@ def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, tu
 
     parts = (slice(axes), slice(2 * axes, 3 * axes), slice(None))  # the newest velocity, its squares, and all
     known, target = np.concatenate([past, reverse(future)]), np.concatenate([group, reverse(group)])  # both directions
-    ((_, features),) = make_features(_look_back(known), [_CLASS])
+    features, _ = make_features(_look_back(known), [_CLASS])
     classes = _fit_delays(features, target, longest, parts)
     energy = np.array([laws.energy for laws in classes]).reshape(len(parts), 2, count)
-    widths = np.array([laws.features.shape[2] for laws in classes])
+    widths = np.array([laws.features.shape[1] for laws in classes])
     chance = (widths / (steps - 1 - widths))[:, None, None]  # the share of what is left; an adjusted R²
     adjusted = energy - chance * (total - energy)
     best = adjusted.max(axis=1).argmax(axis=0)
@@ -158,13 +158,14 @@ def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, tu
 
 
 def _look_back(values: Floats) -> Floats:
-    """``(k, T, 2, a)``: the values of each step and of the one before it."""
-    return np.stack([values, np.concatenate([values[:, :1], values[:, :-1]], axis=1)], axis=2)
+    """``(k, 2, a, T)``: the values ``(k, T, a)`` of each step and of the one before it."""
+    across = values.transpose(0, 2, 1)
+    return np.stack([across, np.concatenate([across[:, :, :1], across[:, :, :-1]], axis=2)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class _Laws:
-    """The laws ``(P, p, a)`` of P groups from features ``(P, T, p)``, their delays and the energies they explain."""
+    """The laws ``(P, p, a)`` of P groups from features ``(P, p, T)``, their delays and the energies they explain."""
 
     features: Floats
     law: Floats
@@ -176,21 +177,21 @@ class _Laws:
 
     def predict(self) -> Floats:
         """``(P, T, a)``: what the laws predict; 0 in the first steps."""
-        source = np.arange(self.features.shape[1]) - self.delay[:, None]
-        predicted = np.take_along_axis(self.features @ self.law, np.maximum(source, 0)[:, :, None], axis=1)
+        source = np.arange(self.features.shape[2]) - self.delay[:, None]
+        explained = self.features.transpose(0, 2, 1) @ self.law
+        predicted = np.take_along_axis(explained, np.maximum(source, 0)[:, :, None], axis=1)
         return np.where((source >= 0)[:, :, None], predicted, 0.0)
 
 
 def _fit_delays(features: Floats, group: Floats, longest: int, parts: Sequence[slice] = (slice(None),)) -> list[_Laws]:
-    """Fit groups ``(P, T, a)`` by parts of features ``(P, T, p)``, each at its best delay, 1 to ``longest`` steps."""
+    """Fit groups ``(P, T, a)`` by parts of features ``(P, p, T)``, each at its best delay, 1 to ``longest`` steps."""
     count, steps, axes = group.shape
-    across, width = features.transpose(0, 2, 1), features.shape[2]
-    gram = across @ features
+    width = features.shape[1]
+    gram = features @ features.transpose(0, 2, 1)
     gram += np.eye(width) * (_RIDGE * gram + _NOTHING)
-    later = np.zeros((count, steps, longest, axes))
-    for lag in range(longest):
-        later[:, : -lag - 1, lag] = group[:, lag + 1 :]
-    moment = across @ later.reshape(count, steps, longest * axes)
+    padded = np.concatenate([group[:, 1:], np.zeros((count, longest, axes))], axis=1).reshape(count, -1)
+    later = sliding_window_view(padded, longest * axes, axis=1)[:, : steps * axes : axes]  # (P, T, longest a)
+    moment = features @ later
     every, found = np.arange(count), []
     for part in parts:
         aim = moment[:, part]
@@ -198,5 +199,5 @@ def _fit_delays(features: Floats, group: Floats, longest: int, parts: Sequence[s
         energy: Floats = (aim * law).reshape(count, -1, longest, axes).sum(axis=(1, 3))
         best = energy.argmax(axis=1)
         chosen = np.asarray(law.reshape(count, -1, longest, axes)[every, :, best])
-        found.append(_Laws(features[:, :, part], chosen, best + 1, np.asarray(energy[every, best])))
+        found.append(_Laws(features[:, part], chosen, best + 1, np.asarray(energy[every, best])))
     return found

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from math import prod
 
 import numpy as np
 
-from usnet_env.arrays import Floats
+from usnet_env.arrays import Floats, Indices
 
 #: Name of each class and the features of it: ``v`` velocities, ``v²`` their axis-wise squares, ``vv`` products of two
 #: axes of the newest velocity, ``v×v`` products of each axis of the newest velocity with each axis of the one before.
@@ -27,32 +27,43 @@ LONE = ("v(1)", "v²(1)")
 #: Classes by which candidates are screened; they contain the others.
 SCREENED = ("v(1)", "v²(1)", "v(L)", "v+v²+vv(1)", "v+v²(L)", "v+v²+v×v(2)")
 
+_ALL = 1_000_000  # of the last velocities: all L
+# Of each class: how many of the last velocities and of their squares it has, and whether it has vv, and v×v.
+_PARTS = {
+    "v(1)": (1, 0, 0, 0),
+    "v²(1)": (0, 1, 0, 0),
+    "v(L)": (_ALL, 0, 0, 0),
+    "v²(L)": (0, _ALL, 0, 0),
+    "v+v²+vv(1)": (1, 1, 1, 0),
+    "v+v²(L)": (_ALL, _ALL, 0, 0),
+    "v+v²+v×v(2)": (2, 2, 0, 1),
+}
+_OF_NEWEST = ((1, 0, 0, 0), (0, 1, 0, 0), (1, 1, 1, 0))
 
-def make_features(past: Floats, names: Iterable[str]) -> Iterator[tuple[str, Floats]]:
-    """Yield the name and the features ``(n, R, p)`` of the classes that L allows; each column has mean 0.
+
+def make_features(past: Floats, names: Iterable[str]) -> tuple[Floats, dict[str, Indices]]:
+    """Compute the features of some classes, each once, although several classes have it.
 
     Args:
-        past: ``(n, R, L, a)`` velocities before each row's time, newest first.
-        names: of the classes.
+        past: ``(n, L, a, R)`` velocities before each of R times, newest first.
+        names: of the classes; with L = 1, those of several velocities are left out.
+
+    Returns:
+        The features ``(n, p, R)``, each with mean 0, and the indices ``(k,)`` of those of each class.
     """
-    newest, two = past[:, :, :1], past[:, :, :2]
-    one, other = np.triu_indices(past.shape[3], 1)
-    for name in names:
-        if name == "v(1)":
-            parts = [newest]
-        elif name == "v²(1)":
-            parts = [newest**2]
-        elif name == "v+v²+vv(1)":
-            parts = [newest, newest**2, newest[..., one[::-1]] * newest[..., other[::-1]]]
-        elif past.shape[2] == 1:
-            continue
-        elif name == "v(L)":
-            parts = [past]
-        elif name == "v²(L)":
-            parts = [past**2]
-        elif name == "v+v²(L)":
-            parts = [past, past**2]
-        else:
-            parts = [two, two**2, past[:, :, 0, :, None] * past[:, :, 1, None, :]]
-        flat = np.concatenate([part.reshape(*part.shape[:2], prod(part.shape[2:])) for part in parts], axis=2)
-        yield name, np.asarray(flat - flat.mean(axis=1, keepdims=True))
+    uavs, lags, axes, rows = past.shape
+    one, other = np.triu_indices(axes, 1)
+    parts = {name: _PARTS[name] for name in names if lags > 1 or _PARTS[name] in _OF_NEWEST}
+    depth, squares, both, crossed = np.max(list(parts.values()), axis=0)
+    blocks = [past[:, :depth], past[:, :squares] ** 2]
+    blocks += [past[:, 0, one[::-1]] * past[:, 0, other[::-1]]] if both else []
+    blocks += [past[:, 0, :, None] * past[:, 1, None, :]] if crossed else []
+    values = np.concatenate([block.reshape(uavs, prod(block.shape[1:-1]), rows) for block in blocks], axis=1)
+    values -= values.mean(axis=2, keepdims=True)
+
+    def count(part: tuple[int, ...]) -> list[int]:
+        return [axes * min(part[0], lags), axes * min(part[1], lags), part[2] * len(one), part[3] * axes**2]
+
+    starts = np.cumsum([0, *count((depth, squares, both, crossed))])
+    ranges = {name: zip(starts, count(part), strict=False) for name, part in parts.items()}
+    return values, {name: np.concatenate([s + np.arange(k) for s, k in some]) for name, some in ranges.items()}

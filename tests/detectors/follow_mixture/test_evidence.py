@@ -27,15 +27,15 @@ NAMES = ("v(1)", "v(L)", "v+v²+vv(1)", "v+v²+v×v(2)")
 
 
 def make_problem(seed=0, steps=60):
-    """Velocities ``(10, steps, 3)`` of two groups that copy a head, and their pasts ``(10, steps - 2, 2, 3)``."""
+    """Velocities ``(10, steps, 3)`` of two groups that copy a head, and their pasts ``(10, 2, 3, steps - 2)``."""
     rng = np.random.default_rng(seed)
     velocity = rng.normal(size=(len(LABEL), steps, 3))
     for group, head in HEAD_OF.items():
         for uav in np.flatnonzero(group == LABEL):
             velocity[uav, 1:] = 0.8 * velocity[head, :-1] + 0.3 * velocity[uav, 1:]
     velocity[3, steps // 2] += 6.0  # one sharp turn
-    past = np.stack([velocity[:, LAGS - 1 - lag : steps - 1 - lag] for lag in range(LAGS)], axis=2)
-    return velocity, past
+    past = np.stack([velocity[:, LAGS - 1 - lag : steps - 1 - lag] for lag in range(LAGS)], axis=1)
+    return velocity, past.swapaxes(2, 3)
 
 
 def regress(design, target):
@@ -79,10 +79,10 @@ def test_innovations_are_residuals_of_a_weighted_regression_on_the_own_past(step
     rows = {1: members_of(1, -1), 3: [6], without[0]: members_of(1, 3), without[1]: members_of(2, 4)}
     for row, members in rows.items():
         target, known, weight = weighted_parts(velocity, members)
-        np.testing.assert_allclose(targets.innovation[row], regress(known, target), atol=1e-4)
+        np.testing.assert_allclose(targets.innovation[row].T, regress(known, target), atol=1e-4)
         np.testing.assert_allclose(targets.weight[row], weight, rtol=1e-3)
     assert len(targets.innovation) == 5 + (np.bincount(LABEL)[LABEL] > 1).sum()  # a group of one has no rest
-    assert (targets.rows <= steps - LAGS - targets.own.shape[2] + 1e-9).all()
+    assert (targets.rows <= steps - LAGS - targets.own.shape[1] + 1e-9).all()
 
 
 def test_the_evidence_of_a_pair_is_that_of_a_regression_on_both_pasts():
@@ -90,7 +90,7 @@ def test_the_evidence_of_a_pair_is_that_of_a_regression_on_both_pasts():
     targets, pairs = all_pairs(velocity)
     for statistics in gather_statistics(targets, past, pairs, NAMES):
         evidence = own_evidence(targets, pairs, statistics)
-        ((_, features),) = make_features(past, [statistics.name])
+        features = make_features(past, [statistics.name])[0].swapaxes(1, 2)
         for group, uav in ((1, 0), (1, 3), (2, 6), (2, 0), (0, 5), (2, 5)):
             (place,) = np.flatnonzero((pairs.group == group) & (pairs.uav == uav))
             target, known, weight = weighted_parts(velocity, members_of(group, uav))
@@ -139,7 +139,7 @@ def test_a_shared_law_is_a_stacked_weighted_regression(name):
     velocity, past = make_problem(2)
     targets, pairs = all_pairs(velocity)
     (statistics,) = gather_statistics(targets, past, pairs, [NAMES[name]])
-    ((_, features),) = make_features(past, [NAMES[name]])
+    features = make_features(past, [NAMES[name]])[0].swapaxes(1, 2)
     used = np.array([np.flatnonzero((pairs.group == g) & (pairs.uav == h))[0] for g, h in [*HEAD_OF.items(), (2, 5)]])
     variance = np.array([0.5, 1.0, 3.0])
     design, target = [], []
@@ -189,7 +189,7 @@ def test_the_best_candidates_of_each_sort_are_nominated():
 
 
 def test_features_of_a_row_are_functions_of_its_past():
-    past = np.random.default_rng(0).normal(size=(2, 9, 3, 3))
+    past = np.random.default_rng(0).normal(size=(2, 3, 3, 9))
 
     def features(row):
         newest, before = row[0], row[1]
@@ -204,8 +204,12 @@ def test_features_of_a_row_are_functions_of_its_past():
             "v+v²+v×v(2)": [*newest, *before, *newest**2, *before**2, *np.outer(newest, before).ravel()],
         }
 
-    for name, values in make_features(past, features(past[0, 0])):
-        expected = np.array([[features(row)[name] for row in rows] for rows in past])
-        np.testing.assert_allclose(values, expected - expected.mean(axis=1, keepdims=True), atol=1e-12)
-    one_lag = make_features(past[:, :, :1], ["v(1)", "v(L)", "v+v²(L)", "v²(1)"])
-    assert [name for name, _ in one_lag] == ["v(1)", "v²(1)"]
+    names = list(features(past[0, :, :, 0]))
+    for some in (names, *([name] for name in names)):
+        values, columns = make_features(past, some)
+        assert list(columns) == some
+        for name, used in columns.items():
+            expected = np.array([[features(uav[:, :, row])[name] for row in range(9)] for uav in past])
+            expected = expected - expected.mean(axis=1, keepdims=True)
+            np.testing.assert_allclose(values[:, used].swapaxes(1, 2), expected, atol=1e-12)
+    assert list(make_features(past[:, :1], ["v(1)", "v(L)", "v+v²(L)", "v+v²+v×v(2)", "v²(1)"])[1]) == ["v(1)", "v²(1)"]

@@ -38,9 +38,9 @@ def expect(motion, spectra, uav, t, lag):
 def test_smoothed_pasts_are_expectations_given_earlier_observations():
     motion, spectra = flown(6, position_noise=0.5)
     pasts = smoothed_pasts(motion.velocity, spectra, 4)
-    assert pasts.shape == (len(motion.velocity), motion.velocity.shape[1] - 4, 4, 3)
+    assert pasts.shape == (len(motion.velocity), 4, 3, motion.velocity.shape[1] - 4)
     for uav, row, lag in ((7, 40, 2), (0, 0, 1), (29, 95, 4)):
-        np.testing.assert_allclose(pasts[uav, row, lag - 1], expect(motion, spectra, uav, row + 4, lag), atol=1e-8)
+        np.testing.assert_allclose(pasts[uav, lag - 1, :, row], expect(motion, spectra, uav, row + 4, lag), atol=1e-8)
 
 
 def test_filtered_tracks_are_expectations_given_one_side_of_time():

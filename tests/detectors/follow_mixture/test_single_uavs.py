@@ -48,19 +48,19 @@ def test_a_follower_gains_by_the_law_of_the_others():
     targets, past, lone, _, evidence = compare(velocity, heads=[0])
     followers = np.arange(1, 13)
     weight = 3.0 * targets.rows / targets.energy
-    features = past[0, :, 0] - past[0, :, 0].mean(axis=0)
+    features = past[0, 0].T - past[0, 0].mean(axis=1)
 
     def residual(uav, values):
         values = values * targets.weight[uav][:, None]
-        return values - targets.own[uav] @ (targets.own[uav].T @ values)
+        return values - targets.own[uav].T @ (targets.own[uav] @ values)
 
     for uav in followers:
         design = np.concatenate([residual(k, features) * np.sqrt(weight[k]) for k in followers if k != uav])
-        target = np.concatenate([targets.innovation[k] * np.sqrt(weight[k]) for k in followers if k != uav])
+        target = np.concatenate([targets.innovation[k].T * np.sqrt(weight[k]) for k in followers if k != uav])
         law = np.linalg.lstsq(design, target, rcond=None)[0]
         explained = ((design @ law) ** 2).sum()
         law *= 1.0 - 9.0 / explained
-        left = ((targets.innovation[uav] - residual(uav, features) @ law) ** 2).sum()
+        left = ((targets.innovation[uav].T - residual(uav, features) @ law) ** 2).sum()
         expected = -1.5 * targets.rows[uav] * np.log(left / (targets.innovation[uav] ** 2).sum())
         (place,) = np.flatnonzero((lone.single.group == uav) & (lone.single.uav == 0))
         assert expected > 5.0  # so that all are followers in the definition, too
