@@ -69,7 +69,8 @@ def find_groups(velocity: Floats, spectra: FlightSpectra, rng: np.random.Generat
     power = float(np.median(spectra.power))
     still = np.zeros(len(velocity), bool)
     if spectra.noise == 0:  # a strategy may answer one head's turns more than another's; jitter is a share of it
-        own = velocity.var(axis=1).mean(axis=1)
+        about = (velocity - velocity.mean(axis=1, keepdims=True)).reshape(len(velocity), -1)
+        own = np.vecdot(about, about) / about.shape[1]
         still = own <= _GRAIN**2  # flies straight: moves like every other UAV that does, or like none
         velocity = velocity * np.sqrt(power / np.where(still, 1.0, own))[:, None, None]
     coordinates, band, count, wave, flight = _spectral_bands(velocity, spectra)
@@ -135,8 +136,8 @@ def _merge_best(gram: Floats, models: list[_Bands], price: float) -> tuple[Indic
         values[1:] = values[0] + np.cumsum(union - one - other - price)
     best, last = np.unravel_index(value.argmax(), value.shape)
     label = np.arange(energy.shape[1])
-    for one, other in groups[:last]:
-        label[label == other] = one
+    for one, other in groups[:last][::-1].tolist():
+        label[other] = label[one]
     return label, models[best]
 
 

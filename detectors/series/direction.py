@@ -8,14 +8,11 @@ this comparison, because it holds the common cause as well.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from detectors.series.features import make_features
 from usnet_env.arrays import Floats, Indices
+from usnet_env.compiling import compiled
 
 _CLASS = "v+v²+v×v(2)"  # with a axes, the newest velocity is its first a columns, and the squares begin at column 2 a
 _LEAST_STEPS = 32  # 4 in each block
@@ -117,8 +114,7 @@ def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, tu
     """Contributions ``(P, 8)`` of the blocks to the lead of P pairs; the leads ``(P, 2)`` of the predictions.
 
     These are the lead that the group's prediction from the head's past has in place of the group, and, with its sign
-    changed, that of the prediction from the head's future. All are shares of the group's energy. The class of features
-    is the one that explains most in either direction, less what as many features explain by chance.
+    changed, that of the prediction from the head's future. All are shares of the group's energy.
 
     Args:
         group: ``(P, T, a)`` mean velocities of followers, or their changes.
@@ -127,77 +123,67 @@ def _measure_leads(group: Floats, past: Floats, future: Floats, longest: int, tu
         longest: the longest delay in steps.
         turned: the sign that they have in reversed time.
     """
-    count, steps, axes = group.shape
-    total = np.maximum((group**2).sum(axis=(1, 2)), _NOTHING)
+    pair = np.stack([past, turned * future[:, ::-1]], axis=1)  # (P, 2, T, a): in both directions of time
+    across = pair.reshape(-1, *group.shape[1:]).swapaxes(1, 2)
+    before = np.concatenate([across[:, :, :1], across[:, :, :-1]], axis=2)
+    features, _ = make_features(np.stack([across, before], axis=1), [_CLASS])
+    features = features.reshape(len(group), 2, *features.shape[1:])
+    return _compare_both_ways(features, np.stack([group, turned * group[:, ::-1]], axis=1), longest, turned)
+
+
+@compiled()
+def _compare_both_ways(features: Floats, target: Floats, longest: int, turned: float) -> tuple[Floats, Floats]:
+    """:func:`_measure_leads` of features ``(P, 2, p, T)`` and groups ``(P, 2, T, a)``, in time and in reversed time.
+
+    The features are those of the newest velocity, of its squares, or all: the class that explains most in either
+    direction, less what as many features explain by chance.
+    """
+    count, _, steps, axes = target.shape
     blocks, expected = np.zeros((count, _BLOCKS)), np.zeros((count, 2))
-    starts = np.arange(_BLOCKS) * steps // _BLOCKS
-
-    def reverse(values: Floats) -> Floats:
-        return turned * values[:, ::-1]
-
-    parts = (slice(axes), slice(2 * axes, 3 * axes), slice(None))  # the newest velocity, its squares, and all
-    known, target = np.concatenate([past, reverse(future)]), np.concatenate([group, reverse(group)])  # both directions
-    features, _ = make_features(_look_back(known), [_CLASS])
-    classes = _fit_delays(features, target, longest, parts)
-    energy = np.array([laws.energy for laws in classes]).reshape(len(parts), 2, count)
-    widths = np.array([laws.features.shape[1] for laws in classes])
-    chance = (widths / (steps - 1 - widths))[:, None, None]  # the share of what is left; an adjusted R²
-    adjusted = energy - chance * (total - energy)
-    best = adjusted.max(axis=1).argmax(axis=0)
-    for number in np.unique(best):
-        some = np.flatnonzero(best == number)
-        laws = classes[number].pick(np.concatenate([some, count + some]))
-        predicted = laws.predict()
-        forward, backward = predicted[: len(some)], predicted[len(some) :]
-        gained = ((forward - reverse(backward)) * group[some]).sum(axis=2)
-        blocks[some] = np.add.reduceat(gained, starts, axis=1) / total[some, None]
-        other = np.concatenate([laws.features[len(some) :], laws.features[: len(some)]])
-        (again,) = _fit_delays(other, reverse(predicted), longest)
-        expected[some] = ((adjusted[number][:, some] - again.energy.reshape(2, -1)) / total[some]).T
+    for pair in range(count):
+        total = max((target[pair, 0] ** 2).sum(), _NOTHING)
+        products = [_multiply_later(features[pair, way], target[pair, way], longest) for way in range(2)]
+        adjusted, first, last, highest = np.zeros(2), 0, 0, -np.inf
+        predicted = np.zeros((2, steps, axes))
+        for begin, end in ((0, axes), (2 * axes, 3 * axes), (0, features.shape[2])):
+            chance = (end - begin) / (steps - 1 - (end - begin))  # the share of what is left; an adjusted R²
+            fits = [_fit_delay(gram[begin:end, begin:end], moment[begin:end], longest) for gram, moment in products]
+            more = [energy - chance * (total - energy) for _, _, energy in fits]
+            if max(more[0], more[1]) > highest:
+                first, last, highest = begin, end, max(more[0], more[1])
+                for way in range(2):
+                    law, delay, _ = fits[way]
+                    adjusted[way] = more[way]
+                    predicted[way] = 0.0
+                    predicted[way, delay:] = (features[pair, way, begin:end].T @ law)[: steps - delay]
+        gained = ((predicted[0] - turned * predicted[1, ::-1]) * target[pair, 0]).sum(axis=1) / total
+        for block in range(_BLOCKS):
+            blocks[pair, block] = gained[block * steps // _BLOCKS : (block + 1) * steps // _BLOCKS].sum()
+        for way in range(2):
+            back = turned * predicted[way, ::-1]
+            gram, moment = _multiply_later(features[pair, 1 - way, first:last], back, longest)
+            expected[pair, way] = (adjusted[way] - _fit_delay(gram, moment, longest)[2]) / total
     return blocks, expected
 
 
-def _look_back(values: Floats) -> Floats:
-    """``(k, 2, a, T)``: the values ``(k, T, a)`` of each step and of the one before it."""
-    across = values.transpose(0, 2, 1)
-    return np.stack([across, np.concatenate([across[:, :, :1], across[:, :, :-1]], axis=2)], axis=1)
+@compiled()
+def _multiply_later(features: Floats, target: Floats, longest: int) -> tuple[Floats, Floats]:
+    """Products of features ``(p, T)``: ``(p, p)`` with each other, ``(p, D a)`` with the next D targets ``(T, a)``."""
+    steps, axes = target.shape
+    later = np.zeros((steps, longest * axes))
+    for step in range(steps):
+        some = target[step + 1 : step + 1 + longest].ravel()
+        later[step, : len(some)] = some
+    gram = features @ features.T
+    for p in range(len(gram)):
+        gram[p, p] += _RIDGE * gram[p, p] + _NOTHING
+    return gram, features @ later
 
 
-@dataclass(frozen=True, eq=False)
-class _Laws:
-    """The laws ``(P, p, a)`` of P groups from features ``(P, p, T)``, their delays and the energies they explain."""
-
-    features: Floats
-    law: Floats
-    delay: Indices
-    energy: Floats
-
-    def pick(self, some: Indices) -> _Laws:
-        return _Laws(self.features[some], self.law[some], self.delay[some], self.energy[some])
-
-    def predict(self) -> Floats:
-        """``(P, T, a)``: what the laws predict; 0 in the first steps."""
-        source = np.arange(self.features.shape[2]) - self.delay[:, None]
-        explained = self.features.transpose(0, 2, 1) @ self.law
-        predicted = np.take_along_axis(explained, np.maximum(source, 0)[:, :, None], axis=1)
-        return np.where((source >= 0)[:, :, None], predicted, 0.0)
-
-
-def _fit_delays(features: Floats, group: Floats, longest: int, parts: Sequence[slice] = (slice(None),)) -> list[_Laws]:
-    """Fit groups ``(P, T, a)`` by parts of features ``(P, p, T)``, each at its best delay, 1 to ``longest`` steps."""
-    count, steps, axes = group.shape
-    width = features.shape[1]
-    gram = features @ features.transpose(0, 2, 1)
-    gram += np.eye(width) * (_RIDGE * gram + _NOTHING)
-    padded = np.concatenate([group[:, 1:], np.zeros((count, longest, axes))], axis=1).reshape(count, -1)
-    later = sliding_window_view(padded, longest * axes, axis=1)[:, : steps * axes : axes]  # (P, T, longest a)
-    moment = features @ later
-    every, found = np.arange(count), []
-    for part in parts:
-        aim = moment[:, part]
-        law = np.linalg.solve(gram[:, part, part], aim)
-        energy: Floats = (aim * law).reshape(count, -1, longest, axes).sum(axis=(1, 3))
-        best = energy.argmax(axis=1)
-        chosen = np.asarray(law.reshape(count, -1, longest, axes)[every, :, best])
-        found.append(_Laws(features[:, part], chosen, best + 1, np.asarray(energy[every, best])))
-    return found
+@compiled()
+def _fit_delay(gram: Floats, moment: Floats, longest: int) -> tuple[Floats, int, float]:
+    """The law ``(p, a)``, the delay of 1 to D steps and the energy of the delay that explains most."""
+    law = np.linalg.solve(np.ascontiguousarray(gram), moment)
+    energy = (moment * law).sum(axis=0).reshape(longest, -1).sum(axis=1)
+    best, axes = energy.argmax(), law.shape[1] // longest
+    return law[:, best * axes : (best + 1) * axes].copy(), best + 1, energy[best]
