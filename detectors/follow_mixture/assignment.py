@@ -53,7 +53,8 @@ def assign_groups(gain: Floats, candidates: Indices, itself: Indices, sizes: Ind
     several, price = sizes > 1, float(np.log(max(sizes.sum(), 2)))
     names = ~several & np.isfinite(gain).any(axis=1)  # groups of one that name a head, or none
     positive = np.maximum(gain, 0.0)
-    preferred = np.isin(np.arange(len(candidates)), gain.argmax(axis=1)[(gain > 0).any(axis=1)])
+    preferred = np.zeros(len(candidates), bool)
+    preferred[gain.argmax(axis=1)[(gain > 0).any(axis=1)]] = True
     best, place = -np.inf, np.full(len(gain), -1)
     for start in (preferred, np.zeros(len(candidates), bool)):  # each group's best candidate, or none
         value, found = _search(positive, itself, several, names, price, most or len(candidates), start)

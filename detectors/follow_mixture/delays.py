@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detectors.follow_mixture.evidence import RARE, Pairs, Targets, make_targets, pair, screen
+from detectors.follow_mixture.evidence import RARE, Pairs, Targets, make_targets, pair, screen, sum_groups
 from detectors.follow_mixture.motion import lagged
 from detectors.series.features import LEVELS
 from detectors.series.votes import find_trees
@@ -100,9 +100,8 @@ def ask_delays(
     part[leads] += groups * (targets.sizes[part[leads]] > 1) * (1 + np.arange(len(leads)))  # apart from their groups
     names, first, node = np.unique(part[uavs], return_index=True, return_inverse=True)
     size = np.bincount(node)
-    mean, before = np.zeros((len(size), *velocity.shape[1:])), np.zeros((len(size), *past.shape[1:]))
-    np.add.at(mean, node, velocity[uavs] / size[node, None, None])
-    np.add.at(before, node, past[uavs] / size[node, None, None, None])
+    mean = sum_groups(velocity[uavs], node) / size[:, None, None]
+    before = sum_groups(past[uavs], node) / size[:, None, None, None]
     odds, _ = compare_delays(mean, before, longest)
     row, column = np.nonzero((odds > 0) & (names < groups)[:, None] & (size == 1))
     group, uav = names[row], uavs[first[column]]

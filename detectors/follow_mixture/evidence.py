@@ -13,8 +13,9 @@ Both need nothing but cross products of e, Z and the features, which are compute
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
@@ -90,6 +91,10 @@ class Pairs:
     uav: Indices
     target: Indices
 
+    def join(self, others: Pairs) -> Pairs:
+        """These pairs, and others."""
+        return Pairs(*map(np.append, vars(self).values(), vars(others).values()))
+
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
@@ -110,6 +115,15 @@ class Statistics:
         """Number of features, p."""
         return int(self.gram.shape[1])
 
+    def pick(self, places: slice) -> Statistics:
+        """Those of some of the pairs."""
+        return Statistics(self.name, self.moment[places], self.gram[places])
+
+    def join(self, others: Statistics) -> Statistics:
+        """Those of these pairs, and of others."""
+        moment, gram = np.concatenate([self.moment, others.moment]), np.concatenate([self.gram, others.gram])
+        return Statistics(self.name, moment, gram)
+
 
 def make_targets(velocity: Floats, label: Indices, lags: int, least: float = 0.0) -> Targets:
     """Compute the innovations of the groups.
@@ -121,7 +135,7 @@ def make_targets(velocity: Floats, label: Indices, lags: int, least: float = 0.0
         least: the least share of the innovations that a leader explains.
     """
     sizes = np.bincount(label)
-    return Targets(label, *_innovate(_sum_groups(velocity, label) / sizes[:, None, None], lags), least)
+    return Targets(label, *_innovate(sum_groups(velocity, label) / sizes[:, None, None], lags), least)
 
 
 def add_rests(targets: Targets, pairs: Pairs, velocity: Floats) -> tuple[Targets, Pairs]:
@@ -129,7 +143,7 @@ def add_rests(targets: Targets, pairs: Pairs, velocity: Floats) -> tuple[Targets
     member = np.flatnonzero(targets.label[pairs.uav] == pairs.group)
     group, uav = pairs.group[member], pairs.uav[member]
     groups, lags = len(targets.sizes), velocity.shape[1] - targets.innovation.shape[2]
-    rest = _sum_groups(velocity, targets.label)[group] - velocity[uav]
+    rest = sum_groups(velocity, targets.label)[group] - velocity[uav]
     added = _innovate(rest / (targets.sizes[group] - 1)[:, None, None], lags)
     four = (targets.innovation, targets.own, targets.weight, targets.rows)
     e, own, weight, rows = (np.concatenate([some[:groups], more]) for some, more in zip(four, added, strict=True))
@@ -138,11 +152,11 @@ def add_rests(targets: Targets, pairs: Pairs, velocity: Floats) -> tuple[Targets
     return Targets(targets.label, e, own, weight, rows, targets.least), Pairs(pairs.group, pairs.uav, target)
 
 
-def _sum_groups(velocity: Floats, label: Indices) -> Floats:
-    """``(C, T, a)``."""
-    total = np.zeros((len(np.bincount(label)), *velocity.shape[1:]))
-    np.add.at(total, label, velocity)
-    return total
+def sum_groups(values: Floats, label: Indices) -> Floats:
+    """Sums ``(C, ...)`` of ``values`` ``(k, ...)`` by label, 0 to C - 1, each used."""
+    order = np.argsort(label, kind="stable")
+    first = np.searchsorted(label[order], np.arange(label.max(initial=-1) + 1))
+    return np.add.reduceat(values[order], first, axis=0) if len(first) else values[:0]
 
 
 def _innovate(mean: Floats, lags: int) -> tuple[Floats, Floats, Floats, Floats]:
@@ -188,18 +202,23 @@ def whiten(features: Floats, ridge: float = RIDGE) -> Floats:
 
 
 @compiled()
+def _factor(matrix: Floats, added: float) -> None:
+    """Replace the lower triangle of a matrix ``(p, p)``, after a ridge was added, by its Cholesky factor."""
+    for p in range(len(matrix)):
+        matrix[p, p] += added
+        for q in range(p + 1):
+            value = matrix[p, q]
+            for r in range(q):
+                value -= matrix[p, r] * matrix[q, r]
+            matrix[p, q] = value / matrix[q, q] if q < p else np.sqrt(max(value, added))
+
+
+@compiled()
 def _invert_roots(gram: Floats, ridge: float, nothing: float) -> None:
     """Replace each of the matrices ``(k, p, p)`` by the inverse of its lower Cholesky factor, with a ridge."""
     width = gram.shape[1]
     for matrix in gram:
-        added = nothing + ridge * np.trace(matrix) / width
-        for p in range(width):
-            matrix[p, p] += added
-            for q in range(p + 1):
-                value = matrix[p, q]
-                for r in range(q):
-                    value -= matrix[p, r] * matrix[q, r]
-                matrix[p, q] = value / matrix[q, q] if q < p else np.sqrt(max(value, added))
+        _factor(matrix, nothing + ridge * np.trace(matrix) / width)
         for q in range(width):
             matrix[:q, q] = 0.0
             for p in range(q, width):
@@ -256,12 +275,32 @@ def screen(
         some = np.flatnonzero(valid.any(axis=1))
         both, plain, square = (values.take(some, axis=2) for values in every_target)
         features, columns = make_features(past[part], screened)
-        for number, used in enumerate(columns.values()):
-            found, exact = features.take(used, axis=1), len(used) == targets.axes
-            share = _explain_exactly(found, both, square[:, 0]) if exact else _explain_roughly(found, plain)
-            gained = bayes_factor(share / energy[not exact][some], rows[some], len(used), targets.axes) - price[some]
+        large = {name: used for name, used in columns.items() if len(used) > targets.axes}
+        explained = {
+            name: (product**2).sum(axis=(1, 2)).T / energy[1][some] for name, product in project(features, large, plain)
+        }
+        for number, (name, used) in enumerate(columns.items()):
+            if name not in large:
+                explained[name] = _explain_exactly(features[:, used], both, square[:, 0]) / energy[0][some]
+            gained = bayes_factor(explained[name], rows[some], len(used), targets.axes) - price[some]
             evidence[number, some[:, None], part] = np.where(valid[some], gained, 0.0)
     return evidence
+
+
+def project(features: Floats, columns: dict[str, Indices], target: Singles) -> Iterator[tuple[str, Singles]]:
+    """Yield each class, and the products ``(k, p, ..., C)`` of its features, made orthonormal, and targets.
+
+    Features are ``(k, q, R)``, their indices by class ``columns``, and targets ``(R, ..., C)``.
+    """
+    if not columns:
+        return
+    features = features[:, : 1 + max(int(used.max()) for used in columns.values())]
+    gram, product = features @ features.transpose(0, 2, 1), _multiply(features, target)
+    for name, used in columns.items():
+        root, some = gram[:, used[:, None], used], product[:, used]
+        _invert_roots(root, RIDGE, _NOTHING)
+        flat = some.reshape(*some.shape[:2], prod(some.shape[2:]))
+        yield name, (root.astype(np.float32) @ flat).reshape(some.shape)
 
 
 def choose_pairs(targets: Targets, evidence: Floats, groups: Indices) -> Pairs:
@@ -293,14 +332,9 @@ def pair(group: Indices, uav: Indices) -> Pairs:
     return Pairs(group, uav, group)
 
 
-def pick(pairs: Pairs, places: Indices | Mask) -> Pairs:
+def pick(pairs: Pairs, places: Indices | Mask | slice) -> Pairs:
     """Some of the pairs."""
     return Pairs(pairs.group[places], pairs.uav[places], pairs.target[places])
-
-
-def _explain_roughly(features: Floats, target: Singles) -> Floats:
-    """``(C, k)``: energy of unweighted innovations ``(R, a, C)`` that features ``(k, p, R)`` explain."""
-    return np.asarray((_multiply(whiten(features), target) ** 2).sum(axis=(1, 2)).T)
 
 
 def _explain_exactly(features: Floats, target: Singles, weight: Singles) -> Floats:
@@ -309,14 +343,17 @@ def _explain_exactly(features: Floats, target: Singles, weight: Singles) -> Floa
     ``target`` ``(R, a + z, C)`` are the innovations and the own pasts, times the weights of their rows; ``weight``
     ``(R, C)`` are the squares of these weights.
     """
-    row, column = np.tril_indices(features.shape[1])
-    gram = _multiply(features[:, row] * features[:, column], weight)
-    return np.asarray(_solve(_multiply(features, target), gram, features.shape[1]).T)
+    axes = features.shape[1]
+    row, column = np.tril_indices(axes)
+    singles = features.astype(np.float32)
+    gram = _multiply(singles[:, row] * singles[:, column], weight)
+    return np.asarray(_solve(_multiply(singles, target), gram, axes).T)
 
 
-def _multiply(features: Floats, target: Singles) -> Singles:
+def _multiply(features: Floats | Singles, target: Singles) -> Singles:
     """``(k, p, ..., C)``: products, summed over the rows, of features ``(k, p, R)`` and targets ``(R, ..., C)``."""
-    product = features.astype(np.float32).reshape(-1, features.shape[2]) @ target.reshape(len(target), -1)
+    flat = features.astype(np.float32, copy=False).reshape(-1, features.shape[2])
+    product = flat @ target.reshape(len(target), -1)
     return product.reshape(*features.shape[:2], *target.shape[1:])
 
 
@@ -366,17 +403,9 @@ def gather_statistics(targets: Targets, past: Floats, pairs: Pairs, names: Seque
     """Compute the cross products of the feature classes ``names`` for the pairs; ``past`` ``(n, L, a, R)``."""
     asked, place = np.unique(pairs.uav, return_inverse=True)
     features, columns = make_features(past[asked], names)
-    width = features.shape[1]
-    moment, gram = np.empty((len(place), width, targets.axes)), np.empty((len(place), width, width))
-    power = np.empty((len(place), width))
-    for first in range(0, len(place), _CHUNK):
-        part, target = slice(first, first + _CHUNK), pairs.target[first : first + _CHUNK]
-        weighted = features[place[part]] * targets.weight[target, None]
-        moment[part] = weighted @ targets.innovation[target].transpose(0, 2, 1)
-        known = weighted @ targets.own[target].transpose(0, 2, 1)
-        gram[part] = weighted @ weighted.transpose(0, 2, 1)
-        power[part] = np.einsum("kpp->kp", gram[part])
-        gram[part] -= known @ known.transpose(0, 2, 1)
+    moment, gram, power = _multiply_pairs(
+        features, targets.weight, targets.innovation, targets.own, place, pairs.target
+    )
     found = []
     for name, used in columns.items():
         ridge = RIDGE * power[:, used].mean(axis=1) + _NOTHING
@@ -385,17 +414,52 @@ def gather_statistics(targets: Targets, past: Floats, pairs: Pairs, names: Seque
     return found
 
 
+@compiled()
+def _multiply_pairs(
+    features: Floats, weight: Floats, innovation: Floats, own: Floats, place: Indices, target: Indices
+) -> tuple[Floats, Floats, Floats]:
+    """Products of P pairs of features ``(k, p, R)`` and targets: moments and grams of :class:`Statistics`, and squares.
+
+    The pairs are ``place`` ``(P,)`` among the k, and ``target`` ``(P,)``. The squares ``(P, p)`` are those of features.
+    """
+    pairs, width = len(place), features.shape[1]
+    moment, gram = np.empty((pairs, width, innovation.shape[1])), np.empty((pairs, width, width))
+    square = np.empty((pairs, width))
+    for pair in range(pairs):
+        row = target[pair]
+        weighted = features[place[pair]] * weight[row]
+        moment[pair] = weighted @ innovation[row].T
+        whole, known = weighted @ weighted.T, weighted @ own[row].T
+        square[pair] = np.diag(whole)
+        gram[pair] = whole - known @ known.T
+    return moment, gram, square
+
+
 def own_evidence(targets: Targets, pairs: Pairs, statistics: Statistics) -> Floats:
     """``(P,)``: log Bayes factor of each pair with a law of its own."""
-    solved = np.linalg.solve(statistics.gram, statistics.moment)
-    share = (statistics.moment * solved).sum(axis=(1, 2)) / targets.energy[pairs.target]
+    share = _explain(statistics.gram.copy(), statistics.moment.copy()) / targets.energy[pairs.target]
     return bayes_factor(share, targets.rows[pairs.target], statistics.width, targets.axes)
+
+
+@compiled()
+def _explain(gram: Floats, moment: Floats) -> Floats:
+    """``(P,)``: m' G^-1 m, summed over the axes, of grams ``(P, p, p)`` and moments ``(P, p, a)``; overwrites both."""
+    explained = np.zeros(len(gram))
+    for pair in range(len(gram)):
+        lower, left = gram[pair], moment[pair]
+        _factor(lower, 0.0)
+        for p in range(lower.shape[0]):
+            for axis in range(left.shape[1]):
+                for q in range(p):
+                    left[p, axis] -= lower[p, q] * left[q, axis]
+                left[p, axis] /= lower[p, p]
+                explained[pair] += left[p, axis] ** 2
+    return explained
 
 
 def fit_law(statistics: Statistics, used: Indices, variance: Floats) -> Floats:
     """Weights ``(p, a)`` of one law for the pairs ``used`` ``(k,)``, with error variances ``(k,)``."""
-    gram = np.einsum("k,kpq->pq", 1.0 / variance, statistics.gram[used])
-    moment = np.einsum("k,kpa->pa", 1.0 / variance, statistics.moment[used])
+    gram, moment = (np.tensordot(1.0 / variance, each[used], 1) for each in (statistics.gram, statistics.moment))
     return np.asarray(np.linalg.solve(gram, moment))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -97,21 +98,31 @@ class _Search:
     pairs: Pairs
     most: int | None
 
+    @cached_property
+    def sizes(self) -> Indices:
+        """``(C,)`` number of UAVs of each group."""
+        return self.targets.sizes
+
+    @cached_property
+    def table(self) -> tuple[Indices, Indices, Indices]:
+        """The candidates ``(c,)``, the groups that they are alone, or -1, and the candidates' places of the pairs."""
+        candidates, column = np.unique(self.pairs.uav, return_inverse=True)
+        own = self.targets.label[candidates]
+        return candidates, np.where(self.sizes[own] == 1, own, -1), column
+
     def assign(self, evidence: Floats) -> Assignment:
         """The heads that a table of evidence ``(P,)`` implies."""
-        candidates, column = np.unique(self.pairs.uav, return_inverse=True)
-        sizes = self.targets.sizes
-        gain = np.full((len(sizes), len(candidates)), -np.inf)
-        follows = np.where(sizes > 1, np.log(1.0 / RARE - 1.0), 0.0)  # several do, unless their head is not there
+        candidates, itself, column = self.table
+        gain = np.full((len(self.sizes), len(candidates)), -np.inf)
+        follows = np.where(self.sizes > 1, np.log(1.0 / RARE - 1.0), 0.0)  # several do, unless their head is not there
         gain[self.pairs.group, column] = evidence + follows[self.pairs.group]
-        own = self.targets.label[candidates]
-        return assign_groups(gain, candidates, np.where(sizes[own] == 1, own, -1), sizes, self.most)
+        return assign_groups(gain, candidates, itself, self.sizes, self.most)
 
     def explains(self, assignment: Assignment, single: bool = True) -> bool:
         """Whether every group follows, but the heads that are single UAVs; or every group of several."""
-        lead = np.zeros(len(self.targets.sizes), bool)
+        lead = np.zeros(len(self.sizes), bool)
         lead[self.targets.label[assignment.heads]] = True
-        alone = self.targets.sizes == 1
+        alone = self.sizes == 1
         return bool(((assignment.head >= 0) | (alone & (lead | (not single)))).all())
 
     def chosen(self, assignment: Assignment) -> Indices:
@@ -120,7 +131,7 @@ class _Search:
 
     def gain(self, found: _Answer) -> Floats:
         """``(C,)``: the evidence of each group for its head, 0 without one."""
-        chosen, gain = self.chosen(found.assignment), np.zeros(len(self.targets.sizes))
+        chosen, gain = self.chosen(found.assignment), np.zeros(len(self.sizes))
         gain[self.pairs.group[chosen]] = found.evidence[chosen]
         return gain
 
@@ -146,11 +157,18 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
     several, only = np.flatnonzero(targets.sizes > 1), limit_candidates(label, rng)
     more: MorePairs | None = None  # at first no single UAV follows, as heads and decoys do not
 
-    def fit(names: Sequence[str], pairs: Pairs, more: MorePairs | None) -> tuple[_Search, _Answer, Floats, bool, bool]:
-        pairs = pairs if more is None else more.join(targets, pairs)
+    def gather(pairs: Pairs, names: Sequence[str]) -> tuple[Pairs, list[Statistics], Floats]:
         classes = gather_statistics(targets, past, pairs, names)
-        compare = own_evidence if more is None else more.compare
-        own = np.array([compare(targets, pairs, some) for some in classes])
+        return pairs, classes, np.array([own_evidence(targets, pairs, some) for some in classes])
+
+    def fit(
+        pairs: Pairs, classes: list[Statistics], own: Floats, more: MorePairs | None
+    ) -> tuple[_Search, _Answer, Floats, bool, bool]:
+        if more is not None:
+            added, others, evidence = gather(more.list_pairs(targets, pairs), [some.name for some in classes])
+            pairs, classes = pairs.join(added), [some.join(other) for some, other in zip(classes, others, strict=True)]
+            rows = zip(classes, np.hstack([own, evidence]), strict=True)
+            own = np.array([more.compare(targets, pairs, some, row) for some, row in rows])
         search = _Search(targets, pairs, most)
         found = _search_laws(search, classes, own)
         log_odds = _posterior(search, found, spectra.memory**lags)
@@ -160,10 +178,11 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
     for names in LEVELS:
         groups = choose_pairs(targets, screen(targets, past, names, several, only), several)
         targets, groups = add_rests(targets, groups, velocity)
-        search, found, log_odds, certain, complete = fit(names, groups, more)
+        known = gather(groups, names)
+        search, found, log_odds, certain, complete = fit(*known, more)
         if more is None and certain and not complete:  # if single UAVs follow these heads, no further one is needed
-            known = ask_about_heads(targets, past, found.assignment.head)
-            joined = None if known is None else fit(names, groups, known)
+            asked = ask_about_heads(targets, past, found.assignment.head)
+            joined = None if asked is None else fit(*known, asked)
             if joined is not None and joined[-1]:
                 search, found, log_odds, certain, complete = joined
         leads = np.union1d(found.assignment.heads, np.flatnonzero(log_odds > 0))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 from scipy.special import betaln
@@ -25,11 +26,11 @@ from detectors.follow_mixture.evidence import (
     Statistics,
     Targets,
     gain_by_law,
-    own_evidence,
     pair,
     pick,
+    project,
     screen,
-    whiten,
+    sum_groups,
 )
 from detectors.series.features import LONE, make_features
 from usnet_env.arrays import Floats, Indices, Mask
@@ -59,18 +60,19 @@ class MorePairs:
     new: bool
     head: Indices
 
-    def join(self, targets: Targets, pairs: Pairs) -> Pairs:
-        """The ``pairs`` of groups, and these; those of single UAVs are the last ones."""
+    def list_pairs(self, targets: Targets, pairs: Pairs) -> Pairs:
+        """Those that are not among the ``pairs`` of groups; those of single UAVs are the last ones."""
         new = (targets.sizes[self.late.group] > 1) & ~np.isin(_code(targets, self.late), _code(targets, pairs))
-        three = zip(*(vars(some).values() for some in (pairs, pick(self.late, new), self.single)), strict=True)
-        return Pairs(*map(np.concatenate, three))
+        return pick(self.late, new).join(self.single)
 
-    def compare(self, targets: Targets, pairs: Pairs, some: Statistics) -> Floats:
-        """Evidence ``(P,)`` of all ``pairs`` that :meth:`join` made, in one class."""
-        evidence = own_evidence(targets, pairs, some)
-        single = np.arange(len(evidence)) >= len(evidence) - len(self.single.group)
-        follows = np.where(single, evidence > 0, self.head[pairs.group] == pairs.uav)
-        found = np.where(single, _pool(targets, pairs, some, follows, ~single), evidence)
+    def compare(self, targets: Targets, pairs: Pairs, some: Statistics, own: Floats) -> Floats:
+        """Evidence ``(P,)`` of all ``pairs``, those of single UAVs last, in one class, from that of laws of their own.
+
+        That of a single UAV is by the law of its candidate's other followers.
+        """
+        groups = len(own) - len(self.single.group)
+        follows = np.append(self.head[pairs.group[:groups]] == pairs.uav[:groups], own[groups:] > 0)
+        found = np.append(own[:groups], _pool(targets, pairs, some, follows, groups))
         _, place, late = np.intersect1d(_code(targets, pairs), _code(targets, self.late), return_indices=True)
         found[place] = np.maximum(found[place], self.odds[late])
         return found
@@ -178,18 +180,20 @@ class _Screening:
         moment, axes, width = self.moment, self.targets.axes, self.moment.shape[2] // self.targets.axes
         rows, energy = self.targets.rows[self.single], self.targets.energy[self.single]
         strength = (self.targets.weight[self.single] ** 2).mean(axis=1)
-        others = self.targets.label[self.uav, None] != self.single
-        share = np.minimum((moment**2).sum(axis=2) / (strength * energy), 1.0 - _NOTHING)
+        others, square = self.targets.label[self.uav, None] != self.single, np.vecdot(moment, moment)
+        share = np.minimum(square / (strength * energy), 1.0 - _NOTHING)
         follows = others & (share * (rows - width) > (1.0 - share) * width)  # the F ratio exceeds 1
         follows &= -0.5 * axes * rows * np.log1p(-share) > gained
         gain = np.zeros(share.shape)
         for _ in range(_TURNS):
             used = follows * (axes * rows / energy)
-            aim = (used[:, None] @ moment) - used[:, :, None] * moment
+            whole = (used[:, None] @ moment)[:, 0]  # and the aim is that of the other followers: whole less own
+            along = (moment @ whole[:, :, None])[:, :, 0]
+            aim = np.vecdot(whole, whole)[:, None] - used * (2.0 * along - used * square)
             rest = np.maximum((used @ strength)[:, None] - used * strength, _NOTHING)
-            by_chance = axes * width * rest / np.maximum((aim**2).sum(axis=2), _NOTHING)
-            law = aim * (np.maximum(1.0 - by_chance, 0.0) / rest)[:, :, None]
-            left = energy + (law * (strength[:, None] * law - 2.0 * moment)).sum(axis=2)
+            shrunk = 1.0 - axes * width * rest / np.maximum(aim, _NOTHING)  # by what chance explains
+            law = np.where(follows.sum(axis=1)[:, None] > follows, np.maximum(shrunk, 0.0) / rest, 0.0)  # times the aim
+            left = energy + law * (strength * law * aim - 2.0 * (along - used * square))
             gain = -0.5 * axes * rows * np.log(np.maximum(left / energy, _NOTHING)) * others
             before, follows = follows, gain > gained
             if np.array_equal(before, follows):
@@ -203,33 +207,35 @@ def _screenings(
     targets: Targets, past: Floats, uav: Indices, names: Sequence[str], single: Indices
 ) -> Iterator[_Screening]:
     """The products of some candidates with the single UAVs, by class."""
-    flat = targets.innovation[single] * targets.weight[single, None]
-    features, columns = make_features(past[uav], names)
-    for name, used in columns.items():
-        product = np.tensordot(whiten(features[:, used]), flat, (2, 2)).swapaxes(1, 2)  # (k, c, p, a)
-        yield _Screening(name, uav, product.reshape(len(uav), len(single), -1), targets, single)
+    flat = (targets.innovation[single] * targets.weight[single, None]).transpose(2, 1, 0).astype(np.float32)
+    for name, product in project(*make_features(past[uav], names), flat):
+        moment = product.reshape(len(uav), prod(product.shape[1:3]), len(single)).swapaxes(1, 2)
+        yield _Screening(name, uav, moment.astype(np.float64, order="C"), targets, single)
 
 
-def _pool(targets: Targets, pairs: Pairs, some: Statistics, follows: Mask, fixed: Mask) -> Floats:
-    """``(P,)``: log-likelihood that each pair gains by the law of the candidate's other followers.
+def _pool(targets: Targets, pairs: Pairs, some: Statistics, follows: Mask, groups: int) -> Floats:
+    """``(k,)``: log-likelihood that the last k pairs, of single UAVs, gain by the law of the other followers.
 
     A candidate without other followers has no law: 0. ``follows`` ``(P,)`` are the followers at first; then, in turns,
-    those that gain, and of the pairs ``fixed`` ``(P,)`` the same as at first.
+    those that gain, and of the first pairs, of ``groups``, the same as at first.
     """
     weight = (targets.axes * targets.rows / targets.energy)[pairs.target]
-    gram, moment = some.gram * weight[:, None, None], some.moment * weight[:, None, None]
     candidates, column = np.unique(pairs.uav, return_inverse=True)
-    evidence = np.zeros(len(weight))
+    single = slice(groups, None)
+    lone, own, place = pick(pairs, single), some.pick(single), column[single]
+    evidence = np.zeros(len(place))
     for _ in range(_TURNS):
-        grams = np.zeros((len(candidates), *gram.shape[1:]))
-        moments = np.zeros((len(candidates), *moment.shape[1:]))
-        np.add.at(grams, column[follows], gram[follows])
-        np.add.at(moments, column[follows], moment[follows])
-        law = _fit_laws(grams, moments)[column]
-        law[follows] = _fit_laws(grams[column[follows]] - gram[follows], moments[column[follows]] - moment[follows])
-        evidence = gain_by_law(targets, pairs, some, law)[0]
-        before, follows = follows, np.where(fixed, follows, evidence > 0)
-        if np.array_equal(before, follows):
+        led, behind = np.flatnonzero(follows), np.flatnonzero(follows[single])
+        used, row = np.unique(column[led], return_inverse=True)
+        gram, moment = (sum_groups(weight[led, None, None] * values[led], row) for values in (some.gram, some.moment))
+        law = np.zeros((len(candidates), *some.moment.shape[1:]))
+        law[used] = _fit_laws(gram, moment)
+        law, others = law[place], row[len(row) - len(behind) :]
+        itself = weight[single][behind, None, None]
+        law[behind] = _fit_laws(gram[others] - itself * own.gram[behind], moment[others] - itself * own.moment[behind])
+        evidence = gain_by_law(targets, lone, own, law)[0]
+        before, follows = follows[single], np.append(follows[:groups], evidence > 0)
+        if np.array_equal(before, follows[single]):
             break
     return evidence
 

@@ -8,6 +8,8 @@ this comparison, because it holds the common cause as well.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from detectors.series.features import make_features
@@ -183,7 +185,7 @@ def _multiply_later(features: Floats, target: Floats, longest: int) -> tuple[Flo
 @compiled()
 def _fit_delay(gram: Floats, moment: Floats, longest: int) -> tuple[Floats, int, float]:
     """The law ``(p, a)``, the delay of 1 to D steps and the energy of the delay that explains most."""
-    law = np.linalg.solve(np.ascontiguousarray(gram), moment)
+    law: Any = np.linalg.solve(np.ascontiguousarray(gram), moment)
     energy = (moment * law).sum(axis=0).reshape(longest, -1).sum(axis=1)
     best, axes = energy.argmax(), law.shape[1] // longest
-    return law[:, best * axes : (best + 1) * axes].copy(), best + 1, energy[best]
+    return law[:, best * axes : (best + 1) * axes].copy(), int(best) + 1, float(energy[best])

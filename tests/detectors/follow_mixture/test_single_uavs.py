@@ -29,7 +29,8 @@ def compare(velocity, heads=()):
     head[: len(heads)] = heads  # so that they are asked
     lone = ask_single_uavs(targets, past, NAMES, head, pair(*np.zeros((2, 0), int)), np.zeros(0))
     classes = gather_statistics(targets, past, lone.single, NAMES)
-    found = [lone.compare(targets, lone.single, some) for some in classes]
+    own = (own_evidence(targets, lone.single, some) for some in classes)
+    found = [lone.compare(targets, lone.single, *each) for each in zip(classes, own, strict=True)]
     return targets, past, lone, classes, np.array(found)
 
 
