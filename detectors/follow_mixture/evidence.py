@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import prod
 
 import numpy as np
@@ -344,10 +345,16 @@ def _explain_exactly(features: Floats, target: Singles, weight: Singles) -> Floa
     ``(R, C)`` are the squares of these weights.
     """
     axes = features.shape[1]
-    row, column = np.tril_indices(axes)
+    row, column = _list_lower(axes)
     singles = features.astype(np.float32)
     gram = _multiply(singles[:, row] * singles[:, column], weight)
     return np.asarray(_solve(_multiply(singles, target), gram, axes).T)
+
+
+@cache
+def _list_lower(width: int) -> tuple[Indices, Indices]:
+    """Rows and columns of the lower triangle of a matrix."""
+    return np.tril_indices(width)
 
 
 def _multiply(features: Floats | Singles, target: Singles) -> Singles:

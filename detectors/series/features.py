@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 from math import prod
 
 import numpy as np
@@ -52,18 +53,32 @@ def make_features(past: Floats, names: Iterable[str]) -> tuple[Floats, dict[str,
         The features ``(n, p, R)``, each with mean 0, and the indices ``(k,)`` of those of each class.
     """
     uavs, lags, axes, rows = past.shape
-    one, other = np.triu_indices(axes, 1)
-    parts = {name: _PARTS[name] for name in names if lags > 1 or _PARTS[name] in _OF_NEWEST}
-    depth, squares, both, crossed = np.max(list(parts.values()), axis=0)
+    (depth, squares, both, crossed), columns = _list_columns(tuple(names), lags, axes)
     blocks = [past[:, :depth], past[:, :squares] ** 2]
-    blocks += [past[:, 0, one[::-1]] * past[:, 0, other[::-1]]] if both else []
-    blocks += [past[:, 0, :, None] * past[:, 1, None, :]] if crossed else []
+    if both:
+        one, other = np.triu_indices(axes, 1)
+        blocks.append(past[:, 0, one[::-1]] * past[:, 0, other[::-1]])
+    if crossed:
+        blocks.append(past[:, 0, :, None] * past[:, 1, None, :])
     values = np.concatenate([block.reshape(uavs, prod(block.shape[1:-1]), rows) for block in blocks], axis=1)
     values -= values.mean(axis=2, keepdims=True)
+    return values, columns
+
+
+@cache
+def _list_columns(names: tuple[str, ...], lags: int, axes: int) -> tuple[tuple[int, ...], dict[str, Indices]]:
+    """The parts that some of the classes have, and the indices of the features of each class among all of them."""
+    parts = {name: _PARTS[name] for name in names if lags > 1 or _PARTS[name] in _OF_NEWEST}
+    whole = tuple(map(max, zip(*parts.values(), strict=True)))
 
     def count(part: tuple[int, ...]) -> list[int]:
-        return [axes * min(part[0], lags), axes * min(part[1], lags), part[2] * len(one), part[3] * axes**2]
+        return [
+            axes * min(part[0], lags),
+            axes * min(part[1], lags),
+            part[2] * axes * (axes - 1) // 2,
+            part[3] * axes**2,
+        ]
 
-    starts = np.cumsum([0, *count((depth, squares, both, crossed))])
+    starts = np.cumsum([0, *count(whole)])
     ranges = {name: zip(starts, count(part), strict=False) for name, part in parts.items()}
-    return values, {name: np.concatenate([s + np.arange(k) for s, k in some]) for name, some in ranges.items()}
+    return whole, {name: np.concatenate([s + np.arange(k) for s, k in some]) for name, some in ranges.items()}
