@@ -13,28 +13,26 @@ Both need nothing but cross products of e, Z and the features, which are compute
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from math import prod
+from functools import cached_property
 
 import numpy as np
 
 from detectors.follow_mixture.motion import lagged
 from detectors.series.features import SCREENED, make_features
-from usnet_env.arrays import Floats, Indices, Mask, Singles
+from detectors.series.projections import NOTHING, RIDGE, explain_each, explain_exactly, orthonormalise, project
+from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.compiling import compiled
 
 RARE = 0.05  # prior probability: a group's head is not in the window or leads single UAVs only, a UAV has its own law
 _ROWS_A_LAG = 12  # rows of a window per lag of the own past in Z
-RIDGE = 1e-6  # of the mean square of a feature
 _GRAIN = 1e-3  # innovations below this share of the mean speed are rounding of the positions
 _ASKED = 3  # candidates of each sort that a class nominates for a group; their evidence is exact
 _CHUNK = 500  # groups, candidates or pairs; bounds the memory
 _FREEDOM = 4.0  # of the t distribution whose weights the rows have: a sharp turn counts little more than other rows
 _MEDIAN = {1: 0.455, 2: 1.386, 3: 2.366}  # of a chi-square variable, by its degrees of freedom
 _LEAST_SPREAD = 0.005  # least standard deviation of an innovation, in mean speeds
-_NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +55,7 @@ class Targets:
     rows: Floats
     least: float = 0.0
 
-    @property
+    @cached_property
     def sizes(self) -> Indices:
         """``(C,)`` number of UAVs of each group."""
         return np.bincount(self.label)
@@ -72,7 +70,7 @@ class Targets:
         """Energy of rounding."""
         return self.axes * self.innovation.shape[2] * _GRAIN**2
 
-    @property
+    @cached_property
     def energy(self) -> Floats:
         """``(G,)`` |e|², and the energy of rounding, which no candidate explains."""
         return np.asarray((self.innovation**2).sum(axis=(1, 2)) + self.grain)
@@ -172,10 +170,10 @@ def _innovate(mean: Floats, lags: int) -> tuple[Floats, Floats, Floats, Floats]:
         target = mean[part, lags:].transpose(0, 2, 1)
         past = lagged(mean[part], lags)[:, :own_lags].reshape(len(target), -1, rows)
         known = np.concatenate([np.ones((len(past), 1, rows)), past], axis=1)
-        square = (_residuals(whiten(known), target) ** 2).sum(axis=1)
+        square = (_residuals(orthonormalise(known), target) ** 2).sum(axis=1)
         scale = np.maximum(np.median(square, axis=1, keepdims=True) / _MEDIAN[axes], _LEAST_SPREAD**2)
         weight[part] = 1.0 / np.sqrt(1.0 + square / (_FREEDOM * scale))
-        own[part] = whiten(known * weight[part, None])
+        own[part] = orthonormalise(known * weight[part, None])
         innovation[part] = _residuals(own[part], target * weight[part, None])
     # Fewer rows count where a few sharp turns hold most of the energy, or where innovations are not white, for features
     # with their spectrum (Bartlett's formula). The shares of normal and white ones are a / (a + 2) and a / (a + 1).
@@ -187,7 +185,7 @@ def _innovate(mean: Floats, lags: int) -> tuple[Floats, Floats, Floats, Floats]:
 
 def _participation(values: Floats) -> Floats:
     """``(k,)``: the share of ``values`` ``(k, m)`` that hold their sum: 1 if all are equal, 1/m if one is not 0."""
-    return np.asarray(values.mean(axis=1) ** 2 / np.maximum((values**2).mean(axis=1), _NOTHING**2))
+    return np.asarray(values.mean(axis=1) ** 2 / np.maximum((values**2).mean(axis=1), NOTHING**2))
 
 
 def _residuals(known: Floats, target: Floats) -> Floats:
@@ -195,43 +193,9 @@ def _residuals(known: Floats, target: Floats) -> Floats:
     return np.asarray(target - (target @ known.transpose(0, 2, 1)) @ known)
 
 
-def whiten(features: Floats, ridge: float = RIDGE) -> Floats:
-    """Orthonormal rows of the span of each ``(p, R)`` block, up to a small ridge."""
-    gram = features @ features.transpose(0, 2, 1)
-    _invert_roots(gram, ridge, _NOTHING)
-    return np.asarray(gram @ features)
-
-
-@compiled()
-def _factor(matrix: Floats, added: float) -> None:
-    """Replace the lower triangle of a matrix ``(p, p)``, after a ridge was added, by its Cholesky factor."""
-    for p in range(len(matrix)):
-        matrix[p, p] += added
-        for q in range(p + 1):
-            value = matrix[p, q]
-            for r in range(q):
-                value -= matrix[p, r] * matrix[q, r]
-            matrix[p, q] = value / matrix[q, q] if q < p else np.sqrt(max(value, added))
-
-
-@compiled()
-def _invert_roots(gram: Floats, ridge: float, nothing: float) -> None:
-    """Replace each of the matrices ``(k, p, p)`` by the inverse of its lower Cholesky factor, with a ridge."""
-    width = gram.shape[1]
-    for matrix in gram:
-        _factor(matrix, nothing + ridge * np.trace(matrix) / width)
-        for q in range(width):
-            matrix[:q, q] = 0.0
-            for p in range(q, width):
-                value = 1.0 if p == q else 0.0
-                for r in range(q, p):
-                    value -= matrix[p, r] * matrix[r, q]
-                matrix[p, q] = value / matrix[p, p]
-
-
 def bayes_factor(share: Floats, rows: Floats, width: int, axes: int) -> Floats:
     """Log Bayes factor of a regression of all axes on ``width`` features that explain ``share``, against none."""
-    share = np.clip(share, 0.0, 1.0 - _NOTHING)
+    share = np.clip(share, 0.0, 1.0 - NOTHING)
     free = np.maximum(rows - width, 1.0)
     strength = np.maximum(share * free / ((1.0 - share) * width) - 1.0, 0.0)  # g: the F ratio less 1
     factor = 0.5 * axes * free * np.log1p(strength) - 0.5 * axes * rows * np.log1p(strength * (1.0 - share))
@@ -282,26 +246,10 @@ def screen(
         }
         for number, (name, used) in enumerate(columns.items()):
             if name not in large:
-                explained[name] = _explain_exactly(features[:, used], both, square[:, 0]) / energy[0][some]
+                explained[name] = explain_exactly(features[:, used], both, square[:, 0]) / energy[0][some]
             gained = bayes_factor(explained[name], rows[some], len(used), targets.axes) - price[some]
             evidence[number, some[:, None], part] = np.where(valid[some], gained, 0.0)
     return evidence
-
-
-def project(features: Floats, columns: dict[str, Indices], target: Singles) -> Iterator[tuple[str, Singles]]:
-    """Yield each class, and the products ``(k, p, ..., C)`` of its features, made orthonormal, and targets.
-
-    Features are ``(k, q, R)``, their indices by class ``columns``, and targets ``(R, ..., C)``.
-    """
-    if not columns:
-        return
-    features = features[:, : 1 + max(int(used.max()) for used in columns.values())]
-    gram, product = features @ features.transpose(0, 2, 1), _multiply(features, target)
-    for name, used in columns.items():
-        root, some = gram[:, used[:, None], used], product[:, used]
-        _invert_roots(root, RIDGE, _NOTHING)
-        flat = some.reshape(*some.shape[:2], prod(some.shape[2:]))
-        yield name, (root.astype(np.float32) @ flat).reshape(some.shape)
 
 
 def choose_pairs(targets: Targets, evidence: Floats, groups: Indices) -> Pairs:
@@ -338,74 +286,6 @@ def pick(pairs: Pairs, places: Indices | Mask | slice) -> Pairs:
     return Pairs(pairs.group[places], pairs.uav[places], pairs.target[places])
 
 
-def _explain_exactly(features: Floats, target: Singles, weight: Singles) -> Floats:
-    """``(C, k)``: energy that few features ``(k, p, R)`` explain beyond the own pasts.
-
-    ``target`` ``(R, a + z, C)`` are the innovations and the own pasts, times the weights of their rows; ``weight``
-    ``(R, C)`` are the squares of these weights.
-    """
-    axes = features.shape[1]
-    row, column = _list_lower(axes)
-    singles = features.astype(np.float32)
-    gram = _multiply(singles[:, row] * singles[:, column], weight)
-    return np.asarray(_solve(_multiply(singles, target), gram, axes).T)
-
-
-@cache
-def _list_lower(width: int) -> tuple[Indices, Indices]:
-    """Rows and columns of the lower triangle of a matrix."""
-    return np.tril_indices(width)
-
-
-def _multiply(features: Floats | Singles, target: Singles) -> Singles:
-    """``(k, p, ..., C)``: products, summed over the rows, of features ``(k, p, R)`` and targets ``(R, ..., C)``."""
-    flat = features.astype(np.float32, copy=False).reshape(-1, features.shape[2])
-    product = flat @ target.reshape(len(target), -1)
-    return product.reshape(*features.shape[:2], *target.shape[1:])
-
-
-@compiled()
-def _solve(product: Singles, gram: Singles, axes: int) -> Floats:
-    """``(k, C)``: m' G^-1 m, summed over the axes, with G less what the own past explains, by Cholesky's method.
-
-    Args:
-        product: ``(k, p, a + z, C)`` features times innovations, which are m, and times own pasts.
-        gram: ``(k, p (p + 1) / 2, C)`` lower triangles of features times features.
-        axes: a.
-    """
-    uavs, features, width, count = product.shape
-    explained = np.zeros((uavs, count))
-    lower, left = np.empty((features, features, count)), np.empty((features, count))
-    for k in range(uavs):
-        for p in range(features):
-            for q in range(p + 1):
-                value = lower[p, q]
-                value[:] = gram[k, p * (p + 1) // 2 + q]
-                for z in range(axes, width):
-                    for c in range(count):
-                        value[c] -= product[k, p, z, c] * product[k, q, z, c]
-                for r in range(q):
-                    for c in range(count):
-                        value[c] -= lower[p, r, c] * lower[q, r, c]
-                for c in range(count):
-                    if p > q:
-                        value[c] /= lower[q, q, c]
-                        continue
-                    trace = np.float32(0.0)
-                    for i in range(features):
-                        trace += gram[k, i * (i + 3) // 2, c]
-                    value[c] = np.sqrt(max(value[c], 0.0) + RIDGE * trace / features + _NOTHING)
-        for axis in range(axes):
-            for p in range(features):
-                for c in range(count):
-                    rest = product[k, p, axis, c]
-                    for r in range(p):
-                        rest -= lower[p, r, c] * left[r, c]
-                    left[p, c] = rest / lower[p, p, c]
-                    explained[k, c] += left[p, c] ** 2
-    return explained
-
-
 def gather_statistics(targets: Targets, past: Floats, pairs: Pairs, names: Sequence[str]) -> list[Statistics]:
     """Compute the cross products of the feature classes ``names`` for the pairs; ``past`` ``(n, L, a, R)``."""
     asked, place = np.unique(pairs.uav, return_inverse=True)
@@ -415,7 +295,7 @@ def gather_statistics(targets: Targets, past: Floats, pairs: Pairs, names: Seque
     )
     found = []
     for name, used in columns.items():
-        ridge = RIDGE * power[:, used].mean(axis=1) + _NOTHING
+        ridge = RIDGE * power[:, used].mean(axis=1) + NOTHING
         own = gram[:, used[:, None], used] + ridge[:, None, None] * np.eye(len(used))
         found.append(Statistics(name, moment[:, used], own))
     return found
@@ -444,29 +324,13 @@ def _multiply_pairs(
 
 def own_evidence(targets: Targets, pairs: Pairs, statistics: Statistics) -> Floats:
     """``(P,)``: log Bayes factor of each pair with a law of its own."""
-    share = _explain(statistics.gram.copy(), statistics.moment.copy()) / targets.energy[pairs.target]
+    share = explain_each(statistics.gram, statistics.moment) / targets.energy[pairs.target]
     return bayes_factor(share, targets.rows[pairs.target], statistics.width, targets.axes)
-
-
-@compiled()
-def _explain(gram: Floats, moment: Floats) -> Floats:
-    """``(P,)``: m' G^-1 m, summed over the axes, of grams ``(P, p, p)`` and moments ``(P, p, a)``; overwrites both."""
-    explained = np.zeros(len(gram))
-    for pair in range(len(gram)):
-        lower, left = gram[pair], moment[pair]
-        _factor(lower, 0.0)
-        for p in range(lower.shape[0]):
-            for axis in range(left.shape[1]):
-                for q in range(p):
-                    left[p, axis] -= lower[p, q] * left[q, axis]
-                left[p, axis] /= lower[p, p]
-                explained[pair] += left[p, axis] ** 2
-    return explained
 
 
 def fit_law(statistics: Statistics, used: Indices, variance: Floats) -> Floats:
     """Weights ``(p, a)`` of one law for the pairs ``used`` ``(k,)``, with error variances ``(k,)``."""
-    gram, moment = (np.tensordot(1.0 / variance, each[used], 1) for each in (statistics.gram, statistics.moment))
+    gram, moment = ((each[used].T @ (1.0 / variance)).T for each in (statistics.gram, statistics.moment))
     return np.asarray(np.linalg.solve(gram, moment))
 
 

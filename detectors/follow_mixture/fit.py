@@ -30,12 +30,12 @@ from detectors.follow_mixture.motion import Motion, filter_tracks, fit_spectra, 
 from detectors.follow_mixture.pooling import MorePairs, ask_about_heads, ask_single_uavs
 from detectors.series.direction import SHARES, WEIGHTS, compare_directions
 from detectors.series.features import LEVELS, LONE
+from detectors.series.projections import NOTHING
 from usnet_env.arrays import Floats, Indices
 
 _CERTAIN = 7.0  # log-odds of every UAV at which the search ends
 _LEAST_TOGETHER = 0.01  # least prior probability that a head moves with its followers, relative to a single UAV
 _ITERATIONS = 8
-_NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,30 +99,27 @@ class _Search:
     most: int | None
 
     @cached_property
-    def sizes(self) -> Indices:
-        """``(C,)`` number of UAVs of each group."""
-        return self.targets.sizes
-
-    @cached_property
     def table(self) -> tuple[Indices, Indices, Indices]:
         """The candidates ``(c,)``, the groups that they are alone, or -1, and the candidates' places of the pairs."""
         candidates, column = np.unique(self.pairs.uav, return_inverse=True)
         own = self.targets.label[candidates]
-        return candidates, np.where(self.sizes[own] == 1, own, -1), column
+        return candidates, np.where(self.targets.sizes[own] == 1, own, -1), column
 
     def assign(self, evidence: Floats) -> Assignment:
         """The heads that a table of evidence ``(P,)`` implies."""
         candidates, itself, column = self.table
-        gain = np.full((len(self.sizes), len(candidates)), -np.inf)
-        follows = np.where(self.sizes > 1, np.log(1.0 / RARE - 1.0), 0.0)  # several do, unless their head is not there
+        gain = np.full((len(self.targets.sizes), len(candidates)), -np.inf)
+        follows = np.where(
+            self.targets.sizes > 1, np.log(1.0 / RARE - 1.0), 0.0
+        )  # several do, unless their head is not there
         gain[self.pairs.group, column] = evidence + follows[self.pairs.group]
-        return assign_groups(gain, candidates, itself, self.sizes, self.most)
+        return assign_groups(gain, candidates, itself, self.targets.sizes, self.most)
 
     def explains(self, assignment: Assignment, single: bool = True) -> bool:
         """Whether every group follows, but the heads that are single UAVs; or every group of several."""
-        lead = np.zeros(len(self.sizes), bool)
+        lead = np.zeros(len(self.targets.sizes), bool)
         lead[self.targets.label[assignment.heads]] = True
-        alone = self.sizes == 1
+        alone = self.targets.sizes == 1
         return bool(((assignment.head >= 0) | (alone & (lead | (not single)))).all())
 
     def chosen(self, assignment: Assignment) -> Indices:
@@ -131,7 +128,7 @@ class _Search:
 
     def gain(self, found: _Answer) -> Floats:
         """``(C,)``: the evidence of each group for its head, 0 without one."""
-        chosen, gain = self.chosen(found.assignment), np.zeros(len(self.sizes))
+        chosen, gain = self.chosen(found.assignment), np.zeros(len(self.targets.sizes))
         gain[self.pairs.group[chosen]] = found.evidence[chosen]
         return gain
 
@@ -308,7 +305,7 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
     logit[row[pairs.group[some]], pairs.uav[some]] += found.evidence[some] + paid[some]
     share = np.exp(logit - logit.max(axis=1, keepdims=True))
     share = share[:, :uavs] / share.sum(axis=1, keepdims=True)
-    stays = np.log1p(-np.minimum(share, 1.0 - _NOTHING)).sum(axis=0)  # log probability of leading no group of several
+    stays = np.log1p(-np.minimum(share, 1.0 - NOTHING)).sum(axis=0)  # log probability of leading no group of several
     stays -= np.logaddexp(pool, 0.0)
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(-np.expm1(stays)) - stays - follows)
@@ -334,13 +331,13 @@ def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats,
     head = np.isin(candidates, heads)
     together = np.logaddexp.reduce(evidence[:, head], axis=1, initial=0.0)  # 0: of following none
     odds = evidence - together[:, None]  # of a further head
-    odds[:, head] -= np.log1p(-np.minimum(np.exp(odds[:, head]), 1.0 - _NOTHING))  # instead of the other heads
+    odds[:, head] -= np.log1p(-np.minimum(np.exp(odds[:, head]), 1.0 - NOTHING))  # instead of the other heads
     odds[np.isin(single, targets.label[heads])] = -np.inf
     follows = odds + np.log(np.maximum(known + ~head, 1))  # instead of one of the other heads, or none
     ratio = np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + follows[:, :, None])
     asked = np.isfinite(odds)
     every = np.logaddexp.reduce(np.where(asked[:, :, None], ratio, 0.0).sum(axis=0) + np.log(WEIGHTS), axis=1)
-    leads = np.log(np.maximum(-np.expm1(-every - np.log1p(asked.sum(axis=0))), _NOTHING))  # that at least one follows
+    leads = np.log(np.maximum(-np.expm1(-every - np.log1p(asked.sum(axis=0))), NOTHING))  # that at least one follows
     pool = np.where(targets.sizes[targets.label] == 1, np.log(RARE / uavs), -np.inf)  # without any evidence
     singles, itself = np.zeros(uavs), np.zeros(len(targets.sizes))
     singles[candidates], pool[candidates] = every, every + leads + np.log(RARE / uavs)

@@ -21,25 +21,23 @@ from scipy.special import betaln
 from detectors.follow_mixture.delays import ASKED, sample_single_uavs
 from detectors.follow_mixture.evidence import (
     RARE,
-    RIDGE,
     Pairs,
     Statistics,
     Targets,
     gain_by_law,
     pair,
     pick,
-    project,
     screen,
     sum_groups,
 )
 from detectors.series.features import LONE, make_features
+from detectors.series.projections import NOTHING, RIDGE, project
 from usnet_env.arrays import Floats, Indices, Mask
 
 _TURNS = 3  # of choosing the followers of a candidate and fitting their law
 _CLASSES = 2  # in which the greedy search goes on
 _SHORTLISTED = 100  # candidates that the greedy search compares
 _NUMBERS = 4_000_000  # of one array; bounds the memory
-_NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +179,7 @@ class _Screening:
         rows, energy = self.targets.rows[self.single], self.targets.energy[self.single]
         strength = (self.targets.weight[self.single] ** 2).mean(axis=1)
         others, square = self.targets.label[self.uav, None] != self.single, np.vecdot(moment, moment)
-        share = np.minimum(square / (strength * energy), 1.0 - _NOTHING)
+        share = np.minimum(square / (strength * energy), 1.0 - NOTHING)
         follows = others & (share * (rows - width) > (1.0 - share) * width)  # the F ratio exceeds 1
         follows &= -0.5 * axes * rows * np.log1p(-share) > gained
         gain = np.zeros(share.shape)
@@ -190,11 +188,11 @@ class _Screening:
             whole = (used[:, None] @ moment)[:, 0]  # and the aim is that of the other followers: whole less own
             along = (moment @ whole[:, :, None])[:, :, 0]
             aim = np.vecdot(whole, whole)[:, None] - used * (2.0 * along - used * square)
-            rest = np.maximum((used @ strength)[:, None] - used * strength, _NOTHING)
-            shrunk = 1.0 - axes * width * rest / np.maximum(aim, _NOTHING)  # by what chance explains
+            rest = np.maximum((used @ strength)[:, None] - used * strength, NOTHING)
+            shrunk = 1.0 - axes * width * rest / np.maximum(aim, NOTHING)  # by what chance explains
             law = np.where(follows.sum(axis=1)[:, None] > follows, np.maximum(shrunk, 0.0) / rest, 0.0)  # times the aim
             left = energy + law * (strength * law * aim - 2.0 * (along - used * square))
-            gain = -0.5 * axes * rows * np.log(np.maximum(left / energy, _NOTHING)) * others
+            gain = -0.5 * axes * rows * np.log(np.maximum(left / energy, NOTHING)) * others
             before, follows = follows, gain > gained
             if np.array_equal(before, follows):
                 break
@@ -243,10 +241,10 @@ def _pool(targets: Targets, pairs: Pairs, some: Statistics, follows: Mask, group
 def _fit_laws(gram: Floats, moment: Floats) -> Floats:
     """Laws ``(k, p, a)``, shrunk by the share of what they explain that 3 p weights explain by chance."""
     width, axes = moment.shape[1:]
-    ridge = RIDGE * np.trace(gram, axis1=1, axis2=2) / width + _NOTHING
+    ridge = RIDGE * np.trace(gram, axis1=1, axis2=2) / width + NOTHING
     law = np.linalg.solve(gram + ridge[:, None, None] * np.eye(width), moment)
     explained = (moment * law).sum(axis=(1, 2))
-    return np.asarray(law * np.maximum(1.0 - axes * width / np.maximum(explained, _NOTHING), 0.0)[:, None, None])
+    return np.asarray(law * np.maximum(1.0 - axes * width / np.maximum(explained, NOTHING), 0.0)[:, None, None])
 
 
 def _choose(targets: Targets, evidence: Floats, single: Indices) -> tuple[Pairs, Floats]:

@@ -8,11 +8,10 @@ this comparison, because it holds the common cause as well.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from detectors.series.features import make_features
+from detectors.series.projections import NOTHING, RIDGE, factor, solve_lower
 from usnet_env.arrays import Floats, Indices
 from usnet_env.compiling import compiled
 
@@ -20,8 +19,6 @@ _CLASS = "v+v²+v×v(2)"  # with a axes, the newest velocity is its first a colu
 _LEAST_STEPS = 32  # 4 in each block
 _BLOCKS = 8
 _CHUNK = 500  # pairs; bounds the memory
-_RIDGE = 1e-6  # of the square of each feature
-_NOTHING = 1e-12
 _CERTAIN = 100.0  # of a logarithm: more is the same
 _REVERSED = ((0, -1.0), (1, 1.0))  # the sign of velocities in reversed time, and that of their changes
 SHARES, WEIGHTS = (np.polynomial.legendre.leggauss(24) + np.array([[1.0], [0.0]])) / 2.0  # of an integral from 0 to 1
@@ -77,7 +74,7 @@ def compare_directions(
             blocks, most = _measure_leads(_bound(some), past, future, min(longest, steps // 4), turned)
             np.add.at(lead, led, weight * blocks)
             np.add.at(whole, led, weight * most)
-    error = np.sqrt(_BLOCKS) * lead.std(axis=1, ddof=1) + _NOTHING
+    error = np.sqrt(_BLOCKS) * lead.std(axis=1, ddof=1) + NOTHING
     found, expected = lead.sum(axis=1) / error, np.maximum(whole, 0.0) / error[:, None]
     leads, follows = (
         np.logaddexp.reduce(np.log(WEIGHTS) + _log_density(sign * found[:, None] - most[:, None] * SHARES), axis=1)
@@ -108,7 +105,7 @@ def _bound(values: Floats) -> Floats:
     """``(k, T, a)`` about their mean, none longer than the median, so that a sharp turn is one event among others."""
     values = values - values.mean(axis=1, keepdims=True)
     length = np.sqrt((values**2).sum(axis=2, keepdims=True))
-    values = values * np.minimum(np.median(length, axis=1, keepdims=True) / np.maximum(length, _NOTHING), 1.0)
+    values = values * np.minimum(np.median(length, axis=1, keepdims=True) / np.maximum(length, NOTHING), 1.0)
     return np.asarray(values - values.mean(axis=1, keepdims=True))
 
 
@@ -143,7 +140,7 @@ def _compare_both_ways(features: Floats, target: Floats, longest: int, turned: f
     count, _, steps, axes = target.shape
     blocks, expected = np.zeros((count, _BLOCKS)), np.zeros((count, 2))
     for pair in range(count):
-        total = max((target[pair, 0] ** 2).sum(), _NOTHING)
+        total = max((target[pair, 0] ** 2).sum(), NOTHING)
         products = [_multiply_later(features[pair, way], target[pair, way], longest) for way in range(2)]
         adjusted, first, last, highest = np.zeros(2), 0, 0, -np.inf
         predicted = np.zeros((2, steps, axes))
@@ -178,14 +175,21 @@ def _multiply_later(features: Floats, target: Floats, longest: int) -> tuple[Flo
         later[step, : len(some)] = some
     gram = features @ features.T
     for p in range(len(gram)):
-        gram[p, p] += _RIDGE * gram[p, p] + _NOTHING
+        gram[p, p] += RIDGE * gram[p, p] + NOTHING
     return gram, features @ later
 
 
 @compiled()
 def _fit_delay(gram: Floats, moment: Floats, longest: int) -> tuple[Floats, int, float]:
     """The law ``(p, a)``, the delay of 1 to D steps and the energy of the delay that explains most."""
-    law: Any = np.linalg.solve(np.ascontiguousarray(gram), moment)
-    energy = (moment * law).sum(axis=0).reshape(longest, -1).sum(axis=1)
-    best, axes = energy.argmax(), law.shape[1] // longest
-    return law[:, best * axes : (best + 1) * axes].copy(), int(best) + 1, float(energy[best])
+    lower, left = gram.copy(), moment.copy()
+    factor(lower, 0.0)
+    solve_lower(lower, left)
+    energy = (left**2).sum(axis=0).reshape(longest, -1).sum(axis=1)
+    best, axes = energy.argmax(), left.shape[1] // longest
+    law = left[:, best * axes : (best + 1) * axes].copy()
+    for p in range(len(law) - 1, -1, -1):  # L' law = left
+        law[p] /= lower[p, p]
+        for q in range(p):
+            law[q] -= lower[p, q] * law[p]
+    return law, int(best) + 1, float(energy[best])
