@@ -46,8 +46,8 @@ class _Bands:
 
     def worth(self, energy: Floats, size: Floats) -> Floats:
         """Log-likelihood of groups with energies |S|² ``(F, ...)`` and ``(...)`` members, over independent UAVs."""
-        shape = (-1, *(1,) * np.ndim(size))
-        ratio, noise, count = (some.reshape(shape) for some in (self.ratio, self.noise, self.count))
+        more = (1,) * np.ndim(size)
+        ratio, noise, count = (some.reshape(*some.shape, *more) for some in (self.ratio, self.noise, self.count))
         spread = 1.0 + size * ratio
         return np.asarray((0.5 * energy * ratio / (spread * noise) - 0.5 * count * np.log(spread)).sum(axis=0))
 
@@ -127,13 +127,15 @@ def _merge_best(gram: Floats, models: list[_Bands], price: float) -> tuple[Indic
     energy = np.einsum("fii->fi", gram)
     first = models[_ORDERED_BY]
     groups, energies, sizes = _merge(gram.copy(), first.ratio, first.noise, first.count, price)
-    value = np.zeros((len(models), len(groups) + 1))
-    for model, values in zip(models, value, strict=True):
-        alone = -0.5 * float((energy.sum(axis=1) / model.noise).sum())
-        alone -= 0.5 * energy.shape[1] * float((model.count * np.log(model.noise)).sum())
-        values[0] = alone + float(model.worth(energy, np.ones(energy.shape[1])).sum())
-        one, other, union = model.worth(energies, sizes.astype(np.float64))
-        values[1:] = values[0] + np.cumsum(union - one - other - price)
+    every = _Bands(
+        *np.array([[model.noise, model.ratio, model.count] for model in models]).transpose(1, 2, 0)
+    )  # (F, J) each
+    alone = (energy.sum(axis=1)[:, None] / every.noise + energy.shape[1] * every.count * np.log(every.noise)).sum(
+        axis=0
+    )
+    begin = every.worth(energy[:, None], np.ones(energy.shape[1])).sum(axis=1) - 0.5 * alone
+    one, other, union = every.worth(energies[:, None], sizes.astype(np.float64)).swapaxes(0, 1)
+    value = np.cumsum(np.column_stack([begin, union - one - other - price]), axis=1)  # after each merger
     best, last = np.unravel_index(value.argmax(), value.shape)
     label = np.arange(energy.shape[1])
     for one, other in groups[:last][::-1].tolist():

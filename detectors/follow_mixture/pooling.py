@@ -132,15 +132,18 @@ def _nominate(targets: Targets, past: Floats, names: Sequence[str], single: Indi
     chunk = max(_NUMBERS // max(past.shape[3] * len(single), past[0].size), 1)
     every = np.arange(len(past))
     gained = np.zeros(len(single))
+    kept: list[_Screening] = []
     for first in range(0, len(past) if len(single) > 1 else 0, chunk):
         for screening in _screenings(targets, past, every[first : first + chunk], names, single):
             worth[names.index(screening.name), screening.uav], _ = screening.weigh(gained)
+            kept += [screening] if len(past) <= _SHORTLISTED else []
     found: list[int] = []
     if worth.max(initial=-np.inf) > 0:
-        some = np.argsort(-worth.max(axis=0), kind="stable")[:_SHORTLISTED]
+        some = every if kept else np.argsort(-worth.max(axis=0), kind="stable")[:_SHORTLISTED]
         best = worth.max(axis=1)
         likely = [names[place] for place in np.argsort(-best)[:_CLASSES] if best[place] > 0]
-        screenings = list(_screenings(targets, past, some, likely, single))
+        screenings = [screening for screening in kept if screening.name in likely]
+        screenings = screenings or list(_screenings(targets, past, some, likely, single))
         while True:
             values, gains = zip(*(screening.weigh(gained) for screening in screenings), strict=True)
             value = np.where(np.isin(some, found), -np.inf, values)
