@@ -59,9 +59,9 @@ class Change:
     patches: tuple[tuple[Any, str, Any], ...]
 
 
-def _no_pool(targets: Any, pairs: Any, some: Any, follows: Any, fixed: Any) -> NDArray[np.float64]:
+def _no_pool(targets: Any, pairs: Any, some: Any, follows: Any, groups: int) -> NDArray[np.float64]:
     """In place of the evidence by the law of the other followers: none."""
-    return np.full(len(follows), -np.inf)
+    return np.full(len(follows) - groups, -np.inf)
 
 
 def _share_strictly(search: Any, some: Any, assignment: Any, own: NDArray[np.float64]) -> Any:

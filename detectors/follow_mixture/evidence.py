@@ -175,12 +175,16 @@ def _innovate(mean: Floats, lags: int) -> tuple[Floats, Floats, Floats, Floats]:
         weight[part] = 1.0 / np.sqrt(1.0 + square / (_FREEDOM * scale))
         own[part] = orthonormalise(known * weight[part, None])
         innovation[part] = _residuals(own[part], target * weight[part, None])
-    # Fewer rows count where a few sharp turns hold most of the energy, or where innovations are not white, for features
-    # with their spectrum (Bartlett's formula). The shares of normal and white ones are a / (a + 2) and a / (a + 1).
-    power = (np.abs(np.fft.rfft(innovation)[:, :, 1:]) ** 2).sum(axis=1)
+    # Fewer rows count where a few sharp turns hold most of the energy, or where innovations are not white. The shares
+    # of normal and white ones are a / (a + 2) and a / (a + 1).
     steady = (axes + 2) / axes * _participation((innovation**2).sum(axis=1))
-    share = np.minimum(np.minimum(steady, (axes + 1) / axes * _participation(power)), 1.0)
+    share = np.minimum(np.minimum(steady, (axes + 1) / axes * _whiteness(innovation)), 1.0)
     return innovation, own, weight, np.minimum(rows * share, rows - width)
+
+
+def _whiteness(innovation: Floats) -> Floats:
+    """Share of independent rows ``(G,)``, for features with the spectrum of the innovations (Bartlett's formula)."""
+    return _participation((np.abs(np.fft.rfft(innovation)[:, :, 1:]) ** 2).sum(axis=1))
 
 
 def _participation(values: Floats) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -74,29 +74,41 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Answer:
-    """One state of the search: the evidence ``(P,)`` of all pairs, and the heads that follow from it."""
-
-    assignment: Assignment
-    evidence: Floats
-    value: float
-    features: str = "each its own"
-    law: Floats | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class _Search:
-    """What all states of the search share: targets, pairs, and the tables that :func:`assign_groups` reads.
+    """What all states of the search share.
 
     Args:
         targets: the groups.
+        past: ``(n, L, a, R)`` pasts of the candidates.
         pairs: the pairs with evidence.
+        classes: the statistics of the pairs, of K classes.
+        own: ``(K, P)`` evidence of laws of each pair's own.
         most: the largest number of heads.
     """
 
     targets: Targets
+    past: Floats
     pairs: Pairs
+    classes: list[Statistics]
+    own: Floats
     most: int | None
+
+    @classmethod
+    def measure(cls, targets: Targets, past: Floats, pairs: Pairs, names: Sequence[str], most: int | None) -> _Search:
+        """Measure some pairs in the classes ``names``."""
+        classes = gather_statistics(targets, past, pairs, names)
+        own = np.array([own_evidence(targets, pairs, some) for some in classes])
+        return cls(targets, past, pairs, classes, own, most)
+
+    def add(self, more: MorePairs) -> _Search:
+        """This search with more pairs."""
+        added, names = more.list_pairs(self.targets, self.pairs), [some.name for some in self.classes]
+        others = _Search.measure(self.targets, self.past, added, names, self.most)
+        pairs = self.pairs.join(added)
+        classes = [some.join(other) for some, other in zip(self.classes, others.classes, strict=True)]
+        rows = zip(classes, np.hstack([self.own, others.own]), strict=True)
+        own = np.array([more.compare(self.targets, pairs, some, row) for some, row in rows])
+        return replace(self, pairs=pairs, classes=classes, own=own)
 
     @cached_property
     def table(self) -> tuple[Indices, Indices, Indices]:
@@ -107,13 +119,11 @@ class _Search:
 
     def assign(self, evidence: Floats) -> Assignment:
         """The heads that a table of evidence ``(P,)`` implies."""
-        candidates, itself, column = self.table
-        gain = np.full((len(self.targets.sizes), len(candidates)), -np.inf)
-        follows = np.where(
-            self.targets.sizes > 1, np.log(1.0 / RARE - 1.0), 0.0
-        )  # several do, unless their head is not there
+        (candidates, itself, column), sizes = self.table, self.targets.sizes
+        gain = np.full((len(sizes), len(candidates)), -np.inf)
+        follows = np.where(sizes > 1, np.log(1.0 / RARE - 1.0), 0.0)  # several do, unless their head is not there
         gain[self.pairs.group, column] = evidence + follows[self.pairs.group]
-        return assign_groups(gain, candidates, itself, self.targets.sizes, self.most)
+        return assign_groups(gain, candidates, itself, sizes, self.most)
 
     def explains(self, assignment: Assignment, single: bool = True) -> bool:
         """Whether every group follows, but the heads that are single UAVs; or every group of several."""
@@ -126,11 +136,28 @@ class _Search:
         """The pairs, each a group and its head, of an assignment."""
         return np.flatnonzero(assignment.head[self.pairs.group] == self.pairs.uav)
 
-    def gain(self, found: _Answer) -> Floats:
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """One state of the search: the evidence ``(P,)`` of all pairs, and the heads that follow from it."""
+
+    search: _Search
+    assignment: Assignment
+    evidence: Floats
+    value: float
+    features: str = "each its own"
+    law: Floats | None = None
+
+    @property
+    def gain(self) -> Floats:
         """``(C,)``: the evidence of each group for its head, 0 without one."""
-        chosen, gain = self.chosen(found.assignment), np.zeros(len(self.targets.sizes))
-        gain[self.pairs.group[chosen]] = found.evidence[chosen]
+        chosen, gain = self.search.chosen(self.assignment), np.zeros(len(self.search.targets.sizes))
+        gain[self.search.pairs.group[chosen]] = self.evidence[chosen]
         return gain
+
+    def is_certain(self, log_odds: Floats, single: bool) -> bool:
+        """Whether no UAV is in doubt and all groups are explained, those of a ``single`` UAV too."""
+        return self.search.explains(self.assignment, single) and bool(np.abs(log_odds).min() > _CERTAIN)
 
 
 def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: np.random.Generator) -> Fit | None:
@@ -152,51 +179,36 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
     targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
     past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
     several, only = np.flatnonzero(targets.sizes > 1), limit_candidates(label, rng)
+    kept = spectra.memory**lags
     more: MorePairs | None = None  # at first no single UAV follows, as heads and decoys do not
-
-    def gather(pairs: Pairs, names: Sequence[str]) -> tuple[Pairs, list[Statistics], Floats]:
-        classes = gather_statistics(targets, past, pairs, names)
-        return pairs, classes, np.array([own_evidence(targets, pairs, some) for some in classes])
-
-    def fit(
-        pairs: Pairs, classes: list[Statistics], own: Floats, more: MorePairs | None
-    ) -> tuple[_Search, _Answer, Floats, bool, bool]:
-        if more is not None:
-            added, others, evidence = gather(more.list_pairs(targets, pairs), [some.name for some in classes])
-            pairs, classes = pairs.join(added), [some.join(other) for some, other in zip(classes, others, strict=True)]
-            rows = zip(classes, np.hstack([own, evidence]), strict=True)
-            own = np.array([more.compare(targets, pairs, some, row) for some, row in rows])
-        search = _Search(targets, pairs, most)
-        found = _search_laws(search, classes, own)
-        log_odds = _posterior(search, found, spectra.memory**lags)
-        certain = bool(np.abs(log_odds).min() > _CERTAIN) and search.explains(found.assignment, single=False)
-        return search, found, log_odds, certain, certain and search.explains(found.assignment)
-
     for names in LEVELS:
-        groups = choose_pairs(targets, screen(targets, past, names, several, only), several)
-        targets, groups = add_rests(targets, groups, velocity)
-        known = gather(groups, names)
-        search, found, log_odds, certain, complete = fit(*known, more)
-        if more is None and certain and not complete:  # if single UAVs follow these heads, no further one is needed
-            asked = ask_about_heads(targets, past, found.assignment.head)
-            joined = None if asked is None else fit(*known, asked)
-            if joined is not None and joined[-1]:
-                search, found, log_odds, certain, complete = joined
+        pairs = choose_pairs(targets, screen(targets, past, names, several, only), several)
+        targets, pairs = add_rests(targets, pairs, velocity)
+        search = _Search.measure(targets, past, pairs, names, most)
+        found = _search_laws(search if more is None else search.add(more))
+        log_odds = _posterior(found, kept)
+        certain, complete = (found.is_certain(log_odds, single) for single in (False, True))
+        # If single UAVs follow these heads, no further one is needed.
+        ask = more is None and certain and not complete
+        if ask and (asked := ask_about_heads(targets, past, found.assignment.head)) is not None:
+            again = _search_laws(search.add(asked))
+            if again.is_certain(odds := _posterior(again, kept), single=True):
+                found, log_odds, complete = again, odds, True
         leads = np.union1d(found.assignment.heads, np.flatnonzero(log_odds > 0))
         if more is not None or complete:
             break
-        late = ask_delays(targets, velocity, past, leads, search.gain(found), longest)
+        late = ask_delays(targets, velocity, past, leads, found.gain, longest)
         more = ask_single_uavs(targets, past, LEVELS[-1], found.assignment.head, *late)
         if certain and not more.new:
             break
-    if found.assignment.value <= 0 and not (targets.sizes > 1).any():
+    if found.assignment.value <= 0 and not len(several):
         return None
-    behind, gain = pick(search.pairs, search.chosen(found.assignment)), search.gain(found)
-    order = find_hierarchy(targets, velocity, past, leads, found.assignment.head, gain, longest)
+    order = find_hierarchy(targets, velocity, past, leads, found.assignment.head, found.gain, longest)
     heads, count = np.unique(order.root, return_counts=True)
     heads = heads[(count > 1) & np.isin(heads, order.root[found.assignment.heads])]
-    follows = np.isin(order.root, heads) & (order.leader >= 0)
     root = np.where(np.isin(order.root, heads), order.root, -1)
+    follows = (root >= 0) & (order.leader >= 0)
+    known = filter_tracks(velocity, spectra, heads)
     return Fit(
         group=label,
         heads=heads,
@@ -204,21 +216,20 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
         root=root,
         log_odds=log_odds,
         relays=order.relays,
-        leads=compare_directions(
-            velocity, filter_tracks(velocity, spectra, heads), label, root, heads, longest, spectra.noise > 0
-        ),
+        leads=compare_directions(velocity, known, label, root, heads, longest, spectra.noise > 0),
         gain=np.where(follows, order.gain, 0.0),
         features=found.features,
         law=found.law,
         value=found.value,
         noise=spectra.noise,
-        lag=_find_lags(targets, past, behind, heads),
+        lag=_find_lags(found, heads),
     )
 
 
-def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) -> Indices:
-    """``(M,)``: the lag at which each head alone explains best the groups of its ``chosen`` pairs; 0 if none does."""
-    _, lags, axes, rows = past.shape
+def _find_lags(found: _Answer, heads: Indices) -> Indices:
+    """``(M,)``: the lag at which each head alone explains best the groups assigned to it; 0 if none does."""
+    search, targets, past = found.search, found.search.targets, found.search.past
+    chosen, (_, lags, axes, rows) = pick(search.pairs, search.chosen(found.assignment)), past.shape
     each = past[chosen.uav].reshape(-1, 1, axes, rows)  # one candidate for each lag
     pairs = Pairs(np.repeat(chosen.group, lags), np.arange(len(each)), np.repeat(chosen.target, lags))
     classes = gather_statistics(targets, each, pairs, LONE)
@@ -228,20 +239,16 @@ def _find_lags(targets: Targets, past: Floats, chosen: Pairs, heads: Indices) ->
     return np.where(evidence.max(axis=1) > 0, evidence.argmax(axis=1) + 1, 0)
 
 
-def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _Answer:
+def _search_laws(search: _Search) -> _Answer:
     """Find the heads: first every group has a law of its own; then groups share one, of each class of features.
 
     A group may deviate from the shared law; a single UAV pays for it, since most of those fly by themselves. The state
     with the highest value wins. The search ends when a shared law assigns all groups but the heads.
-
-    Args:
-        search: the groups and pairs.
-        classes: the statistics of all classes.
-        own: ``(K, P)`` evidence of laws of each group's own, by class.
     """
+    own = search.own
     each = own.max(axis=0) - np.log(len(own))
     together = search.assign(each)
-    best = begin = _Answer(together, each, together.value)
+    best = begin = _Answer(search, together, each, together.value)
     alone = search.targets.sizes[search.pairs.group] == 1
     other = each - np.log(1.0 / RARE - 1.0) * alone
     gained = np.maximum(own, 0.0)
@@ -249,7 +256,7 @@ def _search_laws(search: _Search, classes: list[Statistics], own: Floats) -> _An
     for start in (begin, None):
         start = best if start is None else start
         for some in order:
-            found = _share_law(search, classes[some], start.assignment, other)
+            found = _share_law(search, search.classes[some], start.assignment, other)
             if found is not None and found.value > best.value:
                 best = found
                 if search.explains(found.assignment):
@@ -274,13 +281,13 @@ def _share_law(search: _Search, some: Statistics, assignment: Assignment, own: F
         if best is not None and turn > 1 and value <= best.value:
             break
         if best is None or value > best.value:
-            best = _Answer(assignment, evidence, value, some.name, law)
+            best = _Answer(search, assignment, evidence, value, some.name, law)
         if turn > 0 and np.array_equal(before.head, assignment.head):
             break
     return best
 
 
-def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
+def _posterior(found: _Answer, kept: Floats) -> Floats:
     """``(n,)``: log-odds of being a head.
 
     Every group of two and more UAVs has one head, unless it is not in the window. A priori that is any single UAV, or
@@ -288,10 +295,10 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
     far as its velocity predicts that of L steps later, with the autocorrelation ``kept`` ``(n,)``. A UAV that leads
     other followers already has paid the price of a head. The groups are independent. A head follows no UAV.
     """
-    targets, pairs = search.targets, search.pairs
+    targets, pairs = found.search.targets, found.search.pairs
     sizes, uavs = targets.sizes, len(targets.label)
     alone = sizes[targets.label] == 1
-    singles, pool, follows = _weigh_single_uavs(search, found)
+    singles, pool, follows = _weigh_single_uavs(found)
     several = sizes > 1
     head = np.where(several, found.assignment.head, -1)
     groups = np.bincount(head[head >= 0], minlength=uavs)
@@ -311,7 +318,7 @@ def _posterior(search: _Search, found: _Answer, kept: Floats) -> Floats:
         return np.asarray(np.log(-np.expm1(stays)) - stays - follows)
 
 
-def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats, Floats]:
+def _weigh_single_uavs(found: _Answer) -> tuple[Floats, Floats, Floats]:
     """What single UAVs say about the n UAVs.
 
     Each single UAV follows one of the heads found, or none, with equal prior probabilities. A further head is rare, and
@@ -321,7 +328,7 @@ def _weigh_single_uavs(search: _Search, found: _Answer) -> tuple[Floats, Floats,
         ``(n,)`` log-likelihood ratio of the single UAVs if this UAV is a head; ``(n,)`` log-odds that it leads single
         UAVs; ``(n,)`` log-odds of following a head itself.
     """
-    targets, pairs, heads = search.targets, search.pairs, found.assignment.heads
+    targets, pairs, heads = found.search.targets, found.search.pairs, found.assignment.heads
     uavs, known = len(targets.label), len(heads)
     lone = targets.sizes[pairs.group] == 1
     candidates, column = np.unique(pairs.uav[lone], return_inverse=True)
