@@ -199,7 +199,7 @@ def _residuals(known: Floats, target: Floats) -> Floats:
 
 def bayes_factor(share: Floats, rows: Floats, width: int, axes: int) -> Floats:
     """Log Bayes factor of a regression of all axes on ``width`` features that explain ``share``, against none."""
-    share = np.clip(share, 0.0, 1.0 - NOTHING)
+    share = np.clip(np.asarray(share, np.float64), 0.0, 1.0 - NOTHING)  # in single precision, the limit would be 1
     free = np.maximum(rows - width, 1.0)
     strength = np.maximum(share * free / ((1.0 - share) * width) - 1.0, 0.0)  # g: the F ratio less 1
     factor = 0.5 * axes * free * np.log1p(strength) - 0.5 * axes * rows * np.log1p(strength * (1.0 - share))

@@ -26,7 +26,7 @@ from detectors.follow_mixture.evidence import (
     screen,
 )
 from detectors.follow_mixture.groups import find_groups, limit_candidates
-from detectors.follow_mixture.motion import Motion, filter_tracks, fit_spectra, lagged, smoothed_pasts
+from detectors.follow_mixture.motion import Motion, filter_tracks, fit_spectra, smoothed_pasts
 from detectors.follow_mixture.pooling import MorePairs, ask_about_heads, ask_single_uavs
 from detectors.series.direction import SHARES, WEIGHTS, compare_directions
 from detectors.series.features import LEVELS, LONE
@@ -177,7 +177,7 @@ def fit_motion(motion: Motion, lags: int, longest: int, most: int | None, rng: n
     lags = min(lags, velocity.shape[1] // 2)
     spectra = fit_spectra(velocity, motion.unit)
     targets = make_targets(velocity, label := find_groups(velocity, spectra, rng), lags)
-    past = smoothed_pasts(velocity, spectra, lags) if spectra.noise > 0 else lagged(velocity, lags)
+    past = smoothed_pasts(velocity, spectra, lags)
     several, only = np.flatnonzero(targets.sizes > 1), limit_candidates(label, rng)
     kept = spectra.memory**lags
     more: MorePairs | None = None  # at first no single UAV follows, as heads and decoys do not

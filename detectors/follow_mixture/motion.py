@@ -164,7 +164,7 @@ def fit_spectra(velocity: Floats, noiseless: bool) -> FlightSpectra:
 
 
 def smoothed_pasts(velocity: Floats, spectra: FlightSpectra, lags: int) -> Floats:
-    """Expectation of each UAV's past velocities, given its observations before the row's time.
+    """Expectation of each UAV's past velocities, given its observations before the row's time; these, if without noise.
 
     Only earlier observations are used: with noise, a fellow follower smoothed with its future would predict a follower
     better than their head does.
@@ -177,6 +177,8 @@ def smoothed_pasts(velocity: Floats, spectra: FlightSpectra, lags: int) -> Float
     Returns:
         ``(n, L, a, T - L)``, newest first, in place of :func:`lagged`.
     """
+    if not spectra.noise > 0:
+        return lagged(velocity, lags)
     uavs, steps = velocity.shape[:2]
     mean, reach, innovation = _whiten_tracks(velocity, spectra)
     times = np.arange(lags, steps)

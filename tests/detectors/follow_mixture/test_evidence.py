@@ -134,6 +134,13 @@ def test_the_bayes_factor_is_the_largest_of_a_g_prior(seed, width, strength, axe
     assert float(bayes_factor(share, np.float64(rows), width, axes)) == pytest.approx(best, rel=1e-6, abs=1e-6)
 
 
+def test_a_share_of_1_in_single_precision_is_finite_evidence():
+    shares = np.array([[1.0, 1.1, 0.5]], np.float32)
+    found = bayes_factor(shares, np.array([[40.0]]), 3, 3)
+    assert np.isfinite(found).all()
+    assert found[0, 0] == found[0, 1] > found[0, 2]
+
+
 @pytest.mark.parametrize("name", [0, 1, 3])
 def test_a_shared_law_is_a_stacked_weighted_regression(name):
     velocity, past = make_problem(2)
