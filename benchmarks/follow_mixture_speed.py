@@ -207,7 +207,7 @@ def beside_gassl(episodes: int) -> dict[str, object]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--turns", type=int, default=5)
-    parser.add_argument("--windows", type=int, default=5, help="of each strategy against lagged correlation")
+    parser.add_argument("--windows", type=int, default=20, help="of each strategy against lagged correlation")
     parser.add_argument("--swarms", type=int, default=3, help="of each size")
     parser.add_argument("--episodes", type=int, default=20, help="of each strategy beside GASSL")
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)

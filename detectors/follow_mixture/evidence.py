@@ -21,9 +21,16 @@ import numpy as np
 
 from detectors.follow_mixture.motion import lagged
 from detectors.series.features import SCREENED, make_features
-from detectors.series.projections import NOTHING, RIDGE, explain_each, explain_exactly, orthonormalise, project
+from detectors.series.projections import (
+    NOTHING,
+    RIDGE,
+    explain_each,
+    explain_exactly,
+    multiply_pairs,
+    orthonormalise,
+    project,
+)
 from usnet_env.arrays import Floats, Indices, Mask
-from usnet_env.compiling import compiled
 
 RARE = 0.05  # prior probability: a group's head is not in the window or leads single UAVs only, a UAV has its own law
 _ROWS_A_LAG = 12  # rows of a window per lag of the own past in Z
@@ -294,36 +301,13 @@ def gather_statistics(targets: Targets, past: Floats, pairs: Pairs, names: Seque
     """Compute the cross products of the feature classes ``names`` for the pairs; ``past`` ``(n, L, a, R)``."""
     asked, place = np.unique(pairs.uav, return_inverse=True)
     features, columns = make_features(past[asked], names)
-    moment, gram, power = _multiply_pairs(
-        features, targets.weight, targets.innovation, targets.own, place, pairs.target
-    )
+    moment, gram, power = multiply_pairs(features, targets.weight, targets.innovation, targets.own, place, pairs.target)
     found = []
     for name, used in columns.items():
         ridge = RIDGE * power[:, used].mean(axis=1) + NOTHING
         own = gram[:, used[:, None], used] + ridge[:, None, None] * np.eye(len(used))
         found.append(Statistics(name, moment[:, used], own))
     return found
-
-
-@compiled()
-def _multiply_pairs(
-    features: Floats, weight: Floats, innovation: Floats, own: Floats, place: Indices, target: Indices
-) -> tuple[Floats, Floats, Floats]:
-    """Products of P pairs of features ``(k, p, R)`` and targets: moments and grams of :class:`Statistics`, and squares.
-
-    The pairs are ``place`` ``(P,)`` among the k, and ``target`` ``(P,)``. The squares ``(P, p)`` are those of features.
-    """
-    pairs, width = len(place), features.shape[1]
-    moment, gram = np.empty((pairs, width, innovation.shape[1])), np.empty((pairs, width, width))
-    square = np.empty((pairs, width))
-    for pair in range(pairs):
-        row = target[pair]
-        weighted = features[place[pair]] * weight[row]
-        moment[pair] = weighted @ innovation[row].T
-        whole, known = weighted @ weighted.T, weighted @ own[row].T
-        square[pair] = np.diag(whole)
-        gram[pair] = whole - known @ known.T
-    return moment, gram, square
 
 
 def own_evidence(targets: Targets, pairs: Pairs, statistics: Statistics) -> Floats:

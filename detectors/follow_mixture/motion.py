@@ -108,7 +108,7 @@ def common_drift(velocity: Floats, speeds: Floats) -> tuple[Floats, bool]:
 
 def lagged(velocity: Floats, lags: int) -> Floats:
     """The velocities ``(n, T, a)`` before each step from ``lags`` on: ``(n, lags, a, T - lags)``, newest first."""
-    across = velocity.transpose(0, 2, 1)
+    across = np.ascontiguousarray(velocity.transpose(0, 2, 1))
     return np.stack([across[:, :, lag : lag - lags] for lag in reversed(range(lags))], axis=1)
 
 

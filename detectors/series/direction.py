@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from detectors.series.features import make_features
-from detectors.series.projections import NOTHING, RIDGE, factor, solve_lower
+from detectors.series.projections import NOTHING, RIDGE, factor, solve_lower, sum_squares
 from usnet_env.arrays import Floats, Indices
 from usnet_env.compiling import compiled
 
@@ -138,30 +138,32 @@ def _compare_both_ways(features: Floats, target: Floats, longest: int, turned: f
     direction, less what as many features explain by chance.
     """
     count, _, steps, axes = target.shape
-    blocks, expected = np.zeros((count, _BLOCKS)), np.zeros((count, 2))
+    blocks, expected, energy = np.zeros((count, _BLOCKS)), np.zeros((count, 2)), np.zeros(2)
     for pair in range(count):
-        total = max((target[pair, 0] ** 2).sum(), NOTHING)
-        products = [_multiply_later(features[pair, way], target[pair, way], longest) for way in range(2)]
-        adjusted, first, last, highest = np.zeros(2), 0, 0, -np.inf
-        predicted = np.zeros((2, steps, axes))
+        total = max(sum_squares(target[pair, 0]), NOTHING)
+        gram, moment = _multiply_later(features[pair, 0], target[pair, 0], longest)
+        gram_back, moment_back = _multiply_later(features[pair, 1], target[pair, 1], longest)
+        first, last, highest = 0, 0, -np.inf
+        ahead, back = np.zeros((steps, axes)), np.zeros((steps, axes))  # the predictions by the best class
         for begin, end in ((0, axes), (2 * axes, 3 * axes), (0, features.shape[2])):
             chance = (end - begin) / (steps - 1 - (end - begin))  # the share of what is left; an adjusted R²
-            fits = [_fit_delay(gram[begin:end, begin:end], moment[begin:end], longest) for gram, moment in products]
-            more = [energy - chance * (total - energy) for _, _, energy in fits]
-            if max(more[0], more[1]) > highest:
-                first, last, highest = begin, end, max(more[0], more[1])
-                for way in range(2):
-                    law, delay, _ = fits[way]
-                    adjusted[way] = more[way]
-                    predicted[way] = 0.0
-                    predicted[way, delay:] = (features[pair, way, begin:end].T @ law)[: steps - delay]
-        gained = ((predicted[0] - turned * predicted[1, ::-1]) * target[pair, 0]).sum(axis=1) / total
-        for block in range(_BLOCKS):
-            blocks[pair, block] = gained[block * steps // _BLOCKS : (block + 1) * steps // _BLOCKS].sum()
-        for way in range(2):
-            back = turned * predicted[way, ::-1]
-            gram, moment = _multiply_later(features[pair, 1 - way, first:last], back, longest)
-            expected[pair, way] = (adjusted[way] - _fit_delay(gram, moment, longest)[2]) / total
+            law, delay, most = _fit_delay(gram[begin:end, begin:end], moment[begin:end], longest)
+            law_back, delay_back, most_back = _fit_delay(
+                gram_back[begin:end, begin:end], moment_back[begin:end], longest
+            )
+            most, most_back = most - chance * (total - most), most_back - chance * (total - most_back)
+            if max(most, most_back) > highest:
+                first, last, highest = begin, end, max(most, most_back)
+                energy[0], energy[1] = most, most_back
+                ahead = _predict(features[pair, 0, begin:end], law, delay)
+                back = _predict(features[pair, 1, begin:end], law_back, delay_back)
+        for step in range(steps):
+            for axis in range(axes):
+                gained = (ahead[step, axis] - turned * back[steps - 1 - step, axis]) * target[pair, 0, step, axis]
+                blocks[pair, (_BLOCKS * (step + 1) - 1) // steps] += gained / total
+        for way, known in enumerate((ahead, back)):
+            gram, moment = _multiply_later(features[pair, 1 - way, first:last], _reverse(known, turned), longest)
+            expected[pair, way] = (energy[way] - _fit_delay(gram, moment, longest)[2]) / total
     return blocks, expected
 
 
@@ -171,12 +173,35 @@ def _multiply_later(features: Floats, target: Floats, longest: int) -> tuple[Flo
     steps, axes = target.shape
     later = np.zeros((steps, longest * axes))
     for step in range(steps):
-        some = target[step + 1 : step + 1 + longest].ravel()
-        later[step, : len(some)] = some
+        for lag in range(1, min(longest, steps - 1 - step) + 1):
+            for axis in range(axes):
+                later[step, (lag - 1) * axes + axis] = target[step + lag, axis]
     gram = features @ features.T
     for p in range(len(gram)):
         gram[p, p] += RIDGE * gram[p, p] + NOTHING
     return gram, features @ later
+
+
+@compiled()
+def _predict(features: Floats, law: Floats, delay: int) -> Floats:
+    """``(T, a)``: what a law ``(p, a)`` predicts from features ``(p, T)``; 0 in the first steps."""
+    steps, axes = features.shape[1], law.shape[1]
+    predicted = np.zeros((steps, axes))
+    for step in range(delay, steps):
+        for p in range(len(law)):
+            for axis in range(axes):
+                predicted[step, axis] += features[p, step - delay] * law[p, axis]
+    return predicted
+
+
+@compiled()
+def _reverse(values: Floats, turned: float) -> Floats:
+    """``(T, a)`` in reversed time."""
+    reversed_values = np.empty_like(values)
+    for step in range(len(values)):
+        for axis in range(values.shape[1]):
+            reversed_values[step, axis] = turned * values[len(values) - 1 - step, axis]
+    return reversed_values
 
 
 @compiled()
@@ -185,11 +210,15 @@ def _fit_delay(gram: Floats, moment: Floats, longest: int) -> tuple[Floats, int,
     lower, left = gram.copy(), moment.copy()
     factor(lower, 0.0)
     solve_lower(lower, left)
-    energy = (left**2).sum(axis=0).reshape(longest, -1).sum(axis=1)
-    best, axes = energy.argmax(), left.shape[1] // longest
+    width, axes, energy = len(left), left.shape[1] // longest, np.zeros(longest)
+    for p in range(width):
+        for column in range(left.shape[1]):
+            energy[column // axes] += left[p, column] ** 2
+    best = energy.argmax()
     law = left[:, best * axes : (best + 1) * axes].copy()
-    for p in range(len(law) - 1, -1, -1):  # L' law = left
-        law[p] /= lower[p, p]
-        for q in range(p):
-            law[q] -= lower[p, q] * law[p]
+    for p in range(width - 1, -1, -1):  # L' law = left
+        for axis in range(axes):
+            law[p, axis] /= lower[p, p]
+            for q in range(p):
+                law[q, axis] -= lower[p, q] * law[p, axis]
     return law, int(best) + 1, float(energy[best])

@@ -87,7 +87,8 @@ def _invert_roots(gram: Floats) -> None:
     for matrix in gram:
         factor(matrix, NOTHING + RIDGE * np.trace(matrix) / width)
         for q in range(width):
-            matrix[:q, q] = 0.0
+            for p in range(q):
+                matrix[p, q] = 0.0
             for p in range(q, width):
                 value = 1.0 if p == q else 0.0
                 for r in range(q, p):
@@ -107,6 +108,16 @@ def solve_lower(lower: Floats, right: Floats) -> None:
 
 
 @compiled()
+def sum_squares(values: Floats) -> float:
+    """The sum of the squares of a matrix."""
+    total = 0.0
+    for row in range(values.shape[0]):
+        for column in range(values.shape[1]):
+            total += values[row, column] ** 2
+    return total
+
+
+@compiled()
 def explain_each(gram: Floats, moment: Floats) -> Floats:
     """``(P,)``: m' G^-1 m, summed over the axes, of grams ``(P, p, p)`` and moments ``(P, p, a)``."""
     explained = np.empty(len(gram))
@@ -114,8 +125,46 @@ def explain_each(gram: Floats, moment: Floats) -> Floats:
         lower, left = gram[pair].copy(), moment[pair].copy()
         factor(lower, 0.0)
         solve_lower(lower, left)
-        explained[pair] = (left**2).sum()
+        explained[pair] = sum_squares(left)
     return explained
+
+
+@compiled()
+def multiply_pairs(
+    features: Floats, weight: Floats, innovation: Floats, own: Floats, place: Indices, target: Indices
+) -> tuple[Floats, Floats, Floats]:
+    """Products of P pairs of features and targets, with weighted rows.
+
+    Args:
+        features: ``(k, p, R)``.
+        weight: ``(G, R)`` of the rows of each target.
+        innovation: ``(G, a, R)`` weighted targets.
+        own: ``(G, z, R)`` orthonormal rows, which the features are compared beyond.
+        place: ``(P,)`` from 0 to k - 1.
+        target: ``(P,)`` from 0 to G - 1.
+
+    Returns:
+        Features times targets ``(P, p, a)``; features times features ``(P, p, p)``, less what the own rows explain of
+        them; their squares ``(P, p)``.
+    """
+    pairs, width = len(place), features.shape[1]
+    moment, gram = np.empty((pairs, width, innovation.shape[1])), np.empty((pairs, width, width))
+    square = np.empty((pairs, width))
+    weighted, known = np.empty(features.shape[1:]), np.empty((width, own.shape[1]))
+    for pair in range(pairs):
+        row = target[pair]
+        for p in range(width):
+            for r in range(len(weight[row])):
+                weighted[p, r] = features[place[pair], p, r] * weight[row, r]
+        np.dot(weighted, innovation[row].T, moment[pair])
+        np.dot(weighted, own[row].T, known)
+        np.dot(weighted, weighted.T, gram[pair])
+        for p in range(width):
+            square[pair, p] = gram[pair, p, p]
+            for q in range(width):
+                for z in range(known.shape[1]):
+                    gram[pair, p, q] -= known[p, z] * known[q, z]
+    return moment, gram, square
 
 
 @compiled()
@@ -134,7 +183,8 @@ def _solve(product: Singles, gram: Singles, axes: int) -> Floats:
         for p in range(features):
             for q in range(p + 1):
                 value = lower[p, q]
-                value[:] = gram[k, p * (p + 1) // 2 + q]
+                for c in range(count):
+                    value[c] = gram[k, p * (p + 1) // 2 + q, c]
                 for z in range(axes, width):
                     for c in range(count):
                         value[c] -= product[k, p, z, c] * product[k, q, z, c]
