@@ -36,7 +36,7 @@ RARE = 0.05  # prior probability: a group's head is not in the window or leads s
 _ROWS_A_LAG = 12  # rows of a window per lag of the own past in Z
 _GRAIN = 1e-3  # innovations below this share of the mean speed are rounding of the positions
 _ASKED = 3  # candidates of each sort that a class nominates for a group; their evidence is exact
-_CHUNK = 500  # groups, candidates or pairs; bounds the memory
+_CHUNK = 250  # groups, candidates or pairs; bounds the memory, and larger arrays are slower
 _FREEDOM = 4.0  # of the t distribution whose weights the rows have: a sharp turn counts little more than other rows
 _MEDIAN = {1: 0.455, 2: 1.386, 3: 2.366}  # of a chi-square variable, by its degrees of freedom
 _LEAST_SPREAD = 0.005  # least standard deviation of an innovation, in mean speeds
@@ -253,7 +253,8 @@ def screen(
         features, columns = make_features(past[part], screened)
         large = {name: used for name, used in columns.items() if len(used) > targets.axes}
         explained = {
-            name: (product**2).sum(axis=(1, 2)).T / energy[1][some] for name, product in project(features, large, plain)
+            name: np.square(product, out=product).sum(axis=(1, 2)).T / energy[1][some]
+            for name, product in project(features, large, plain)
         }
         for number, (name, used) in enumerate(columns.items()):
             if name not in large:
@@ -283,8 +284,10 @@ def _find_highest(values: Floats) -> Mask:
     """Which of the ``values`` ``(k, n)`` are positive and among the highest of their row."""
     if values.shape[1] <= _ASKED:
         return values > 0.0
-    least = np.partition(values, -_ASKED, axis=1)[:, -_ASKED, None]
-    return (values >= least) & (values > 0.0)
+    left, rows = values.copy(), np.arange(len(values))
+    for _ in range(_ASKED - 1):
+        left[rows, left.argmax(axis=1)] = -np.inf
+    return (values >= left.max(axis=1, keepdims=True)) & (values > 0.0)
 
 
 def pair(group: Indices, uav: Indices) -> Pairs:

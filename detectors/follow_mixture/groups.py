@@ -27,7 +27,7 @@ _ORDERED_BY = 3  # the share that orders the mergers: the largest, by which most
 _GRAIN = 1e-3  # motion below this share of the mean speed is rounding of the positions
 _BANDS = 8  # of frequencies; the spectra count as constant within one
 _AT_ONCE = 300  # UAVs that are compared pair by pair; a larger swarm is grouped in turns
-_DRAWN = 3  # members of each group that are compared with the other groups of a larger swarm
+_DRAWN = 2  # members of each group that are compared with the other groups of a larger swarm
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,8 @@ def project(features: Floats, columns: dict[str, Indices], target: Singles) -> I
     features = features[:, : 1 + max(int(used.max()) for used in columns.values())]
     gram, product = features @ features.transpose(0, 2, 1), _multiply(features, target)
     for name, used in columns.items():
-        root, some = gram[:, used[:, None], used], product[:, used]
+        root = gram[:, used[:, None], used]
+        some = product if len(used) == product.shape[1] else product[:, used]
         _invert_roots(root)
         flat = some.reshape(*some.shape[:2], prod(some.shape[2:]))
         yield name, (root.astype(np.float32) @ flat).reshape(some.shape)
