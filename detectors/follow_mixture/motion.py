@@ -180,12 +180,13 @@ def smoothed_pasts(velocity: Floats, spectra: FlightSpectra, lags: int) -> Float
     if not spectra.noise > 0:
         return lagged(velocity, lags)
     uavs, steps = velocity.shape[:2]
-    mean, reach, innovation = _whiten_tracks(velocity, spectra)
+    mean, innovation, reach, kind = _whiten_tracks(velocity, spectra)
     times = np.arange(lags, steps)
     before = np.arange(steps)[None, :] < times[:, None]
     past = np.empty((uavs, lags, velocity.shape[2], steps - lags))
     for lag in range(lags):
-        past[:, lag] = (mean + (reach[:, times - 1 - lag] * before) @ innovation).transpose(0, 2, 1)
+        known = (reach[:, times - 1 - lag] * before)[kind]
+        past[:, lag] = (mean + known @ innovation).transpose(0, 2, 1)
     return past
 
 
@@ -206,22 +207,24 @@ def filter_tracks(velocity: Floats, spectra: FlightSpectra, uavs: Indices) -> tu
     some = FlightSpectra(spectra.power[uavs], spectra.memory[uavs], spectra.noise)
 
     def look_back(values: Floats) -> Floats:
-        mean, reach, innovation = _whiten_tracks(values, some)
-        return np.asarray(mean + np.tril(reach) @ innovation)
+        mean, innovation, reach, kind = _whiten_tracks(values, some)
+        return np.asarray(mean + np.tril(reach)[kind] @ innovation)
 
     return look_back(tracks), look_back(tracks[:, ::-1])[:, ::-1]
 
 
-def _whiten_tracks(velocity: Floats, spectra: FlightSpectra) -> tuple[Floats, Floats, Floats]:
-    """The mean ``(n, 1, a)`` of each track, and its innovations ``(n, T, a)`` with what they tell ``(n, T, T)`` of it.
+def _whiten_tracks(velocity: Floats, spectra: FlightSpectra) -> tuple[Floats, Floats, Floats, Indices]:
+    """Mean ``(n, 1, a)`` and innovations ``(n, T, a)`` of tracks, what these tell by kind of spectrum, and the kinds.
 
     With V = S + noise = L L' and z = L^-1 y, the expectation of v at s given y before t is the sum over k < t of
-    (S L'^-1)_sk z_k, where S are the covariances of the true velocities.
+    (S L'^-1)_sk z_k, where S are the covariances of the true velocities: ``(u, T, T)`` for u different spectra, of
+    which each track has one ``(n,)``.
     """
     steps = np.arange(velocity.shape[1])
-    flight = spectra.power[:, None, None] * (spectra.memory[:, None] ** steps)[:, np.abs(steps[:, None] - steps)]
+    kinds, kind = np.unique(np.stack([spectra.power, spectra.memory], axis=1), axis=0, return_inverse=True)
+    flight = kinds[:, :1, None] * (kinds[:, 1:] ** steps)[:, np.abs(steps[:, None] - steps)]
     noise = spectra.noise * (2.0 * np.eye(len(steps)) - np.eye(len(steps), k=1) - np.eye(len(steps), k=-1))
     mean = velocity.mean(axis=1, keepdims=True)
-    lower = np.linalg.cholesky(flight + noise)
-    reach = np.linalg.solve(lower, flight).transpose(0, 2, 1)
-    return mean, reach, np.linalg.solve(lower, velocity - mean)
+    inverse = np.linalg.inv(np.linalg.cholesky(flight + noise))
+    kind = kind.ravel()
+    return mean, inverse[kind] @ (velocity - mean), flight @ inverse.transpose(0, 2, 1), kind
