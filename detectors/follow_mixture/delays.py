@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detectors.follow_mixture.evidence import RARE, Pairs, Targets, make_targets, pair, screen, sum_groups
+from detectors.follow_mixture.evidence import RARE, Pairs, Targets, make_targets, pair, screen
 from detectors.follow_mixture.motion import lagged
+from detectors.series.designs import sum_groups
 from detectors.series.features import LEVELS
 from detectors.series.votes import find_trees
 from usnet_env.arrays import Floats, Indices

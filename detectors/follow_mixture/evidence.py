@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from detectors.follow_mixture.motion import lagged
+from detectors.series.designs import sum_groups
 from detectors.series.features import SCREENED, make_features
 from detectors.series.projections import (
     NOTHING,
@@ -156,13 +157,6 @@ def add_rests(targets: Targets, pairs: Pairs, velocity: Floats) -> tuple[Targets
     target = pairs.group.copy()
     target[member] = groups + np.arange(len(member))
     return Targets(targets.label, e, own, weight, rows, targets.least), Pairs(pairs.group, pairs.uav, target)
-
-
-def sum_groups(values: Floats, label: Indices) -> Floats:
-    """Sums ``(C, ...)`` of ``values`` ``(k, ...)`` by label, 0 to C - 1, each used."""
-    order = np.argsort(label, kind="stable")
-    first = np.searchsorted(label[order], np.arange(label.max(initial=-1) + 1))
-    return np.add.reduceat(values[order], first, axis=0) if len(first) else values[:0]
 
 
 def _innovate(mean: Floats, lags: int) -> tuple[Floats, Floats, Floats, Floats]:

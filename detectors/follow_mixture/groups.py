@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from detectors.follow_mixture.motion import FlightSpectra
+from detectors.series.designs import sum_groups
 from usnet_env.arrays import Floats, Indices
 from usnet_env.compiling import compiled
 
@@ -240,9 +241,7 @@ def _join(
     """Let UAVs join the groups of a turn: writes to ``label``, and returns those that joined none."""
     names, group = np.unique(label[turn], return_inverse=True)
     size = np.bincount(group).astype(np.float64)
-    total = np.zeros((len(names), coordinates.shape[1]))
-    np.add.at(total, group, coordinates[turn])
-    left = coordinates[waiting]
+    total, left = sum_groups(coordinates[turn], group), coordinates[waiting]
     energy, single = (np.stack([(some[:, part] ** 2).sum(axis=1) for part in band]) for some in (total, left))
     # The worth of a union is linear in its energy |left|² + |total|² + 2 left total, band by band.
     slope = 0.5 * model.ratio[:, None] / ((1.0 + (1.0 + size) * model.ratio[:, None]) * model.noise[:, None])

@@ -28,8 +28,8 @@ from detectors.follow_mixture.evidence import (
     pair,
     pick,
     screen,
-    sum_groups,
 )
+from detectors.series.designs import sum_groups
 from detectors.series.features import LONE, make_features
 from detectors.series.projections import NOTHING, RIDGE, project
 from usnet_env.arrays import Floats, Indices, Mask

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from detectors.series.designs import sum_groups
 from detectors.series.features import make_features
 from detectors.series.projections import NOTHING, RIDGE, factor, solve_lower, sum_squares
 from usnet_env.arrays import Floats, Indices
@@ -62,8 +63,7 @@ def compare_directions(
         return np.full(len(heads), np.inf)
     code, pair = np.unique(root[behind] * len(label) + label[behind], return_inverse=True)
     size = np.bincount(pair).astype(np.float64)
-    group = np.zeros((len(code), *velocity.shape[1:]))
-    np.add.at(group, pair, velocity[behind] / size[pair, None, None])
+    group = sum_groups(velocity[behind], pair) / size[:, None, None]
     place = np.searchsorted(heads, code // len(label))
     lead, whole = np.zeros((len(heads), _BLOCKS)), np.zeros((len(heads), 2))
     for first in range(0, len(code), _CHUNK):

@@ -39,7 +39,6 @@ _PARTS = {
     "v+v²(L)": (_ALL, _ALL, 0, 0),
     "v+v²+v×v(2)": (2, 2, 0, 1),
 }
-_OF_NEWEST = ((1, 0, 0, 0), (0, 1, 0, 0), (1, 1, 1, 0))
 
 
 def make_features(past: Floats, names: Iterable[str]) -> tuple[Floats, dict[str, Indices]]:
@@ -68,7 +67,7 @@ def make_features(past: Floats, names: Iterable[str]) -> tuple[Floats, dict[str,
 @cache
 def _list_columns(names: tuple[str, ...], lags: int, axes: int) -> tuple[tuple[int, ...], dict[str, Indices]]:
     """The parts that some of the classes have, and the indices of the features of each class among all of them."""
-    parts = {name: _PARTS[name] for name in names if lags > 1 or _PARTS[name] in _OF_NEWEST}
+    parts = {name: _PARTS[name] for name in names if lags > 1 or max(_PARTS[name]) == 1}
     whole = tuple(map(max, zip(*parts.values(), strict=True)))
 
     def count(part: tuple[int, ...]) -> list[int]:
