@@ -241,7 +241,7 @@ assert "matplotlib.pyplot" not in sys.modules
 
 def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(drawing.MissingExtraError, match=r"`pip install -e '\.\[render\]'` in the folder of the rep"):
+    with pytest.raises(drawing.MissingExtraError, match=r"`pip install 'usnet\[render\]'` installs it"):
         drawing.round_frame(**scene())
 
 

@@ -44,6 +44,10 @@ class ArgumentError(ValueError):
     """An argument is invalid; the message is one sentence with its name, its value and what it takes."""
 
 
+class MissingExtraError(ImportError):
+    """An optional package is not installed; the message gives the command that installs it."""
+
+
 def format_count(number: int, noun: str) -> str:
     """Format a number with its noun: ``1 head``, ``2 heads``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
@@ -74,7 +78,7 @@ def quote(value: object) -> str:
 
 def how_to_install(extra: str) -> str:
     """Say how an extra of this package is installed, as the second half of a sentence without its full stop."""
-    return f"`pip install -e '.[{extra}]'` in the folder of the repository installs it"
+    return f"`pip install 'usnet[{extra}]'` installs it"
 
 
 def is_whole_number(value: object) -> bool:

@@ -92,7 +92,7 @@ def test_bad_arguments_are_one_sentence(changes, words):
 
 def test_without_ray_the_extra_is_named(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ArgumentError, match=r"^backend must be another one .* `pip install -e '\.\[ray\]'`"):
+    with pytest.raises(ArgumentError, match=r"^backend must be another one .* `pip install 'usnet\[ray\]'`"):
         evaluate(MULTI, NoUav(), episodes=1, env_kwargs=SMALL, backend="ray", out=tmp_path / "run")
     assert list(tmp_path.iterdir()) == []
 

@@ -198,6 +198,5 @@ except ImportError as error:
     print(error)
 """
     assert fresh_process.run(code).strip() == (
-        "Games with several agents need PettingZoo; `pip install -e '.[multiagent]'` in the folder of the repository "
-        "installs it."
+        "Games with several agents need PettingZoo; `pip install 'usnet[multiagent]'` installs it."
     )

@@ -64,7 +64,7 @@ def test_without_rerun_the_rest_is_written(tmp_path, monkeypatch):
     files, text = run(tmp_path)
     assert set(files) == {"episode", "picture", "page"}
     assert {path.name for path in tmp_path.iterdir()} == {"episode.npz", "episode.png", "report.html"}
-    assert "pip install -e '.[replay]'" in text
+    assert "pip install 'usnet[replay]'" in text
 
 
 @pytest.mark.parametrize(

@@ -390,6 +390,6 @@ def test_a_place_that_cannot_be_written(tmp_path):
 
 def test_without_rerun_one_sentence_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(MissingExtraError, match=r"pip install -e '\.\[replay\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'usnet\[replay\]'"):
         write_recording(small_episode(), tmp_path / "e.rrd")
     assert list(tmp_path.iterdir()) == []

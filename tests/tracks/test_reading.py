@@ -221,10 +221,10 @@ def test_ulog_files_are_one_track_each(tmp_path):
 def test_a_missing_package_is_named(tmp_path, monkeypatch):
     (tmp_path / "flight.ulg").write_bytes(b"ULog\x01\x12\x35")
     monkeypatch.setitem(sys.modules, "pyulog", None)
-    assert "pyulog; `pip install -e '.[tracks]'`" in refusal(tmp_path / "flight.ulg")
+    assert "pyulog; `pip install 'usnet[tracks]'`" in refusal(tmp_path / "flight.ulg")
     (tmp_path / "tracks.parquet").write_bytes(b"PAR1")
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert "pyarrow; `pip install -e '.[tracks]'`" in refusal(tmp_path / "tracks.parquet")
+    assert "pyarrow; `pip install 'usnet[tracks]'`" in refusal(tmp_path / "tracks.parquet")
 
 
 BAD = {

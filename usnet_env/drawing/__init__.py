@@ -1,6 +1,6 @@
 """Drawing of a swarm and a round, used by the environments' ``render`` and by the figures of the replay.
 
-Matplotlib is an optional dependency (``pip install -e '.[render]'``), imported when a figure is drawn. Its global
+Matplotlib is an optional dependency (``pip install 'usnet[render]'``), imported when a figure is drawn. Its global
 state (pyplot, ``rcParams``) is not changed.
 """
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from usnet_env.config import how_to_install
+from usnet_env.config import MissingExtraError, how_to_install
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,10 +43,6 @@ _TRACK_SAMPLES = 49  # maximum number of points of a track; more would not be vi
 
 #: The square that a map shows, in metres: its centre (x, y) and half of its side.
 Limits = tuple[float, float, float]
-
-
-class MissingExtraError(ImportError):
-    """An optional package is not installed; the message gives the command that installs it."""
 
 
 def new_figure(width: float, height: float, dpi: float = 100) -> Figure:

@@ -2,7 +2,7 @@
 
 The games are the modules :mod:`usnet_env.multiagent.usnet_observers_v0` and
 :mod:`usnet_env.multiagent.usnet_evasion_v0`, each with ``env``, ``parallel_env`` and ``raw_env``. PettingZoo is an
-optional dependency (``pip install -e '.[multiagent]'``). If it is installed, importing this package registers both
+optional dependency (``pip install 'usnet[multiagent]'``). If it is installed, importing this package registers both
 games with it.
 """
 

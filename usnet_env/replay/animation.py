@@ -1,6 +1,6 @@
 """An animation of one game: what the detector sees beside the truth, round by round, as a GIF or MP4.
 
-It is made from the neutral episode file alone. Matplotlib is an extra (``pip install -e '.[render]'``) and brings
+It is made from the neutral episode file alone. Matplotlib is an extra (``pip install 'usnet[render]'``) and brings
 Pillow, which writes the GIF, and moviepy, which brings the program ffmpeg for the MP4.
 """
 

@@ -1,6 +1,6 @@
 """Rerun recordings: one of an episode, and one of two detectors on the same swarm.
 
-Rerun is an extra (``pip install -e '.[replay]'``) and is imported only when a recording is written. Each recording has
+Rerun is an extra (``pip install 'usnet[replay]'``) and is imported only when a recording is written. Each recording has
 a stream of its own; Rerun's global state does not change.
 """
 

@@ -109,7 +109,11 @@ def test_a_candidate_of_its_own_group_alone_has_the_same_evidence_there_and_none
     only = np.where(np.arange(len(LABEL)) % 2, LABEL, -1)
     found = screen(targets, past, NAMES, groups, only)
     compared = (only < 0) | (only == groups[:, None])
-    np.testing.assert_allclose(found[:, compared], screen(targets, past, NAMES, groups)[:, compared], rtol=1e-4)
+    whole = screen(targets, past, NAMES, groups)
+    # Near 0 only the rounding of single precision is left, which differs between processors.
+    np.testing.assert_allclose(
+        found[:, compared], whole[:, compared], rtol=1e-4, atol=1e-5 * float(np.abs(whole).max())
+    )
     assert compared.any(axis=1).all()
     assert not compared.all()
     assert not found[:, ~compared].any()

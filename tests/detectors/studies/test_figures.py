@@ -113,7 +113,7 @@ def test_missing_rows_are_one_sentence(tmp_path):
 
 def test_without_matplotlib_the_extra_is_named_before_anything_is_computed(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(MissingExtraError, match=r"pip install -e '\.\[render\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'usnet\[render\]'"):
         make_figures(tmp_path, only=["example-m8-n185"], settings=Settings(detector_p2="no detector"))
 
 
