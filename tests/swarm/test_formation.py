@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from usnet_env import ArgumentError
 from usnet_env.swarm import SwarmConfig, start
-from usnet_env.swarm.formation import ARENA, draw_roles, random_cluster_sizes
+from usnet_env.swarm.formation import ARENA, FORMATIONS, register_formation
 from usnet_env.swarm.kernels import remerge
+from usnet_env.swarm.simulator import draw_roles, random_cluster_sizes
 
 
 @given(seed=st.integers(0, 2**32), clusters=st.integers(1, 12), rest=st.integers(0, 200))
@@ -98,3 +100,18 @@ def test_orphans_take_the_nearest_remaining_head(seed, uavs, share):
             distance = np.linalg.norm(position[remaining].astype(float) - position[i], axis=1)
             assert np.linalg.norm(position[leader[i]].astype(float) - position[i]) == pytest.approx(distance.min())
             assert leader[i] in remaining
+
+
+def test_a_registered_formation_is_used_by_name_and_checked():
+    place = np.arange(45.0).reshape(15, 3)
+    register_formation("test-line", lambda rng, roles: place, replace=True)
+    state = start(SwarmConfig(formation="test-line", clusters=3, uavs=15, traffic=2), [np.random.default_rng(0)])
+    assert (state.past_position[0, 0] == place).all(axis=1).sum() == 13  # all but the traffic
+    np.testing.assert_array_equal(place, np.arange(45.0).reshape(15, 3))
+    for wrong in (place[:-1], place + 1e6, place * np.nan):
+        register_formation("test-line", lambda rng, roles, wrong=wrong: wrong, replace=True)
+        with pytest.raises(ArgumentError, match="formation function must return"):
+            start(SwarmConfig(formation="test-line", clusters=3, uavs=15), [np.random.default_rng(0)])
+    with pytest.raises(ArgumentError, match="function must be"):
+        register_formation("test-x", 3)
+    assert {"uniform", "around"} <= set(FORMATIONS)

@@ -84,7 +84,7 @@ def _describe_parts(part: str) -> list[tuple[str, str]]:
 def _find_registry(part: str) -> Registry[Any]:
     """Return the registry of the parts that an argument of this name selects."""
     from usnet_env import swarm  # noqa: F401  # these modules create the registries
-    from usnet_env.multiagent import fusion, sensors  # noqa: F401
+    from usnet_env.multiagent import sensors  # noqa: F401
     from usnet_env.registry import REGISTRIES
 
     if part in (modules := find_entry_points("usnet.registries")):

@@ -3,15 +3,15 @@
 The games are the modules :mod:`usnet_env.multiagent.usnet_observers_v0` and
 :mod:`usnet_env.multiagent.usnet_evasion_v0`, each with ``env``, ``parallel_env`` and ``raw_env``. PettingZoo is an
 optional dependency (``pip install 'usnet[multiagent]'``). If it is installed, importing this package registers both
-games with it.
+games with it. ``FUSIONS`` and ``PLACEMENTS`` are the registered parts by name, as mappings.
 """
 
 from importlib.util import find_spec
 
-from usnet_env.multiagent.fusion import Fusion, fusions, register_fusion
 from usnet_env.multiagent.registration import GAMES, register_games
+from usnet_env.multiagent.sensors import FUSIONS, PLACEMENTS, Fusion, register_fusion, register_placement
 
-__all__ = ["GAMES", "Fusion", "fusions", "register_fusion", "register_games"]
+__all__ = ["FUSIONS", "GAMES", "PLACEMENTS", "Fusion", "register_fusion", "register_games", "register_placement"]
 
 if find_spec("pettingzoo") is not None:
     register_games()

@@ -1,10 +1,10 @@
-"""The sensors of K observers: each has a position, a sensing range and its own sensing noise."""
+"""The K observers of a swarm: their places and sensors, and the rules that combine their votes into candidates."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -13,8 +13,9 @@ from usnet_env.arrays import Floats, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.registry import Registry
 from usnet_env.swarm import ObservationBatch, SwarmConfig
+from usnet_env.swarm.checks import check_part, check_returned
 from usnet_env.swarm.config import Few, Metres, Rate
-from usnet_env.swarm.formation import ARENA, check_place
+from usnet_env.swarm.formation import ARENA, FARTHEST
 from usnet_env.swarm.sensing import sense
 
 Number = Annotated[float, Field(ge=0, le=1e6)]
@@ -65,7 +66,8 @@ class SensorConfig(Config):
 
     def draw_positions(self, rng: np.random.Generator) -> Floats:
         """Draw the positions of the observers in an episode, ``(K, 3)`` in metres."""
-        return check_place("placement", PLACEMENTS.find(self.placement)(rng, self.observers), self.observers)
+        place = PLACEMENTS.find(self.placement)(rng, self.observers)
+        return check_returned("placement", place, (self.observers, 3), FARTHEST).astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -154,21 +156,58 @@ Placement = Callable[[np.random.Generator, int], Floats]
 
 
 def _check_placement(function: Any, subject: str = "function") -> Any:
-    if not callable(function) or isinstance(function, type):
-        raise ArgumentError(f"{subject} must be a function (rng, K) -> (K, 3), got {quote(function)}.")
-    return function
+    return check_part(subject, function, Callable)
 
 
-#: All placements by name.
+#: All placements by name: functions ``(rng, K) -> (K, 3)``, positions in metres.
 PLACEMENTS = Registry[Placement](
     "placement", "placement", "usnet.placements", __name__, _check_placement, {"grid": _grid, "uniform": _uniform}
 )
 
-
-def placements() -> Mapping[str, Placement]:
-    """Return all placements ``(rng, K) -> (K, 3)`` in metres by name, as a read-only view."""
-    return PLACEMENTS
-
-
 #: Register a placement, so that ``placement=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
 register_placement = PLACEMENTS.register
+
+
+@dataclass(frozen=True)
+class Fusion:
+    """A rule that combines votes into candidates.
+
+    Args:
+        vote: the form of a vote: ``"candidates"``, 0 or 1 for each UAV, or ``"scores"``, a number from 0 to 1 for each.
+        rule: ``(votes (K, N) float64, seen (K, N) bool) -> candidates (N,) bool``. ``seen`` marks the living UAVs that
+            each observer saw; its votes for all other UAVs have already been set to 0.
+        description: one line for lists and documentation.
+    """
+
+    vote: Literal["candidates", "scores"]
+    rule: Callable[[Floats, Mask], Mask]
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if self.vote not in ("candidates", "scores"):
+            raise ArgumentError(f"vote must be 'candidates' or 'scores', got {quote(self.vote)}.")
+
+
+def _combine_any(votes: Floats, _seen: Mask) -> Mask:
+    return np.asarray((votes > 0.5).any(axis=0))
+
+
+def _combine_majority(votes: Floats, seen: Mask) -> Mask:
+    return np.asarray(votes.sum(axis=0) > 0.5 * seen.sum(axis=0))
+
+
+def _check_fusion(rule: Any, subject: str = "rule") -> Fusion:
+    return check_part(subject, rule, Fusion)
+
+
+_OWN = {
+    "union": Fusion("candidates", _combine_any, "UAVs that at least one observer names"),
+    "majority": Fusion("candidates", _combine_majority, "UAVs that more than half of the observers that saw them name"),
+    "scores": Fusion("scores", _combine_majority, "UAVs whose mean score over the observers that saw them exceeds 0.5"),
+}
+
+#: All fusion rules by name.
+FUSIONS = Registry("fusion rule", "fusion", "usnet.fusions", __name__, _check_fusion, _OWN)
+
+#: Register a fusion rule, so that ``fusion=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+register_fusion = FUSIONS.register

@@ -12,8 +12,7 @@ from usnet_env.arrays import Floats, Mask, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent import base
-from usnet_env.multiagent.fusion import FUSIONS
-from usnet_env.multiagent.sensors import Observer, SensorConfig, merge_sightings, sense_window
+from usnet_env.multiagent.sensors import FUSIONS, Observer, SensorConfig, merge_sightings, sense_window
 from usnet_env.swarm import ObservationBatch, SwarmConfig
 from usnet_env.swarm.config import MobilityArguments
 

@@ -1,15 +1,23 @@
-"""The simulated swarm. This package imports neither Gymnasium nor detectors and knows no rewards."""
+"""The simulated swarm. This package imports neither Gymnasium nor detectors and knows no rewards.
+
+``FOLLOW_STRATEGIES``, ``FORMATIONS``, ``KINEMATICS`` and ``MOBILITIES`` are the registered parts by name, as mappings.
+"""
 
 from usnet_env.swarm.config import SwarmConfig
-from usnet_env.swarm.follow import FollowInputs, FollowStrategy, follow_strategies, register_follow_strategy
-from usnet_env.swarm.formation import formations, register_formation
-from usnet_env.swarm.kinematics import Kinematics, kinematics_models, register_kinematics
-from usnet_env.swarm.mobility import Mobility, mobilities, register_mobility
+from usnet_env.swarm.follow import FOLLOW_STRATEGIES, register_follow_strategy
+from usnet_env.swarm.formation import FORMATIONS, register_formation
+from usnet_env.swarm.kinematics import KINEMATICS, Kinematics, register_kinematics
+from usnet_env.swarm.mobility import MOBILITIES, Mobility, register_mobility
 from usnet_env.swarm.sensing import ObservationBatch
 from usnet_env.swarm.simulator import advance, start
 from usnet_env.swarm.state import SwarmState, destroy
+from usnet_env.swarm.strategy import FollowInputs, FollowStrategy
 
 __all__ = [
+    "FOLLOW_STRATEGIES",
+    "FORMATIONS",
+    "KINEMATICS",
+    "MOBILITIES",
     "FollowInputs",
     "FollowStrategy",
     "Kinematics",
@@ -19,10 +27,6 @@ __all__ = [
     "SwarmState",
     "advance",
     "destroy",
-    "follow_strategies",
-    "formations",
-    "kinematics_models",
-    "mobilities",
     "register_follow_strategy",
     "register_formation",
     "register_kinematics",

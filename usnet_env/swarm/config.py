@@ -8,12 +8,16 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.swarm.follow import FollowStrategy, check_strategy, follow_strategy
+from usnet_env.swarm.follow import FOLLOW_STRATEGIES, check_strategy
 from usnet_env.swarm.formation import FARTHEST, FORMATIONS
 from usnet_env.swarm.kinematics import KINEMATICS, Kinematics
-from usnet_env.swarm.mobility import Mobility, mobility
+from usnet_env.swarm.mobility import MOBILITIES, Mobility
+from usnet_env.swarm.strategy import FollowStrategy
 
 _MAX_SAMPLES = 100_000_000  # limit of (T_ob * sample_every + memory) * N: 2.4 GB of positions and velocities
+
+SWAP_RANGE = 20.0  # metres, the largest distance of two UAVs that exchange their identities
+NOISE_BOUND = 8.0  # observation noise is clipped at 8 standard deviations (one in 10^15 draws), so bounds are finite
 
 # The bounds of arguments that several configurations have.
 Count = Annotated[int, Field(ge=1, le=100_000)]
@@ -112,37 +116,26 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        strategy = self.follow_strategy
-        _ = self.head_mobility, self.kinematics_model  # an unknown name is refused
-        FORMATIONS.find(self.formation)
+        strategy, sizes, followers = self.follow_strategy, self.cluster_sizes, self.followers
+        _ = self.head_mobility, self.kinematics_model, FORMATIONS.find(self.formation)  # an unknown name is refused
         if strategy is not None and check_strategy(strategy).lags > self.memory:
             raise ArgumentError(
                 f"memory must be at least {strategy.lags} for follow={quote(self.follow)}, got {self.memory}."
             )
-        others = {name: getattr(self, name) for name in ("decoys", "bystanders", "traffic", "clutter")}
-        others = {name: count for name, count in others.items() if count or name == "decoys"}
-        apart = " + ".join(others)
-        followers = self.uavs - self.clusters - sum(others.values())
-        if self.cluster_sizes is not None:
-            if len(self.cluster_sizes) != self.clusters:
-                raise ArgumentError(
-                    f"cluster_sizes must have one number for each of the {self.clusters} clusters, "
-                    f"got {quote(list(self.cluster_sizes))}."
-                )
-            if sum(self.cluster_sizes) != followers:
-                raise ArgumentError(
-                    f"cluster_sizes must add up to uavs - clusters - {apart.replace('+', '-')} = {followers}, "
-                    f"got {quote(list(self.cluster_sizes))} with the sum {sum(self.cluster_sizes)}."
-                )
+        if sizes is not None and (len(sizes) != self.clusters or sum(sizes) != followers):
+            raise ArgumentError(
+                f"cluster_sizes must hold {self.clusters} numbers with the sum uavs - clusters - decoys - bystanders "
+                f"- traffic - clutter = {followers}, got {quote(list(sizes))}."
+            )
         if followers < 2 * self.clusters:
             raise ArgumentError(
-                f"uavs must be at least 3 * clusters + {apart} = {3 * self.clusters + sum(others.values())} "
-                f"(every head has at least 2 followers), got {self.uavs}."
+                f"uavs must be at least 3 * clusters + decoys + bystanders + traffic + clutter = "
+                f"{self.uavs - followers + 2 * self.clusters} (every head has at least 2 followers), got {self.uavs}."
             )
-        if self.miss_burst > 0 and self.miss_burst < max(1.0, self.miss_rate / (1.0 - self.miss_rate)):
+        if 0 < self.miss_burst < max(1.0, odds := self.miss_rate / (1.0 - self.miss_rate)):
             raise ArgumentError(
-                f"miss_burst must be 0, or at least 1 and miss_rate / (1 - miss_rate) = "
-                f"{self.miss_rate / (1.0 - self.miss_rate):.3g}, got {self.miss_burst:g}."
+                f"miss_burst must be 0, or at least 1 and miss_rate / (1 - miss_rate) = {odds:.3g}, "
+                f"got {self.miss_burst:g}."
             )
         if (self.steps + self.memory) * self.uavs > _MAX_SAMPLES:
             raise ArgumentError(
@@ -158,16 +151,21 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
         return self.memory + self.observation_steps * self.sample_every
 
     @property
+    def followers(self) -> int:
+        """Number of followers of all clusters at the start."""
+        return self.uavs - self.clusters - self.decoys - self.bystanders - self.traffic - self.clutter
+
+    @property
     def follow_strategy(self) -> FollowStrategy | None:
         """The follow strategy as an object; ``None`` for the control ``follow="none"``."""
         if isinstance(self.follow, FollowStrategy):
             return self.follow
-        return None if self.follow == "none" else follow_strategy(self.follow)
+        return None if self.follow == "none" else FOLLOW_STRATEGIES.find(self.follow)
 
     @property
     def head_mobility(self) -> Mobility:
         """The mobility as an object."""
-        return self.mobility if isinstance(self.mobility, Mobility) else mobility(self.mobility)
+        return self.mobility if isinstance(self.mobility, Mobility) else MOBILITIES.find(self.mobility)
 
     @property
     def kinematics_model(self) -> Kinematics:
@@ -193,7 +191,3 @@ class SwarmConfig(SensorArguments, SizeArguments, BystanderArguments, MobilityAr
         """An upper bound in metres per step of all observed velocity coordinates."""
         jump = (2.0 * self.noise_bound + SWAP_RANGE * (self.swap_rate > 0)) / self.sample_every
         return self.speed_bound + jump
-
-
-SWAP_RANGE = 20.0  # metres, the largest distance of two UAVs that exchange their identities
-NOISE_BOUND = 8.0  # observation noise is clipped at 8 standard deviations (one in 10^15 draws), so bounds are finite

@@ -3,7 +3,6 @@
 Each has its equation, its citation and its parameters, and a compiled loop; ``docs/field.md`` lists them. They are
 follow strategies like f1 to f7: ``follow="pigeons"`` selects one. A UAV copies its :attr:`SwarmState.source`, which
 may be another follower or a reference. Every follower has its own delay, gain and noise, drawn for each episode.
-
 The last two are controls: swarms that look like the others, in which no UAV leads or follows another.
 """
 
@@ -15,10 +14,9 @@ from typing import ClassVar
 import numpy as np
 
 from usnet_env.arrays import Singles
-from usnet_env.config import ArgumentError
 from usnet_env.swarm import field_kernels, kernels
 from usnet_env.swarm.field_kernels import ALWAYS, EACH_CLUSTER, EACH_FOLLOWER
-from usnet_env.swarm.formation import Roles
+from usnet_env.swarm.state import Roles
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
 
 Pair = tuple[float, float]
@@ -72,8 +70,8 @@ class FieldStrategy(FollowStrategy):
         return np.zeros((3, uavs), np.float32)
 
     def direction(self, inputs: FollowInputs) -> Singles:
-        """Refused: a field model depends on more than a follower and its head."""
-        raise ArgumentError(f"direction must be that of f1 to f7, got the field model {type(self).__name__}.")
+        """Not defined: a field model depends on more than a follower and its head."""
+        raise NotImplementedError(f"the field model {type(self).__name__} has no direction")
 
     def table(self, flight: TrajectoryBatch) -> Singles:
         """The table ``(B, COLUMNS, N)`` of each episode."""
@@ -110,19 +108,9 @@ class Links(FieldStrategy):
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
-        field_kernels.fly_links(
-            self.links,
-            np.float32(self.strength),
-            np.float32(self.scale),
-            self.answers,
-            self.block,
-            np.float32(self.share),
-            np.float32(self.idle_noise),
-            self.table(flight),
-            flight.source,
-            flight.clock,
-            *flight.flown,
-        )
+        flock = self.links, np.float32(self.strength), np.float32(self.scale)
+        answer = self.answers, self.block, np.float32(self.share), np.float32(self.idle_noise)
+        field_kernels.fly_links(*flock, *answer, self.table(flight), flight.source, flight.clock, *flight.flown)
 
 
 @dataclass(frozen=True)
@@ -249,15 +237,8 @@ class Kinds(FieldStrategy):
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
-        field_kernels.fly_kinds(
-            self.answers,
-            self.block,
-            np.float32(self.reach),
-            self.table(flight),
-            flight.source,
-            flight.clock,
-            *flight.flown,
-        )
+        answer = self.answers, self.block, np.float32(self.reach)
+        field_kernels.fly_kinds(*answer, self.table(flight), flight.source, flight.clock, *flight.flown)
 
 
 @dataclass(frozen=True)
@@ -308,14 +289,8 @@ class Slots(FieldStrategy):
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop."""
-        field_kernels.fly_slots(
-            self.smoothing,
-            np.float32(self.pull),
-            np.float32(self.near),
-            self.table(flight),
-            flight.source,
-            *flight.flown,
-        )
+        pull, near = np.float32(self.pull), np.float32(self.near)
+        field_kernels.fly_slots(self.smoothing, pull, near, self.table(flight), flight.source, *flight.flown)
 
 
 @dataclass(frozen=True)
@@ -360,12 +335,10 @@ class Reference(Slots):
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """Every UAV of a cluster keeps a slot about the cluster's reference."""
-        source, root = roles.source.copy(), roles.root.copy()
+        source = roles.source.copy()
         for cluster, head in enumerate(roles.drawn):
-            members = np.append(roles.members(cluster), head)
-            source[members], root[members] = len(source) + cluster, -1
-        none = np.zeros_like(roles.head)
-        return replace(roles, head=none, source=source, root=root, references=len(roles.drawn))
+            source[np.append(roles.members(cluster), head)] = len(source) + cluster
+        return roles.without_heads(source=source, references=len(roles.drawn))
 
 
 @dataclass(frozen=True)
@@ -381,8 +354,7 @@ class Independent(FieldStrategy):
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """No UAV of a cluster has a head, and each is its own source."""
-        own = np.arange(len(roles.root))
-        return replace(_behead(roles), source=own)
+        return roles.without_heads(source=np.arange(len(roles.root)))
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """All velocities are given."""
@@ -408,15 +380,9 @@ class Shifted(FieldStrategy):
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """No UAV of a cluster has a head for the observer; the sources stay."""
-        return _behead(roles)
+        return roles.without_heads()
 
     def fly(self, flight: TrajectoryBatch) -> None:
         """Compiled loop of f2."""
         kappa = np.full(self.lags, KAPPA, np.float32)
         kernels.fly_lags(kappa, False, np.float32(self.noise), flight.source, *flight.flown)
-
-
-def _behead(roles: Roles) -> Roles:
-    """The roles without heads: the UAVs of the clusters have the root -1."""
-    members = ~(roles.decoy | roles.bystander)
-    return replace(roles, head=np.zeros_like(roles.head), root=np.where(members, -1, roles.root))

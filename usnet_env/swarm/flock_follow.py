@@ -9,7 +9,7 @@ import numpy as np
 
 from usnet_env.swarm import flock_kernels
 from usnet_env.swarm.field_follow import FieldStrategy
-from usnet_env.swarm.formation import Roles
+from usnet_env.swarm.state import Roles
 from usnet_env.swarm.strategy import TrajectoryBatch
 
 
@@ -159,10 +159,7 @@ class Shepherd(Couzin):
 
     def arrange(self, rng: np.random.Generator, roles: Roles) -> Roles:
         """The drawn head of each cluster becomes its driver."""
-        source, root, bystander = roles.source.copy(), roles.root.copy(), roles.bystander.copy()
-        for cluster, driver in enumerate(roles.drawn):
-            members = roles.members(cluster)
-            source[members], root[members] = driver, -1
-            source[driver], bystander[driver] = len(source) + cluster, True
-        none = np.zeros_like(roles.head)
-        return replace(roles, head=none, source=source, root=root, bystander=bystander, references=len(roles.drawn))
+        source, bystander = roles.source.copy(), roles.bystander.copy()
+        source[roles.drawn], bystander[roles.drawn] = len(source) + np.arange(len(roles.drawn)), True
+        root = np.where(roles.head | roles.decoy | roles.bystander, roles.root, -1)
+        return roles.without_heads(root=root, source=source, bystander=bystander, references=len(roles.drawn))

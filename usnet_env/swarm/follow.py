@@ -7,36 +7,19 @@ NumPy definition. The field models and controls of ``field_follow.py`` and ``flo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from usnet_env.arrays import Singles
-from usnet_env.config import ArgumentError, plain_text, quote, real_number, whole_number
+from usnet_env.config import real_number, whole_number
 from usnet_env.registry import Registry
 from usnet_env.swarm import field_follow, flock_follow, kernels
+from usnet_env.swarm.checks import check_part, check_returned
 from usnet_env.swarm.field_follow import FieldStrategy
-from usnet_env.swarm.results import read_directions
 from usnet_env.swarm.strategy import KAPPA, KAPPA_NOISE, KAPPA_RANGE, FollowInputs, FollowStrategy, TrajectoryBatch
-
-__all__ = [
-    "CONTROLS",
-    "FIELD_MODELS",
-    "FOLLOW_STRATEGIES",
-    "KAPPA",
-    "KAPPA_NOISE",
-    "KAPPA_RANGE",
-    "FollowInputs",
-    "FollowStrategy",
-    "Lags",
-    "Network",
-    "StayInRange",
-    "follow_strategies",
-    "follow_strategy",
-    "register_follow_strategy",
-]
 
 MOST_LAGS = 1000  # the largest ``memory``
 MOST_NOISE = 1e6  # a follower's direction is then noise alone; in float32 its square is still finite
@@ -69,13 +52,8 @@ class Lags(FollowStrategy):
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""
-        kernels.fly_lags(
-            np.full(self.lags, self.kappa, np.float32),
-            self.square,
-            np.float32(self.noise),
-            trajectories.root,
-            *trajectories.flown,
-        )
+        kappa, noise = np.full(self.lags, self.kappa, np.float32), np.float32(self.noise)
+        kernels.fly_lags(kappa, self.square, noise, trajectories.root, *trajectories.flown)
 
 
 @dataclass(frozen=True)
@@ -101,14 +79,8 @@ class StayInRange(FollowStrategy):
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""
-        kernels.fly_range(
-            np.float32(self.kappa),
-            np.float32(self.pull),
-            np.float32(self.reach),
-            np.float32(self.noise),
-            trajectories.root,
-            *trajectories.flown,
-        )
+        constants = map(np.float32, (self.kappa, self.pull, self.reach, self.noise))
+        kernels.fly_range(*constants, trajectories.root, *trajectories.flown)
 
 
 @dataclass(frozen=True)
@@ -156,13 +128,8 @@ class Network(FollowStrategy):
 
     def fly(self, trajectories: TrajectoryBatch) -> None:
         """Compiled loop."""
-        kernels.fly_mlp(
-            trajectories.parameters,
-            np.float32(self.position_scale),
-            np.float32(self.noise),
-            trajectories.root,
-            *trajectories.flown,
-        )
+        scale, noise = np.float32(self.position_scale), np.float32(self.noise)
+        kernels.fly_mlp(trajectories.parameters, scale, noise, trajectories.root, *trajectories.flown)
 
 
 @dataclass(frozen=True)
@@ -176,7 +143,7 @@ class FollowFunction(FollowStrategy):
 
     def direction(self, inputs: FollowInputs) -> Singles:
         """Call the function and check its result."""
-        return read_directions("follow", self.function(inputs), (len(inputs.own_position), 3))
+        return check_returned("follow", self.function(inputs), (len(inputs.own_position), 3)).astype(np.float32)
 
 
 def check_strategy(strategy: Any, subject: str = "strategy") -> FollowStrategy:
@@ -185,10 +152,7 @@ def check_strategy(strategy: Any, subject: str = "strategy") -> FollowStrategy:
     Raises:
         ArgumentError: it is neither, or its ``lags`` or ``noise`` is out of range.
     """
-    if not isinstance(strategy, FollowStrategy):
-        if not callable(strategy) or isinstance(strategy, type):
-            raise ArgumentError(f"{subject} must be a FollowStrategy or a function, got {quote(strategy)}.")
-        strategy = FollowFunction(strategy)
+    strategy = check_part(subject, strategy, FollowStrategy, FollowFunction)
     whole_number("lags", strategy.lags, 1, MOST_LAGS)
     real_number("noise", strategy.noise, 0, MOST_NOISE)
     return strategy
@@ -238,11 +202,6 @@ FOLLOW_STRATEGIES = Registry(
 )
 
 
-def follow_strategies() -> Mapping[str, FollowStrategy]:
-    """All follow strategies by name (a read-only view)."""
-    return FOLLOW_STRATEGIES
-
-
 #: The follow strategy of a name; see :meth:`usnet_env.registry.Registry.find`.
 follow_strategy = FOLLOW_STRATEGIES.find
 
@@ -265,18 +224,11 @@ def register_follow_strategy(
         lags: for a function, the number of past head velocities that it uses, from 1 to 1000.
         noise: for a function, kappa_n, from 0 to 10^6.
         equation: for a function, its equation as text for lists.
-        replace: replace another strategy of this name, for example to run a notebook cell again. An environment in the
-            middle of an episode uses the new strategy from its next window on. The names f1 to f7 can't be replaced.
+        replace: replace another strategy of this name, for example to run a notebook cell again.
 
     Raises:
-        ArgumentError: ``name`` is empty or already registered for another strategy, or another argument has the wrong
-            type or is out of range.
+        ArgumentError: another strategy has the name, or an argument has the wrong type or is out of range.
     """
     if callable(strategy) and not isinstance(strategy, FollowStrategy | type):
-        strategy = FollowFunction(
-            strategy,
-            whole_number("lags", lags, 1, MOST_LAGS),
-            real_number("noise", noise, 0, MOST_NOISE),
-            plain_text("equation", equation),
-        )
+        strategy = FollowFunction(strategy, lags, noise, equation)
     FOLLOW_STRATEGIES.register(name, strategy, replace=replace)

@@ -1,15 +1,13 @@
 """Kinematics: what a UAV can fly, apart from what it wants.
 
 A mobility or a follow strategy says in which direction a UAV wants to fly; its kinematics turns this direction into its
-velocity, step by step. With ``unit``, the default, every UAV flies 1 m per step in that direction. Each other model is
-defined in NumPy by :meth:`Kinematics.steer` and flown by a compiled loop that is tested against this definition.
+velocity, step by step. With ``unit``, the default, every UAV flies 1 m per step in that direction. The other models
+here have a compiled step; a model of a user defines :meth:`Kinematics.steer` in NumPy.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -17,15 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Singles
-from usnet_env.config import ArgumentError, quote, real_number, whole_number
+from usnet_env.config import real_number, whole_number
 from usnet_env.registry import Registry
 from usnet_env.swarm import kernels
+from usnet_env.swarm.checks import check_part, check_returned
 
 _FASTEST = 100.0  # metres per step
 _MOST_VALUES = 64
 
 
-class Kinematics(ABC):
+class Kinematics:
     """How a UAV flies towards the direction that it wants. Subclass it and define :meth:`steer`.
 
     Attributes:
@@ -50,7 +49,6 @@ class Kinematics(ABC):
         """Draw the initial state ``(uavs, values)``."""
         return np.zeros((uavs, self.values), np.float32)
 
-    @abstractmethod
     def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
         """The velocities ``(n, 3)`` of one step, metres per step; row i depends only on row i of the inputs.
 
@@ -61,6 +59,7 @@ class Kinematics(ABC):
             state: ``(n, values)``, their states, updated in place.
             normals: ``(n, normals)``, standard normal numbers.
         """
+        raise NotImplementedError(f"{type(self).__name__} must define steer.")
 
     def fly(
         self,
@@ -84,12 +83,8 @@ class Kinematics(ABC):
         living = motion != kernels.DESTROYED
         kept = state[living]
         wanted, before, place = velocity[:, t][living], velocity[:, t - 1][living], position[:, t][living]
-        flown = np.asarray(self.steer(wanted, before, place, kept, normals[living]), np.float32)
-        if flown.shape != (living.sum(), 3) or not (np.linalg.norm(flown, axis=1) <= 1.001 * self.top_speed).all():
-            raise ArgumentError(
-                f"kinematics must return velocities of shape {(living.sum(), 3)} and of at most "
-                f"{self.top_speed:g} m per step, got shape {flown.shape} or a faster one."
-            )
+        flown = self.steer(wanted, before, place, kept, normals[living])
+        flown = check_returned("kinematics", flown, wanted.shape, 1.001 * self.top_speed)
         state[living] = kept
         velocity[:, t] = 0.0
         velocity[:, t][living] = flown
@@ -103,10 +98,6 @@ class Unit(Kinematics):
     equation = "v_{t+1} = u_{t+1}"
     source = "paper, §II-A"
     breaks = "–"
-
-    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
-        """The wanted directions."""
-        return wanted
 
 
 class _Compiled(Kinematics):
@@ -123,10 +114,6 @@ class _Compiled(Kinematics):
     ) -> None:
         """Compiled step."""
         kernels.fly_kinematics(self._code, self._numbers, t, motion, normals, state, position, velocity)
-
-
-def _unit(vectors: Singles) -> Singles:
-    return np.asarray(vectors / np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True) + 1e-12), np.float32)
 
 
 @dataclass(frozen=True)
@@ -168,13 +155,6 @@ class VariedSpeed(_Compiled):
         mean = rng.uniform(1.0 - self.spread, 1.0 + self.spread, uavs)
         return np.stack([mean, self.deviation * rng.standard_normal(uavs)], axis=1).astype(np.float32)
 
-    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
-        """The wanted directions at the present speeds."""
-        keep, push, slowest, fastest = self._numbers
-        state[:, 1] = keep * state[:, 1] + push * normals[:, 0]
-        speed = np.clip(state[:, 0] * (1 + state[:, 1]), slowest, fastest)
-        return wanted * speed[:, None]
-
 
 @dataclass(frozen=True)
 class Lagged(_Compiled):
@@ -196,10 +176,6 @@ class Lagged(_Compiled):
     def start(self, rng: np.random.Generator, uavs: int) -> Singles:
         """Draw the time constants."""
         return (1.0 / rng.uniform(self.shortest, self.longest, (uavs, 1))).astype(np.float32)
-
-    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
-        """A step towards the wanted velocities."""
-        return before + (wanted - before) * state
 
 
 @dataclass(frozen=True)
@@ -231,20 +207,6 @@ class Limited(_Compiled):
         """Draw the turn rates."""
         return rng.uniform(self.least_turn, self.most_turn, (uavs, 1)).astype(np.float32)
 
-    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
-        """Turn within the plane of both directions, by at most the turn rate."""
-        speed = np.linalg.norm(before, axis=1)
-        course = before / np.maximum(speed, 1e-6)[:, None]
-        cosine = np.clip((course * wanted).sum(axis=1), -1.0, 1.0)
-        angle = np.minimum(np.arccos(cosine), state[:, 0])
-        across = wanted - cosine[:, None] * course
-        level = np.stack([-course[:, 1], course[:, 0], np.zeros_like(cosine)], axis=1)
-        across = _unit(np.where(np.linalg.norm(across, axis=1, keepdims=True) < 1e-4, level, across))
-        turned = np.cos(angle)[:, None] * course + np.sin(angle)[:, None] * across
-        goal = self.slowest + (1.0 - self.slowest) * 0.5 * (1.0 + cosine)
-        now = np.clip(goal, speed - self.acceleration, speed + self.acceleration)
-        return np.asarray(_unit(turned) * np.clip(now, 0.0, 1.0)[:, None], np.float32)
-
 
 @dataclass(frozen=True)
 class Layered(_Compiled):
@@ -273,17 +235,10 @@ class Layered(_Compiled):
         """Draw the layers."""
         return ((rng.integers(self.layers, size=(uavs, 1)) + 0.5) * self.height).astype(np.float32)
 
-    def steer(self, wanted: Singles, before: Singles, position: Singles, state: Singles, normals: Singles) -> Singles:
-        """The wanted course in the plane, with the vertical speed towards the layer."""
-        vertical = np.clip((state[:, 0] - position[:, 2]) / 10.0, -self.climb, self.climb)
-        level = _unit(np.column_stack([wanted[:, :2], np.zeros(len(wanted))]))
-        return np.asarray(np.column_stack([level[:, :2] * np.sqrt(1.0 - vertical**2)[:, None], vertical]), np.float32)
-
 
 def _check_kinematics(model: Any, subject: str = "model") -> Kinematics:
     """Return a kinematics model with sizes within their limits."""
-    if not isinstance(model, Kinematics):
-        raise ArgumentError(f"{subject} must be a Kinematics, got {quote(model)}.")
+    model = check_part(subject, model, Kinematics)
     real_number("top_speed", model.top_speed, 0, _FASTEST)
     for name in ("values", "normals"):
         whole_number(name, getattr(model, name), 0, _MOST_VALUES)
@@ -305,11 +260,6 @@ KINEMATICS = Registry(
         "layered": Layered(),
     },
 )
-
-
-def kinematics_models() -> Mapping[str, Kinematics]:
-    """All kinematics models by name (a read-only view)."""
-    return KINEMATICS
 
 
 #: Register a model, so that ``kinematics=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.

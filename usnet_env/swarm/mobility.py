@@ -6,18 +6,17 @@ All UAVs move 1 m per step, followers included, so speed carries no information 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from usnet_env.arrays import Floats, Singles
-from usnet_env.config import ArgumentError, plain_text, quote
 from usnet_env.registry import Registry
 from usnet_env.swarm import kernels
+from usnet_env.swarm.checks import check_part, check_returned
 from usnet_env.swarm.formation import ARENA
-from usnet_env.swarm.results import read_directions
 
 
 class Mobility(ABC):
@@ -110,16 +109,13 @@ class MobilityFunction(Mobility):
 
     def fly(self, state: Floats, position: Singles, steps: int, rng: np.random.Generator) -> Singles:
         """Call the function and check its result."""
-        return read_directions("mobility", self.function(rng, position, steps, state), (steps, len(position), 3))
+        directions = self.function(rng, position, steps, state)
+        return check_returned("mobility", directions, (steps, len(position), 3)).astype(np.float32)
 
 
 def _check_mobility(model: Any, subject: str = "model") -> Mobility:
     """Return a mobility, made of a function if it is one."""
-    if isinstance(model, Mobility):
-        return model
-    if not callable(model) or isinstance(model, type):
-        raise ArgumentError(f"{subject} must be a Mobility or a function, got {quote(model)}.")
-    return MobilityFunction(model)
+    return check_part(subject, model, Mobility, MobilityFunction)
 
 
 _OWN: dict[str, Mobility] = {
@@ -155,15 +151,6 @@ _OWN: dict[str, Mobility] = {
 MOBILITIES = Registry("mobility", "mobility", "usnet.mobilities", __name__, _check_mobility, _OWN)
 
 
-def mobilities() -> Mapping[str, Mobility]:
-    """All mobilities by name (a read-only view)."""
-    return MOBILITIES
-
-
-#: The mobility of a name; see :meth:`usnet_env.registry.Registry.find`.
-mobility = MOBILITIES.find
-
-
 def register_mobility(
     name: str,
     model: Mobility | Callable[[np.random.Generator, Singles, int, Floats], Singles],
@@ -179,12 +166,11 @@ def register_mobility(
             directions of flight; ``state`` starts as zeros, and the function may change it in place to keep values
             between rounds.
         description: for a function, one line for lists.
-        replace: replace another mobility of this name, for example to run a notebook cell again. The mobilities of
-            this package can't be replaced.
+        replace: replace another mobility of this name, for example to run a notebook cell again.
 
     Raises:
-        ArgumentError: ``name`` is empty or already registered for another mobility, or an argument has another type.
+        ArgumentError: another mobility has the name, or an argument has another type.
     """
     if callable(model) and not isinstance(model, Mobility | type):
-        model = MobilityFunction(model, plain_text("description", description))
+        model = MobilityFunction(model, description)
     MOBILITIES.register(name, model, replace=replace)

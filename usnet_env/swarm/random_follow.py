@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from usnet_env.arrays import Singles
-from usnet_env.swarm.follow import KAPPA_NOISE, FollowInputs, FollowStrategy
+from usnet_env.swarm.strategy import KAPPA_NOISE, FollowInputs, FollowStrategy
 
 TERM_KINDS = ("linear", "cube", "root", "product", "network")
 OUTPUT_MAPS = ("none", "rotate", "saturate", "rotate+saturate")

@@ -16,16 +16,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Singles
-from usnet_env.config import ArgumentError, quote
 from usnet_env.swarm import kernels
+from usnet_env.swarm.checks import check_returned
 from usnet_env.swarm.config import SwarmConfig
-from usnet_env.swarm.formation import FORMATIONS, check_place, draw_corridors, draw_roles
+from usnet_env.swarm.formation import FARTHEST, FORMATIONS, draw_corridors
 from usnet_env.swarm.kinematics import Unit
 from usnet_env.swarm.mobility import MOBILITIES, CompiledMobility, Mobility
 from usnet_env.swarm.sensing import ObservationBatch, sense, shift_tracks
-from usnet_env.swarm.state import SwarmState
+from usnet_env.swarm.state import Roles, SwarmState
 from usnet_env.swarm.strategy import TrajectoryBatch
 
 Generators = Sequence[np.random.Generator]
@@ -33,14 +34,28 @@ Generators = Sequence[np.random.Generator]
 _CHUNK_BYTES = 1 << 20  # size of one chunk of noise: small enough to stay in the processor cache until it is used
 
 
-def _check_types(config: Any, state: Any, rngs: Any) -> None:
-    """Refuse arguments of another type; without a state, ``state`` is ``None``."""
-    if not isinstance(config, SwarmConfig):
-        raise ArgumentError(f"config must be a SwarmConfig, got {quote(config)}.")
-    if state is not None and not isinstance(state, SwarmState):
-        raise ArgumentError(f"state must be a SwarmState, got {quote(state)}.")
-    if not isinstance(rngs, list | tuple) or not all(isinstance(rng, np.random.Generator) for rng in rngs):
-        raise ArgumentError(f"rngs must be a list of NumPy generators, got {quote(rngs)}.")
+def random_cluster_sizes(rng: np.random.Generator, clusters: int, followers: int) -> Indices:
+    """Draw the number of followers of each cluster, ``(clusters,)`` int64, each at least 2.
+
+    The remaining ``followers - 2 * clusters`` are split at random; all splits are equally likely (stars and bars).
+    """
+    rest = followers - 2 * clusters
+    bars = np.sort(rng.choice(rest + clusters - 1, clusters - 1, replace=False)) if clusters > 1 else np.empty(0, int)
+    edges = np.concatenate([[-1], bars, [rest + clusters - 1]])
+    return np.diff(edges) - 1 + 2
+
+
+def draw_roles(rng: np.random.Generator, config: SwarmConfig) -> Roles:
+    """Draw the roles. Indices are permuted at random, so an index carries no information about the role."""
+    sizes = config.cluster_sizes or random_cluster_sizes(rng, config.clusters, config.followers)
+    counts = (config.clusters, config.decoys, config.followers, config.bystanders, config.traffic, config.clutter)
+    order = rng.permutation(config.uavs)
+    kind = np.empty(config.uavs, np.int64)
+    kind[order] = np.repeat(np.arange(len(counts)), counts)
+    head, decoy, _, bystander, traffic, clutter = (kind == k for k in range(len(counts)))
+    heads, root = order[: config.clusters], np.arange(config.uavs)
+    root[order[config.clusters + config.decoys :][: config.followers]] = np.repeat(heads, sizes)
+    return Roles(head, decoy, root, bystander | traffic | clutter, traffic, clutter, root.copy(), heads)
 
 
 def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
@@ -54,77 +69,74 @@ def start(config: SwarmConfig, rngs: Generators) -> SwarmState:
 
     Returns:
         The state after T_0 steps.
-
-    Raises:
-        ArgumentError: an argument has another type.
     """
-    _check_types(config, None, rngs)
-    episodes, uavs, memory = len(rngs), config.uavs, config.memory
-    strategy = config.follow_strategy
-    references = config.clusters if strategy is not None and strategy.has_references else 0
-    others = config.bystanders + config.traffic + config.clutter
-    followed = strategy is not None and strategy.has_followers
-    count = config.clusters + config.decoys + others if followed else uavs
-    laws, all_uavs = _laws(config, count), uavs + references
-    formation, kinematics = FORMATIONS.find(config.formation), config.kinematics_model
-    head, decoy, bystander = (np.empty((episodes, uavs), bool) for _ in range(3))
-    root, source = (np.empty((episodes, uavs), np.int64) for _ in range(2))
-    free = np.empty((episodes, count), np.int64)
-    mobility_state = np.empty((episodes, count, kernels.MOBILITY_STATE))
-    kinematic_state = np.empty((episodes, all_uavs, kinematics.values), np.float32)
+    swarms = [_draw_swarm(config, rng) for rng in rngs]
+    drawn = {name: np.stack([swarm[name] for swarm in swarms]) for name in swarms[0]}
+    place, velocity = drawn.pop("place"), drawn.pop("velocity")
+    (episodes, memory, all_uavs, _), uavs = velocity.shape, config.uavs
     position = np.zeros((episodes, memory + 1, all_uavs, 3), np.float32)
-    velocity = np.empty((episodes, memory, all_uavs, 3), np.float32)
-    parameters = []
-    for b, rng in enumerate(rngs):
-        drawn = draw_roles(rng, config)
-        place = check_place("formation", formation(rng, drawn), uavs)
-        roles = drawn if strategy is None else strategy.arrange(rng, drawn)
-        head[b], decoy[b], bystander[b] = roles.head, roles.decoy, roles.bystander
-        root[b], source[b] = roles.root, roles.source
-        led = drawn.head if not references else False
-        by_mobility = drawn.decoy | led if followed else ~drawn.bystander
-        free[b] = np.concatenate(
-            [
-                np.flatnonzero(by_mobility),
-                np.arange(uavs, all_uavs),
-                np.flatnonzero(drawn.bystander & ~drawn.traffic & ~drawn.clutter),
-                np.flatnonzero(drawn.traffic),
-                np.flatnonzero(drawn.clutter),
-            ]
-        )
-        for law in laws:
-            mobility_state[b, law.columns] = law.mobility.start(rng, law.count)
-        if config.traffic:
-            civil = slice(count - config.clutter - config.traffic, count - config.clutter)
-            place[drawn.traffic], mobility_state[b, civil, :3] = draw_corridors(rng, config.traffic)
-        position[b, 0, :uavs], position[b, 0, uavs:] = place, place[drawn.drawn[:references]]
-        rng.standard_normal(out=velocity[b], dtype=np.float32)
-        if strategy is not None:
-            seeded = rng if config.follow_seed is None else np.random.default_rng(config.follow_seed)
-            parameters.append(strategy.draw_for(seeded, uavs))
-        kinematic_state[b] = kinematics.start(rng, all_uavs)
+    position[:, 0] = place
     velocity /= np.sqrt((velocity * velocity).sum(axis=-1, keepdims=True))
-    flights = _draw_flights(laws, memory, rngs)
-    none = np.empty((0, memory, all_uavs, 3), np.float32)
-    _fly_free(flights, free, mobility_state, position, velocity, 0, slice(None), rngs, none)
+    flights = _draw_flights(_laws(config, drawn["free"].shape[1]), memory, rngs)
+    no_jitter = np.empty((0, memory, all_uavs, 3), np.float32)
+    _fly_free(flights, drawn["free"], drawn["mobility_state"], position, velocity, 0, slice(None), rngs, no_jitter)
     kernels.integrate(0, position, velocity)
     return SwarmState(
-        head=head,
-        decoy=decoy,
         alive=np.ones((episodes, uavs), bool),
-        root=root,
         past_position=position[:, :, :uavs],
         past_velocity=velocity[:, :, :uavs],
-        free=free,
-        mobility_state=mobility_state,
-        parameters=np.array(parameters, np.float32).reshape(episodes, -1) if episodes else np.empty((0, 0), np.float32),
-        bystander=bystander,
-        source=source,
         clock=np.full(episodes, memory, np.int64),
-        kinematic_state=kinematic_state,
         reference_position=position[:, :, uavs:],
         reference_velocity=velocity[:, :, uavs:],
+        **drawn,
     )
+
+
+def _draw_swarm(config: SwarmConfig, rng: np.random.Generator) -> dict[str, NDArray[Any]]:
+    """Draw one swarm of N UAVs and R references before its past is flown.
+
+    Returns:
+        Arrays of :class:`SwarmState` by name, without a leading axis; and ``place`` ``(N + R, 3)``, metres, and
+        ``velocity`` ``(T_0, N + R, 3)``, directions of any length.
+    """
+    strategy, kinematics, uavs = config.follow_strategy, config.kinematics_model, config.uavs
+    references = config.clusters if strategy is not None and strategy.has_references else 0
+    drawn = draw_roles(rng, config)
+    place = FORMATIONS.find(config.formation)(rng, drawn)
+    place = np.array(check_returned("formation", place, (uavs, 3), FARTHEST), np.float64)
+    roles = drawn if strategy is None else strategy.arrange(rng, drawn)
+    if strategy is not None and strategy.has_followers:
+        by_mobility = drawn.decoy | (drawn.head & (references == 0))
+    else:
+        by_mobility = ~drawn.bystander
+    alone = drawn.bystander & ~drawn.traffic & ~drawn.clutter
+    free = np.concatenate(
+        [
+            np.flatnonzero(by_mobility),
+            np.arange(uavs, uavs + references),
+            *map(np.flatnonzero, (alone, drawn.traffic, drawn.clutter)),
+        ]
+    )
+    states = [law.mobility.start(rng, law.count) for law in _laws(config, len(free))]
+    mobility_state = np.concatenate(states, dtype=np.float64)
+    if config.traffic:
+        end = len(free) - config.clutter
+        place[drawn.traffic], mobility_state[end - config.traffic : end, :3] = draw_corridors(rng, config.traffic)
+    velocity = rng.standard_normal((config.memory, uavs + references, 3), dtype=np.float32)
+    seeded = rng if config.follow_seed is None else np.random.default_rng(config.follow_seed)
+    return {
+        "head": roles.head,
+        "decoy": roles.decoy,
+        "root": roles.root,
+        "bystander": roles.bystander,
+        "source": roles.source,
+        "free": free,
+        "mobility_state": mobility_state,
+        "parameters": np.empty(0, np.float32) if strategy is None else strategy.draw_for(seeded, uavs),
+        "kinematic_state": kinematics.start(rng, uavs + references),
+        "place": np.concatenate([place, place[drawn.drawn[:references]]]),
+        "velocity": velocity,
+    }
 
 
 def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[SwarmState, ObservationBatch]:
@@ -132,22 +144,12 @@ def advance(config: SwarmConfig, state: SwarmState, rngs: Generators) -> tuple[S
 
     Args:
         config: the same configuration as in :func:`start`.
-        state: B swarms, each with at least one living head.
+        state: B swarms, each with at least one living head unless no UAV leads it.
         rngs: one generator per episode.
 
     Returns:
         The state at the end of the window, and the observed windows.
-
-    Raises:
-        ArgumentError: an argument has another type, another number of generators than of swarms, or a swarm without a
-            living head.
     """
-    _check_types(config, state, rngs)
-    if len(rngs) != len(state.alive):
-        raise ArgumentError(f"rngs must hold one generator for each of {len(state.alive)} swarms, got {len(rngs)}.")
-    led = state.head.any(axis=1)  # a swarm that no UAV leads has no heads from the start
-    if config.follow_strategy is not None and not (state.heads_left[led] > 0).all():
-        raise ArgumentError("state must have a living head in every swarm, got a swarm without one.")
     episodes, uavs = state.alive.shape
     memory, steps = config.memory, config.steps
     all_uavs = uavs + state.reference_position.shape[2]
@@ -300,26 +302,19 @@ def _fly_free(
 ) -> None:
     """Write the velocities of the free UAVs in place, from step ``first`` on, with the draws of the steps ``steps``."""
     for law, drawn in flights:
-        mobility_model, some, state = law.mobility, free[:, law.columns], mobility_state[:, law.columns]
+        mobility, columns, state = law.mobility, free[:, law.columns], mobility_state[:, law.columns]
         added = jitter if law.jitters else jitter[:0]
-        if isinstance(mobility_model, CompiledMobility):
-            kernels.fly_free(
-                mobility_model.code,
-                mobility_model.constants(),
-                some,
-                first,
-                drawn[:, steps],
-                added,
-                state,
-                position,
-                velocity,
-            )
+        if isinstance(mobility, CompiledMobility):
+            constants, normals = mobility.constants(), drawn[:, steps]
+            kernels.fly_free(mobility.code, constants, columns, first, normals, added, state, position, velocity)
             continue
         count = velocity.shape[1] - first if steps == slice(None) else 1
         for b, rng in enumerate(rngs):
-            wanted = mobility_model.fly(state[b], position[b, first, some[b]], count, rng).astype(np.float32)
-            for more in (0.0, added[b][:, some[b]] if len(added) else None):
-                if more is not None:
-                    wanted = wanted + np.float32(more)
-                    wanted = wanted / np.sqrt((wanted * wanted).sum(axis=-1, keepdims=True) + 1e-12)
-            velocity[b, first : first + count, some[b]] = wanted.swapaxes(0, 1)
+            wanted = _normalise(mobility.fly(state[b], position[b, first, columns[b]], count, rng).astype(np.float32))
+            if len(added):
+                wanted = _normalise(wanted + added[b][:, columns[b]])
+            velocity[b, first : first + count, columns[b]] = wanted.swapaxes(0, 1)
+
+
+def _normalise(vectors: Singles) -> Singles:
+    return np.asarray(vectors / np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True) + 1e-12))

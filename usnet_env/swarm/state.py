@@ -1,4 +1,4 @@
-"""The true state of a batch of swarms between two rounds, and how a destruction changes it."""
+"""The roles in a swarm, the true state of a batch of swarms between two rounds, and how a destruction changes it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
-from usnet_env.config import ArgumentError, quote
 from usnet_env.swarm import kernels
+
+
+@dataclass(frozen=True)
+class Roles:
+    """The role of every UAV in one swarm of N UAVs.
+
+    Args:
+        head: ``(N,)`` bool, H_0.
+        decoy: ``(N,)`` bool.
+        root: ``(N,)`` int64, the head of each follower; the own index of a head, decoy or bystander; -1 for a UAV of
+            a cluster that no UAV leads.
+        bystander: ``(N,)`` bool, the UAVs that no head leads, decoys excluded: bystanders, traffic, and the predators
+            and drivers of a follow strategy.
+        traffic: ``(N,)`` bool, the bystanders that are civil traffic.
+        clutter: ``(N,)`` bool, the bystanders that are false tracks, and no UAVs.
+        source: ``(N,)`` int64, the UAV that each UAV copies, at first its root; from N on, a reference: a point
+            that flies like a head and that no sensor sees.
+        drawn: ``(M,)`` int64, the heads as drawn, in the order of the clusters.
+        references: R, number of references.
+    """
+
+    head: Mask
+    decoy: Mask
+    root: Indices
+    bystander: Mask
+    traffic: Mask
+    clutter: Mask
+    source: Indices
+    drawn: Indices
+    references: int = 0
+
+    def members(self, cluster: int) -> Indices:
+        """The followers of a cluster, as drawn, in the order of their indices."""
+        head = self.drawn[cluster]
+        return np.flatnonzero((self.root == head) & (np.arange(len(self.root)) != head))
+
+    def without_heads(self, **changes: Any) -> Self:
+        """These roles with changes, and without heads: the UAVs of the clusters have the root -1."""
+        root = np.where(self.decoy | self.bystander, self.root, -1)
+        return replace(self, **{"head": np.zeros_like(self.head), "root": root, **changes})
 
 
 @dataclass(frozen=True)
@@ -120,16 +159,7 @@ def destroy(state: SwarmState, candidates: Mask) -> SwarmState:
 
     Returns:
         The state after the re-merge.
-
-    Raises:
-        ArgumentError: ``state`` has another type, or ``candidates`` another type or shape.
     """
-    if not isinstance(state, SwarmState):
-        raise ArgumentError(f"state must be a SwarmState, got {quote(state)}.")
-    if not isinstance(candidates, np.ndarray) or candidates.dtype != bool or candidates.shape != state.alive.shape:
-        raise ArgumentError(
-            f"candidates must be a boolean array of shape {state.alive.shape}, got {quote(candidates)}."
-        )
     alive = state.alive & ~candidates
     root, source = state.root.copy(), state.source.copy()
     position, velocity = state.past_position.copy(), state.past_velocity.copy()

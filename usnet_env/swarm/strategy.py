@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from usnet_env.arrays import AxisLength, Indices, Mask, Singles
-from usnet_env.config import ArgumentError, quote
-from usnet_env.registry import REGISTRIES
 from usnet_env.swarm import kernels
-from usnet_env.swarm.formation import Roles
+from usnet_env.swarm.state import Roles
 
 KAPPA = 1.0  # kappa_0, ..., kappa_3 and kappa_p of Table II
 KAPPA_NOISE = 0.05  # kappa_n
@@ -150,13 +148,7 @@ class FollowStrategy(ABC):
                     parameters=trajectories.parameters[b],
                     follower=numbers,
                 )
-                try:
-                    direction = self.direction(inputs)
-                except IndexError as error:
-                    raise ArgumentError(
-                        f"memory must cover the past that the follow strategy {quote(_find_name(self))} reads, "
-                        f"got {lags}: {error}; register the strategy with the lags that it needs."
-                    ) from error
+                direction = self.direction(inputs)
                 velocity[t, followers] = _norm(direction, np.float32(self.noise) * trajectories.noise[b, s, followers])
                 position[t + 1] = position[t] + velocity[t]
 
@@ -166,9 +158,3 @@ def _norm(direction: Singles, noise: Singles) -> Singles:
     total = np.asarray(direction, np.float32) + noise
     length = np.sqrt((total * total).sum(axis=-1, keepdims=True, dtype=np.float32))
     return total / np.maximum(length, np.float32(1e-6))
-
-
-def _find_name(strategy: FollowStrategy) -> str:
-    """The name under which a strategy is registered, or else the name of its class."""
-    registry = REGISTRIES["follow strategy"]
-    return next((name for name in registry if registry[name] is strategy), type(strategy).__name__)
