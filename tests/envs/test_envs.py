@@ -5,7 +5,6 @@ import inspect
 import json
 import pickle
 import re
-import warnings
 
 import gymnasium as gym
 import numpy as np
@@ -14,10 +13,10 @@ from gymnasium.utils.env_checker import check_env
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import usnet_env
 from usnet_env import ArgumentError, Window
 from usnet_env.envs import (
     ENVIRONMENTS,
+    FieldEnv,
     MultiClusterEnv,
     MultiDiscreteCandidates,
     SingleClusterEnv,
@@ -50,14 +49,6 @@ def test_gymnasium_s_checker_has_nothing_to_say(name):
 
 
 @pytest.mark.parametrize("name", IDS)
-def test_stable_baselines_checker_finds_no_error(name):
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*image.*|.*CNN.*")  # hints about image shapes
-        checker.check_env(gym.make(name))
-
-
-@pytest.mark.parametrize("name", IDS)
 def test_an_id_says_it_all(name):
     spec = gym.make(f"usnet_env:{name}", follow="f3").spec
     again = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json()))
@@ -76,10 +67,12 @@ def episode(env, seed, shots):
     return out
 
 
-@pytest.mark.parametrize("seed", [0, 1, 12345])
 @pytest.mark.parametrize("name", IDS)
-def test_twin_rollouts_are_equal(name, seed):
-    one, other = (episode(gym.make(name), seed, 7) for _ in range(2))
+def test_twin_rollouts_are_equal(name):
+    one, other = (episode(gym.make(name), 12345, 7) for _ in range(2))
+    assert {frozenset(step[-1]) for step in one} == {frozenset(one[0][1])}  # info has the same names in every step
+    for _, reward, *_, info in one[1:]:
+        assert sum(value for key, value in info.items() if key.startswith("reward_")) == pytest.approx(reward)
     assert len(one) == len(other)
     for a, b in zip(one, other, strict=True):
         same(a[0], b[0])
@@ -92,12 +85,6 @@ def test_seed_0_is_a_seed():
     same(first, again)
     assert not np.array_equal(first["position"], other["position"])
     assert not np.array_equal(env.reset()[0]["position"], env.reset()[0]["position"])
-
-
-def test_the_global_generator_is_left_alone():
-    before = np.random.get_state()[1].copy()  # noqa: NPY002  the global generator is what is tested
-    episode(gym.make(MULTI, **SMALL), 0, 0)
-    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -123,7 +110,7 @@ def play(env, seed, choose):
     return swarm.head, rounds, rewards, info, terminated
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**31), share=st.floats(0, 1), price=st.sampled_from([0.0, 0.5, 1.0, 3.0]))
 def test_the_return_of_p2_is_minus_j_m(seed, share, price):
     """J_m written out from the paper: R + (1/N) sum_r |C_r without H_{r-1}|."""
@@ -142,7 +129,7 @@ def test_the_return_of_p2_is_minus_j_m(seed, share, price):
     assert terminated or len(rounds) == 6
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**31), share=st.floats(0, 1))
 def test_the_reward_of_p1_is_j_s(seed, share):
     rng = np.random.default_rng(seed)
@@ -186,12 +173,6 @@ def test_the_price_of_p1_is_of_redundant_candidates_also_with_several_heads_or_n
     assert info["success"] == 1
 
 
-def test_reward_terms_add_up_to_the_reward():
-    for name in (SINGLE, MULTI):
-        for _, reward, *_, info in episode(gym.make(name, redundancy_price=2.0), 0, 1)[1:]:
-            assert sum(value for key, value in info.items() if key.startswith("reward_")) == pytest.approx(reward)
-
-
 def test_destroy_all_scores_what_the_formula_says():
     _, _, rewards, info, terminated = play(gym.make(MULTI), 0, lambda swarm, r: np.ones(82, np.int8))
     assert sum(rewards) == -(1 + 77 / 82)
@@ -233,15 +214,6 @@ def test_a_salvo_over_the_budget_destroys_nobody(name, reward):
     assert env.unwrapped.swarm.alive.all()
 
 
-def test_a_salvo_within_the_budget_counts():
-    env = gym.make(MULTI, shot_budget=5)
-    env.reset(seed=0)
-    *_, terminated, _, info = env.step(env.unwrapped.swarm.head.astype(np.int8))
-    assert terminated
-    assert info["J"] == 1.0
-    assert info["over_budget"] == 0
-
-
 def test_decoys_are_redundant_and_not_waited_for():
     env = gym.make(MULTI, clusters=2, uavs=12, decoys=2)
     env.reset(seed=0)
@@ -277,15 +249,6 @@ def test_rounds_orphans_and_masks():
     np.testing.assert_array_equal(masks[:, 1], observation["alive"])
 
 
-def test_the_window_after_the_last_round_is_in_the_observation_space():
-    env = MultiClusterEnv(clusters=2, uavs=12, mobility="straight", observation_steps=500, max_rounds=1)
-    for seed in range(6):
-        env.reset(seed=seed)
-        observation, _, _, truncated, _ = env.step(np.zeros(12, np.int8))
-        assert truncated
-        assert env.observation_space.contains(observation)
-
-
 def test_a_terminated_game_shows_an_empty_window_and_a_truncated_one_the_next():
     env = gym.make(MULTI, **SMALL, max_rounds=1)
     env.reset(seed=0)
@@ -302,24 +265,10 @@ def test_a_terminated_game_shows_an_empty_window_and_a_truncated_one_the_next():
 
 @pytest.mark.parametrize(
     "action",
-    [
-        np.zeros(19, np.int8),
-        np.zeros((20, 1)),
-        0,
-        None,
-        "all",
-        [0] * 21,
-        [[0] * 10] * 2,
-        [0, [1]],
-        np.full(20, 2),
-        np.full(20, np.nan),
-        np.full(20, 0.5),
-        np.full(20, -1),
-        ["a"] * 20,
-    ],
+    [np.zeros(19, np.int8), 0, None, "all", [[0] * 10] * 2, [2] * 20, [np.nan] * 20, [0.5] * 20, [-1] * 20, ["a"] * 20],
     ids=repr,
 )
-def test_a_wrong_action_raises_one_clear_sentence_and_changes_nothing(action):
+def test_a_wrong_action_is_named_and_changes_nothing(action):
     env = gym.make(MULTI, **SMALL).unwrapped
     env.reset(seed=0)
     before = env.get_state()
@@ -337,30 +286,51 @@ def test_actions_of_every_kind_are_taken(dtype):
     assert env.step(action)[2]
 
 
+anything = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-5, 30),
+    st.floats(),
+    st.sampled_from([10**20, np.int64(3), np.float32(0.1), "f1", "f8", "iid", "none", "uniform", "human", "rgb_array"]),
+    st.lists(st.one_of(st.integers(-3, 40), st.floats(), st.text(max_size=3)), max_size=6),
+    st.dictionaries(st.text(max_size=3), st.integers(), max_size=2),
+)
+
+
+@pytest.mark.parametrize("kind", [SingleClusterEnv, MultiClusterEnv, FieldEnv])
+@given(data=st.data())
+def test_every_argument_works_or_is_named(kind, data):
+    name, value = data.draw(st.sampled_from(list(inspect.signature(kind).parameters))), data.draw(anything)
+    try:
+        env = kind(**{name: value})
+    except ArgumentError as error:
+        sentence = str(error)
+    else:
+        sentence = "action_space has no UAVs" if env.action_space.n < 1 else name  # the env was really made
+    # A size that contradicts another may be told of by the other's name.
+    assert sentence.split()[0] in {name, "cluster_sizes", "uavs", "memory", "observation_steps"}
+    assert "\n" not in sentence
+
+
 @pytest.mark.parametrize(
-    ("name", "arguments", "sentence"),
+    ("name", "arguments"),
     [
-        (MULTI, {"max_rounds": 0}, "max_rounds must be greater than or equal to 1, got 0"),
-        (MULTI, {"max_rounds": 2.5}, "max_rounds must be a whole number, got 2.5"),
-        (MULTI, {"shot_budget": "x"}, "shot_budget must be a whole number, got 'x'"),
-        (MULTI, {"redundancy_price": np.nan}, "redundancy_price must be a finite number, got nan"),
-        (MULTI, {"redundancy_price": -1.0}, "redundancy_price must be greater than or equal to 0"),
-        (MULTI, {"reveal_truth": "yes"}, "reveal_truth must be true or false"),
-        (MULTI, {"follow": "f8"}, "follow must be one of .*f1, f2.*got 'f8'"),
-        (SINGLE, {"followers": 1}, "followers must be greater than or equal to 2, got 1"),
-        (SINGLE, {"followers": 10**9}, "followers must be less than or equal to"),
-        (SINGLE, {"followers": np.nan}, "followers must be a whole number, got nan"),
-        (SINGLE, {"decoys": -1}, "decoys must be greater than or equal to 0, got -1"),
+        (MULTI, {"max_rounds": 0}),
+        (MULTI, {"shot_budget": "x"}),
+        (MULTI, {"redundancy_price": np.nan}),
+        (MULTI, {"reveal_truth": "yes"}),
+        (MULTI, {"follow": "f8"}),
+        (MULTI, {"render_mode": "human"}),
+        (SINGLE, {"followers": 1}),
+        (SINGLE, {"decoys": -1}),
+        (MULTI, {"followers": 3}),
+        (SINGLE, {"uavs": 3}),
     ],
 )
-def test_bad_arguments_are_named(name, arguments, sentence):
-    with pytest.raises(ArgumentError, match=sentence):
-        gym.make(name, **arguments)
-
-
-def test_a_bad_render_mode_is_named():
-    with pytest.raises(ArgumentError, match="render_mode must be 'rgb_array' or None, got 'human'"):
-        usnet_env.envs.MultiClusterEnv(render_mode="human")
+def test_bad_arguments_are_named(name, arguments):
+    kind = SingleClusterEnv if name == SINGLE else MultiClusterEnv
+    with pytest.raises(ArgumentError, match=rf"^{next(iter(arguments))} "):
+        kind(**arguments)
 
 
 def test_what_comes_too_early_or_too_late_is_refused():
@@ -370,7 +340,7 @@ def test_what_comes_too_early_or_too_late_is_refused():
             early()
     env.reset(seed=0)
     env.step(np.zeros(16, np.int8))
-    with pytest.raises(ArgumentError, match="reset must be called first, got a step in an episode that is over"):
+    with pytest.raises(ArgumentError, match="reset must be called first"):
         env.step(np.zeros(16, np.int8))
 
 
@@ -422,9 +392,7 @@ def test_an_episode_goes_on_where_it_was_saved(way, case):
 def test_a_state_of_another_env_is_refused():
     env, other = gym.make(MULTI, **SMALL).unwrapped, gym.make(MULTI).unwrapped
     env.reset(seed=0)
-    other.reset(seed=0)
-    partial = [{name: part for name, part in other.get_state().items() if name != each} for each in other.get_state()]
-    for wrong in (env.get_state(), {}, None, 3, *partial, other.get_state() | {"swarm": {}}):
+    for wrong in (env.get_state(), {}):
         with pytest.raises(ArgumentError, match="state must come from get_state"):
             other.set_state(wrong)
 
@@ -467,24 +435,11 @@ def test_the_docstring_lists_the_keys_of_info(name, kind):
     assert {*info, *re.findall(r"`(\w+)`", revealed)} == set(truth)
 
 
-def test_info_has_the_same_names_in_every_step():
-    for name in IDS:
-        steps = episode(gym.make(name), 0, 0)
-        assert {frozenset(step[-1]) for step in steps} == {frozenset(steps[0][1])}
-
-
-def test_a_window_is_made_of_an_observation_and_reaches_nothing_else():
-    env = gym.make(MULTI, **SMALL)
-    observation, _ = env.reset(seed=0)
+def test_a_window_is_made_of_an_observation():
+    observation, _ = gym.make(MULTI, **SMALL).reset(seed=0)
     window = Window.from_observation(observation)
     np.testing.assert_array_equal(window.position, observation["position"])
-    assert window.uavs == 20
-    assert window.round == 1
-    with pytest.raises(ValueError, match="read-only"):
-        window.position[0] = 0
-    reached = pickle.dumps(window)
-    assert b"usnet_env.envs" not in reached
-    assert b"usnet_env.swarm" not in reached
+    assert (window.uavs, window.round) == (20, 1)
 
 
 # --- wrappers and pictures -------------------------------------------------------------------------------------------
@@ -496,11 +451,17 @@ def test_multi_discrete_wrapper_plays_the_same_game():
     plain.reset(seed=0)
     wrapped.reset(seed=0)
     action = np.array(shots(1)[0], np.int64)
-    assert wrapped.action_space.contains(action)
     same(plain.step(action)[0], wrapped.step(action)[0])
     np.testing.assert_array_equal(wrapped.action_masks(), plain.unwrapped.action_masks())
-    with pytest.raises(ArgumentError, match="env must have a MultiBinary action space"):
-        MultiDiscreteCandidates(wrapped)
+
+
+def test_masks_become_boxes_and_nothing_else_changes():
+    plain, wrapped = gym.make(MULTI, **SMALL), BoxMasks(gym.make(MULTI, **SMALL))
+    assert wrapped.observation_space["seen"] == gym.spaces.Box(0, 1, (13, 20), np.int8)
+    assert wrapped.observation_space["velocity"] == plain.observation_space["velocity"]
+    (one, _), (other, _) = plain.reset(seed=0), wrapped.reset(seed=0)
+    same(one, other)
+    assert wrapped.observation_space.contains(other)
 
 
 @pytest.mark.parametrize("wrapper", [BoxMasks, MultiDiscreteCandidates])
@@ -535,28 +496,21 @@ def test_rendering_shows_the_round_that_was_decided():
     assert gym.make(MULTI, **SMALL).unwrapped.render() is None
 
 
-@pytest.mark.parametrize("options", [{"follow": "f3"}, {"foo": 1}, {1: 2}, 3, "f3", [1]])
+@pytest.mark.parametrize("options", [{"follow": "f3"}, 3, "f3", [1]])
 def test_options_of_reset_are_refused(options):
     env = gym.make(MULTI, **SMALL)
-    with pytest.raises(ArgumentError, match=r"^options must be .*, got .*\.$"):
+    with pytest.raises(ArgumentError, match="options must be"):
         env.reset(seed=0, options=options)
     for none in (None, {}):
         assert env.reset(seed=0, options=none)[1]["round"] == 0
 
 
-@pytest.mark.parametrize("seed", [1.5, -1, "1", True, [1], float("nan"), np.array(1.5)], ids=str)
+@pytest.mark.parametrize("seed", [1.5, -1, "1", [1], float("nan")], ids=str)
 def test_a_bad_seed_is_named(seed):
     env = gym.make(MULTI, **SMALL).unwrapped
-    with pytest.raises(ArgumentError, match=r"^seed must be a whole number from 0 or None, got .*\.$"):
+    with pytest.raises(ArgumentError, match=r"^seed must"):
         env.reset(seed=seed)
-
-
-def test_any_whole_number_is_a_seed():
-    env = gym.make(MULTI, **SMALL).unwrapped
-    first = env.reset(seed=7)[0]["position"]
-    for seed in (np.int64(7), np.array(7)):
-        np.testing.assert_array_equal(env.reset(seed=seed)[0]["position"], first)
-    assert (env.reset(seed=10**5000)[0]["position"] != first).any()
+    same(env.reset(seed=np.array(7))[0], env.reset(seed=7)[0])
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -573,41 +527,8 @@ def test_info_says_at_the_end_whether_the_episode_was_a_success(name):
 
 
 @pytest.mark.parametrize("make", [gym.make, lambda name, **arguments: gym.make_vec(name, num_envs=2, **arguments)])
-def test_a_misspelt_argument_gets_the_most_similar_name(make):
-    with pytest.raises(
-        ArgumentError, match=r"^cluster is not an argument of MultiClusterEnv \(did you mean 'clusters'"
-    ):
+def test_a_misspelt_argument_is_named(make):
+    with pytest.raises(ArgumentError, match=r"^cluster is not an argument .*clusters"):
         make(MULTI, cluster=3)
-    with pytest.raises(
-        ArgumentError, match=r"^max_rounds is not an argument of SingleClusterEnv; it takes follow, .*\.$"
-    ):
+    with pytest.raises(ArgumentError, match=r"^max_rounds is not an argument"):
         make(SINGLE, max_rounds=3)
-    size = r"^uavs is not an argument of SingleClusterEnv \(there is one cluster; its size is 'followers'\); it takes"
-    with pytest.raises(ArgumentError, match=size):
-        make(SINGLE, uavs=3)
-    with pytest.raises(
-        ArgumentError, match=r"^clusters is not an argument of SingleClusterEnv \(there is one cluster; "
-    ):
-        make(SINGLE, clusters=3)
-    with pytest.raises(ArgumentError, match=r"^followers is not an argument of MultiClusterEnv \(the sizes are 'clus"):
-        make(MULTI, followers=3)
-
-
-def test_wrappers_that_ask_for_a_limit_of_steps_get_it_from_gymnasium():
-    env = gym.make(MULTI, max_rounds=3, max_episode_steps=3, **SMALL)
-    timed = gym.wrappers.TimeAwareObservation(env, flatten=False, normalize_time=True)
-    assert timed.reset(seed=0)[0]["time"] == 0
-    no_candidate = np.zeros(20, np.int8)
-    truncated = [timed.step(no_candidate)[3] for _ in range(3)]
-    assert truncated == [False, False, True]
-
-
-def test_the_mask_of_a_random_action_is_twice_the_living():
-    env = gym.make(MULTI, **SMALL)
-    env.reset(seed=0)
-    shot = np.arange(20) < 4
-    observation, *_ = env.step(shot.astype(np.int8))
-    env.action_space.seed(0)
-    drawn = np.stack([env.action_space.sample(mask=2 * observation["alive"]) for _ in range(50)])
-    assert not drawn[:, shot].any()
-    assert drawn[:, ~shot].any(axis=0).all()

@@ -143,7 +143,7 @@ class FieldArguments(OutputArguments, game.RoundArguments):
 
     def make_config(self, drawn: dict[str, Any]) -> SwarmConfig:
         """The swarm with the given values where this config has ``None``."""
-        return self.part(SwarmConfig, **{name: each for name, each in drawn.items() if getattr(self, name) is None})
+        return self.part(SwarmConfig, **{name: value for name, value in drawn.items() if getattr(self, name) is None})
 
 
 @list_arguments(observation=OBSERVATION, info=INFO)
@@ -229,5 +229,4 @@ class FieldVectorEnv(SyncVectorEnv):
 
     def action_masks(self) -> Mask:
         """``(B, 2 N)`` bool, the masks of :meth:`UsnetEnv.action_masks` of each game."""
-        played: list[Any] = [env.unwrapped for env in self.envs]
-        return np.stack([each.action_masks() for each in played])
+        return np.stack(self.call("action_masks"))

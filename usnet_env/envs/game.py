@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from usnet_env.arrays import Floats, Indices, Mask, Observation
 from usnet_env.config import ArgumentError, Config, quote
@@ -40,11 +40,7 @@ class RoundArguments(ShotArguments):
 
 
 class Rules(RoundArguments):
-    """The rules: the problem, its limits and its prices.
-
-    Raises:
-        ArgumentError: a value has the wrong type or is out of range.
-    """
+    """The rules: the problem, its limits and its prices."""
 
     problem: Literal["P1", "P2"] = Field(
         "P2",
@@ -55,14 +51,7 @@ class Rules(RoundArguments):
 class RenderArguments(Config):
     """The argument about pictures."""
 
-    render_mode: str | None = Field(None, description='``"rgb_array"`` to draw pictures')
-
-    @field_validator("render_mode", mode="before")
-    @classmethod
-    def _check_mode(cls, mode: Any) -> Any:
-        if mode is None or (isinstance(mode, str) and mode == "rgb_array"):
-            return mode
-        raise ArgumentError(f"render_mode must be 'rgb_array' or None, got {quote(mode)}.")
+    render_mode: Literal["rgb_array"] | None = Field(None, description='``"rgb_array"`` to draw pictures')
 
 
 @dataclass(frozen=True)
@@ -108,12 +97,15 @@ def observation_space(config: SwarmConfig, rules: Rules) -> spaces.Dict:
     )
 
 
-def to_array(action: Any) -> NDArray[Any]:
-    """Convert an action to an array; one that can't be converted becomes an empty array of objects."""
-    try:
-        return np.asarray(action)
-    except Exception:  # a foreign class may raise anything when it is converted
-        return np.empty(0, object)
+def require_game(state: GameState | None) -> GameState:
+    """The games that have been started.
+
+    Raises:
+        ArgumentError: there are none.
+    """
+    if state is None:
+        raise ArgumentError("reset must be called first, got a game that has not begun or is over.")
+    return state
 
 
 def parse_candidates(action: Any, shape: tuple[int, ...], name: str = "action") -> Mask:
@@ -122,11 +114,9 @@ def parse_candidates(action: Any, shape: tuple[int, ...], name: str = "action") 
     Raises:
         ArgumentError: the action has another shape or a value other than 0 and 1.
     """
-    values = to_array(action)
-    if values.shape != shape:
-        raise ArgumentError(f"{name} must have shape {shape} (0 or 1 for each UAV), got {quote(action)}.")
-    if values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
-        raise ArgumentError(f"{name} must hold only 0 and 1, got {quote(action)}.")
+    values = np.asarray(action)
+    if values.shape != shape or values.dtype.kind not in "biuf" or not ((values == 0) | (values == 1)).all():
+        raise ArgumentError(f"{name} must have shape {shape} and hold only 0 and 1, got {quote(action)}.")
     return values.astype(bool)
 
 
@@ -140,14 +130,9 @@ def check_options(options: Any, ignored: Collection[str] = ()) -> None:
     Raises:
         ArgumentError: the options are neither ``None`` nor a mapping without other keys.
     """
-    if options is None:
-        return
-    if not isinstance(options, Mapping):
-        raise ArgumentError(f"options must be None or an empty mapping, got {quote(options)}.")
-    unknown = [key for key in options if key not in ignored]
-    if unknown:
+    if options is not None and not (isinstance(options, Mapping) and set(options) <= set(ignored)):
         raise ArgumentError(
-            f"options must be empty, got {quote(unknown)}: create an environment with other arguments to change a game."
+            f"options must be empty, got {quote(options)}: create an environment with other arguments to change a game."
         )
 
 

@@ -97,12 +97,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
     @property
     def swarm(self) -> SwarmState:
         """A copy of the true state of the swarm, for evaluation and rendering; a detector must not use it."""
-        return self._require_game().swarm.episode()
-
-    def _require_game(self) -> game.GameState:
-        if self._game is None:
-            raise ArgumentError("reset must be called first, got an environment that was never reset.")
-        return self._game
+        return game.require_game(self._game).swarm.episode()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -139,9 +134,8 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         Raises:
             ArgumentError: the action has another shape or other values, or the episode has ended.
         """
-        before = self._require_game()
-        if before.terminated[0] or before.truncated[0]:
-            raise ArgumentError("reset must be called first, got a step in an episode that is over.")
+        before = game.require_game(self._game)
+        game.require_game(None if before.terminated[0] or before.truncated[0] else before)
         candidates = game.parse_candidates(action, (self.config.uavs,))
         state, rewards, metrics = game.play_round(self.rules, before, candidates[None])
         reward, values = float(rewards[0]), {name: each[0].item() for name, each in metrics.items()}
@@ -158,10 +152,14 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     def _observe(self, state: game.GameState) -> Observation:
         self._game, observation = game.observe_windows(self.config, state, [self.np_random])
-        self._window = {name: values[0] for name, values in observation.items()}
+        return self._show({name: values[0] for name, values in observation.items()})
+
+    def _show(self, window: Observation) -> Observation:
+        """Keep the present window, and return a copy."""
+        self._window = window
         if self.render_mode is not None:
-            self._frames.watch(self._window["position"], self._window["seen"].astype(bool))
-        return copy.deepcopy(self._window)
+            self._frames.watch(window["position"], window["seen"].astype(bool))
+        return copy.deepcopy(window)
 
     def _info(self, metrics: dict[str, NDArray[Any]]) -> dict[str, Any]:
         info: dict[str, Any] = {name: values[0].item() for name, values in metrics.items()}
@@ -172,7 +170,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     def action_masks(self) -> Mask:
         """``(2 N,)`` bool for maskable agents: for each UAV whether 0 and whether 1 is allowed (1 only if it lives)."""
-        alive = self._require_game().swarm.alive[0]
+        alive = game.require_game(self._game).swarm.alive[0]
         return np.stack([np.ones_like(alive), alive], axis=1).reshape(-1)
 
     def _settings(self) -> dict[str, Any]:
@@ -181,10 +179,9 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
 
     def get_state(self) -> dict[str, Any]:
         """A copy of the complete state of the episode as plain arrays and numbers."""
-        state = self._require_game()
+        state = game.require_game(self._game)
         return {
             "config": self.config.model_dump(),
-            "rules": self.rules.model_dump(),
             "swarm": state.swarm.arrays(),
             "game": {name: getattr(state, name).copy() for name in game.COUNTERS},
             "observation": copy.deepcopy(self._window),
@@ -202,28 +199,23 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
             The observation at that moment.
 
         Raises:
-            ArgumentError: the state is of an environment with other arguments, or is not a state.
+            ArgumentError: the state is of an environment with other arguments.
         """
         here = self._settings()
-        refused = f"state must come from get_state of an environment with the same arguments, got {quote(state)}."
-        if not isinstance(state, dict) or {name: state.get(name) for name in here} != here:
-            raise ArgumentError(refused)
+        if {name: state.get(name) for name in here} != here:
+            raise ArgumentError(
+                f"state must come from get_state of an environment with the same arguments, got {quote(state)}."
+            )
         saved = copy.deepcopy(state)
-        try:
-            config, window, generator = SwarmConfig(**saved["config"]), saved["observation"], saved["generator"]
-            restored = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
-        except (KeyError, TypeError):  # a part is missing
-            raise ArgumentError(refused) from None
+        config = SwarmConfig(**saved["config"])
         if config != self.config:  # drawn for each episode
             self.config = config
-        self._game, self._window = restored, window
+        self._game = game.GameState(swarm=SwarmState(**saved["swarm"]), **saved["game"])
         self._last_round, self._frames = None, EpisodeFrames()
-        if self.render_mode is not None:
-            self._frames.watch(self._window["position"], self._window["seen"].astype(bool))
         if self._np_random is None:
             super().reset(seed=0)
-        self.np_random.bit_generator.state = generator
-        return copy.deepcopy(self._window)
+        self.np_random.bit_generator.state = saved["generator"]
+        return self._show(saved["observation"])
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the last round (before the first round: the present window) as seen from above.
@@ -239,7 +231,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         """
         if self.render_mode is None:
             return None
-        state = self._require_game()
+        state = game.require_game(self._game)
         window, swarm, candidates, title = self._last_round or (
             self._window, state.swarm, None, f"round {int(self._window['round'][0])}: observed, no answer yet"
         )  # fmt: skip

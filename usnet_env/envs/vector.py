@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from usnet_env.arrays import Floats, Mask, Observation
-from usnet_env.config import ArgumentError, optional_seed, quote, whole_number
+from usnet_env.config import ArgumentError, optional_seed, whole_number
 from usnet_env.envs import game
 from usnet_env.envs.usnet import MultiClusterEnv, SingleClusterEnv, UsnetEnv
 from usnet_env.swarm import SwarmState
@@ -58,12 +58,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
     @property
     def swarm(self) -> SwarmState:
         """A copy of the true state of the B swarms, for evaluation; a detector must not use it."""
-        return SwarmState(**self._require_game().swarm.arrays())
-
-    def _require_game(self) -> game.GameState:
-        if self._game is None:
-            raise ArgumentError("reset must be called first, got an environment that was never reset.")
-        return self._game
+        return SwarmState(**game.require_game(self._game).swarm.arrays())
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -94,17 +89,12 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
 
     def _seeds(self, seed: Any) -> list[int | None]:
         """One seed for each game: ``seed + b`` for a number, the elements of a sequence, or ``None`` for each."""
-        array = isinstance(seed, np.ndarray) and seed.ndim > 0
-        if not array and (isinstance(seed, str | bytes) or not isinstance(seed, Sequence)):
+        if np.ndim(seed) == 0:
             first = optional_seed("seed", seed)
             return [None if first is None else first + b for b in range(self.num_envs)]
-        try:
-            seeds = list(seed)
-        except Exception:  # a sequence of another package may raise anything
-            raise ArgumentError(f"seed must be a number or a sequence of seeds, got {quote(seed)}.") from None
-        if len(seeds) != self.num_envs:
-            raise ArgumentError(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seeds)}.")
-        return [optional_seed("seed", one) for one in seeds]
+        if len(seed) != self.num_envs:
+            raise ArgumentError(f"seed must hold one seed for each of {self.num_envs} envs, got {len(seed)}.")
+        return [optional_seed("seed", one) for one in seed]
 
     def step(self, actions: Any) -> tuple[Observation, Floats, Mask, Mask, dict[str, Any]]:
         """Play one round of every running game; a game that had ended is reset instead.
@@ -118,7 +108,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
         Raises:
             ArgumentError: actions of another shape or with other values, or no call of :meth:`reset` before.
         """
-        before = self._require_game()
+        before = game.require_game(self._game)
         candidates = game.parse_candidates(actions, (self.num_envs, self.config.uavs))
         over = before.terminated | before.truncated
         state, reward, metrics = game.play_round(self.rules, before, candidates & ~over[:, None])
@@ -139,7 +129,7 @@ class UsnetVectorEnv(VectorEnv[Observation, NDArray[np.int8], NDArray[Any]]):
 
     def action_masks(self) -> Mask:
         """``(B, 2 N)`` bool, the masks of :meth:`UsnetEnv.action_masks` of each game."""
-        alive = self._require_game().swarm.alive
+        alive = game.require_game(self._game).swarm.alive
         return np.stack([np.ones_like(alive), alive], axis=2).reshape(self.num_envs, -1)
 
 
