@@ -18,11 +18,11 @@ from small_ppo import SETTINGS
 from stable_baselines3 import PPO
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
+from wrappers import MultiDiscreteVotes
 
 from detectors.policy_detector import PolicyDetector
 from usnet_env import Window, make_detector
 from usnet_env.multiagent import usnet_observers_v0
-from usnet_env.multiagent.wrappers import MultiDiscreteVotes
 
 
 def observe_copied(observation: dict[str, Any], *_: Any) -> np.ndarray:

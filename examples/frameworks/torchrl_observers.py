@@ -14,11 +14,11 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torchrl.envs import ExplorationType, PettingZooWrapper, set_exploration_type
 from torchrl.modules import ProbabilisticActor
+from wrappers import ParallelBoxMasks
 
 from detectors.policy_detector import PolicyDetector
 from usnet_env import make_detector
 from usnet_env.multiagent import usnet_observers_v0
-from usnet_env.multiagent.wrappers import ParallelBoxMasks
 
 Key = str | tuple[str, ...]
 GROUP = "observer"  # TorchRL stacks agents whose names differ by a number

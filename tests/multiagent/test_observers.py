@@ -10,10 +10,10 @@ from small_games import SMALL, small
 
 import usnet_env  # noqa: F401  # registers the single-agent environments
 from usnet_env import ArgumentError, Window
-from usnet_env.multiagent import Fusion, fusions, register_fusion, usnet_observers_v0
+from usnet_env.multiagent import FUSIONS, PLACEMENTS, Fusion, register_fusion, usnet_observers_v0
 from usnet_env.multiagent.play import play_game
 from usnet_env.multiagent.policies import RandomObserver
-from usnet_env.multiagent.sensors import SensorConfig, merge_sightings, placements
+from usnet_env.multiagent.sensors import SensorConfig, merge_sightings
 from usnet_env.replay import EpisodeRecord
 from usnet_env.swarm.formation import ARENA
 
@@ -27,15 +27,14 @@ def votes(env, named):
     return actions
 
 
-@pytest.mark.parametrize("seed", [0, 1, 12345])
 @pytest.mark.parametrize(
     "more", [{}, {"sample_every": 3, "decoys": 1}, {"mobility": "gauss_markov", "head_jitter": True}]
 )
-def test_one_observer_that_sees_all_plays_the_single_agent_game(seed, more):
+def test_one_observer_that_sees_all_plays_the_single_agent_game(more):
     single = gym.make("USNET/MultiCluster-v0", **SMALL, **more).unwrapped
     env = usnet_observers_v0.parallel_env(**SMALL, **more, observers=1, sensing_range=1e5)
-    expected, _ = single.reset(seed=seed)
-    observations, _ = env.reset(seed=seed)
+    expected, _ = single.reset(seed=0)
+    observations, _ = env.reset(seed=0)
     rng, over = np.random.default_rng(0), False
     while not over:
         got = observations["observer_0"]
@@ -47,15 +46,6 @@ def test_one_observer_that_sees_all_plays_the_single_agent_game(seed, more):
         assert infos["observer_0"] == info
         assert (terminations["observer_0"], truncations["observer_0"]) == (terminated, truncated)
         over = terminated or truncated
-
-
-def test_a_refused_action_names_its_agent():
-    env = usnet_observers_v0.parallel_env(**SMALL, observers=2)
-    env.reset(seed=0)
-    actions = votes(env, [(), ()])
-    for wrong, message in ((np.zeros(3), "have shape"), (np.full(20, 2), "hold only 0 and 1")):
-        with pytest.raises(ArgumentError, match=f"^action of observer_1 must {message}"):
-            env.step(actions | {"observer_1": wrong})
 
 
 def test_an_observer_sees_only_the_uavs_in_range():
@@ -127,23 +117,14 @@ def test_the_rules_by_their_definitions(seed):
     rng, seen = masks(seed)
     named = (rng.random(seen.shape) < 0.5) & seen
     scores = rng.random(seen.shape) * seen
-    union, majority = (fusions()[name].rule(named.astype(float), seen) for name in ("union", "majority"))
-    summed = fusions()["scores"].rule(scores, seen)
+    union, majority = (FUSIONS[name].rule(named.astype(float), seen) for name in ("union", "majority"))
+    summed = FUSIONS["scores"].rule(scores, seen)
     for i in range(seen.shape[1]):
         who = np.flatnonzero(seen[:, i])
         assert union[i] == any(named[k, i] for k in who)
         assert majority[i] == (sum(named[k, i] for k in who) > len(who) / 2)
         assert summed[i] == (sum(scores[k, i] for k in who) > len(who) / 2)
     assert (majority <= union).all()
-
-
-@pytest.mark.parametrize("name", sorted(fusions()))
-def test_one_observer_alone_decides_and_order_does_not_matter(name):
-    rng, seen = masks(3)
-    sent = ((rng.random(seen.shape) < 0.5) & seen).astype(float)
-    rule = fusions()[name].rule
-    np.testing.assert_array_equal(rule(sent[:1], seen[:1]), sent[0] > 0.5)
-    np.testing.assert_array_equal(rule(sent, seen), rule(sent[::-1], seen[::-1]))
 
 
 def test_votes_count_only_for_seen_and_living_uavs():
@@ -208,7 +189,7 @@ def test_messages_arrive_with_the_next_window():
 
 
 @pytest.mark.parametrize("observers", [1, 2, 3, 4, 7, 8])
-@pytest.mark.parametrize("placement", sorted(placements()))
+@pytest.mark.parametrize("placement", sorted(PLACEMENTS))
 def test_observers_are_in_the_arena(observers, placement):
     places = SensorConfig(observers=observers, placement=placement).draw_positions(np.random.default_rng(0))
     assert places.shape == (observers, 3)
@@ -228,78 +209,64 @@ def test_grid_positions_are_fixed_and_uniform_ones_are_drawn_for_each_episode():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "sentence"),
+    ("name", "value"),
     [
-        ({"observers": 0}, "observers must be greater than or equal to 1, got 0"),
-        ({"sensing_range": -1.0}, "sensing_range must be .*got -1"),
-        ({"sensing_range": (100.0, 200.0)}, "sensing_range must be one number, or one for each of 4 observers"),
-        ({"position_noise": [1.0] * 5}, "position_noise must be one number, or one for each of 4 observers"),
-        ({"position_noise": "much"}, "position_noise must be"),
-        ({"miss_rate": 1.0}, "miss_rate must be"),
-        ({"placement": "gird"}, "placement must be one of grid, uniform, got 'gird' .did you mean 'grid'"),
-        ({"fusion": "vote"}, "fusion must be one of majority, scores, union"),
-        ({"message_size": -1}, "message_size must be greater than or equal to 0"),
-        ({"max_cycles": 0}, "max_cycles must be None or a whole number from 1, got 0"),
-        ({"max_rounds": 0}, "max_rounds must be greater than or equal to 1"),
-        ({"follow": "f8"}, "follow must be one of"),
+        ("observers", 0),
+        ("sensing_range", -1.0),
+        ("sensing_range", (100.0, 200.0)),
+        ("position_noise", "much"),
+        ("miss_rate", 1.0),
+        ("placement", "gird"),
+        ("fusion", "vote"),
+        ("message_size", -1),
+        ("max_cycles", 0),
     ],
 )
-def test_bad_arguments_are_named(arguments, sentence):
-    with pytest.raises(ArgumentError, match=sentence):
-        usnet_observers_v0.parallel_env(**arguments)
+def test_bad_arguments_are_named(name, value):
+    with pytest.raises(ArgumentError, match=f"{name} must"):
+        usnet_observers_v0.parallel_env(**{name: value})
 
 
 @pytest.mark.parametrize("fusion", ["union", "scores"])
-@pytest.mark.parametrize(
-    "action", [None, 0, np.zeros(19), np.full(20, 2), np.full(20, np.nan), ["a"] * 20, [[0], [1, 2]]]
-)
+@pytest.mark.parametrize("action", [None, np.zeros(19), np.full(20, 2), np.full(20, np.nan), ["a"] * 20])
 def test_a_wrong_vote_is_refused(fusion, action):
     env = small("observers", fusion=fusion, message_size=0)
     env.reset(seed=0)
-    with pytest.raises(ArgumentError, match=r"^action .*must .*got .*\.$"):
+    with pytest.raises(ArgumentError, match="action of observer_1 must"):
         env.step({**votes(env, [(), (), ()]), "observer_1": action})
 
 
 def test_a_registered_fusion_rule():
-    first = Fusion("candidates", lambda sent, seen: sent[0] > 0, "UAVs that the first observer names")
-    register_fusion("first", first)
-    register_fusion("first", first)
-    env = small("observers", sensing_range=1e5, fusion="first")
-    env.reset(seed=0)
-    env.step(votes(env, [[1], [2], [3]]))
-    assert np.flatnonzero(env.last_round.candidates).tolist() == [1]
-    with pytest.raises(ArgumentError, match="name must be a new one, got 'union'"):
-        register_fusion("union", first, replace=True)
-    second = Fusion("candidates", lambda sent, seen: sent[1] > 0, "UAVs that the second observer names")
-    with pytest.raises(ArgumentError, match=r"which is registered already \(replace=True replaces it\)"):
-        register_fusion("first", second)
-    register_fusion("first", second, replace=True)
-    env = small("observers", sensing_range=1e5, fusion="first")
-    env.reset(seed=0)
-    env.step(votes(env, [[1], [2], [3]]))
-    assert np.flatnonzero(env.last_round.candidates).tolist() == [2]
-    with pytest.raises(ArgumentError, match="name must be a non-empty name"):
-        register_fusion("", first)
+    def play(rule):
+        register_fusion("test-rule", Fusion("candidates", rule), replace=True)
+        env = small("observers", sensing_range=1e5, fusion="test-rule")
+        env.reset(seed=0)
+        env.step(votes(env, [[1], [2], [3]]))
+        return np.flatnonzero(env.last_round.candidates).tolist()
+
+    assert play(lambda sent, seen: sent[0] > 0) == [1]
+    assert play(lambda sent, seen: sent[1] > 0) == [2]
+    with pytest.raises(ArgumentError, match="fusion function must return"):
+        play(lambda sent, seen: sent.sum())
+    with pytest.raises(ArgumentError, match="name must"):
+        register_fusion("union", FUSIONS["scores"], replace=True)
     with pytest.raises(ArgumentError, match="rule must be a Fusion"):
-        register_fusion("other", lambda sent, seen: sent[0] > 0)
-    register_fusion("broken", Fusion("candidates", lambda sent, seen: sent.sum()))
-    env = small("observers", fusion="broken")
-    env.reset(seed=0)
-    with pytest.raises(ArgumentError, match="fusion rule must return 20 booleans"):
-        env.step(votes(env, [(), (), ()]))
+        register_fusion("test-other", lambda sent, seen: sent[0] > 0)
+    with pytest.raises(ArgumentError, match="vote must"):
+        Fusion("ranks", lambda sent, seen: sent[0] > 0)
 
 
 @pytest.mark.parametrize("game", ["observers", "evasion"])
 @pytest.mark.parametrize("form", ["parallel_env", "env"])
 def test_options_of_reset_are_refused(game, form):
     env = small(game, form)
-    with pytest.raises(ArgumentError, match=r"^options must be empty, got \['follow'\]: .*\.$"):
+    with pytest.raises(ArgumentError, match="options must be empty"):
         env.reset(seed=0, options={"follow": "f3"})
     for allowed in (None, {}, {"options": 1}):  # PettingZoo's tests of an environment pass the last one
         env.reset(seed=0, options=allowed)
 
 
 @pytest.mark.parametrize("game", ["observers", "evasion"])
-def test_a_misspelt_argument_gets_the_most_similar_name(game):
-    with pytest.raises(ArgumentError, match=r"^cluster is not an argument of parallel_env \(did you mean 'clusters'"):
+def test_a_misspelt_argument_is_named(game):
+    with pytest.raises(ArgumentError, match="cluster is not an argument"):
         small(game, "env", cluster=3)

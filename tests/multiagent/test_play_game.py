@@ -1,12 +1,11 @@
-"""Scripted policies, whole games, pictures and records, and the wrapper for discrete actions."""
+"""Scripted policies, whole games, pictures and records."""
 
 import numpy as np
 import pytest
 from gymnasium import spaces
-from small_games import SMALL, drawn, small
+from small_games import drawn, small
 
 from usnet_env import ArgumentError, Detection, make_detector
-from usnet_env.evaluation import evaluate_games
 from usnet_env.multiagent import usnet_evasion_v0, usnet_observers_v0
 from usnet_env.multiagent.play import play_game
 from usnet_env.multiagent.policies import (
@@ -16,9 +15,7 @@ from usnet_env.multiagent.policies import (
     RandomObserver,
     TruthfulHead,
 )
-from usnet_env.multiagent.wrappers import DiscreteActions
-from usnet_env.replay import EpisodeRecord, write_recording
-from usnet_env.replay.figure import write_picture
+from usnet_env.replay import EpisodeRecord
 from usnet_env.swarm.follow import Lags
 
 HEADS = {"truthful": TruthfulHead(), "camouflaged": CamouflagedHead(), "random": RandomHead()}
@@ -59,7 +56,7 @@ def test_every_pair_of_policies_plays_evasion(heads, observer):
 
 
 @pytest.mark.parametrize("fusion", ["union", "majority", "scores"])
-@pytest.mark.parametrize("observer", ["random", "lagged-regression", "lagged-correlation", "destroy-all", "none"])
+@pytest.mark.parametrize("observer", ["random", "lagged-regression", "destroy-all"])
 def test_every_detector_votes(fusion, observer):
     env = small("observers", fusion=fusion, max_rounds=3)
     game = play_game(env, {"observer": DetectorObserver(make_detector(observer))}, 0)
@@ -69,21 +66,13 @@ def test_every_detector_votes(fusion, observer):
 
 
 def test_lagged_regression_solves_the_truthful_swarm_and_delayed_followers_evade_it():
-    """The main result of the pay-off table, on three seeds."""
     env = usnet_evasion_v0.parallel_env()
     detector = DetectorObserver(make_detector("lagged-regression"))
     late = CamouflagedHead(mobility=0, decoys=0)
-    truthful, hidden, countered = (
-        [play_game(env, {"observer": observer, "head": heads}, seed).J for seed in range(3)]
-        for observer, heads in (
-            (detector, TruthfulHead()),
-            (detector, late),
-            (DetectorObserver(make_detector("lagged-regression(lags=8)")), late),
-        )
-    )
-    assert truthful == [1.0] * 3
-    assert countered == [1.0] * 3
-    assert np.mean(hidden) > 5
+    assert play_game(env, {"observer": detector, "head": TruthfulHead()}, 0).J == 1.0
+    assert play_game(env, {"observer": detector, "head": late}, 0).J > 3
+    longer = DetectorObserver(make_detector("lagged-regression(lags=8)"))
+    assert play_game(env, {"observer": longer, "head": late}, 0).J == 1.0
 
 
 def test_a_camouflaged_head_chooses_the_largest_legal_values():
@@ -163,55 +152,38 @@ def test_each_agent_has_its_own_copy_of_the_policy_and_its_own_seed():
     assert 0 not in {seed for _, seed in seen}
 
 
-def test_a_policy_of_one_agent_is_not_copied():
-    class Uncopied(RandomObserver):
-        def __deepcopy__(self, memory):
-            raise TypeError("cannot pickle '_thread.lock' object")
-
-    played = play_game(small("evasion", max_rounds=2), {"observer": Uncopied(), "head": TruthfulHead()}, 0)
-    again = play_game(small("evasion", max_rounds=2), {"observer": RandomObserver(), "head": TruthfulHead()}, 0)
-    assert played.returns == again.returns
-
-
 def test_the_error_names_the_agent_without_a_policy():
     env = small("evasion")
-    with pytest.raises(
-        ArgumentError, match=r"policies must hold a policy for head_0 or its role head, got \['observer'\]"
-    ):
+    with pytest.raises(ArgumentError, match=r"policies must .* for head_0 or its role head"):
         play_game(env, {"observer": RandomObserver()}, 0)
-    with pytest.raises(ArgumentError, match="env must be the parallel_env of a usnet_env game"):
+    with pytest.raises(ArgumentError, match=r"policies must .* for head_0 .*detectors for observers only"):
+        play_game(env, dict.fromkeys(("observer", "head"), DetectorObserver(make_detector("random"))), 0)
+    with pytest.raises(ArgumentError, match="env must be the parallel_env"):
         play_game(small("evasion", "env"), {}, 0)
-    with pytest.raises(ArgumentError, match="detector must have the methods reset and detect"):
-        DetectorObserver(3)
-    with pytest.raises(ArgumentError, match="action_space must be MultiDiscrete for a head"):
-        play_game(env, {"observer": RandomObserver(), "head": TruthfulHead(), "observer_0": TruthfulHead()}, 0)
-    with pytest.raises(ArgumentError, match="action_space must be MultiBinary or Box for an observer"):
-        play_game(env, {"observer": RandomObserver(), "head": RandomObserver()}, 0)
+    with pytest.raises(ArgumentError, match="seed must"):
+        play_game(env, {"observer": RandomObserver(), "head": TruthfulHead()}, -1)
+    with pytest.raises(ArgumentError, match="detector must"):
+        DetectorObserver("random")
+    with pytest.raises(ArgumentError, match="count must"):
+        RandomObserver(-1)
 
 
 # --- pictures and records --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("game", ["observers", "evasion"])
-def test_a_game_is_kept_replayed_and_drawn(game, tmp_path):
-    pytest.importorskip("rerun")
-    pytest.importorskip("matplotlib")
-    env = small(game, max_rounds=3)
+def test_a_game_is_kept(game, tmp_path):
+    env = small(game, max_rounds=3, follow=Lags(1))
     played = play_game(env, {"observer": RandomObserver(2), "head": CamouflagedHead()}, 1, label="random pair")
     record = EpisodeRecord(**played.record)
     assert record.rounds == played.rounds
     assert record.redundant.sum() == played.redundant
     assert record.objective[-1] == played.J
     assert (record.env_id, record.detector) == (f"usnet_{game}_v0", "random pair")
-    assert EpisodeRecord.load(record.save(tmp_path / "episode.npz")).rounds == record.rounds
-    assert write_recording(record, tmp_path / "replay.rrd").stat().st_size > 0
-    assert write_picture(record, tmp_path / "episode.png").stat().st_size > 0
-
-
-def test_a_strategy_that_is_an_object_is_kept_as_text():
-    env = small("observers", max_rounds=1, follow=Lags(1))
-    record = EpisodeRecord(**play_game(env, {"observer": RandomObserver()}, 1).record)
     assert record.config["follow"].startswith("Lags(")
+    assert EpisodeRecord.load(record.save(tmp_path / "episode.npz")).rounds == record.rounds
+    words = " ".join(text for chosen in record.choices or [] for text in chosen.values())
+    assert ("followers delayed by 4 steps; price" in words) == (game == "evasion")
 
 
 def test_decoys_of_a_window_have_no_head_in_the_record():
@@ -245,76 +217,3 @@ def test_frames_show_the_last_round(game):
     assert first.shape == after.shape
     assert (first != after).any()
     assert small(game).render() is None
-
-
-# --- discrete actions -----------------------------------------------------------------------------------------------
-
-
-def test_discrete_actions_are_the_games_own():
-    inner = small("evasion")
-    env, twin = DiscreteActions(small("evasion")), small("evasion")
-    assert env.action_space("observer_0") == spaces.Discrete(21)
-    assert env.action_space("head_1") == spaces.Discrete(3 * 2 * 3 * 5)
-    env.reset(seed=0)
-    twin.reset(seed=0)
-    rng = np.random.default_rng(0)
-    while env.agents:
-        numbers, actions = {}, {}
-        for agent in env.agents:
-            number = int(rng.integers(env.action_space(agent).n))
-            numbers[agent] = number
-            if agent == "observer_0":
-                actions[agent] = (np.arange(20) == number).astype(np.int8)
-            else:
-                actions[agent] = np.array(np.unravel_index(number, inner.action_space(agent).nvec))
-        got, expected = env.step(numbers), twin.step(actions)
-        assert got[1:] == expected[1:]
-        for agent, seen in got[0].items():
-            assert env.observation_space(agent).contains(seen)
-            np.testing.assert_array_equal(seen["legal"], expected[0][agent]["legal"])
-
-
-def test_the_action_mask_says_what_is_legal():
-    env = DiscreteActions(usnet_evasion_v0.parallel_env(**SMALL, cluster_sizes=(2, 2, 13)))
-    observations, _ = env.reset(seed=0)
-    assert np.flatnonzero(observations["observer_0"]["action_mask"]).tolist() == [
-        20
-    ]  # only "no UAV" is legal in the opening
-    assert {int(observations[f"head_{j}"]["action_mask"].sum()) for j in range(3)} == {3 * 2 * 2 * 5, 3 * 2 * 3 * 5}
-    for j in range(3):
-        seen = observations[f"head_{j}"]
-        masks = np.split(seen["legal"], np.cumsum([3, 2, 3]))
-        for number, allowed in enumerate(seen["action_mask"]):
-            choice = np.unravel_index(number, (3, 2, 3, 5))
-            assert allowed == all(mask[value] for mask, value in zip(masks, choice, strict=True))
-    env = DiscreteActions(small("observers"))
-    observations, _ = env.reset(seed=0)
-    seen = observations["observer_1"]
-    np.testing.assert_array_equal(seen["action_mask"], [*seen["legal"], 1])
-    assert env.action_space("observer_1").sample(seen["action_mask"]) in np.flatnonzero(seen["action_mask"])
-
-
-@pytest.mark.parametrize("action", [21, -1, 0.5, None, "a", [1, 2]])
-def test_a_number_out_of_range_is_refused(action):
-    env = DiscreteActions(small("evasion"))
-    env.reset(seed=0)
-    with pytest.raises(ArgumentError, match="action of observer_0 must be a whole number from 0 to 20, got"):
-        env.step({**dict.fromkeys(env.agents, 0), "observer_0": action})
-
-
-def test_actions_that_cannot_be_numbered_are_refused():
-    with pytest.raises(ArgumentError, match="env must have votes that are candidates"):
-        DiscreteActions(small("observers", fusion="scores"))
-    with pytest.raises(ArgumentError, match="env must be the parallel_env"):
-        DiscreteActions(small("evasion", "env"))
-    with pytest.raises(ArgumentError, match="env must have at most 100000 actions"):
-        DiscreteActions(small("evasion", most_decoys=1000, most_delay=100, memory=101))
-    env = DiscreteActions(small("evasion"))
-    env.reset(seed=0)
-    with pytest.raises(ArgumentError, match="actions must map agents to actions"):
-        env.step(None)
-
-
-def test_a_detector_is_refused_for_an_agent_without_windows():
-    with pytest.raises(ArgumentError, match=r"^policies must hold no detector for head_0, .*, got .*random.*\.$"):
-        evaluate_games("usnet_evasion_v0", {"a": {"observer": "random", "head": "random"}}, episodes=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -15,7 +16,7 @@ from pydantic import Field
 from usnet_env.arrays import Floats, Mask, Observation, Singles
 from usnet_env.config import ArgumentError, how_to_install, optional_seed, quote
 from usnet_env.drawing import EpisodeFrames, MissingExtraError, describe_frame
-from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules, check_options
+from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules, check_options, require_game
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
 from usnet_env.swarm.config import Count, SizeArguments, Sizes, SwarmArguments
@@ -23,22 +24,9 @@ from usnet_env.swarm.config import Count, SizeArguments, Sizes, SwarmArguments
 try:
     from pettingzoo import AECEnv, ParallelEnv
     from pettingzoo.utils.conversions import parallel_to_aec_wrapper
-    from pettingzoo.utils.wrappers import BaseParallelWrapper, OrderEnforcingWrapper
+    from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 except ImportError:
     raise MissingExtraError(f"Games with several agents need PettingZoo; {how_to_install('multiagent')}.") from None
-
-__all__ = [
-    "AECEnv",
-    "BaseParallelWrapper",
-    "GameArguments",
-    "RoundRecord",
-    "Start",
-    "Step",
-    "UsnetParallelEnv",
-    "make_aec_forms",
-    "to_scalars",
-]
-
 
 Infos = dict[str, dict[str, int | float]]
 #: Observations and infos by agent.
@@ -49,11 +37,11 @@ Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str
 
 @dataclass(frozen=True, eq=False)
 class RoundRecord:
-    """One finished round: its window, the true swarm, and the candidates.
+    """One finished round, without leading axes.
 
     Args:
-        sighting: the window without a leading axis; in the observers' game, the merged sightings of all observers.
-        truth: the swarm before the candidates were destroyed, without a leading axis.
+        sighting: the window; in the observers' game, the merged sightings of all observers.
+        truth: the swarm before the candidates were destroyed.
         candidates: ``(N,)`` bool.
         scores: ``(N,)`` float64; the candidates are chosen by them.
         objective: J_m after the round.
@@ -77,26 +65,14 @@ class GameArguments(RenderArguments, RoundArguments, SizeArguments, SwarmArgumen
         description="followers of each cluster, at least 2; their sum is ``uavs`` − ``clusters`` − ``decoys``; "
         "``None``: drawn for each episode",
     )
-    max_cycles: int | None = Field(
+    max_cycles: Count | None = Field(
         None, description="largest number of steps; `usnet_evasion_v0` has one step more than rounds, the opening"
     )
 
     def make_rules(self, opening: int = 0) -> Rules:
-        """Create the rules of P2.
-
-        Args:
-            opening: number of steps before the first round.
-
-        Raises:
-            ArgumentError: ``max_cycles`` leaves no round.
-        """
-        if self.max_cycles is None:
-            return self.part(Rules)
-        if self.max_cycles < 1 + opening:
-            raise ArgumentError(
-                f"max_cycles must be None or a whole number from {1 + opening}, got {quote(self.max_cycles)}."
-            )
-        return self.part(Rules, max_rounds=min(self.max_rounds, self.max_cycles - opening))
+        """Create the rules of P2; ``opening`` is the number of steps before the first round."""
+        limit = self.max_rounds if self.max_cycles is None else min(self.max_rounds, self.max_cycles - opening)
+        return self.part(Rules, max_rounds=limit)
 
 
 def to_scalars(metrics: Mapping[str, NDArray[Any]]) -> dict[str, int | float]:
@@ -145,16 +121,11 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """Return the observation space of an agent; the same object every time."""
-        return self._look_up(self._observation_spaces, agent)
+        return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
         """Return the action space of an agent; the same object every time."""
-        return self._look_up(self._action_spaces, agent)
-
-    def _look_up(self, values: Mapping[str, Any], agent: str) -> Any:
-        if not isinstance(agent, str) or agent not in values:
-            raise ArgumentError(f"agent must be one of {', '.join(self.possible_agents)}, got {quote(agent)}.")
-        return values[agent]
+        return self._action_spaces[agent]
 
     @property
     def swarm(self) -> SwarmState:
@@ -162,17 +133,15 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         return self._current_game().swarm.episode()
 
     def _current_game(self) -> GameState:
-        if self._game is None:
-            raise ArgumentError("reset must be called first, got a game that was never reset.")
-        return self._game
+        return require_game(self._game)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Start:
         """Start a game; observers get its first window, or nothing yet if the game has an opening.
 
         Args:
             seed: seed of the game's generator; ``None`` keeps the current generator.
-            options: ``None`` or an empty mapping; a game is changed by the arguments of the environment. The key
-                ``"options"``, which PettingZoo's tests pass, has no effect.
+            options: empty: a game is changed by its arguments. The key ``"options"``, which PettingZoo's tests pass,
+                has no effect.
 
         Returns:
             Observations and infos by agent.
@@ -186,17 +155,31 @@ class UsnetParallelEnv(ParallelEnv[str, Observation, Any]):  # type: ignore[misc
         self.agents, self.last_round = list(self.possible_agents), None
         return self._start(self._rng)
 
+    @abstractmethod
     def _start(self, rng: np.random.Generator) -> Start:
         """Start a game, whose agents all live, and return the answer of :meth:`reset`."""
-        raise NotImplementedError
+
+    @abstractmethod
+    def step(self, actions: Any) -> Step:
+        """Play a round and fly the next window.
+
+        Args:
+            actions: an action for each living agent.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos by agent.
+
+        Raises:
+            ArgumentError: an action is missing, or has a wrong shape or wrong values, or the game has ended.
+        """
 
     def _check_actions(self, actions: Any) -> dict[str, Any]:
         """Check that there is one action for each living agent, and return the actions."""
-        if not self.agents:
-            raise ArgumentError("reset must be called first, got a step in a game that has ended or was never started.")
+        require_game(self._game if self.agents else None)
         if not isinstance(actions, Mapping) or set(actions) != set(self.agents):
-            got = sorted(map(str, actions)) if isinstance(actions, Mapping) else actions
-            raise ArgumentError(f"actions must map each of {', '.join(self.agents)} to its action, got {quote(got)}.")
+            raise ArgumentError(
+                f"actions must map each of {', '.join(self.agents)} to its action, got {quote(actions)}."
+            )
         return dict(actions)
 
     def _keep_round(

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from usnet_env.arrays import Floats, Indices, Mask, Singles
-from usnet_env.config import ArgumentError, Config, quote, unknown_name
+from usnet_env.config import ArgumentError, Config, quote
 from usnet_env.swarm import (
     FollowInputs,
     FollowStrategy,
@@ -62,13 +62,9 @@ class Manoeuvres(Config):
 
     @model_validator(mode="after")
     def _known(self) -> Self:
-        for name in self.mobilities:
-            if name not in MOBILITIES:
-                raise unknown_name("mobilities", name, MOBILITIES)
-        if not self.mobilities or len(set(self.mobilities)) != len(self.mobilities):
-            raise ArgumentError(
-                f"mobilities must hold one or more different names, got {quote(list(self.mobilities))}."
-            )
+        names = self.mobilities
+        if not names or len(set(names)) != len(names) or not set(names) <= set(MOBILITIES):
+            raise ArgumentError(f"mobilities must be different names of {', '.join(MOBILITIES)}, got {quote(names)}.")
         return self
 
     @property
@@ -150,15 +146,9 @@ class DelayedFollow(FollowStrategy):
     strategy: FollowStrategy
     delay: Indices
 
-    @property
-    def noise(self) -> float:  # type: ignore[override]  # follows from the fields
-        """The noise kappa_n of the strategy."""
-        return self.strategy.noise
-
-    @property
-    def shifts_tracks(self) -> bool:  # type: ignore[override]  # follows from the fields
-        """Whether the observer sees shifted tracks."""
-        return self.strategy.shifts_tracks
+    def __post_init__(self) -> None:
+        for name in ("noise", "shifts_tracks"):  # what `advance` asks a strategy for
+            object.__setattr__(self, name, getattr(self.strategy, name))
 
     def direction(self, inputs: FollowInputs) -> Singles:
         """Return the direction of the strategy, whose inputs are then those of the ghost."""
@@ -170,24 +160,32 @@ class DelayedFollow(FollowStrategy):
         if not len(heads):
             self.strategy.fly(flight)
             return
-        uavs, many = flight.motion.shape[1], len(heads)
-        widened = [(0, 0), (0, 0), (0, many), (0, 0)]
-        position, velocity, noise = (
-            np.pad(array, widened) for array in (flight.position, flight.velocity, flight.noise)
-        )
-        behind = [(0, 0), (0, many)]
-        root, source = np.pad(flight.root, behind), np.pad(flight.source, behind)
-        for number, head in enumerate(heads):
-            ghost, late = uavs + number, int(self.delay[head])
+        uavs = flight.motion.shape[1]
+
+        def widen(array: NDArray[Any], axis: int, value: int = 0) -> NDArray[Any]:
+            widths = [(0, len(heads) if k == axis else 0) for k in range(array.ndim)]
+            return np.pad(array, widths, constant_values=value)
+
+        position, velocity = widen(flight.position, 2), widen(flight.velocity, 2)
+        root, source = widen(flight.root, 1), widen(flight.source, 1)
+        for ghost, head in enumerate(heads, start=uavs):
+            late = int(self.delay[head])
             position[:, late : flight.start + 1, ghost] = flight.position[:, : flight.start + 1 - late, head]
             velocity[:, late:, ghost] = flight.velocity[:, :-late, head]
             for copied in (root, source):
                 copied[copied == head] = ghost
                 copied[:, ghost] = ghost
-        kind = np.pad(flight.motion, [(0, 0), (0, many)], constant_values=kernels.FREE)
-        bystander = np.pad(flight.bystander, behind)
         self.strategy.fly(
-            TrajectoryBatch(position, velocity, noise, kind, root, flight.parameters, source, bystander, flight.clock)
+            replace(
+                flight,
+                position=position,
+                velocity=velocity,
+                noise=widen(flight.noise, 2),
+                motion=widen(flight.motion, 1, kernels.FREE),
+                root=root,
+                source=source,
+                bystander=widen(flight.bystander, 1),
+            )
         )
         flight.position[...] = position[:, :, :uavs]
         flight.velocity[...] = velocity[:, :, :uavs]

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from usnet_env.config import ArgumentError, describe_arguments, plain_text, quote, whole_number
+from usnet_env.config import ArgumentError, describe_arguments, quote
 from usnet_env.multiagent.base import RoundRecord, UsnetParallelEnv
 from usnet_env.multiagent.policies import DetectorObserver
 from usnet_env.plugins import detector_label
@@ -60,26 +60,21 @@ def agent_role(agent: str) -> str:
     return agent.rpartition("_")[0]
 
 
-def choose_policies(env: UsnetParallelEnv, policies: Any) -> dict[str, PolicyLike]:
+def choose_policies(env: UsnetParallelEnv, policies: Mapping[str, Any]) -> dict[str, PolicyLike]:
     """Find the policy of each agent in a mapping of agents or roles to policies.
 
     Raises:
-        ArgumentError: an agent has no policy, or a policy lacks a method.
+        ArgumentError: an agent has no policy, or a detector is one of an agent without windows.
     """
-    if not isinstance(policies, Mapping):
-        raise ArgumentError(f"policies must be a mapping of agents or roles to policies, got {quote(policies)}.")
     chosen = {}
     for agent in env.possible_agents:
-        policy = policies.get(agent, policies.get(agent_role(agent)))
-        if policy is None:
+        role = agent_role(agent)
+        policy = policies.get(agent, policies.get(role))
+        if policy is None or (isinstance(policy, DetectorObserver) and role != "observer"):
             raise ArgumentError(
-                f"policies must hold a policy for {agent} or its role {agent_role(agent)}, got {quote(list(policies))}."
+                f"policies must hold a policy for {agent} or its role {role}, and detectors for observers only, "
+                f"got {quote(dict(policies))}."
             )
-        if not all(callable(getattr(policy, method, None)) for method in ("reset", "act")):
-            raise ArgumentError(f"policies must have the methods reset and act, got {quote(policy)} for {agent}.")
-        if isinstance(policy, DetectorObserver) and agent_role(agent) != "observer":
-            label = detector_label(policy.detector)
-            raise ArgumentError(f"policies must hold no detector for {agent}, which gets no window, got {label}.")
         chosen[agent] = policy
     return chosen
 
@@ -105,60 +100,60 @@ def play_game(
         The result; ``usnet_env.replay.EpisodeRecord(**result.record)`` is the episode in the form that can be saved.
 
     Raises:
-        ArgumentError: ``env`` is not one of the games, an agent has no policy, or another argument has another type.
+        ArgumentError: ``env`` is not one of the games, an agent has no policy, or the seed is no whole number.
     """
     if not isinstance(env, UsnetParallelEnv):
         raise ArgumentError(f"env must be the parallel_env of a usnet_env game, got {quote(env)}.")
     chosen = choose_policies(env, policies)
-    seed = whole_number("seed", seed, 0)
-    label = plain_text("label", label)
-    observations, infos = env.reset(seed=seed)
     uses = Counter(map(id, chosen.values()))
     agents = {name: copy.deepcopy(policy) if uses[id(policy)] > 1 else policy for name, policy in chosen.items()}
-    label = label or ", ".join(dict.fromkeys(_name(agents[name]) for name in agents if agent_role(name) == "observer"))
-    if policy_seed is None:
-        source = np.random.SeedSequence(seed, spawn_key=(1,))
-    else:
-        source = np.random.SeedSequence(whole_number("policy_seed", policy_seed, 0))
-    branches = source.generate_state(len(env.possible_agents), np.uint32)
-    for (name, policy), own_seed in zip(agents.items(), branches, strict=True):
-        policy.reset(int(own_seed), env.action_space(name))
-    returns = dict.fromkeys(env.possible_agents, 0.0)
-    prices = dict.fromkeys(env.possible_agents, 0.0)
+    observations, _ = env.reset(seed=seed)
+    source = (
+        np.random.SeedSequence(seed, spawn_key=(1,)) if policy_seed is None else np.random.SeedSequence(policy_seed)
+    )
+    for (name, policy), branch in zip(agents.items(), source.generate_state(len(agents), np.uint32), strict=True):
+        policy.reset(int(branch), env.action_space(name))
+    returns, prices = dict.fromkeys(agents, 0.0), dict.fromkeys(agents, 0.0)
     rounds: list[RoundRecord] = []
-    choices: list[dict[str, str]] = []  # of the agents before each round
-    chosen_now: dict[str, str] = {}
-    seconds: list[float] = []
-    redundant = 0
-    first = info = infos[env.possible_agents[0]]
+    infos_of_rounds, choices, seconds = [], [], []
+    chosen_before: dict[str, str] = {}  # the choices of the heads for the window that is seen now, in words
     while env.agents:
         began = time.perf_counter()
         actions = {agent: agents[agent].act(observations[agent]) for agent in env.agents}
         spent = time.perf_counter() - began
-        flown, words = chosen_now, {agent: env.describe_action(agent, action) for agent, action in actions.items()}
+        words = {agent: env.describe_action(agent, action) for agent, action in actions.items()}
         observations, rewards, _, _, infos = env.step(actions)
         for agent, reward in rewards.items():
             returns[agent] += reward
-            prices[agent] += float(infos[agent].get("price", 0.0))
-        costs = {agent: f"; price {infos[agent]['price']:.3g}" if "price" in infos[agent] else "" for agent in words}
-        chosen_now = {agent: text + costs[agent] for agent, text in words.items() if text and agent in env.agents}
-        info = infos[env.possible_agents[0]]
-        redundant += int(info["redundant"])
+            prices[agent] += infos[agent].get("price", 0.0)
         if env.last_round is not None:  # None after the opening step, which is not a round
             rounds.append(env.last_round)
-            choices.append(flown)
+            infos_of_rounds.append(infos[env.possible_agents[0]])
+            choices.append(chosen_before)
             seconds.append(spent)
-            first = info if len(rounds) == 1 else first
+        chosen_before = {
+            agent: f"{text}; price {infos[agent]['price']:.3g}"
+            for agent, text in words.items()
+            if text and agent in env.agents
+        }
+    first, last = infos_of_rounds[0], infos_of_rounds[-1]
+    label = label or ", ".join(dict.fromkeys(_name(agents[name]) for name in agents if agent_role(name) == "observer"))
     return GameResult(
         returns=returns,
         prices=prices,
-        J=float(info["J"]),
+        J=float(last["J"]),
         rounds=len(rounds),
-        success=bool(info["success"]),
+        success=bool(last["success"]),
         first_hits=int(first["hits"]),
         first_redundant=int(first["redundant"]),
-        redundant=redundant,
-        record=_make_record(env, rounds, choices, seconds, seed, label),
+        redundant=int(sum(info["redundant"] for info in infos_of_rounds)),
+        record={
+            **_record_rounds(env, rounds),
+            "seconds": np.array(seconds),
+            "choices": choices if any(choices) else None,
+            "seed": int(seed),
+            "detector": label,
+        },
     )
 
 
@@ -168,34 +163,20 @@ def _name(policy: PolicyLike) -> str:
     return type(policy).__name__ if detector is None else detector_label(detector)
 
 
-def _make_record(
-    env: UsnetParallelEnv,
-    rounds: list[RoundRecord],
-    choices: list[dict[str, str]],
-    seconds: list[float],
-    seed: int,
-    label: str,
-) -> dict[str, Any]:
-    config = describe_arguments(env.config) | describe_arguments(env.rules)
+def _record_rounds(env: UsnetParallelEnv, rounds: list[RoundRecord]) -> dict[str, Any]:
+    def stack(*names: str, part: str | None = None) -> dict[str, Any]:
+        owners = [getattr(played, part) if part else played for played in rounds]
+        return {name: np.stack([getattr(owner, name) for owner in owners]) for name in names}
+
     return {
-        "position": np.stack([each.sighting.position for each in rounds]),
-        "velocity": np.stack([each.sighting.velocity for each in rounds]),
-        "seen": np.stack([each.sighting.seen for each in rounds]),
-        "alive": np.stack([each.truth.alive for each in rounds]),
-        "root": np.stack([each.truth.root for each in rounds]),
-        "candidates": np.stack([each.candidates for each in rounds]),
-        "scores": np.stack([each.scores for each in rounds]),
-        "objective": np.array([each.objective for each in rounds]),
+        **stack("position", "velocity", "seen", part="sighting"),
+        **stack("alive", "root", part="truth"),
+        **stack("candidates", "scores", "objective", "over_budget"),
         "head": rounds[0].truth.head,
         "decoy": env.swarm.decoy,  # of the whole episode; a decoy of one window has itself as root in it
-        "over_budget": np.array([each.over_budget for each in rounds]),
-        "seconds": np.array(seconds),
-        "choices": choices if any(choices) else None,
         "observers": env.list_observers(),
         "problem": "P2",
         "env_id": str(env.metadata["name"]),
-        "seed": seed,
-        "detector": label,
-        "config": config,
+        "config": describe_arguments(env.config) | describe_arguments(env.rules),
         "versions": versions(["pettingzoo"]),
     }

@@ -14,8 +14,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from usnet_env.arrays import Floats, Indices, Mask
-from usnet_env.config import ArgumentError, optional_seed, quote, whole_number
+from usnet_env.arrays import Floats, Mask
+from usnet_env.config import ArgumentError, quote, whole_number
 from usnet_env.detection import Detection
 from usnet_env.plugins import DetectorLike
 from usnet_env.window import Window
@@ -29,10 +29,8 @@ class Policy(ABC):
 
     def reset(self, seed: int, action_space: spaces.Space[Any]) -> None:
         """Start a game: create the generator ``self.rng`` and store the action space."""
-        if not isinstance(action_space, spaces.Space):
-            raise ArgumentError(f"action_space must be a space of Gymnasium, got {quote(action_space)}.")
-        self.rng = np.random.default_rng(optional_seed("seed", seed))
-        self.action_space = action_space
+        self.rng = np.random.default_rng(seed)
+        self.action_space: Any = action_space
 
     @abstractmethod
     def act(self, observation: Observation) -> Array:
@@ -44,7 +42,7 @@ class TruthfulHead(Policy):
 
     def act(self, observation: Observation) -> Array:
         """Return zeros."""
-        return np.zeros(len(_choice_sizes(self.action_space)), np.int64)
+        return np.zeros(self.action_space.shape, np.int64)
 
 
 class RandomHead(Policy):
@@ -65,27 +63,18 @@ class CamouflagedHead(Policy):
         jitter: whether the head flies with the followers' noise.
         decoys: number of followers that become decoys, limited by what is legal; ``None`` for the largest number.
         delay: delay of its followers in steps; ``None`` for the largest delay.
-
-    Raises:
-        ArgumentError: an argument has another type or is negative.
     """
 
     def __init__(
         self, mobility: int | None = None, jitter: bool = False, decoys: int | None = None, delay: int | None = None
     ) -> None:
-        if not isinstance(jitter, bool | np.bool_):
-            raise ArgumentError(f"jitter must be true or false, got {quote(jitter)}.")
-        self.mobility = None if mobility is None else whole_number("mobility", mobility, 0)
-        self.jitter = bool(jitter)
-        self.decoys = None if decoys is None else whole_number("decoys", decoys, 0)
-        self.delay = None if delay is None else whole_number("delay", delay, 0)
+        self.wanted = mobility, int(jitter), decoys, delay
 
     def act(self, observation: Observation) -> Array:
         """Return the same choices every time, reduced to the largest legal values where necessary."""
-        wanted = (self.mobility, int(self.jitter), self.decoys, self.delay)
         limits = [int(np.flatnonzero(mask)[-1]) for mask in _split_masks(observation, self.action_space)]
         return np.array(
-            [limit if value is None else min(value, limit) for value, limit in zip(wanted, limits, strict=True)]
+            [limit if value is None else min(value, limit) for value, limit in zip(self.wanted, limits, strict=True)]
         )
 
 
@@ -94,9 +83,6 @@ class RandomObserver(Policy):
 
     Args:
         count: number of UAVs to name; if fewer are legal, it names them all.
-
-    Raises:
-        ArgumentError: ``count`` is not a whole number from 0.
     """
 
     def __init__(self, count: int = 1) -> None:
@@ -140,8 +126,6 @@ class DetectorObserver(Policy):
         seen = window.alive & legal & window.seen.any(axis=0)
         visible = Window(window.position, window.velocity, window.seen & seen, seen, window.round, window.step)
         detection = self.detector.detect(visible)
-        if not isinstance(detection, Detection) or detection.candidates.shape != (window.uavs,):
-            raise ArgumentError(f"detect must return a Detection for {window.uavs} UAVs, got {quote(detection)}.")
         named = detection.candidates & legal
         as_scores = isinstance(self.action_space, spaces.Box)
         return _pad_vote(_scale_scores(detection, named) if as_scores else named, self.action_space)
@@ -157,22 +141,13 @@ def _scale_scores(detection: Detection, named: Mask) -> Floats:
     return np.clip(detection.scores / lowest, 0.0, 1.0)
 
 
-def _pad_vote(vote: Array, space: spaces.Space[Any]) -> Array:
+def _pad_vote(vote: Array, space: Any) -> Array:
     """Convert a vote of N numbers to an action of the space, with zeros for the message."""
-    if not isinstance(space, spaces.MultiBinary | spaces.Box):
-        raise ArgumentError(f"action_space must be MultiBinary or Box for an observer, got {quote(space)}.")
-    action = np.zeros(space.shape, space.dtype)
+    action: Array = np.zeros(space.shape, space.dtype)
     action[: len(vote)] = vote
     return action
 
 
-def _choice_sizes(space: spaces.Space[Any]) -> Indices:
-    """Return the number of values of each choice of a head."""
-    if not isinstance(space, spaces.MultiDiscrete):
-        raise ArgumentError(f"action_space must be MultiDiscrete for a head, got {quote(space)}.")
-    return np.asarray(space.nvec, np.int64)
-
-
-def _split_masks(observation: Observation, space: spaces.Space[Any]) -> list[Array]:
-    """Split ``legal`` into the mask of each choice."""
-    return np.split(np.asarray(observation["legal"]), np.cumsum(_choice_sizes(space))[:-1])
+def _split_masks(observation: Observation, space: Any) -> list[Array]:
+    """Split ``legal`` into the mask of each choice of a head, whose action space is ``MultiDiscrete``."""
+    return np.split(np.asarray(observation["legal"]), np.cumsum(space.nvec)[:-1])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from usnet_env.arrays import Floats, Indices, Observation
-from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
+from usnet_env.config import ArgumentError, format_count, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent import base
 from usnet_env.multiagent.evasion import Manoeuvres, Plan, compute_prices, fly_window, select_decoys
@@ -115,21 +115,14 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         config = arguments.part(SwarmConfig, mobility=arguments.mobilities[0])
         clusters, uavs, most_delay = config.clusters, config.uavs, arguments.most_delay
         strategy = config.follow_strategy
-        if strategy is None:
-            raise ArgumentError("follow must be a follow strategy other than 'none', got 'none'.")
-        if strategy.has_references or not strategy.has_followers or strategy.shifts_tracks:
+        if strategy is None or strategy.has_references or not strategy.has_followers or strategy.shifts_tracks:
             raise ArgumentError(
                 f"follow must be a follow strategy whose heads choose how to fly, got {quote(config.follow)}."
             )
-        if most_delay and isinstance(strategy, Flock):
+        if most_delay and (isinstance(strategy, Flock) or strategy.lags + most_delay > config.memory):
             raise ArgumentError(
-                f"most_delay must be 0 for follow={quote(config.follow)}, whose followers fly by their neighbours and "
-                f"not by the past of their head, got {most_delay}."
-            )
-        if strategy.lags + most_delay > config.memory:
-            raise ArgumentError(
-                f"memory must be at least {strategy.lags + most_delay} for follow={quote(config.follow)} and "
-                f"most_delay={most_delay}, got {config.memory}."
+                f"most_delay must be at most memory - {strategy.lags} for follow={quote(config.follow)}, and 0 for a "
+                f"flock, which doesn't fly by the past of its head; got {most_delay} with memory={config.memory}."
             )
         self.heads = [f"head_{j}" for j in range(clusters)]
         window_spaces = game.observation_space(config, rules).spaces
@@ -163,15 +156,7 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
     def step(self, actions: Any) -> base.Step:
         """Destroy the observer's candidates, apply the choices of the surviving heads, and fly the next window.
 
-        Args:
-            actions: an action for each living agent.
-
-        Returns:
-            Observations, rewards, terminations, truncations and infos by agent. Heads that are destroyed in this step
-            are included for the last time.
-
-        Raises:
-            ArgumentError: an action is missing, or has a wrong shape or wrong values, or the game has ended.
+        Heads that are destroyed in this step are in its results for the last time. Otherwise as the base class says.
         """
         checked = self._check_actions(actions)
         named = game.parse_candidates(checked[OBSERVER], (self.config.uavs,), f"action of {OBSERVER}")
@@ -202,16 +187,11 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         state = self._current_game()
         alive = state.swarm.alive[0, np.flatnonzero(state.swarm.head[0])]
         terminated, truncated = bool(state.terminated[0]), bool(state.truncated[0])
-        plain = base.to_scalars(metrics)
-        rewards, terminations, infos = {}, {}, {}
-        for agent in self.agents:
-            if agent == OBSERVER:
-                rewards[agent], terminations[agent] = reward, terminated
-                infos[agent] = {**plain, "price": float(prices.sum())}
-            else:
-                row = self.heads.index(agent)
-                rewards[agent], terminations[agent] = -reward - float(prices[row]), not alive[row]
-                infos[agent] = {**plain, "price": float(prices[row])}
+        paid = {OBSERVER: float(prices.sum()), **dict(zip(self.heads, prices.tolist(), strict=True))}
+        over = {OBSERVER: terminated, **dict(zip(self.heads, (~alive).tolist(), strict=True))}
+        rewards = {agent: reward if agent == OBSERVER else -reward - paid[agent] for agent in self.agents}
+        terminations = {agent: over[agent] for agent in self.agents}
+        infos = {agent: {**base.to_scalars(metrics), "price": paid[agent]} for agent in self.agents}
         truncations = {agent: truncated and not terminations[agent] for agent in self.agents}
         observations = {agent: self._observation(agent) for agent in self.agents}
         self.agents = [agent for agent in self.agents if not (terminations[agent] or truncations[agent])]
@@ -229,15 +209,11 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         sizes = self.manoeuvres.choices
         if agent not in self.agents:
             return np.zeros(len(sizes), np.int64)
-        values = game.to_array(action)
-        if (
-            values.shape != sizes.shape
-            or values.dtype.kind not in "biuf"
-            or not ((values >= 0) & (values < sizes) & (values == np.floor(values))).all()
-        ):
+        values = np.asarray(action)
+        whole = values.dtype.kind in "biuf" and values.shape == sizes.shape and (values % 1 == 0).all()
+        if not whole or not ((values >= 0) & (values < sizes)).all():
             raise ArgumentError(
-                f"action of {agent} must hold {len(sizes)} whole numbers from 0, each below {sizes.tolist()}, "
-                f"got {quote(action)}."
+                f"action of {agent} must hold whole numbers from 0, each below {sizes.tolist()}, got {quote(action)}."
             )
         return values.astype(np.int64)
 
@@ -247,10 +223,9 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
             return ""
         mobility, jitter, decoys, delay = np.asarray(action).tolist()
         head = np.flatnonzero(self._current_game().swarm.head[0])[self.heads.index(agent)]
-        words = [self.manoeuvres.mobilities[mobility]] + ["jitter"] * bool(jitter)
-        words += [f"{decoys} decoy{'s' * (decoys > 1)}"] * bool(decoys) + [
-            f"followers delayed by {delay} step{'s' if delay > 1 else ''}"
-        ] * bool(delay)
+        words = [self.manoeuvres.mobilities[mobility]]
+        words += ["jitter"] * (jitter > 0) + [format_count(decoys, "decoy")] * (decoys > 0)
+        words += [f"followers delayed by {format_count(delay, 'step')}"] * (delay > 0)
         return f"UAV {head}: {', '.join(words)}"
 
     def _observation(self, agent: str) -> Observation:

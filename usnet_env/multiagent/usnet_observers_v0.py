@@ -8,12 +8,13 @@ import numpy as np
 from gymnasium import spaces
 from pydantic import Field
 
-from usnet_env.arrays import Floats, Mask, Observation
+from usnet_env.arrays import Floats, Observation
 from usnet_env.config import ArgumentError, list_arguments, quote, takes_arguments
 from usnet_env.envs import game
 from usnet_env.multiagent import base
 from usnet_env.multiagent.sensors import FUSIONS, Observer, SensorConfig, merge_sightings, sense_window
 from usnet_env.swarm import ObservationBatch, SwarmConfig
+from usnet_env.swarm.checks import check_returned
 from usnet_env.swarm.config import MobilityArguments
 
 
@@ -129,24 +130,14 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         return self._observations(), {agent: base.to_scalars(metrics) for agent in self.agents}
 
     def step(self, actions: Any) -> base.Step:
-        """Combine the votes, destroy the candidates, score the round, and observe the next window.
-
-        Args:
-            actions: a vote for each living agent.
-
-        Returns:
-            Observations, rewards, terminations, truncations and infos by agent.
-
-        Raises:
-            ArgumentError: an action is missing, or has a wrong shape or wrong values, or the game has ended.
-        """
+        """Combine the votes, destroy the candidates, score the round, and observe the next window."""
         checked = self._check_actions(actions)
         whole = np.stack([self._check_vote(agent, checked[agent]) for agent in self.possible_agents])
         before = self._current_game()
         uavs = self.config.uavs
         seen = np.stack([sighting.seen.any(axis=0) for sighting in self._sightings])  # false for destroyed UAVs
         votes = whole[:, :uavs] * seen
-        candidates = self._fuse(votes, seen)
+        candidates = check_returned("fusion", self.fusion.rule(votes, seen), (uavs,), 1).astype(bool)
         state, reward, metrics = game.play_round(self.rules, before, candidates[None])
         self._keep_round(before, candidates, votes.sum(axis=0), metrics)
         self._messages = whole[:, uavs:].astype(np.float32)
@@ -190,21 +181,14 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
         length = self.config.uavs + self.sensor_config.message_size
         if self.fusion.vote == "candidates":
             return game.parse_candidates(action, (length,), f"action of {agent}").astype(np.float64)
-        values = game.to_array(action)
+        values = np.asarray(action)
         if values.shape != (length,) or values.dtype.kind not in "biuf" or not ((values >= 0) & (values <= 1)).all():
             raise ArgumentError(f"action of {agent} must hold {length} numbers from 0 to 1, got {quote(action)}.")
         return values.astype(np.float64)
 
     def list_observers(self) -> Floats:
         """``(K, 4)``, position and sensing range of each observer in metres."""
-        return np.array([[*each.position, each.sensing_range] for each in self._observers])
-
-    def _fuse(self, votes: Floats, seen: Mask) -> Mask:
-        """Apply the fusion rule, and check the candidates that it returns."""
-        candidates = np.asarray(self.fusion.rule(votes, seen))
-        if candidates.shape != (self.config.uavs,) or candidates.dtype != bool:
-            raise ArgumentError(f"fusion rule must return {self.config.uavs} booleans, got {quote(candidates)}.")
-        return candidates
+        return np.array([[*observer.position, observer.sensing_range] for observer in self._observers])
 
 
 raw_env, env = base.make_aec_forms(parallel_env)
