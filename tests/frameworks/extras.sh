@@ -13,24 +13,18 @@ torch=${TORCH:-torch==2.13.0}
 
 # extra | modules that it has to bring | its tests
 extras="
-core||tests/frameworks/test_core_alone.py tests/frameworks/test_framework_wrappers.py tests/envs/test_vector.py
-    tests/detectors/test_lagged.py tests/evaluation/test_store.py
+core||tests/frameworks/test_core_alone.py tests/envs/test_vector.py tests/detectors/test_lagged.py
     tests/test_packaging.py::test_the_core_works_without_any_extra
-render|matplotlib moviepy|tests/test_drawing.py tests/replay/test_figure.py tests/replay/test_animation.py
+render|matplotlib moviepy|tests/replay
 replay|matplotlib rerun|tests/replay
-multiagent|pettingzoo|tests/multiagent/test_pettingzoo_conformance.py tests/multiagent/test_play_game.py
-    tests/multiagent/test_docstrings.py tests/frameworks/test_framework_wrappers.py
-ray|ray|tests/evaluation/test_backends.py
-torch|torch safetensors|tests/detectors/gassl/test_gassl_networks.py tests/detectors/gassl/test_gassl_detector.py
-    tests/detectors/mc_gassl/test_mc_gassl_weights.py tests/detectors/test_policy_detector.py
-rl|stable_baselines3 sb3_contrib|tests/frameworks/test_sb3_ppo.py tests/frameworks/test_sb3_maskable_ppo.py
-    tests/frameworks/test_frameworks_page.py tests/detectors/test_policy_detector.py
-torchrl|torchrl tensordict pettingzoo|tests/frameworks/test_torchrl_ppo.py tests/frameworks/test_torchrl_observers.py
-    tests/frameworks/test_frameworks_page.py
-tianshou|tianshou|tests/frameworks/test_tianshou_ppo.py tests/frameworks/test_frameworks_page.py
-minari|minari h5py torch|tests/frameworks/test_minari_imitation.py tests/frameworks/test_frameworks_page.py
-supersuit|supersuit stable_baselines3 pettingzoo|tests/frameworks/test_supersuit_ppo.py
-    tests/frameworks/test_frameworks_page.py
+multiagent|pettingzoo|tests/multiagent tests/frameworks/test_wrappers.py
+ray|ray|tests/evaluation
+torch|torch safetensors|tests/detectors/gassl tests/detectors/mc_gassl tests/detectors/test_policy_detector.py
+rl|stable_baselines3 sb3_contrib|tests/frameworks tests/detectors/test_policy_detector.py
+torchrl|torchrl tensordict pettingzoo|tests/frameworks
+tianshou|tianshou|tests/frameworks
+minari|minari h5py torch|tests/frameworks
+supersuit|supersuit stable_baselines3 pettingzoo|tests/frameworks
 "
 foreign="matplotlib minari pettingzoo ray rerun sb3_contrib stable_baselines3 supersuit tensordict tianshou torch torchrl"
 

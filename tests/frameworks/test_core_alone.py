@@ -10,11 +10,9 @@ from usnet_env.plugins import detector_names
 
 arguments = {"clusters": 2, "uavs": 12, "observation_steps": 40}
 BoxMasks(gym.make("USNET/MultiCluster-v0", **arguments)).reset(seed=0)
-result = usnet_env.evaluate(
-    "USNET/MultiCluster-v0", ["lagged-regression(clusters=2)", "random"], episodes=3, env_kwargs=arguments,
-    isolate=False,
-)
-assert result["lagged-regression(clusters=2)"]["f1_first"]["mean"] == 1.0
+result = usnet_env.evaluate("USNET/MultiCluster-v0", ["lagged-regression(clusters=2)", "random"], episodes=3,
+                            env_kwargs=arguments)
+assert result.summary[0]["metrics"]["f1_first"]["mean"] == 1.0
 assert {"gassl", "mc-gassl", "lagged-regression"} <= set(detector_names())
 
 extras = {

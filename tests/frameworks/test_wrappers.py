@@ -1,0 +1,68 @@
+"""The wrappers of the games of several agents, which frameworks need, play the same games."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pettingzoo")
+
+from gymnasium import spaces
+from wrappers import DiscreteActions, MultiDiscreteVotes, ParallelBoxMasks
+
+from usnet_env.multiagent import usnet_evasion_v0, usnet_observers_v0
+
+SMALL = {"clusters": 2, "uavs": 10, "observation_steps": 12, "max_rounds": 4}
+GAMES = [usnet_observers_v0, usnet_evasion_v0]
+
+
+@pytest.mark.parametrize("game", GAMES)
+@pytest.mark.parametrize("wrapper", [ParallelBoxMasks, MultiDiscreteVotes])
+def test_a_wrapped_game_is_the_same_game(game, wrapper):
+    plain, wrapped = game.parallel_env(**SMALL), wrapper(game.parallel_env(**SMALL))
+    for agent in plain.possible_agents:
+        assert wrapped.action_space(agent) is wrapped.action_space(agent)
+        masks = [part for part in wrapped.observation_space(agent).values() if isinstance(part, spaces.MultiBinary)]
+        assert (masks == []) == (wrapper is ParallelBoxMasks)
+        assert not (wrapper is MultiDiscreteVotes and isinstance(wrapped.action_space(agent), spaces.MultiBinary))
+    np.testing.assert_equal(plain.reset(seed=0), wrapped.reset(seed=0))
+    rng = np.random.default_rng(0)
+    while plain.agents:
+        actions = {
+            agent: (rng.random(plain.action_space(agent).shape) < 0.1).astype(np.int64) for agent in plain.agents
+        }
+        step = wrapped.step(actions)
+        np.testing.assert_equal(plain.step(actions), step)
+        assert all(wrapped.observation_space(agent).contains(seen) for agent, seen in step[0].items())
+
+
+@pytest.mark.parametrize("game", GAMES)
+def test_discrete_actions_are_the_game_s_own(game):
+    env, twin = DiscreteActions(game.parallel_env(**SMALL)), game.parallel_env(**SMALL)
+    observations, _ = env.reset(seed=0)
+    twin.reset(seed=0)
+    rng = np.random.default_rng(0)
+    while env.agents:
+        actions, numbers = {}, {}
+        for agent in env.agents:
+            inner, mask = twin.action_space(agent), observations[agent]["action_mask"]
+            numbers[agent] = number = int(rng.choice(np.flatnonzero(mask)))
+            if isinstance(inner, spaces.MultiDiscrete):
+                actions[agent] = np.array(np.unravel_index(number, inner.nvec))
+                legal = np.split(observations[agent]["legal"], np.cumsum(inner.nvec)[:-1])
+                assert mask.sum() == np.prod([part.sum() for part in legal])
+                assert all(part[value] for part, value in zip(legal, actions[agent], strict=True))
+            else:
+                actions[agent] = (np.arange(10) == number).astype(np.int8)
+                np.testing.assert_array_equal(mask, [*observations[agent]["legal"], 1])
+        got, expected = env.step(numbers), twin.step(actions)
+        assert got[1:] == expected[1:]
+        observations = got[0]
+        assert all(env.observation_space(agent).contains(seen) for agent, seen in observations.items())
+
+
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested using version:UserWarning")
+@pytest.mark.parametrize("game", GAMES)
+def test_torchrl_reads_the_games(game):
+    torchrl = pytest.importorskip("torchrl.envs")
+    for wrap in (lambda env: env, DiscreteActions):
+        env = torchrl.PettingZooWrapper(ParallelBoxMasks(wrap(game.parallel_env(**SMALL))), use_mask=True)
+        torchrl.check_env_specs(env, seed=0)
