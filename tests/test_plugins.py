@@ -517,7 +517,7 @@ def test_a_formation_and_a_placement_can_be_registered(monkeypatch):
     assert not observations["observer_3"]["place"].any()
     for place, sentence in (
         (np.zeros(3), "return an array of shape"),
-        (np.full((9, 3), np.nan), "return coordinates from"),
+        (np.full((9, 3), np.nan), "return"),
     ):
         register_formation("bad", lambda rng, roles, place=place: place, replace=True)
         with pytest.raises(ArgumentError, match=f"formation function must {sentence}"):

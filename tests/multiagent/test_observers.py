@@ -13,7 +13,7 @@ from usnet_env import ArgumentError, Window
 from usnet_env.multiagent import FUSIONS, PLACEMENTS, Fusion, register_fusion, usnet_observers_v0
 from usnet_env.multiagent.play import play_game
 from usnet_env.multiagent.policies import RandomObserver
-from usnet_env.multiagent.sensors import SensorConfig, merge_sightings
+from usnet_env.multiagent.sensors import SensorConfig
 from usnet_env.replay import EpisodeRecord
 from usnet_env.swarm.formation import ARENA
 
@@ -81,15 +81,6 @@ def test_each_observer_has_its_own_noise_and_the_swarm_flies_the_same():
     assert errors[1][seen].std() == pytest.approx(2.0, rel=0.1)
     assert seen.mean() == pytest.approx(0.7, abs=0.06)
     assert abs(np.corrcoef(errors[0][seen].ravel(), errors[1][seen].ravel())[0, 1]) < 0.1
-
-
-def test_merged_sightings_hold_what_any_observer_saw():
-    env = small("observers", position_noise=0.0)
-    env.reset(seed=0)
-    merged = merge_sightings(env._sightings, 1)
-    truth = usnet_observers_v0.parallel_env(**SMALL, observers=1, sensing_range=1e5).reset(seed=0)[0]["observer_0"]
-    np.testing.assert_array_equal(merged.seen, np.any([one.seen for one in env._sightings], axis=0))
-    np.testing.assert_array_equal(merged.position, truth["position"] * merged.seen[..., None])
 
 
 @pytest.mark.parametrize("sample_every", [1, 3])
