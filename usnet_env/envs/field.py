@@ -110,6 +110,10 @@ class FieldDistribution:
 DISTRIBUTION = FieldDistribution()
 
 
+def _drawn(text: str) -> Any:
+    return Field(None, description=f"{text}; ``None``: drawn")
+
+
 class FieldArguments(OutputArguments, game.RoundArguments):
     """The arguments of :class:`FieldEnv`; what is ``None`` is drawn for each episode."""
 
@@ -119,25 +123,21 @@ class FieldArguments(OutputArguments, game.RoundArguments):
     memory: Steps = Field(
         12, description="T_0, number of past steps that a follow strategy may use, and of unobserved steps in a round"
     )
-    follow: str | FollowStrategy | None = Field(None, description="follow strategy; ``None``: drawn")
-    mobility: str | Mobility | None = Field(None, description="how heads and decoys move; ``None``: drawn")
-    kinematics: str | Kinematics | None = Field(None, description="how UAVs fly; ``None``: drawn")
-    formation: str | None = Field(None, description="initial positions; ``None``: drawn")
-    clusters: Count | None = Field(None, description="M, number of clusters; ``None``: drawn")
-    decoys: Few | None = Field(None, description="number of decoys; ``None``: drawn")
-    bystanders: Few | None = Field(None, description="number of UAVs that fly on their own; ``None``: drawn")
-    traffic: Few | None = Field(None, description="number of UAVs of civil traffic; ``None``: drawn")
-    head_jitter: bool | None = Field(None, description="noise of heads and decoys; ``None``: drawn")
-    position_noise: Metres | None = Field(
-        None, description="standard deviation of the observed positions, m; ``None``: drawn"
-    )
-    miss_rate: Rate | None = Field(None, description="probability of a missed detection; ``None``: drawn")
-    noise_memory: Rate | None = Field(
-        None, description="correlation of the noise from one instant to the next; ``None``: drawn"
-    )
-    miss_burst: Burst | None = Field(None, description="mean length of a burst of missed detections; ``None``: drawn")
-    partial_tracks: Share | None = Field(None, description="probability of a partial track; ``None``: drawn")
-    swap_rate: Share | None = Field(None, description="probability of an identity switch; ``None``: drawn")
+    follow: str | FollowStrategy | None = _drawn("follow strategy")
+    mobility: str | Mobility | None = _drawn("how heads and decoys move")
+    kinematics: str | Kinematics | None = _drawn("how UAVs fly")
+    formation: str | None = _drawn("initial positions")
+    clusters: Count | None = _drawn("M, number of clusters")
+    decoys: Few | None = _drawn("number of decoys")
+    bystanders: Few | None = _drawn("number of UAVs that fly on their own")
+    traffic: Few | None = _drawn("number of UAVs of civil traffic")
+    head_jitter: bool | None = _drawn("noise of heads and decoys")
+    position_noise: Metres | None = _drawn("standard deviation of the observed positions, m")
+    miss_rate: Rate | None = _drawn("probability of a missed detection")
+    noise_memory: Rate | None = _drawn("correlation of the noise from one instant to the next")
+    miss_burst: Burst | None = _drawn("mean length of a burst of missed detections")
+    partial_tracks: Share | None = _drawn("probability of a partial track")
+    swap_rate: Share | None = _drawn("probability of an identity switch")
     clutter: Few = Field(0, description="number of false tracks, which begin and end in each window and are of no UAV")
     course_noise: Ratio = Field(1.0, description="position noise along the course of a UAV, in units of that across it")
 

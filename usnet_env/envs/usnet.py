@@ -138,7 +138,7 @@ class UsnetEnv(gym.Env[Observation, NDArray[np.int8]]):
         game.require_game(None if before.terminated[0] or before.truncated[0] else before)
         candidates = game.parse_candidates(action, (self.config.uavs,))
         state, rewards, metrics = game.play_round(self.rules, before, candidates[None])
-        reward, values = float(rewards[0]), {name: each[0].item() for name, each in metrics.items()}
+        reward, values = float(rewards[0]), {name: value[0].item() for name, value in metrics.items()}
         title = describe_frame(
             values["round"], values["hits"], values["redundant"], values["J"], reward, bool(values["over_budget"])
         )

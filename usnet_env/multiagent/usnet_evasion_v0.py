@@ -235,27 +235,21 @@ class parallel_env(base.UsnetParallelEnv):  # PettingZoo's name for it
             flown = self._sighting is not None and not state.terminated[0]
             return self._make_observation(self._current_window(), swarm.alive[0] & flown)
         head = int(np.flatnonzero(swarm.head[0])[self.heads.index(agent)])
-        own = np.zeros(self.config.uavs, np.int8)
-        own[head] = 1
         followers = (swarm.root[0] == head) & swarm.alive[0] & ~swarm.head[0]
         named = np.zeros(self.config.uavs, bool) if self.last_round is None else self.last_round.candidates
+        legal = [np.ones(size, np.int8) for size in self.manoeuvres.choices]
+        legal[2][1 + max(int(followers.sum()) - 1, 0) :] = 0  # one follower must remain
         return {
             "position": swarm.position[0].copy(),
             "velocity": swarm.past_velocity[0, -1].copy(),
             "alive": swarm.alive[0].astype(np.int8),
-            "self": own,
+            "self": (np.arange(self.config.uavs) == head).astype(np.int8),
             "heads": (swarm.head[0] & swarm.alive[0]).astype(np.int8),
             "followers": followers.astype(np.int8),
             "named": named.astype(np.int8),
             "round": state.rounds.astype(np.float32),
-            "legal": self._mask_choices(int(followers.sum())),
+            "legal": np.concatenate(legal),
         }
-
-    def _mask_choices(self, followers: int) -> NDArray[np.int8]:
-        """Return the mask of legal values of all choices of a head with this number of followers."""
-        masks = [np.ones(size, np.int8) for size in self.manoeuvres.choices]
-        masks[2][1 + max(followers - 1, 0) :] = 0
-        return np.concatenate(masks)
 
 
 raw_env, env = base.make_aec_forms(parallel_env)

@@ -104,8 +104,7 @@ class Network(FollowStrategy):
 
     def draw(self, rng: np.random.Generator) -> Singles:
         """Draw the weights, biases and output weights of one network."""
-        own, head = 3 * kernels.MLP_LAGS, 3 * kernels.MLP_LAGS
-        gains = np.repeat([self.position_gain, self.own_gain, self.head_gain], [3, own, head])
+        gains = np.repeat([self.position_gain, self.own_gain, self.head_gain], [3, past := 3 * kernels.MLP_LAGS, past])
         weights = gains[:, None] * rng.standard_normal((kernels.MLP_INPUTS, kernels.MLP_HIDDEN))
         bias = 0.1 * rng.standard_normal(kernels.MLP_HIDDEN)
         readout = rng.standard_normal((kernels.MLP_HIDDEN, 3)) / np.sqrt(kernels.MLP_HIDDEN)

@@ -91,7 +91,7 @@ def sense(
         for row, rng, false in zip(present, rngs, clutter, strict=True):
             row[:, false] &= _appear(rng, row.shape[0], len(false))
     if config.swap_rate > 0:
-        holder = np.stack([_swap(*each, alive[b]) for b, each in enumerate(zip(position, present, swaps, strict=True))])
+        holder = np.stack([_swap(*episode) for episode in zip(position, present, swaps, alive, strict=True)])
         position = np.take_along_axis(position, holder[..., None], axis=2)
         present = np.take_along_axis(present, holder, axis=2)
     seen &= present
