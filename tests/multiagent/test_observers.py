@@ -146,21 +146,6 @@ def test_all_observers_share_the_reward_and_end_together():
     assert not any(one["seen"].any() or one["legal"].any() for one in observations.values())
 
 
-def test_summed_scores():
-    env = small("observers", sensing_range=1e5, fusion="scores", message_size=0)
-    assert env.action_space("observer_0") == gym.spaces.Box(0, 1, (20,), np.float32)
-    env.reset(seed=0)
-    sent = {agent: np.zeros(20) for agent in env.agents}
-    sent["observer_0"][:3], sent["observer_1"][:3], sent["observer_2"][:3] = (
-        [0.9, 1, 0.2],
-        [0.7, 0.4, 0.9],
-        [0, 0.2, 0.3],
-    )
-    env.step(sent)
-    np.testing.assert_array_equal(env.last_round.candidates[:3], [True, True, False])
-    np.testing.assert_allclose(env.last_round.scores[:3], [1.6, 1.6, 1.4])
-
-
 def test_messages_arrive_with_the_next_window():
     env = small("observers")
     observations, _ = env.reset(seed=0)

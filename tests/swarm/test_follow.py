@@ -154,20 +154,6 @@ def test_a_function_with_a_bad_answer_is_told_so(answer):
         fly("test-bad")
 
 
-def test_a_cell_of_a_notebook_can_run_again():
-    def cell(factor, **arguments):
-        register_follow_strategy("test-cell", lambda inputs: factor * inputs.head_velocity[:, 0], lags=1, **arguments)
-
-    cell(1.0)
-    with pytest.raises(ArgumentError, match="name must"):
-        cell(-1.0)
-    cell(-1.0, replace=True)
-    state, window = fly("test-cell")
-    follower = np.flatnonzero(~state.head)[0]
-    led = window.velocity[0, :-1, state.root[follower]]
-    assert (window.velocity[0, 1:, follower] * led).sum(axis=-1).max() < 0
-
-
 def test_a_strategy_that_is_not_registered_is_checked_too():
     with pytest.raises(ArgumentError, match="noise must"):
         SwarmConfig(follow=Lags(1, noise=float("inf")))
@@ -200,13 +186,6 @@ def test_random_strategies_follow_their_head():
         head_dependence(random_follow_strategy(np.random.default_rng(seed)), seed, followers=2) for seed in range(3)
     ]
     assert min(with_head - without_head for with_head, without_head in shares) > 0.05
-
-
-def test_a_random_strategy_is_fixed_once_drawn():
-    one, other = (random_follow_strategy(np.random.default_rng(4)) for _ in range(2))
-    inputs = random_inputs(np.random.default_rng(1))
-    np.testing.assert_array_equal(one.direction(inputs), other.direction(inputs))
-    assert one.equation == other.equation
 
 
 @pytest.mark.parametrize("gone", ["follower", "head"])

@@ -81,17 +81,6 @@ def test_false_tracks_begin_and_end_and_are_no_uavs():
     assert (seen[0] != seen[1]).any(axis=0).all()
 
 
-def test_naming_a_false_track_is_a_false_alarm():
-    env = MultiClusterEnv(clutter=10, reveal_truth=True)
-    env.reset(seed=0)
-    action = np.zeros(82, np.int8)
-    action[env.swarm.free[-10:]] = 1
-    _, reward, _, _, info = env.step(action)
-    assert info["redundant"] == 10
-    assert reward == pytest.approx(-1 - 10 / 82)
-    assert info["heads_left"] == 5
-
-
 def test_noise_with_a_memory_keeps_its_size_and_has_its_correlation():
     truth, window = observed(), observed(position_noise=2.0, noise_memory=0.8)
     noise = (window.position - truth.position)[0].astype(float)

@@ -65,6 +65,7 @@ class RandomFollowStrategy(FollowStrategy):
         noise: kappa_n.
     """
 
+    equation = "v_{i,t+1} = norm(R g(Σ_k w_k h_k(v_{iL,t−τ_k})) + κ_p g_i / max(‖g_i‖, 1) + κ_n n)"
     terms: tuple[Term, ...]
     rotation: Singles | None = None
     saturation: float | None = None
@@ -72,17 +73,6 @@ class RandomFollowStrategy(FollowStrategy):
     pull: float = 0.0
     lags: int = 4
     noise: float = KAPPA_NOISE
-
-    @property
-    def equation(self) -> str:  # type: ignore[override]  # follows from the other fields
-        """The equation as text, with the names of the output maps."""
-        terms = " + ".join(f"{term.weight:.2f}·{term.kind}(v_{{iL,t-{term.lag}}})" for term in self.terms)
-        maps = [
-            name
-            for name, part in (("rotation", self.rotation), ("saturation", self.saturation), ("offset", self.offset))
-            if part is not None
-        ]
-        return f"v_{{i,t+1}} = norm({terms} + κ_n n)" + (f", with {', '.join(maps)}" if maps else "")
 
     def direction(self, inputs: FollowInputs) -> Singles:
         """The sum of the terms, saturated and rotated, plus the pull."""
@@ -110,10 +100,8 @@ def _draw_rotation(rng: np.random.Generator) -> Singles:
 def _draw_term(rng: np.random.Generator, kind: str) -> Term:
     layer = None
     if kind == "network":
-        layer = (
-            rng.normal(0.0, 1.0, (6, 8)).astype(np.float32),
-            (rng.standard_normal((8, 3)) / np.sqrt(8)).astype(np.float32),
-        )
+        inner, outer = rng.normal(0.0, 1.0, (6, 8)), rng.standard_normal((8, 3)) / np.sqrt(8)
+        layer = inner.astype(np.float32), outer.astype(np.float32)
     lag = int(rng.integers(0, 3))
     return Term(kind, lag, float(rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.5)), layer)
 
