@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from usnet_env.arrays import Floats, Mask, Observation, Singles
-from usnet_env.config import ArgumentError, how_to_install, optional_seed, quote
-from usnet_env.drawing import EpisodeFrames, MissingExtraError, describe_frame
+from usnet_env.config import ArgumentError, MissingExtraError, how_to_install, optional_seed, quote
+from usnet_env.drawing import EpisodeFrames, describe_frame
 from usnet_env.envs.game import GameState, RenderArguments, RoundArguments, Rules, check_options, require_game
 from usnet_env.objectives import hits_and_redundant
 from usnet_env.swarm import ObservationBatch, SwarmConfig, SwarmState
