@@ -13,18 +13,18 @@ from usnet_env.config import ArgumentError, quote
 LARGEST = float(np.finfo(np.float32).max)
 
 
-def check_part(subject: str, part: Any, kind: Any, make: Callable[[Any], Any] | None = None) -> Any:
-    """Return a part of a kind; a function becomes one by ``make``.
+def check_part(subject: str, part: Any, kind: type | None, make: Callable[[Any], Any] | None = None) -> Any:
+    """Return a part of a kind (``None``: functions are the only ones); a function becomes a part by ``make``.
 
     Raises:
         ArgumentError: ``part`` is of another kind.
     """
-    if isinstance(part, kind):
+    if kind is not None and isinstance(part, kind):
         return part
     if make is not None and callable(part) and not isinstance(part, type):
         return make(part)
-    also = " or a function" if make is not None else ""
-    raise ArgumentError(f"{subject} must be a {kind.__name__}{also}, got {quote(part)}.")
+    names = ([] if kind is None else [kind.__name__]) + ([] if make is None else ["function"])
+    raise ArgumentError(f"{subject} must be a {' or a '.join(names)}, got {quote(part)}.")
 
 
 def check_returned(function: str, value: Any, shape: tuple[int, ...], most: float = LARGEST) -> NDArray[Any]:
