@@ -67,7 +67,6 @@ def test_only_candidates_and_scores_are_needed():
         ("attention", np.zeros((N, N - 1))),
         ("attention", np.full((N, N), np.nan)),
         ("extras", [1, 2]),
-        ("extras", None),
         ("probability", [0, 0.5, 1, 1.5]),
         ("probability", [0, 0.5, 1, np.nan]),
         ("probability", [0.5]),
@@ -78,13 +77,6 @@ def test_a_bad_part_is_refused_in_one_sentence_that_names_it(name, value):
     with pytest.raises(ArgumentError, match=rf"^{name} must .*, got .*\.$") as caught:
         Detection(**parts(**({"extras": {name: value}} if name == "probability" else {name: value})))
     assert "\n" not in str(caught.value)
-
-
-def test_refusals_of_lengths_name_both_arrays_and_write_shapes_as_numpy_does():
-    with pytest.raises(ArgumentError, match=r"^scores must have one value for each UAV, as candidates has 3, got 4 "):
-        Detection(candidates=np.zeros(3, bool), scores=np.zeros(4))
-    with pytest.raises(ArgumentError, match=r"^clusters must have shape \(3,\), got \(4,\)\.$"):
-        Detection(candidates=np.zeros(3, bool), scores=np.zeros(3), clusters=np.zeros(4, int))
 
 
 @given(
