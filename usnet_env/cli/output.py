@@ -38,5 +38,5 @@ def show_markdown(text: str) -> None:
 
 
 def print_message(sentence: str) -> None:
-    """Print a message of the program to standard error."""
-    click.echo(f"usnet: {sentence}", err=True)
+    """Print a message of the program to standard error; what would control a terminal is left out."""
+    click.echo(f"usnet: {''.join(filter(str.isprintable, sentence))}", err=True)
