@@ -133,7 +133,7 @@ def _bomb():
 
 
 @pytest.mark.parametrize(
-    "value", [10**5000, [10**5000], _bomb(), "x" * 10**6, {i: "y" * 10**6 for i in range(9)}], ids=range(5)
+    "value", [10**5000, [10**5000], _bomb(), "x" * 10**6, dict.fromkeys(range(9), "y" * 10**6)], ids=range(5)
 )
 def test_quote_looks_at_the_beginning_of_a_long_value_only(value):
     assert 1 < len(quote(value)) <= 80
@@ -187,16 +187,12 @@ def test_texts_and_named_values_are_what_they_say():
     assert plain_text("label", "a") == "a"
     assert (named_values("extras", None), named_values("extras", {"a": 1})) == ({}, {"a": 1})
     for check, value in ((plain_text, 3), (named_values, [1]), (named_values, {1: 2})):
-        with pytest.raises(ArgumentError, match="^it must be "):
+        with pytest.raises(ArgumentError, match=r"^it must be "):
             check("it", value)
 
 
 def test_the_package_of_an_extra_is_named_with_its_command():
-    try:
-        raise ModuleNotFoundError("No module named 'torch.nn'", name="torch.nn")
-    except ImportError as error:
-        assert str(missing_extra("a detector", error)) == (
-            "a detector needs torch; `pip install 'usnet[torch]'` installs it."
-        )
-    assert missing_extra("a detector", ModuleNotFoundError("No module named 'torchy'", name="torchy")) is None
-    assert missing_extra("a detector", OSError("torch")) is None
+    error = ModuleNotFoundError("No module named 'torch.nn'", name="torch.nn")
+    assert str(missing_extra("it", error)) == "it needs torch; `pip install 'usnet[torch]'` installs it."
+    assert missing_extra("it", ModuleNotFoundError("No module named 'torchy'", name="torchy")) is None
+    assert missing_extra("it", OSError("torch")) is None

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import detectors.clustering  # noqa: F401  # it creates a registry
+import usnet_env.multiagent  # noqa: F401  # and so does it
 from usnet_env import ArgumentError, parts
 from usnet_env.envs import MultiClusterEnv
-from usnet_env.multiagent import fusion, sensors  # noqa: F401  # they create registries
 from usnet_env.parts import REGISTRIES, Registry, check_call, describe_error, format_label, parse_label
 
 
