@@ -240,6 +240,25 @@ def test_a_bug_is_one_sentence_and_can_be_looked_at(run, monkeypatch):
     assert "Traceback" in run(*QUICK)[2]
 
 
+@pytest.mark.parametrize(
+    ("error", "status", "sentence"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted. It goes on from here."),
+        (SystemExit(3), 1, "ended by sys.exit(3) in a detector or another plug-in."),
+        (MemoryError(), 1, "not enough memory; try fewer UAVs, observation steps or workers."),
+        (OSError(28, "No space left on device", "rows.csv"), 1, "cannot use rows.csv: No space left on device."),
+        (ModuleNotFoundError("no", name="ray"), 1, "this command needs ray; `pip install 'usnet[ray]'` installs it."),
+    ],
+)
+def test_however_a_command_ends_it_is_one_sentence(run, monkeypatch, error, status, sentence):
+    def end(context):
+        context.obj = "It goes on from here."  # what a command has to say if it is interrupted
+        raise error
+
+    monkeypatch.setattr(cli._usnet, "invoke", end)
+    assert run("list") == (status, "", f"usnet: {sentence}\n")
+
+
 def test_a_current_folder_that_was_removed_is_one_sentence(run, tmp_path, monkeypatch):
     folder = tmp_path / "gone"
     folder.mkdir()
