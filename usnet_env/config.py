@@ -83,15 +83,14 @@ def quote(value: object) -> str:
     return line if len(line) <= _LONGEST_VALUE else line[: _LONGEST_VALUE - 1] + "…"
 
 
-def is_whole_number(value: object) -> bool:
-    """Whether ``value`` is an integer of Python or NumPy; a boolean is not."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
-
-
 def whole_number(name: str, value: Any, least: int, most: int | None = None) -> int:
     """Return the argument ``name``, an integer of Python or NumPy within its limits, as an ``int``."""
     plain = _to_python(value)
-    if not is_whole_number(plain) or not least <= plain <= (math.inf if most is None else most):
+    if (
+        isinstance(plain, bool)
+        or not isinstance(plain, int)
+        or not least <= plain <= (math.inf if most is None else most)
+    ):
         limits = f"from {least}" if most is None else f"from {least} to {most}"
         raise ArgumentError(f"{name} must be a whole number {limits}, got {quote(value)}.")
     return int(plain)

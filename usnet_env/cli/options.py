@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -46,56 +45,6 @@ class PositiveNumber(click.ParamType):  # type: ignore[type-arg]  # generic in t
         if not 0 < number < math.inf:
             self.fail(f"{quote(value)} is not a positive number", param, ctx)
         return number
-
-
-def add_place(command: Any, default: str = "processes, if there are several workers") -> Any:
-    """Add the options ``--backend`` and ``--address``, where tasks run, to a command; the help names the default."""
-    backend = click.option(
-        "--backend",
-        type=click.Choice(["serial", "processes", "ray"]),
-        help=f"Run in this process, in child processes, or on the nodes of a Ray cluster.  [default: {default}]",
-    )
-    return backend(
-        click.option(
-            "--address", metavar="ADDRESS", help="Address of the Ray cluster; by default one starts on this machine."
-        )(command)
-    )
-
-
-class PairsCommand(click.Command):
-    """A command whose ``--set`` takes all words up to the next option."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put ``--set`` before each pair, which is the form that click reads."""
-        expanded: list[str] = []
-        words, taking = iter(args), False
-        for word in words:
-            if word.startswith("-") or not taking:
-                taking = word == "--set" or word.startswith("--set=")
-                expanded.append(word)
-                if word == "--set":
-                    following = next(words, None)
-                    if following is None or following.startswith("--"):
-                        raise ArgumentError("--set must be followed by key=value pairs, got none.")
-                    expanded.append(following)
-            else:
-                expanded += ["--set", word]
-        return super().parse_args(ctx, expanded)
-
-
-def describe_keys() -> str:
-    """The keys of ``--set``: the arguments of the environments, in lines for a help page."""
-    from usnet_env.envs.usnet import MultiClusterArguments, SingleClusterArguments
-
-    several, one = (
-        [name for name in kind.model_fields if name != "render_mode"]
-        for kind in (MultiClusterArguments, SingleClusterArguments)
-    )
-    added = [name for name in one if name not in several]
-    missing = [name for name in several if name not in one]
-    lines = textwrap.wrap(", ".join(several), 68)
-    lines += textwrap.wrap(f"SingleCluster takes {', '.join(added)} instead of {', '.join(missing)}", 68)
-    return "\n".join(f"  {line}" for line in lines)
 
 
 def parse_pairs(words: Sequence[str]) -> dict[str, Any]:
