@@ -18,10 +18,10 @@ import click
 
 from usnet_env.cli.commands import CommandGroup
 from usnet_env.cli.detect import detect
-from usnet_env.cli.evaluation import evaluate
+from usnet_env.cli.evaluation import evaluate, report
 from usnet_env.cli.list_parts import list_
 from usnet_env.cli.output import print_message
-from usnet_env.cli.replay import compare, demo, replay, report
+from usnet_env.cli.replay import demo, replay
 from usnet_env.config import ArgumentError, MissingExtraError, missing_extra
 from usnet_env.parts import describe_error
 
@@ -36,7 +36,7 @@ def _usnet() -> None:
     """Simulate UAV swarms, find their cluster heads with detectors, and score the detectors."""
 
 
-for _command in (evaluate, demo, detect, list_, replay, compare, report):
+for _command in (evaluate, demo, detect, list_, replay, report):
     _usnet.add_command(_command)
 
 
