@@ -25,7 +25,7 @@ def check_number(value, subject="part"):
 @pytest.fixture
 def numbers(monkeypatch):
     monkeypatch.setattr(parts, "REGISTRIES", {})
-    return Registry("number", "size", "usnet.numbers", check_number, {"one": 1}, reserved=("none",))
+    return Registry("number", "size", "usnet.numbers", __name__, check_number, {"one": 1}, reserved=("none",))
 
 
 @pytest.fixture

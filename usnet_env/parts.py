@@ -49,6 +49,7 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
         kind: what a part is, for sentences: ``"follow strategy"``.
         argument: the argument that selects a part by name: ``"follow"``.
         group: the group of entry points.
+        home: the module that creates this registry; another process imports it to register the same parts.
         accept: checks what a program registers or an entry point names, and returns the part; called with the object
             and, for an entry point, the subject of a refusal.
         own: the parts of this package.
@@ -62,13 +63,14 @@ class Registry(Mapping[str, PartT], Generic[PartT]):
         kind: str,
         argument: str,
         group: str,
+        home: str,
         accept: Callable[..., PartT],
         own: Mapping[str, PartT] | None = None,
         *,
         reserved: tuple[str, ...] = (),
         classes: bool = False,
     ) -> None:
-        self.kind, self.argument, self.group = kind, argument, group
+        self.kind, self.argument, self.group, self.home = kind, argument, group, home
         self.registered: dict[str, PartT] = {}
         self._accept, self._reserved, self._classes = accept, reserved, classes
         self._own = dict(own or {})

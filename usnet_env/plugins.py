@@ -42,7 +42,7 @@ def _check_factory(factory: Any, subject: str = "factory") -> Factory:
 
 
 #: All detectors by name: classes, and functions that return a detector.
-DETECTORS = Registry("detector", "detector", "usnet.detectors", _check_factory, classes=True)
+DETECTORS = Registry("detector", "detector", "usnet.detectors", __name__, _check_factory, classes=True)
 
 #: Register a class, or a function that returns a detector; see :meth:`usnet_env.parts.Registry.register`.
 register_detector = DETECTORS.register
