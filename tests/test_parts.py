@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import detectors.clustering  # noqa: F401  # it creates a registry
-import usnet_env.multiagent  # noqa: F401  # and so does it
+import usnet_env.multiagent.sensors  # noqa: F401  # and so does it
 from usnet_env import ArgumentError, parts
 from usnet_env.envs import MultiClusterEnv
 from usnet_env.parts import REGISTRIES, Registry, check_call, describe_error, format_label, parse_label

@@ -58,7 +58,7 @@ def _describe_parts(part: str) -> dict[str, str]:
 
 def _describe_registry(argument: str) -> dict[str, str]:
     """The equation, the description or the first line of the docstring of all parts that an argument selects."""
-    import usnet_env.multiagent  # noqa: F401  # it creates the registries of observers
+    import usnet_env.multiagent.sensors  # noqa: F401  # it creates the registries of observers
 
     if argument in (modules := find_entry_points("usnet.registries")):
         modules[argument].load()
