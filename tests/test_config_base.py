@@ -95,6 +95,16 @@ def test_an_argument_that_is_declared_as_a_list_or_an_array_keeps_its_type():
         Declared(lags=3)
 
 
+def test_a_config_may_hold_configs():
+    class Outer(Config):
+        samples: tuple[Sample, ...]
+
+    inner = Sample(count=2)
+    assert Outer(samples=[inner]).samples == (inner,)
+    with pytest.raises(ArgumentError, match=r"^samples must be .*, got 3\.$"):
+        Outer(samples=[3])
+
+
 def test_a_config_is_frozen_and_compares_by_value():
     sample = Sample(count=2)
     with pytest.raises(ValueError, match="frozen"):

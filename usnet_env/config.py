@@ -198,11 +198,15 @@ class Config(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _plain_values(cls, values: dict[str, Any]) -> dict[str, Any]:
+    def _plain_values(cls, values: Any) -> Any:
+        if not isinstance(values, dict):  # a config in another one
+            return values
+
         def is_declared(name: str, kind: type) -> bool:  # an argument may be declared as a list or an array
-            annotation = cls.model_fields[name].annotation if name in cls.model_fields else None
-            declared = (annotation, *get_args(annotation))
-            return kind in (list, np.ndarray) and any(kind in (part, get_origin(part)) for part in declared)
+            if kind not in (list, np.ndarray) or name not in cls.model_fields:
+                return False
+            annotation = cls.model_fields[name].annotation
+            return any(kind in (part, get_origin(part)) for part in (annotation, *get_args(annotation)))
 
         return {name: value if is_declared(name, type(value)) else _to_python(value) for name, value in values.items()}
 

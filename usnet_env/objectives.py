@@ -2,7 +2,14 @@
 
 A set of UAVs is a boolean mask over the last axis. Functions of one round accept any leading axes, ``(..., N)``, and so
 a batch. An undefined ratio is 0: the precision of an empty set, and recall, F1 and average precision without heads.
-Arguments are trusted: they come from a window and a detection, which check them.
+Arguments are trusted: they come from a window and a detection, which check them. Several functions share these:
+
+* ``head``: ``(..., N)`` bool, H_0, the heads at the start.
+* ``candidates``: ``(..., N)`` bool, C_r; ``candidates_per_round``: ``(R, N)`` bool, C_1 to C_R, of one episode.
+* ``scores``: ``(N,)``, a higher score means a more likely head.
+* ``clusters``: ``(N,)`` int, cluster labels; -1: none.
+* ``root``: ``(N,)`` int, index of the head that each UAV follows; a head's own index; -1: the UAV is not counted.
+* ``leader``: ``(N,)`` int, index of the UAV that each follows directly; its own index or -1 if it follows none.
 """
 
 from __future__ import annotations
@@ -33,15 +40,8 @@ def _ratio(part: Indices, whole: Indices) -> Floats:
 def hits_and_redundant(head: Mask, alive: Mask, candidates: Mask) -> tuple[Indices, Indices]:
     """Number of candidates of a round that are living heads (hits), and number of the other candidates (redundant).
 
-    These are |H_{r-1}∖H_r| and |C_r∖H_{r-1}| of §II-A. A destroyed UAV is not in H_{r-1}, so it counts as redundant.
-
-    Args:
-        head: ``(..., N)`` bool, H_0, the heads at the start.
-        alive: ``(..., N)`` bool, the UAVs alive before this round.
-        candidates: ``(..., N)`` bool, C_r.
-
-    Returns:
-        Hits and redundant candidates, each ``(...)`` int64.
+    These are |H_{r-1}∖H_r| and |C_r∖H_{r-1}| of §II-A, each ``(...)`` int64. A destroyed UAV, which is not among those
+    ``alive`` before this round, is not in H_{r-1}, so it counts as redundant.
     """
     hits = _count(head, alive, candidates)
     return hits, _count(candidates) - hits
@@ -52,14 +52,7 @@ def single_cluster_objective(head: ArrayLike, candidates: ArrayLike) -> Floats:
 
     With one head it is the paper's 1{i_L in C_1} - |C_1|. The formula also gives 0 for an empty set of candidates.
     Where a UAV leads, at least one candidate is required, so an empty set scores -1, like a miss (decision (k) on
-    docs/game.md).
-
-    Args:
-        head: ``(..., N)`` bool, H_0: one head, or as many as the follow strategy has, none included.
-        candidates: ``(..., N)`` bool.
-
-    Returns:
-        J_s, ``(...)`` float64.
+    docs/game.md). A follow strategy may have any number of heads, none included.
     """
     named, hits = _count(candidates), _count(head, candidates)
     return np.asarray(np.where(named > 0, hits - named, np.where(np.any(head, axis=-1), -1.0, 0.0)))
@@ -127,12 +120,7 @@ def found_all_heads(head: ArrayLike, candidates_per_round: ArrayLike) -> bool:
 def average_precision(head: ArrayLike, scores: ArrayLike) -> float:
     """Area under the precision-recall curve of the scores, as scikit-learn's ``average_precision_score`` defines it.
 
-    Args:
-        head: ``(N,)`` bool.
-        scores: ``(N,)``, a higher score means a more likely head; equal scores form one threshold.
-
-    Returns:
-        A value from 0 to 1; 0 without a head.
+    Equal scores form one threshold. The value is from 0 to 1; 0 without a head.
     """
     heads, values = np.asarray(head, bool), np.asarray(scores)
     if not heads.any():
@@ -150,15 +138,8 @@ def purity(root: ArrayLike, clusters: ArrayLike) -> float:
     """Purity of a clustering: share of the UAVs whose head is the most frequent head in their cluster.
 
     The usual definition, (1/n) sum_k max_j |cluster k & class j|, where the class of a UAV is its head (that of a head
-    is the head itself). The n UAVs are those with a head; a UAV without a cluster counts as wrong. Purity says little
-    about the heads: see :func:`head_in_cluster`.
-
-    Args:
-        root: ``(N,)`` int, index of the head that a UAV follows; a head's own index; -1: the UAV is not counted.
-        clusters: ``(N,)`` int, cluster label; -1: none.
-
-    Returns:
-        A value from 0 to 1; 0 if no UAV has a head.
+    is the head itself). The n UAVs are those with a head; a UAV without a cluster counts as wrong. The value is from 0
+    to 1; 0 if no UAV has a head. Purity says little about the heads: see :func:`head_in_cluster`.
     """
     roots, label = np.asarray(root), np.asarray(clusters)
     counted = roots >= 0
@@ -172,17 +153,9 @@ def purity(root: ArrayLike, clusters: ArrayLike) -> float:
 def head_in_cluster(head: ArrayLike, root: ArrayLike, clusters: ArrayLike) -> float:
     """Share of the heads whose cluster is the one that holds most of their followers.
 
-    Heads are few, so a clustering that puts all heads in wrong clusters still has a high purity. Here only heads
-    count. The cluster of the followers is their most frequent label, without -1; if several labels tie, each of them is
-    accepted.
-
-    Args:
-        head: ``(N,)`` bool.
-        root: ``(N,)`` int, as in :func:`purity`.
-        clusters: ``(N,)`` int, cluster label; -1: none.
-
-    Returns:
-        A value from 0 to 1 over the heads with at least one follower; 0 if there is none.
+    Heads are few, so a clustering that puts all heads in wrong clusters still has a high purity. Here only heads with
+    at least one follower count; without any, the value is 0. The cluster of the followers is their most frequent label,
+    without -1; if several labels tie, each of them is accepted.
     """
     heads, roots, label = np.asarray(head, bool), np.asarray(root), np.asarray(clusters)
     correct = []
@@ -194,15 +167,13 @@ def head_in_cluster(head: ArrayLike, root: ArrayLike, clusters: ArrayLike) -> fl
     return float(np.mean(correct)) if correct else 0.0
 
 
-# Trees: a follower may lead others. A leader is the index of the UAV that each follows directly; a UAV that follows
-# none has its own index or -1.
+# Trees: a follower may lead others
 
 
 def find_roots(leader: ArrayLike) -> Indices:
-    """Find the head of each UAV's tree: the UAV from which the chain of leaders ``(N,)`` begins.
+    """Find the head of each UAV's tree, ``(N,)`` int64: the UAV from which the chain of leaders begins.
 
-    Returns:
-        ``(N,)`` int64; a UAV that follows none has its own index, and one whose leaders form a cycle has -1.
+    A UAV that follows none has its own index, and one whose leaders form a cycle has -1.
     """
     direct = np.asarray(leader, np.int64)
     itself = np.arange(len(direct))
@@ -229,11 +200,11 @@ def list_followers(detection: Detection, head: int) -> list[int]:
 
 
 def leader_accuracy(leader: ArrayLike, estimate: ArrayLike, *, roots: bool = False) -> float:
-    """Share of the followers whose leader ``(N,)`` is the estimated one ``(N,)``; 0 if no UAV follows another one.
+    """Share of the followers whose leader is the estimated one; 0 if no UAV follows another one.
 
     Args:
         leader: the true leaders.
-        estimate: those of a detection.
+        estimate: ``(N,)``, those of a detection.
         roots: whether to compare the heads of the trees, where a chain of leaders ends, instead of direct leaders.
     """
     truth, found = np.asarray(leader), np.asarray(estimate)
@@ -249,14 +220,7 @@ def group_leader_accuracy(leader: ArrayLike, scores: ArrayLike) -> float:
     """Share of the groups whose head has the highest score of its group; the groups are known.
 
     A group is a head with all that follow it, directly or through others. If k members tie at the top and the head is
-    one of them, the group counts 1/k.
-
-    Args:
-        leader: ``(N,)`` int, the true leaders.
-        scores: ``(N,)``, a higher score means a more likely head.
-
-    Returns:
-        A value from 0 to 1 over the groups of at least 2 UAVs; 0 if there is none.
+    one of them, the group counts 1/k. The value is from 0 to 1 over the groups of at least 2 UAVs; 0 if there is none.
     """
     roots, values, shares = find_roots(leader), np.asarray(scores), []
     for head in np.unique(roots[(roots >= 0) & (roots != np.arange(len(roots)))]):

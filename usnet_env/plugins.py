@@ -118,9 +118,6 @@ def detector_label(detector: Any, arguments: Mapping[str, Any] | None = None) ->
             under which its class is registered, or the name of its class, with all arguments that differ from their
             defaults.
         arguments: further arguments, if ``detector`` is a name.
-
-    Returns:
-        The name, followed by the arguments, if any, in brackets and in alphabetical order.
     """
     if isinstance(detector, str):
         return format_label(*parse_label(detector, arguments or {}))

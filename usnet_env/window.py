@@ -28,13 +28,7 @@ def as_array(name: str, value: Any) -> NDArray[Any]:
 
 
 def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
-    """A read-only copy of ``value`` in ``dtype``.
-
-    Args:
-        name: the argument's name in error messages.
-        value: the array.
-        dtype: the type of the copy.
-        shape: the expected shape; ``None`` for any length of an axis.
+    """A read-only copy of the argument ``name`` in ``dtype``; ``None`` in ``shape`` allows any length of an axis.
 
     Raises:
         ArgumentError: another shape, values that are not finite numbers, or values that ``dtype`` can't hold: other
@@ -128,11 +122,7 @@ class Window:
         """Make the window of an observation. A detector gets all its information about an environment this way.
 
         Args:
-            observation: a mapping with the keys ``position, velocity, seen, alive, round`` and, for recorded tracks,
-                ``step``.
-
-        Raises:
-            ArgumentError: a key is missing or has an invalid value.
+            observation: has the keys ``position, velocity, seen, alive, round`` and, for recorded tracks, ``step``.
         """
         keys = ("position", "velocity", "seen", "alive", "round")
         if not isinstance(observation, Mapping) or any(key not in observation for key in keys):
