@@ -31,6 +31,7 @@ def list_(part: str | None) -> None:
     from rich.text import Text
 
     table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True)
     rows = {f"usnet list {name}": "" for name in _NAMES} if part is None else _describe_parts(part)
     for name, description in rows.items():
         table.add_row(Text(name), Text(description))
