@@ -13,6 +13,7 @@ from usnet_env.arrays import Mask, Singles
 from usnet_env.config import ArgumentError, quote, real_number, whole_number
 
 _SHORTEST_STEP, _LONGEST_STEP = 1e-9, 1e9  # seconds
+_HOLDS = {"b": "only 0 and 1 (or booleans)", "i": "whole numbers", "f": "finite numbers that its type can hold"}
 
 
 def as_array(name: str, value: Any) -> NDArray[Any]:
@@ -35,21 +36,17 @@ def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | No
             values than 0 and 1 for ``bool``, fractions for ``int``, too large numbers for ``float``.
     """
     array = as_array(name, value)
-    lengths = ["any" if length is None else str(length) for length in shape]
     if array.ndim != len(shape) or any(
         length not in (None, has) for length, has in zip(shape, array.shape, strict=True)
     ):
-        takes = f"({', '.join(lengths)}{',' * (len(shape) == 1)})"
+        takes = str(shape).replace("None", "any")
         raise ArgumentError(f"{name} must have shape {takes}, got {array.shape}.")
     number = array if array.dtype.kind in "biuf" else np.full(array.shape, np.nan)
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that the cast changes are refused below
         copy: NDArray[Any] = number.astype(dtype, copy=True)
     is_held = np.isfinite(copy) if copy.dtype.kind == "f" else copy == number
-    if not (np.isfinite(number) & is_held).all():
-        takes = {"b": "0 and 1 (or booleans) only", "i": "whole numbers"}.get(
-            copy.dtype.kind, f"finite numbers that {copy.dtype} can hold"
-        )
-        raise ArgumentError(f"{name} must hold {takes}, got {quote(value)}.")
+    if not is_held.all():
+        raise ArgumentError(f"{name} must hold {_HOLDS[copy.dtype.kind]}, got {quote(value)}.")
     copy.setflags(write=False)
     return copy
 
