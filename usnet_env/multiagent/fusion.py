@@ -10,7 +10,7 @@ import numpy as np
 
 from usnet_env.arrays import Floats, Mask
 from usnet_env.config import ArgumentError, quote
-from usnet_env.registry import Registry
+from usnet_env.parts import Registry
 
 
 @dataclass(frozen=True)

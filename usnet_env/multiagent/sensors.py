@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from usnet_env.arrays import Floats, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.registry import Registry
+from usnet_env.parts import Registry
 from usnet_env.swarm import ObservationBatch, SwarmConfig
 from usnet_env.swarm.config import Few, Metres, Rate
 from usnet_env.swarm.formation import ARENA, check_place
@@ -170,5 +170,5 @@ def placements() -> Mapping[str, Placement]:
     return PLACEMENTS
 
 
-#: Register a placement, so that ``placement=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+#: Register a placement, so that ``placement=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_placement = PLACEMENTS.register

@@ -10,7 +10,7 @@ import numpy as np
 
 from usnet_env.arrays import Floats, Indices, Mask
 from usnet_env.config import ArgumentError, quote
-from usnet_env.registry import Registry
+from usnet_env.parts import Registry
 
 if TYPE_CHECKING:
     from usnet_env.swarm.config import SwarmConfig
@@ -154,5 +154,5 @@ def formations() -> Mapping[str, Formation]:
     return FORMATIONS
 
 
-#: Register a formation, so that ``formation=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+#: Register a formation, so that ``formation=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_formation = FORMATIONS.register

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from usnet_env.arrays import Singles
 from usnet_env.config import ArgumentError, quote, real_number, whole_number
-from usnet_env.registry import Registry
+from usnet_env.parts import Registry
 from usnet_env.swarm import kernels
 
 _FASTEST = 100.0  # metres per step
@@ -312,5 +312,5 @@ def kinematics_models() -> Mapping[str, Kinematics]:
     return KINEMATICS
 
 
-#: Register a model, so that ``kinematics=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+#: Register a model, so that ``kinematics=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_kinematics = KINEMATICS.register

@@ -14,7 +14,7 @@ import numpy as np
 
 from usnet_env.arrays import Floats, Singles
 from usnet_env.config import ArgumentError, plain_text, quote
-from usnet_env.registry import Registry
+from usnet_env.parts import Registry
 from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import ARENA
 from usnet_env.swarm.results import read_directions
@@ -160,7 +160,7 @@ def mobilities() -> Mapping[str, Mobility]:
     return MOBILITIES
 
 
-#: The mobility of a name; see :meth:`usnet_env.registry.Registry.find`.
+#: The mobility of a name; see :meth:`usnet_env.parts.Registry.find`.
 mobility = MOBILITIES.find
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from usnet_env.arrays import AxisLength, Indices, Mask, Singles
 from usnet_env.config import ArgumentError, quote
-from usnet_env.registry import REGISTRIES
+from usnet_env.parts import REGISTRIES
 from usnet_env.swarm import kernels
 from usnet_env.swarm.formation import Roles
 
