@@ -6,12 +6,12 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-extras test-lowest lint format types bench animation docs clean
+.PHONY: help demo test test-all test-extras test-lowest lint format types count bench animation docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*##  *\(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
 
-demo: $(INSTALLED)  ## play one game; replay, page, picture and episode file go to runs/demo/
+demo: $(BIN)/usnet  ## play one game; replay, page, picture and episode file go to runs/demo/
 	$(BIN)/usnet demo
 
 # Each of the tests' processes would compile all modules anew where Python may not keep them compiled.
@@ -41,6 +41,9 @@ format: $(INSTALLED)  ## format the code
 types: $(INSTALLED)  ## check the types
 	$(BIN)/mypy
 
+count:  ## print the size of the project: lines, words, refusals, long files
+	@$(PYTHON) tests/packaging/count.py
+
 bench: $(INSTALLED)  ## measure the speed of the simulator; numbers are in benchmarks/
 	$(BIN)/pip install --quiet --quiet --editable '.[bench]'
 	$(BIN)/python benchmarks/speed.py
@@ -57,12 +60,20 @@ clean:  ## remove build outputs and caches; runs/ and the virtual environment st
 		.import_linter_cache
 	find usnet_env detectors tests docs benchmarks examples -name __pycache__ -prune -exec rm -rf {} +
 
+# What the demo needs is small; what tests and pages need are some gigabytes.
+$(BIN)/usnet:
+	@$(call install,replay)
+
 $(INSTALLED): pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
-		echo "USNET needs Python 3.11 or newer, and $(PYTHON) is" \
-			"$$($(PYTHON) --version 2>/dev/null || echo not installed). Choose another: make PYTHON=python3.12 …" >&2; \
-		exit 1; }
-	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
-	@echo "Installing into $(VENV), which takes some minutes the first time …"
-	@$(BIN)/pip install --quiet --quiet --editable '.[all]'
+	@$(call install,dev)
 	@touch $@
+
+define install
+$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	echo "USNET needs Python 3.11 or newer, and $(PYTHON) is" \
+		"$$($(PYTHON) --version 2>/dev/null || echo not installed). Choose another: make PYTHON=python3.12 …" >&2; \
+	exit 1; }; \
+test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV) || exit; \
+echo "Installing into $(VENV), which takes some minutes the first time …"; \
+$(BIN)/pip install --quiet --quiet --editable '.[$(1)]'
+endef

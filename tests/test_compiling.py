@@ -6,7 +6,7 @@ import threading
 
 import numpy as np
 import pytest
-from numba.core import config
+from numba.core import caching, config
 
 from usnet_env.compiling import compiled
 
@@ -61,3 +61,8 @@ def test_a_function_computes_the_same_whoever_calls_it_first(tmp_path, monkeypat
     again = compiled()(sum_up)  # another process, which reads the cache
     assert again(values) == alone
     assert again.stats.cache_hits
+
+
+def test_loops_compile_where_no_cache_folder_can_be_written(monkeypatch):
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])  # Numba finds no folder
+    assert compiled()(twice)(3) == 6

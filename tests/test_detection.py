@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from usnet_env import ArgumentError, Detection
+from usnet_env import ArgumentError, Detection, Window
+from usnet_env.detection import Tags, fit_window
 
 N = 4
 
@@ -67,7 +68,6 @@ def test_only_candidates_and_scores_are_needed():
         ("attention", np.zeros((N, N - 1))),
         ("attention", np.full((N, N), np.nan)),
         ("extras", [1, 2]),
-        ("extras", None),
         ("probability", [0, 0.5, 1, 1.5]),
         ("probability", [0, 0.5, 1, np.nan]),
         ("probability", [0.5]),
@@ -78,13 +78,6 @@ def test_a_bad_part_is_refused_in_one_sentence_that_names_it(name, value):
     with pytest.raises(ArgumentError, match=rf"^{name} must .*, got .*\.$") as caught:
         Detection(**parts(**({"extras": {name: value}} if name == "probability" else {name: value})))
     assert "\n" not in str(caught.value)
-
-
-def test_refusals_of_lengths_name_both_arrays_and_write_shapes_as_numpy_does():
-    with pytest.raises(ArgumentError, match=r"^scores must have one value for each UAV, as candidates has 3, got 4 "):
-        Detection(candidates=np.zeros(3, bool), scores=np.zeros(4))
-    with pytest.raises(ArgumentError, match=r"^clusters must have shape \(3,\), got \(4,\)\.$"):
-        Detection(candidates=np.zeros(3, bool), scores=np.zeros(3), clusters=np.zeros(4, int))
 
 
 @given(
@@ -103,3 +96,21 @@ def test_is_made_exactly_from_what_the_contract_allows(candidates, scores, leade
         assert np.array_equal(detection.candidates, candidates.astype(bool))
         assert np.array_equal(detection.scores, scores)
         assert np.array_equal(detection.leader, leader)
+
+
+class MadeForUnitSpeed:
+    tags = Tags(needs_unit_speed=True)
+
+
+def test_recorded_tracks_are_scaled_for_a_detector_that_was_made_for_one_metre_a_step():
+    track = np.arange(5)[:, None, None] * np.array([[3.0, 4.0, 0.0], [30.0, 40.0, 0.0]])
+    masks = {"seen": np.ones((5, 2), bool), "alive": [True, False]}
+    recorded = Window(track, np.diff(track, axis=0), **masks, step=0.5)
+    fitted = fit_window(MadeForUnitSpeed(), recorded)  # the second UAV counts for nothing
+    np.testing.assert_allclose(fitted.velocity[:, 0], np.broadcast_to([0.6, 0.8, 0.0], (4, 3)), rtol=1e-6)
+    np.testing.assert_allclose(fitted.position, track / 5, rtol=1e-6)
+    assert fit_window(object(), recorded) is recorded
+    simulated = Window(track, np.diff(track, axis=0), **masks)
+    assert fit_window(MadeForUnitSpeed(), simulated) is simulated
+    still = Window(0 * track, 0 * np.diff(track, axis=0), **masks, step=0.5)
+    assert fit_window(MadeForUnitSpeed(), still).velocity.any() == 0

@@ -19,18 +19,14 @@ _held: set[str] = set()  # the lock files that this process holds
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that compiles a function at its first call.
+    """Return a decorator that compiles a function at its first call; ``options`` are those of :func:`numba.njit`.
 
-    Numba keeps machine code beside the source or in the user's cache folder. Where it can write neither, the function
+    Numba keeps machine code beside the source or in the user's cache folder; where it can write neither, the function
     is compiled again in every process. Of several processes that need the same code, one compiles it, and the others
     wait and load it (except on Windows): Numba's own cache mixes up the code of two processes that compile different
     signatures of one function at the same time.
 
-    What a function computes doesn't depend on its callers: Numba compiles a function that has no options by the options
-    of the caller that needs it first, ``fastmath`` too, and keeps this code for all others.
-
-    Args:
-        options: further arguments of :func:`numba.njit`.
+    The options are always given, since Numba compiles a function without options by those of its first caller.
     """
     options = {"fastmath": False, "error_model": "python", **options}
 
@@ -43,8 +39,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             return njit(nogil=True, **options)(function)
         if loop is function:  # NUMBA_DISABLE_JIT
             return function
-        folder = loop.stats.cache_path
-        lock = os.path.join(folder, f".{function.__module__}.{function.__qualname__}.lock")
+        lock = os.path.join(loop.stats.cache_path, f".{function.__module__}.{function.__qualname__}.lock")
         compile_signature = loop.compile
 
         def compile_alone(signature: Any) -> Any:
@@ -61,24 +56,23 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 def _one_process_at_a_time(lock: str) -> Iterator[None]:
     """Hold a lock file; without locks, where it cannot be written, or if this process holds it, do nothing.
 
-    Numba's own lock is taken first. It lets one thread of a process compile at a time, and a compilation begins others:
-    taken after the file, it would let two threads wait for each other.
+    Numba's own lock, which lets one thread of a process compile at a time, is taken first: a compilation begins others,
+    so that two threads could wait for each other.
     """
     with global_compiler_lock:
         if fcntl is None or lock in _held:
             yield
             return
         file = None
+        with suppress(OSError):
+            os.makedirs(os.path.dirname(lock), exist_ok=True)
+            file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
+            fcntl.flock(file, fcntl.LOCK_EX)
+        _held.add(lock)
         try:
-            with suppress(OSError):
-                os.makedirs(os.path.dirname(lock), exist_ok=True)
-                file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
-                fcntl.flock(file, fcntl.LOCK_EX)
-            _held.add(lock)
             yield
         finally:
             _held.discard(lock)
             if file is not None:
-                with suppress(OSError):
-                    fcntl.flock(file, fcntl.LOCK_UN)  # a process that was forked meanwhile would keep it
+                fcntl.flock(file, fcntl.LOCK_UN)  # a process that was forked meanwhile would keep it
                 os.close(file)

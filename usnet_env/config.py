@@ -1,31 +1,35 @@
-"""The base class of all configurations: frozen, typed and validated.
-
-An invalid value raises :class:`ArgumentError`. Its message is one sentence with the argument, the value and what the
-argument takes.
-"""
+"""Checked arguments: the base class of all configurations, and sentences for values that are refused."""
 
 from __future__ import annotations
 
 import math
 import re
+import reprlib
 from collections.abc import Callable, Collection, Iterable, Mapping
 from difflib import get_close_matches
 from functools import update_wrapper
 from inspect import Parameter, Signature
 from pathlib import PurePath
-from types import MappingProxyType, UnionType
-from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Concatenate, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
-_LONGEST_VALUE = 80
-
 P = ParamSpec("P")
 OwnerT = TypeVar("OwnerT")
 ConfigT = TypeVar("ConfigT", bound="Config")
 ClassT = TypeVar("ClassT", bound=type)
+
+_LONGEST_VALUE = 80
+_SHORT_REPR = reprlib.Repr()  # looks at the first items of a long value only, and a few levels deep
+_SHORT_REPR.maxstring = _SHORT_REPR.maxother = 200
+_SHORT_REPR.maxlist = _SHORT_REPR.maxtuple = 30
+_SHORT_REPR.maxlevel = 3
+
+#: The module of each optional package, and the extra that brings it.
+EXTRAS = {"torch": "torch", "safetensors": "torch", "matplotlib": "render", "rerun": "replay", "ray": "ray"}
+EXTRAS |= {"pettingzoo": "multiagent", "pyarrow": "tracks", "pyproj": "tracks", "pyulog": "tracks"}
 
 _EXPECTED = {  # texts for pydantic's error types
     "int_type": "a whole number",
@@ -48,6 +52,17 @@ class MissingExtraError(ImportError):
     """An optional package is not installed; the message gives the command that installs it."""
 
 
+def how_to_install(extra: str) -> str:
+    """Say how an extra of this package is installed, as the second half of a sentence without its full stop."""
+    return f"`pip install 'usnet[{extra}]'` installs it"
+
+
+def missing_extra(user: str, error: BaseException) -> MissingExtraError | None:
+    """The error of a user, as ``"detector 'gassl'"``, if ``error`` is about a package of an extra, or ``None``."""
+    module = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    return MissingExtraError(f"{user} needs {module}; {how_to_install(EXTRAS[module])}.") if module in EXTRAS else None
+
+
 def format_count(number: int, noun: str) -> str:
     """Format a number with its noun: ``1 head``, ``2 heads``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
@@ -59,54 +74,30 @@ def format_number(value: float, digits: int = 6) -> str:
 
 
 def quote(value: object) -> str:
-    """Format ``value`` for an error message: its ``repr`` on one line of at most 80 characters.
-
-    A value without a ``repr`` is described instead: an object whose ``repr`` raises, or an integer that Python does not
-    write because it has too many digits.
-    """
+    """Format ``value`` for an error message: its ``repr`` on one line of at most 80 characters."""
     try:
-        # A long text is cut first, so that a refusal of megabytes takes no longer than another.
-        shown = repr(value[: 2 * _LONGEST_VALUE] if isinstance(value, str | bytes) else value)
-    except Exception as error:  # the repr of a foreign class may raise anything
-        if isinstance(value, int):
-            shown = f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"
-        else:
-            shown = f"an object of type {type(value).__name__} (its repr raises {type(error).__name__})"
-    line = " ".join(shown[: 20 * _LONGEST_VALUE].split())
+        shown = _SHORT_REPR.repr(value[: 2 * _LONGEST_VALUE] if isinstance(value, str | bytes) else value)
+    except ValueError:  # Python does not write integers of thousands of digits
+        shown = f"a value of type {type(value).__name__}"
+    line = " ".join(shown.split())
     return line if len(line) <= _LONGEST_VALUE else line[: _LONGEST_VALUE - 1] + "…"
 
 
-def how_to_install(extra: str) -> str:
-    """Say how an extra of this package is installed, as the second half of a sentence without its full stop."""
-    return f"`pip install 'usnet[{extra}]'` installs it"
-
-
-def is_whole_number(value: object) -> bool:
-    """Whether ``value`` is an integer of Python or NumPy; a boolean is not."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
-
-
 def whole_number(name: str, value: Any, least: int, most: int | None = None) -> int:
-    """Return the argument ``name`` as an ``int``.
-
-    Args:
-        name: the argument's name in error messages.
-        value: an integer of Python or NumPy, or an array of shape ``()`` that holds one.
-        least: the smallest valid value.
-        most: the largest valid value; ``None`` for no limit.
-
-    Raises:
-        ArgumentError: the value is not a whole number, or it is out of range.
-    """
+    """Return the argument ``name``, an integer of Python or NumPy within its limits, as an ``int``."""
     plain = _to_python(value)
-    if not is_whole_number(plain) or plain < least or (most is not None and plain > most):
+    if (
+        isinstance(plain, bool)
+        or not isinstance(plain, int)
+        or not least <= plain <= (math.inf if most is None else most)
+    ):
         limits = f"from {least}" if most is None else f"from {least} to {most}"
         raise ArgumentError(f"{name} must be a whole number {limits}, got {quote(value)}.")
     return int(plain)
 
 
 def real_number(name: str, value: Any, least: float, most: float) -> float:
-    """Return the argument ``name`` as a ``float``; parameters and errors are those of :func:`whole_number`."""
+    """Return the argument ``name``, a number within its limits, as a ``float``."""
     plain = _to_python(value)
     if isinstance(plain, bool) or not isinstance(plain, int | float) or not least <= plain <= most:
         raise ArgumentError(f"{name} must be a number from {least:g} to {most:g}, got {quote(value)}.")
@@ -114,41 +105,22 @@ def real_number(name: str, value: Any, least: float, most: float) -> float:
 
 
 def optional_seed(name: str, value: Any) -> int | None:
-    """Return a seed as an ``int``, or ``None`` if it is ``None``.
-
-    Raises:
-        ArgumentError: the value is neither ``None`` nor a whole number from 0.
-    """
-    if value is None:
-        return None
-    plain = _to_python(value)
-    if not is_whole_number(plain) or plain < 0:
-        raise ArgumentError(f"{name} must be a whole number from 0 or None, got {quote(value)}.")
-    return int(plain)
+    """Return a seed, a whole number from 0, as an ``int``, or ``None`` if it is ``None``."""
+    return None if value is None else whole_number(name, value, 0)
 
 
 def plain_text(name: str, value: Any) -> str:
-    """Return the argument ``name``, which must be a ``str``.
-
-    Raises:
-        ArgumentError: the value has another type.
-    """
+    """Return the argument ``name``, which must be a ``str``."""
     if not isinstance(value, str):
         raise ArgumentError(f"{name} must be a text, got {quote(value)}.")
     return value
 
 
 def named_values(name: str, value: Any) -> dict[str, Any]:
-    """Return the argument ``name``, which must be a mapping of names to values or ``None``, as a new dictionary.
-
-    Raises:
-        ArgumentError: the value is neither.
-    """
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+    """Return the argument ``name``, a mapping of names to values or ``None``, as a new dictionary."""
+    if not isinstance(value, Mapping | None) or not all(isinstance(key, str) for key in value or ()):
         raise ArgumentError(f"{name} must be a mapping of names to values, got {quote(value)}.")
-    return dict(value)
+    return dict(value or {})
 
 
 def suggest_name(got: object, known: Collection[str]) -> str:
@@ -164,60 +136,41 @@ def unknown_name(argument: str, got: object, known: Iterable[str]) -> ArgumentEr
     return ArgumentError(f"{argument} must be one of {', '.join(names)}, got {quote(got)}{suggest_name(got, names)}.")
 
 
+def unknown_argument(
+    name: str, owner: str, known: Collection[str], instead: Mapping[str, str] | None = None
+) -> ArgumentError:
+    """The error for an argument that ``owner`` does not have; it suggests a similar one, or what ``instead`` says."""
+    hint = f" ({instead[name]})" if instead and name in instead else suggest_name(name, known)
+    return ArgumentError(f"{name} is not an argument of {owner}{hint}; it takes {', '.join(known) or 'none'}.")
+
+
 def _to_python(value: Any) -> Any:
     """Convert NumPy scalars and arrays, lists and paths to the plain Python values that strict types accept."""
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        if value.ndim:
-            return tuple(value.tolist())
-        return value if value.dtype == object else value.item()  # an array of an object stays what it is
-    if isinstance(value, PurePath):
-        return str(value)
+    if isinstance(value, np.generic | np.ndarray):
+        return value.item() if value.ndim == 0 else tuple(value.tolist())
     if isinstance(value, list):
         return tuple(item.item() if isinstance(item, np.generic) else item for item in value)
-    return value
+    return str(value) if isinstance(value, PurePath) else value
 
 
-def _is_declared(field: FieldInfo | None, kind: type) -> bool:
-    """Whether ``kind`` is a list or an array, and the argument is declared as such."""
-    if field is None or kind not in (list, np.ndarray):
-        return False
-    declared = field.annotation
-    kinds = get_args(declared) if get_origin(declared) in (Union, UnionType) else (declared,)
-    return any(kind in (some, get_origin(some)) for some in kinds)
-
-
-def unknown_argument(
-    name: str, owner: str, known: Iterable[str], instead: Mapping[str, str] = MappingProxyType({})
-) -> ArgumentError:
-    """The error for an argument that ``owner`` does not have.
-
-    Args:
-        name: the argument.
-        owner: the class or function, for the message.
-        known: the arguments that it has; the most similar one is suggested.
-        instead: what to suggest in place of that, by the name of an argument that similar classes have.
-    """
-    takes = list(known)
-    hint = f" ({instead[name]})" if name in instead else suggest_name(name, takes)
-    return ArgumentError(f"{name} is not an argument of {owner}{hint}; it takes {', '.join(takes)}.")
-
-
-def _to_sentence(error: ValidationError) -> str:
-    """The first error that pydantic found, as one sentence."""
-    first = error.errors()[0]
+def _to_sentence(error: ValidationError, config: type[Config]) -> str:
+    """The first error that pydantic found, an unknown argument before others, as one sentence."""
+    found = sorted(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
+    first = found[0]
     name = str(first["loc"][0]) if first["loc"] else "configuration"
-    if first["type"] == "value_error":  # raised by a validator of this project: its text is the sentence
-        return str(first["ctx"]["error"])
-    if first["type"] == "literal_error":
-        return str(unknown_name(name, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"])))
-    if first["type"] == "missing" and len(first["loc"]) == 1:
-        return f"{name} must be given."
+    match first["type"]:
+        case "extra_forbidden":
+            return str(unknown_argument(name, config.__name__, config.model_fields, config.instead))
+        case "value_error":  # raised by a validator of this project: its text is the sentence
+            return str(first["ctx"]["error"])
+        case "literal_error":
+            return str(unknown_name(name, first["input"], re.findall(r"'([^']*)'", first["ctx"]["expected"])))
+        case "missing" if len(first["loc"]) == 1:
+            return f"{name} must be given."
     takes = _EXPECTED.get(first["type"], first["msg"].removeprefix("Input should be ").rstrip("."))
     if "Sequence" in takes:
-        takes = _EXPECTED["tuple_type"]
-    if takes == _EXPECTED["tuple_type"] and isinstance(first["input"], str) and "," in first["input"]:
+        takes = "a list"
+    if takes == "a list" and isinstance(first["input"], str) and "," in first["input"]:
         takes += f" such as [{first['input'][:_LONGEST_VALUE]}]"
     return f"{name} must be {takes}, got {quote(first['input'])}."
 
@@ -241,23 +194,21 @@ class Config(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as error:
-            for found in error.errors():
-                if found["type"] == "extra_forbidden":
-                    owner = type(self)
-                    raise unknown_argument(
-                        str(found["loc"][0]), owner.__name__, owner.model_fields, owner.instead
-                    ) from None
-            raise ArgumentError(_to_sentence(error)) from None
+            raise ArgumentError(_to_sentence(error, type(self))) from None
 
     @model_validator(mode="before")
     @classmethod
     def _plain_values(cls, values: Any) -> Any:
-        if isinstance(values, dict):
-            return {
-                name: value if _is_declared(cls.model_fields.get(name), type(value)) else _to_python(value)
-                for name, value in values.items()
-            }
-        return values
+        if not isinstance(values, dict):  # a config in another one
+            return values
+
+        def is_declared(name: str, kind: type) -> bool:  # an argument may be declared as a list or an array
+            if kind not in (list, np.ndarray) or name not in cls.model_fields:
+                return False
+            annotation = cls.model_fields[name].annotation
+            return any(kind in (part, get_origin(part)) for part in (annotation, *get_args(annotation)))
+
+        return {name: value if is_declared(name, type(value)) else _to_python(value) for name, value in values.items()}
 
     @classmethod
     def __pydantic_init_subclass__(cls, **values: Any) -> None:
@@ -276,24 +227,22 @@ class Config(BaseModel):
 
 def describe_arguments(config: BaseModel) -> dict[str, Any]:
     """The arguments in a config, as JSON holds them; an argument that is an object is kept as its text."""
+    values = {name: getattr(config, name) for name in type(config).model_fields}
     return {
         name: value if isinstance(value, str | int | float | tuple | None) else quote(value)
-        for name, value in ((name, getattr(config, name)) for name in type(config).model_fields)
+        for name, value in values.items()
     }
 
 
 def takes_arguments(
     config: Callable[P, ConfigT],
 ) -> Callable[[Callable[[OwnerT, ConfigT], None]], Callable[Concatenate[OwnerT, P], None]]:
-    """Decorate a constructor that takes a config, so that it takes the fields of the config as keyword arguments.
+    """Decorate a constructor that takes a :class:`Config`, so that it takes the fields of the config as keywords.
 
-    The signature and the types of the arguments are those of the config. An unknown keyword raises
-    :class:`ArgumentError` with a suggestion.
-
-    Args:
-        config: a subclass of :class:`Config`.
+    The signature and the types of the arguments are those of the config.
     """
-    fields: Mapping[str, Any] = config.model_fields  # type: ignore[attr-defined]  # a class, typed by its constructor
+    fields: Mapping[str, FieldInfo] = config.model_fields  # type: ignore[attr-defined]  # a class, typed by its constructor
+    types = get_type_hints(config)
 
     def decorate(init: Callable[[OwnerT, ConfigT], None]) -> Callable[Concatenate[OwnerT, P], None]:
         def checked(self: OwnerT, /, *none: P.args, **values: P.kwargs) -> None:
@@ -302,24 +251,21 @@ def takes_arguments(
                     raise unknown_argument(name, type(self).__name__, fields, config.instead)  # type: ignore[attr-defined]
             init(self, config(*none, **values))
 
-        types = get_type_hints(config)
+        update_wrapper(checked, init)
         keywords = [
-            Parameter(
-                name,
-                Parameter.KEYWORD_ONLY,
-                default=Parameter.empty if field.is_required() else field.default,
-                annotation=types[name],
-            )
+            Parameter(name, Parameter.KEYWORD_ONLY, default=_default_of(field), annotation=types[name])
             for name, field in fields.items()
         ]
-        update_wrapper(checked, init)
-        checked.__signature__ = Signature(  # type: ignore[attr-defined]
-            [Parameter("self", Parameter.POSITIONAL_OR_KEYWORD), *keywords], return_annotation=None
-        )
+        signature = Signature([Parameter("self", Parameter.POSITIONAL_OR_KEYWORD), *keywords], return_annotation=None)
+        checked.__signature__ = signature  # type: ignore[attr-defined]
         checked.config = config  # type: ignore[attr-defined]
         return checked
 
     return decorate
+
+
+def _default_of(field: FieldInfo) -> Any:
+    return Parameter.empty if field.is_required() else field.default
 
 
 def list_arguments(**parts: str) -> Callable[[ClassT], ClassT]:
@@ -345,9 +291,7 @@ def list_arguments(**parts: str) -> Callable[[ClassT], ClassT]:
 
 
 def _format_default(field: FieldInfo) -> str:
-    if field.is_required():
-        return "required"
-    value = field.default
+    value = _default_of(field)
     if isinstance(value, int | float) and not isinstance(value, bool):
         return f"{value:g}"
-    return f"`{value!r}`".replace("'", '"')
+    return "required" if field.is_required() else f"`{value!r}`".replace("'", '"')

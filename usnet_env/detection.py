@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from usnet_env.arrays import Floats, Indices, Mask
-from usnet_env.config import ArgumentError, quote
+from usnet_env.config import ArgumentError, named_values, quote
 from usnet_env.window import Window, frozen_array
 
 _ROUNDING = 1e-6  # probabilities in single precision may exceed 1 by so much
@@ -17,7 +17,7 @@ _ROUNDING = 1e-6  # probabilities in single precision may exceed 1 by so much
 
 @dataclass(frozen=True)
 class Tags:
-    """What a detector needs and uses. Declare them with literal values, because they are read without an import.
+    """What a detector needs and uses.
 
     Args:
         needs: the packages that it needs beyond an installation of USNET without extras, such as ``("torch",)``.
@@ -63,24 +63,20 @@ class Detection:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        candidates = frozen_array("candidates", self.candidates, bool, (None,))
-        uavs = len(candidates)
-        put(self, "candidates", candidates)
-        put(self, "scores", frozen_array("scores", self.scores, np.float64, (None,)))
-        if len(self.scores) != uavs:
-            raise ArgumentError(
-                f"scores must have one value for each UAV, as candidates has {uavs}, got {len(self.scores)} values."
-            )
-        for name in ("clusters", "leader"):
+        put(self, "candidates", frozen_array("candidates", self.candidates, bool, (None,)))
+        uavs = len(self.candidates)
+        put(self, "scores", frozen_array("scores", self.scores, np.float64, (uavs,)))
+        optional = {
+            "clusters": (np.int64, (uavs,)),
+            "leader": (np.int64, (uavs,)),
+            "attention": (np.float64, (uavs, uavs)),
+        }
+        for name, (kind, shape) in optional.items():
             if (value := getattr(self, name)) is not None:
-                put(self, name, frozen_array(name, value, np.int64, (uavs,)))
+                put(self, name, frozen_array(name, value, kind, shape))
         if self.leader is not None and not ((self.leader >= -1) & (self.leader < uavs)).all():
             raise ArgumentError(f"leader must hold indices from -1 to {uavs - 1}, got {quote(self.leader)}.")
-        if self.attention is not None:
-            put(self, "attention", frozen_array("attention", self.attention, np.float64, (uavs, uavs)))
-        if not isinstance(self.extras, Mapping):
-            raise ArgumentError(f"extras must be a mapping of names to values, got {quote(self.extras)}.")
-        put(self, "extras", dict(self.extras))
+        put(self, "extras", named_values("extras", self.extras))
         if (given := self.extras.get("probability")) is not None:
             probability = frozen_array("probability", given, np.float64, (uavs,))
             if not ((probability >= -_ROUNDING) & (probability <= 1 + _ROUNDING)).all():

@@ -13,6 +13,7 @@ from usnet_env.arrays import Mask, Singles
 from usnet_env.config import ArgumentError, quote, real_number, whole_number
 
 _SHORTEST_STEP, _LONGEST_STEP = 1e-9, 1e9  # seconds
+_HOLDS = {"b": "only 0 and 1 (or booleans)", "i": "whole numbers", "f": "finite numbers that its type can hold"}
 
 
 def as_array(name: str, value: Any) -> NDArray[Any]:
@@ -23,56 +24,36 @@ def as_array(name: str, value: Any) -> NDArray[Any]:
     """
     try:
         return np.asarray(value)
-    except Exception:  # a foreign class may raise anything when it is converted
-        raise ArgumentError(f"{name} must be an array, got {quote(value)}.") from None
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{name} must be an array, got {quote(value)}: {error}.") from None
 
 
 def frozen_array(name: str, value: ArrayLike, dtype: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
-    """A read-only copy of ``value`` in ``dtype``.
-
-    Args:
-        name: the argument's name in error messages.
-        value: the array.
-        dtype: the type of the copy.
-        shape: the expected shape; ``None`` for any length of an axis.
+    """A read-only copy of the argument ``name`` in ``dtype``; ``None`` in ``shape`` allows any length of an axis.
 
     Raises:
         ArgumentError: another shape, values that are not finite numbers, or values that ``dtype`` can't hold: other
             values than 0 and 1 for ``bool``, fractions for ``int``, too large numbers for ``float``.
     """
-    lengths = ["any" if length is None else str(length) for length in shape]
-    takes = f"({', '.join(lengths)}{',' * (len(shape) == 1)})"
-    try:
-        array = np.asarray(value)
-    except Exception as error:  # a foreign class may raise anything when it is converted
-        raise ArgumentError(f"{name} must be an array of shape {takes}, got {quote(value)}: {quote(error)}.") from None
+    array = as_array(name, value)
     if array.ndim != len(shape) or any(
-        want is not None and want != has for want, has in zip(shape, array.shape, strict=True)
+        length not in (None, has) for length, has in zip(shape, array.shape, strict=True)
     ):
+        takes = str(shape).replace("None", "any")
         raise ArgumentError(f"{name} must have shape {takes}, got {array.shape}.")
-    if array.dtype.kind not in "biuf":
-        raise ArgumentError(f"{name} must hold numbers, got dtype {array.dtype}.")
-    if dtype is bool and not ((array == 0) | (array == 1)).all():
-        raise ArgumentError(f"{name} must hold only 0 and 1 (or booleans), got {quote(np.unique(array)[:4])}.")
-    if not np.isfinite(array).all():
-        raise ArgumentError(f"{name} must be finite, got NaN or infinity.")
+    number = array if array.dtype.kind in "biuf" else np.full(array.shape, np.nan)
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that the cast changes are refused below
-        copy: NDArray[Any] = array.astype(dtype, copy=True)
-    if copy.dtype.kind == "i" and not (copy == array).all():
-        raise ArgumentError(f"{name} must hold whole numbers, got {quote(value)}.")
-    if copy.dtype.kind == "f" and copy.itemsize < array.itemsize and not np.isfinite(copy).all():
-        largest = array.flat[np.abs(array).argmax()]
-        raise ArgumentError(f"{name} must hold numbers that {copy.dtype} can hold, got {quote(largest)}.")
+        copy: NDArray[Any] = number.astype(dtype, copy=True)
+    is_held = np.isfinite(copy) if copy.dtype.kind == "f" else copy == number
+    if not is_held.all():
+        raise ArgumentError(f"{name} must hold {_HOLDS[copy.dtype.kind]}, got {quote(value)}.")
     copy.setflags(write=False)
     return copy
 
 
-def _scalar(value: Any) -> Any:
+def _scalar(name: str, value: Any) -> Any:
     """The number in an array of size 1, as an ``int`` if it is whole; any other value is returned as it is."""
-    try:
-        array = np.asarray(value)
-    except Exception:  # a foreign class may raise anything when it is converted
-        return value
+    array = as_array(name, value)
     number = array.item() if array.size == 1 else value
     return int(number) if isinstance(number, float) and number.is_integer() else number
 
@@ -108,9 +89,7 @@ class Window:
         position = frozen_array("position", self.position, np.float32, (None, None, 3))
         instants, uavs = position.shape[:2]
         if instants < 2 or uavs < 1:
-            raise ArgumentError(
-                f"position must hold at least 2 instants of at least 1 UAV, got shape {position.shape}."
-            )
+            raise ArgumentError(f"position must hold at least 2 instants of 1 UAV, got shape {position.shape}.")
         put = object.__setattr__
         put(self, "position", position)
         put(self, "velocity", frozen_array("velocity", self.velocity, np.float32, (instants - 1, uavs, 3)))
@@ -140,21 +119,15 @@ class Window:
         """Make the window of an observation. A detector gets all its information about an environment this way.
 
         Args:
-            observation: a mapping with the keys ``position, velocity, seen, alive, round`` and, for recorded tracks,
-                ``step``.
-
-        Raises:
-            ArgumentError: a key is missing or has an invalid value.
+            observation: has the keys ``position, velocity, seen, alive, round`` and, for recorded tracks, ``step``.
         """
         keys = ("position", "velocity", "seen", "alive", "round")
         if not isinstance(observation, Mapping) or any(key not in observation for key in keys):
-            has = sorted(observation) if isinstance(observation, Mapping) else type(observation).__name__
+            has = list(observation) if isinstance(observation, Mapping) else observation
             raise ArgumentError(f"observation must be a mapping with the keys {', '.join(keys)}, got {quote(has)}.")
+        arrays = {key: observation[key] for key in keys[:-1]}
         return cls(
-            position=observation["position"],
-            velocity=observation["velocity"],
-            seen=observation["seen"],
-            alive=observation["alive"],
-            round=_scalar(observation["round"]),
-            step=_scalar(observation["step"]) if "step" in observation else None,
+            **arrays,
+            round=_scalar("round", observation["round"]),
+            step=_scalar("step", observation["step"]) if "step" in observation else None,
         )

@@ -21,8 +21,8 @@ from detectors.checks.leakage import (
 )
 from detectors.checks.results import Check, CheckResult, DetectorChecksError, get_name, make_failure, run_check
 from usnet_env.config import ArgumentError, quote, unknown_name
+from usnet_env.parts import describe_error
 from usnet_env.processes import Limits, ProcessDied, ProcessPool
-from usnet_env.registry import describe_error
 
 if TYPE_CHECKING:
     import pytest

@@ -12,7 +12,7 @@ from detectors.series.regressions import correlate_at_lag, correlate_over_lags
 from detectors.series.surrogates import compute_chance, shift_in_time
 from usnet_env.arrays import Floats
 from usnet_env.config import ArgumentError
-from usnet_env.registry import describe_error
+from usnet_env.parts import describe_error
 from usnet_env.window import frozen_array
 
 _NEIGHBOURS = 7

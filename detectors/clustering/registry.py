@@ -8,7 +8,7 @@ from typing import Any
 from detectors.clustering.base import Clusterer
 from detectors.clustering.partitions import Agglomerative, Hdbscan, KMeans, LeadVotes, Spectral, SymmetricNMF
 from usnet_env.config import ArgumentError, quote
-from usnet_env.registry import Registry, check_call
+from usnet_env.parts import Registry, check_call
 
 Factory = Callable[..., Clusterer]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from usnet_env import ArgumentError, evaluate, register_detector, register_follow_strategy
-from usnet_env.registry import REGISTRIES
+from usnet_env.parts import REGISTRIES
 
 MULTI = "USNET/MultiCluster-v0"
 SMALL = {"clusters": 2, "uavs": 12, "observation_steps": 20, "max_rounds": 3}

@@ -1,8 +1,8 @@
 """The command line: ``usnet evaluate``, ``demo``, ``replay``, ``detect``, ``list``, and the commands of other packages.
 
-``reproduce``, ``train`` and ``check-detector`` belong to the package ``detectors``, and are found by their entry
-points. Every refusal or failure is one sentence on standard error, without a traceback. Each command imports its heavy
-modules itself, so that ``usnet --help`` is fast.
+``train`` and ``check-detector`` belong to the package ``detectors``, and are found by their entry points. Every refusal
+or failure is one sentence on standard error, without a traceback. Each command imports its heavy modules itself, so
+that ``usnet --help`` is fast.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ import click
 
 from usnet_env.cli.commands import CommandGroup
 from usnet_env.cli.detect import detect
-from usnet_env.cli.evaluation import evaluate
+from usnet_env.cli.evaluation import evaluate, report
 from usnet_env.cli.list_parts import list_
 from usnet_env.cli.output import print_message
-from usnet_env.cli.replay import compare, demo, replay, report
-from usnet_env.config import ArgumentError
+from usnet_env.cli.replay import demo, replay
+from usnet_env.config import ArgumentError, MissingExtraError, missing_extra
+from usnet_env.parts import describe_error
 
 __all__ = ["main"]
 
@@ -35,7 +36,7 @@ def _usnet() -> None:
     """Simulate UAV swarms, find their cluster heads with detectors, and score the detectors."""
 
 
-for _command in (evaluate, demo, detect, list_, replay, compare, report):
+for _command in (evaluate, demo, detect, list_, replay, report):
     _usnet.add_command(_command)
 
 
@@ -51,8 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     context: click.Context | None = None
     try:
-        _open_streams()
-        _add_current_folder()
+        _prepare_process()
         with _usnet.make_context("usnet", list(sys.argv[1:] if argv is None else argv)) as context:
             _usnet.invoke(context)
             sys.stdout.flush()
@@ -71,17 +71,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     except click.ClickException as error:
         print_message(" ".join(error.format_message().split()).rstrip(".") + ".")
         return _REFUSED
-    except BrokenPipeError:
-        return _end_without_reader()
-    except ArgumentError as error:
+    except (ArgumentError, MissingExtraError) as error:
         print_message(str(error))
         return _REFUSED
     except SystemExit as end:
-        if isinstance(end.__context__, BrokenPipeError):  # raised by Rich in place of it
-            return _end_without_reader()
-        # of a detector: a program that was ended by it has not succeeded
-        print_message(f"ended by sys.exit({end.code!r}) in a detector or another plug-in.")
-        return _FAILED
+        if not isinstance(end.__context__, BrokenPipeError):  # raised by Rich in place of it
+            print_message(f"ended by sys.exit({end.code!r}) in a detector or another plug-in.")
+            return _FAILED
+        return _end_without_reader()
+    except BrokenPipeError:
+        return _end_without_reader()
     except Exception as error:
         return _report_failure(error)
 
@@ -92,32 +91,17 @@ def _end_without_reader() -> int:
     return _FAILED
 
 
-def _open_streams() -> None:
-    """Make standard output and error usable: closed ones are discarded, and no character is refused.
-
-    A closed stream would also give its number to the next file that is opened, which would then receive messages.
-    """
-    for number, name in ((0, "stdin"), (1, "stdout"), (2, "stderr")):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number, which is this one
-        if getattr(sys, name) is None:
-            mode = "r" if number == 0 else "w"
-            setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115  # for all the run
+def _prepare_process() -> None:
+    """Print "?" for what a terminal can't show, and find modules of the current folder after installed ones."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal that cannot show a character must not lose results
-
-
-def _add_current_folder() -> None:
-    """Make the modules of the current folder importable, since ``module:Class`` is often there; installed ones win."""
+            stream.reconfigure(errors="replace")
     try:
         folder = os.getcwd()
     except FileNotFoundError:
         raise ArgumentError("the current folder must exist, got one that was removed; change to another one.") from None
     if "" not in sys.path and folder not in sys.path:
-        sys.path.append(folder)
+        sys.path.append(folder)  # `module:Class` is often there
 
 
 def _report_failure(error: Exception) -> int:
@@ -127,15 +111,10 @@ def _report_failure(error: Exception) -> int:
     if type(error).__name__ == "EvaluationError":  # compared by name, because its module is slow to import
         print_message(str(error))
         return _REFUSED
-    text = " ".join(str(error).split())
-    sentence = f"failed with {type(error).__name__}: {text.rstrip('.')}. USNET_TRACEBACK=1 shows where."
+    sentence = f"failed with {describe_error(error)}. USNET_TRACEBACK=1 shows where."
     if isinstance(error, OSError) and error.strerror:
         sentence = f"cannot use {error.filename or 'a file'}: {error.strerror}."
     elif isinstance(error, MemoryError):
         sentence = "not enough memory; try fewer UAVs, observation steps or workers."
-    elif isinstance(error, ImportError):
-        from usnet_env.plugins import describe_foreign_detectors
-
-        sentence = describe_foreign_detectors() or sentence
-    print_message(sentence)
+    print_message(str(missing_extra("this command", error) or sentence))
     return _FAILED

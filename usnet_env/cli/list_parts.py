@@ -3,37 +3,23 @@
 from __future__ import annotations
 
 import inspect
-import shutil
-import sys
-import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from usnet_env.cli.commands import find_entry_points
-from usnet_env.config import ArgumentError
+from usnet_env.cli.output import show
+from usnet_env.config import ArgumentError, MissingExtraError
+from usnet_env.parts import REGISTRIES, find_entry_points
 
 if TYPE_CHECKING:
-    from usnet_env.plugins import DetectorEntry
-    from usnet_env.registry import Registry
+    from usnet_env.detection import Tags
 
-_NARROWEST = 30  # columns of a description
-_PARTS = (
-    "envs",
-    "detectors",
-    "follow",
-    "mobility",
-    "kinematics",
-    "formation",
-    "placement",
-    "fusion",
-    "clusterer",
-    "suites",
-)
+_REGISTRIES = ("follow", "mobility", "kinematics", "formation", "placement", "fusion", "clusterer")
+_NAMES = ("envs", "detectors", *_REGISTRIES, "suites")
 
 
 @click.command(name="list", short_help="List envs, detectors, follow strategies and other parts.")
-@click.argument("part", type=click.Choice(_PARTS), required=False)
+@click.argument("part", type=click.Choice(_NAMES), required=False)
 def list_(part: str | None) -> None:
     """List the available environments, detectors or other parts, with one line about each.
 
@@ -41,74 +27,58 @@ def list_(part: str | None) -> None:
     the most UAVs and the least steps of a window, whether it uses positions, and whether it takes the number of
     clusters M. Without a word, it lists what can be listed.
     """
-    if part is None:
-        click.echo("".join(f"usnet list {name}\n" for name in _PARTS), nl=False)
-        return
-    rows = _describe_parts(part)
-    width = max(len(name) for name, _ in rows) + 2
-    for name, description in rows:
-        click.echo(_wrap(f"{name:{width}}", description))
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True)
+    rows = {f"usnet list {name}": "" for name in _NAMES} if part is None else _describe_parts(part)
+    for name, description in rows.items():
+        table.add_row(Text(name), Text(description))
+    show(table)
 
 
-def _wrap(start: str, description: str) -> str:
-    """Put the description after ``start``, in lines that fit the terminal; into a pipe it is one line."""
-    if not sys.stdout.isatty():
-        return f"{start}{description}".rstrip()
-    columns = max(shutil.get_terminal_size().columns, len(start) + _NARROWEST)
-    indent = " " * len(start)
-    lines = textwrap.fill(description, columns, initial_indent=start, subsequent_indent=indent, break_on_hyphens=False)
-    return lines or start.rstrip()
-
-
-def _describe_parts(part: str) -> list[tuple[str, str]]:
-    """Return the names of all parts of this type, each with a description of one line."""
+def _describe_parts(part: str) -> dict[str, str]:
+    """A description of one line for each part of this type."""
     if part == "detectors":
         from usnet_env.plugins import list_detectors
 
-        return [(entry.name, f"{entry.description} {_format_tags(entry)}".rstrip()) for entry in list_detectors()]
+        return {entry.name: f"{entry.description} {_format_tags(entry.tags)}".rstrip() for entry in list_detectors()}
     if part == "suites":
         from usnet_env.evaluation import list_suites
 
         suites = list_suites().values()
-        return [(each.name, f"{each.purpose} ({len(each.cells)} cells, version {each.version})") for each in suites]
+        return {suite.name: f"{suite.purpose} ({len(suite.cells)} cells, version {suite.version})" for suite in suites}
     if part == "envs":
         from usnet_env.evaluation.environments import describe_environments
 
-        return list(describe_environments().items())
-    registry = _find_registry(part)
-    rows = [(name, _describe_part(registry, name)) for name in registry]
-    control = ("none", "no UAV follows: followers fly like heads (a control)")
-    return [*rows, control] if part == "follow" else rows
+        return dict(describe_environments())
+    rows = _describe_registry(part)
+    return rows | {"none": "no UAV follows: followers fly like heads (a control)"} if part == "follow" else rows
 
 
-def _find_registry(part: str) -> Registry[Any]:
-    """Return the registry of the parts that an argument of this name selects."""
-    from usnet_env import swarm  # noqa: F401  # these modules create the registries
-    from usnet_env.multiagent import sensors  # noqa: F401
-    from usnet_env.registry import REGISTRIES
+def _describe_registry(argument: str) -> dict[str, str]:
+    """The equation, the description or the first line of the docstring of all parts that an argument selects."""
+    import usnet_env.multiagent.sensors  # noqa: F401  # it creates the registries of observers
 
-    if part in (modules := find_entry_points("usnet.registries")):
-        modules[part].load()
-    (found,) = [registry for registry in REGISTRIES.values() if registry.argument == part]
-    return found
-
-
-def _describe_part(registry: Registry[Any], name: str) -> str:
-    """Return the equation, the description or the first line of the docstring of a part."""
-    try:
-        part = registry[name]
-    except ArgumentError as error:
-        return f"not available: {error}"
-    text = getattr(part, "equation", "") or getattr(part, "description", "") or inspect.getdoc(part) or ""
-    return str(text).partition("\n")[0]
+    if argument in (modules := find_entry_points("usnet.registries")):
+        modules[argument].load()
+    (registry,) = [registry for registry in REGISTRIES.values() if registry.argument == argument]
+    rows = {}
+    for name in registry:
+        try:
+            part = registry[name]
+            text = getattr(part, "equation", "") or getattr(part, "description", "") or inspect.getdoc(part) or ""
+            rows[name] = str(text).partition("\n")[0]
+        except (ArgumentError, MissingExtraError) as error:
+            rows[name] = f"not available: {error}"
+    return rows
 
 
-def _format_tags(entry: DetectorEntry) -> str:
+def _format_tags(tags: Tags) -> str:
     """The tags that differ from those of a detector that takes every window, in brackets."""
-    tags = entry.tags
-    needs = ", ".join(f"{name}: not installed" if name in entry.missing else name for name in tags.needs)
     texts = {
-        f"needs {needs}": bool(needs),
+        f"needs {', '.join(tags.needs)}": bool(tags.needs),
         f"at most {tags.most_uavs} UAVs": tags.most_uavs is not None,
         f"at least {tags.least_steps} steps": tags.least_steps > 1,
         "made for 1 m per step": tags.needs_unit_speed,

@@ -26,17 +26,6 @@ def show(*renderables: Any) -> None:
     print("".join(f"{line.rstrip()}\n" for line in captured.get().splitlines()), end="")
 
 
-def show_markdown(text: str) -> None:
-    """Print Markdown to standard output, wide enough that no table is wrapped."""
-    from rich.console import Console
-    from rich.markdown import Markdown
-
-    if Console().is_terminal:
-        Console(width=_PIPE_WIDTH).print(Markdown(text))
-    else:
-        show(Markdown(text))
-
-
 def print_message(sentence: str) -> None:
-    """Print a message of the program to standard error."""
-    click.echo(f"usnet: {sentence}", err=True)
+    """Print a message of the program to standard error; what would control a terminal is left out."""
+    click.echo(f"usnet: {''.join(filter(str.isprintable, sentence))}", err=True)

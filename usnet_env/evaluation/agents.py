@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from usnet_env.config import ArgumentError, quote
 from usnet_env.detection import Detection, fit_window
+from usnet_env.parts import named_parameters
 from usnet_env.plugins import make_detector
-from usnet_env.registry import named_parameters
 from usnet_env.window import Window
 
 

@@ -21,8 +21,7 @@ from pydantic import BaseModel
 
 from usnet_env.config import quote
 from usnet_env.evaluation.sources import VERSIONED, code_text, hash_code, hash_named_code
-from usnet_env.labels import format_label, parse_label
-from usnet_env.registry import OWN_DISTRIBUTION, REGISTRIES
+from usnet_env.parts import OWN_DISTRIBUTION, REGISTRIES, format_label, parse_label
 
 _LARGEST_ARRAY = 64  # values; larger arrays are described by a hash
 _DEEPEST = 20  # objects inside objects

@@ -11,7 +11,7 @@ from typing import Any
 
 from gymnasium.vector.utils import CloudpickleWrapper
 
-from usnet_env.registry import REGISTRIES
+from usnet_env.parts import REGISTRIES
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ def send(function: Callable[..., Any], kinds: Collection[str] | None = None) -> 
 
     Args:
         function: what is sent. Classes and functions of a notebook go along with it.
-        kinds: which kinds of registered parts go along, as in :data:`usnet_env.registry.REGISTRIES`; ``None``: all.
+        kinds: which kinds of registered parts go along, as in :data:`usnet_env.parts.REGISTRIES`; ``None``: all.
 
     Returns:
         An object that is the function once it is unpickled.

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from usnet_env.arrays import Floats, Mask, Singles
 from usnet_env.config import ArgumentError, Config, quote
-from usnet_env.registry import Registry
+from usnet_env.parts import Registry
 from usnet_env.swarm import ObservationBatch, SwarmConfig
 from usnet_env.swarm.checks import check_part, check_returned
 from usnet_env.swarm.config import Few, Metres, Rate
@@ -164,7 +164,7 @@ PLACEMENTS = Registry[Placement](
     "placement", "placement", "usnet.placements", __name__, _check_placement, {"grid": _grid, "uniform": _uniform}
 )
 
-#: Register a placement, so that ``placement=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+#: Register a placement, so that ``placement=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_placement = PLACEMENTS.register
 
 
@@ -209,5 +209,5 @@ _OWN = {
 #: All fusion rules by name.
 FUSIONS = Registry("fusion rule", "fusion", "usnet.fusions", __name__, _check_fusion, _OWN)
 
-#: Register a fusion rule, so that ``fusion=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+#: Register a fusion rule, so that ``fusion=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_fusion = FUSIONS.register

@@ -15,7 +15,7 @@ import numpy as np
 
 from usnet_env.arrays import Singles
 from usnet_env.config import real_number, whole_number
-from usnet_env.registry import Registry
+from usnet_env.parts import Registry
 from usnet_env.swarm import field_follow, flock_follow, kernels
 from usnet_env.swarm.checks import check_part, check_returned
 from usnet_env.swarm.field_follow import FieldStrategy
@@ -201,7 +201,7 @@ FOLLOW_STRATEGIES = Registry(
 )
 
 
-#: The follow strategy of a name; see :meth:`usnet_env.registry.Registry.find`.
+#: The follow strategy of a name; see :meth:`usnet_env.parts.Registry.find`.
 follow_strategy = FOLLOW_STRATEGIES.find
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from usnet_env.arrays import Floats
-from usnet_env.registry import Registry
+from usnet_env.parts import Registry
 from usnet_env.swarm.checks import check_part
 from usnet_env.swarm.state import Roles
 
@@ -66,5 +66,5 @@ FORMATIONS = Registry[Formation](
     {"uniform": _uniform, "around": _around},
 )
 
-#: Register a formation, so that ``formation=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+#: Register a formation, so that ``formation=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_formation = FORMATIONS.register

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from usnet_env.arrays import Singles
 from usnet_env.config import real_number, whole_number
-from usnet_env.registry import Registry
+from usnet_env.parts import Registry
 from usnet_env.swarm import kernels
 from usnet_env.swarm.checks import check_part, check_returned
 
@@ -262,5 +262,5 @@ KINEMATICS = Registry(
 )
 
 
-#: Register a model, so that ``kinematics=name`` selects it; see :meth:`usnet_env.registry.Registry.register`.
+#: Register a model, so that ``kinematics=name`` selects it; see :meth:`usnet_env.parts.Registry.register`.
 register_kinematics = KINEMATICS.register

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from usnet_env.arrays import Floats, Singles
-from usnet_env.registry import Registry
+from usnet_env.parts import Registry
 from usnet_env.swarm import kernels
 from usnet_env.swarm.checks import check_part, check_returned
 from usnet_env.swarm.formation import ARENA

@@ -1,0 +1,212 @@
+"""Named parts of every kind: found by name, declared by installed packages, registered by programs, and labelled."""
+
+from __future__ import annotations
+
+import importlib.metadata
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import detectors.clustering  # noqa: F401  # it creates a registry
+import usnet_env.multiagent.sensors  # noqa: F401  # and so does it
+from usnet_env import ArgumentError, parts
+from usnet_env.envs import MultiClusterEnv
+from usnet_env.parts import REGISTRIES, Registry, check_call, describe_error, format_label, parse_label
+
+
+def check_number(value, subject="part"):
+    if not isinstance(value, int):
+        raise ArgumentError(f"{subject} must be a whole number, got {value!r}.")
+    return value
+
+
+@pytest.fixture
+def numbers(monkeypatch):
+    monkeypatch.setattr(parts, "REGISTRIES", {})
+    return Registry("number", "size", "usnet.numbers", __name__, check_number, {"one": 1}, reserved=("none",))
+
+
+@pytest.fixture
+def installed(monkeypatch):
+    """Declares entry points as another distribution would."""
+
+    def declare(group, **values):
+        points = [importlib.metadata.EntryPoint(name, value, group) for name, value in values.items()]
+        monkeypatch.setattr(parts, "entry_points", lambda group: [point for point in points if point.group == group])
+        parts.find_entry_points.cache_clear()
+
+    yield declare
+    parts.find_entry_points.cache_clear()
+
+
+def test_parts_are_found_by_name_in_order_of_their_origin(numbers, installed):
+    installed("usnet.numbers", top="sys:maxsize", one="sys:maxsize", none="sys:maxsize")
+    numbers.register("two", 2)
+    assert list(numbers) == ["one", "top", "two"]
+    assert (len(numbers), "top" in numbers, "none" in numbers, None in numbers) == (3, True, False, False)
+    assert (numbers["one"], numbers.find("two")) == (1, 2)
+    assert numbers.find("top") == numbers["top"] > 10**9
+    with pytest.raises(ArgumentError, match=r"^size must be one of none, one, top, two, got 'tow' \(did you mean 'two"):
+        numbers.find("tow")
+    with pytest.raises(KeyError):
+        numbers["three"]
+
+
+def test_a_name_is_taken_once(numbers, installed):
+    installed("usnet.numbers", top="sys:maxsize")
+    numbers.register("two", 2)
+    numbers.register("two", 2)
+    numbers.register("one", 1)  # the same part again changes nothing
+    for name in ("one", "two", "top"):
+        with pytest.raises(ArgumentError, match=rf"^name must be a new one, got '{name}'"):
+            numbers.register(name, 22)
+    numbers.register("two", 22, replace=True)
+    assert (numbers["two"], numbers["one"]) == (22, 1)
+    with pytest.raises(ArgumentError, match=r"^name must be a new one, got 'one', which is the name of an installed"):
+        numbers.register("one", 22, replace=True)
+    with pytest.raises(ArgumentError, match=r"^part must be a whole number"):
+        numbers.register("half", 0.5)
+
+
+@pytest.mark.parametrize("name", ["", " ", "a b", "a:b", "a(b)", "-a", "none", None, 3])
+def test_a_name_that_cannot_be_selected_is_refused(numbers, name):
+    with pytest.raises(ArgumentError, match=r"^name must consist of letters"):
+        numbers.register(name, 2)
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        ("no_such_module:x", "number 'odd' can't be loaded: ModuleNotFoundError: No module named 'no_such_module'"),
+        ("sys:nothing", "number 'odd' can't be loaded: AttributeError"),
+        ("sys:path", "number 'odd' must be a whole number"),
+        ("torch.nothing_of_this_name:x", r"number 'odd' needs torch; `pip install 'usnet\[torch\]'` installs it"),
+    ],
+)
+def test_what_cannot_be_loaded_says_why(numbers, installed, value, reason):
+    installed("usnet.numbers", odd=value)
+    with pytest.raises((ArgumentError, ImportError), match=rf"^{reason}"):
+        numbers.find("odd")
+
+
+def test_of_two_packages_with_one_name_the_first_is_taken_with_a_warning(numbers, monkeypatch):
+    points = [importlib.metadata.EntryPoint("top", value, numbers.group) for value in ("sys:maxsize", "sys:path")]
+    monkeypatch.setattr(parts, "entry_points", lambda group: points)
+    parts.find_entry_points.cache_clear()
+    with pytest.warns(UserWarning, match="entry point top = sys:path is ignored"):
+        assert list(numbers) == ["one", "top"]
+    assert numbers.find("top") > 10**9
+    parts.find_entry_points.cache_clear()
+
+
+SOURCE = """
+import numpy as np
+from detectors.clustering import KMeans as Groups
+from usnet_env.multiagent import Fusion
+from usnet_env.swarm.follow import Lags
+from usnet_env.swarm.mobility import CompiledMobility
+
+class Backwards(Lags):
+    kappa = -1.0
+
+onwards = CompiledMobility(5, 1)
+corner = lambda rng, roles: np.zeros((len(roles.root), 3))
+middle = lambda rng, observers: np.full((observers, 3), 500.0)
+both = Fusion("candidates", lambda votes, seen: votes.all(axis=0))
+"""
+STRANGERS = {
+    "follow strategy": "Backwards",
+    "mobility": "onwards",
+    "formation": "corner",
+    "placement": "middle",
+    "fusion rule": "both",
+    "clusterer": "Groups",
+}
+
+
+def test_an_installed_package_declares_parts_of_every_kind(monkeypatch, tmp_path):
+    (tmp_path / "strangers_parts.py").write_text(SOURCE)
+    monkeypatch.syspath_prepend(tmp_path)
+    values = {REGISTRIES[kind].group: f"strangers_parts:{name}" for kind, name in STRANGERS.items()}
+
+    def entry_points(group):
+        return [importlib.metadata.EntryPoint("strange", values[group], group)] if group in values else []
+
+    monkeypatch.setattr(parts, "entry_points", entry_points)
+    parts.find_entry_points.cache_clear()
+    for kind in STRANGERS:
+        registry = REGISTRIES[kind]
+        monkeypatch.setattr(registry, "_loaded", {})
+        assert "strange" in registry
+        assert registry.find("strange") is registry["strange"]
+    env = MultiClusterEnv(follow="strange", mobility="strange", formation="strange")
+    env.reset(seed=0)
+    parts.find_entry_points.cache_clear()
+
+
+# Labels
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from(["clusters", "ridge", "table"]),
+        st.recursive(
+            st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+            lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=2),
+            max_leaves=4,
+        ),
+    )
+)
+def test_a_label_of_literals_is_read_as_what_it_was_made_of(arguments):
+    assert parse_label(format_label("a-name", arguments), {}) == ("a-name", arguments)
+
+
+def test_labels_of_values_that_are_no_literals_are_short_and_differ():
+    assert format_label("x", {"table": np.arange(3), "function": check_number}) == (
+        "x(function=check_number, table=array([0, 1, 2]))"
+    )
+    long, other = (format_label("x", {"table": np.arange(first, 500)}) for first in (0, 1))
+    assert long != other
+    assert len(long) < 120
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        "", "count=1", "count=1))", "3)", "*[1])", "**{'count': 1})", "count=1, count=2)", "count=one)",
+        "count=__import__('os').getpid())", "count=1)(2)", "count=1).x", "count=1\x00)", "(" * 5000 + ")" * 5000 + ")",
+    ],
+)  # fmt: skip
+def test_brackets_take_literals_only(inner):
+    with pytest.raises(ArgumentError, match=r"^detector must be written name\(argument=value, \.\.\.\) with Python"):
+        parse_label(f"random({inner}", {})
+
+
+def test_an_argument_is_given_once_and_a_name_is_a_text():
+    assert parse_label(" random ( count = 1 )", {"scale": 2}) == ("random", {"count": 1, "scale": 2})
+    with pytest.raises(ArgumentError, match=r"^count must be given once"):
+        parse_label("random(count=1)", {"count": 1})
+    for name in ("", " ", None, 3):
+        with pytest.raises(ArgumentError, match=r"^detector must be a name"):
+            parse_label(name, {})
+
+
+def test_calls_are_checked_before_they_are_made():
+    def factory(clusters, *, lags=4):
+        pass
+
+    check_call("it", factory, {"clusters": 3})
+    with pytest.raises(
+        ArgumentError, match=r"^cluster is not an argument of it \(did you mean 'clusters'\?\); it takes"
+    ):
+        check_call("it", factory, {"cluster": 3})
+    with pytest.raises(ArgumentError, match=r"^it is missing a required argument: 'clusters'; it takes clusters, lags"):
+        check_call("it", factory, {})
+
+
+def test_an_error_is_described_on_one_short_line():
+    assert describe_error(ValueError("a\nb. ")) == "ValueError: a b"
+    assert describe_error(ValueError()) == "ValueError"
+    assert len(describe_error(ValueError("x" * 10**6))) < 330

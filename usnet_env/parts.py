@@ -1,0 +1,234 @@
+"""Named parts: follow strategies, mobilities, formations, fusion rules, … and detectors.
+
+A part is found by its name. It belongs to this package; or an installed distribution declares it as an entry point in
+the group of its kind, such as ``usnet.follow_strategies``; or the program registers it in this process. A label, such
+as ``lagged-regression(clusters=5)``, is a name with arguments.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import EntryPoint, entry_points
+from types import FunctionType
+from typing import Any, Generic, TypeVar
+
+from usnet_env.config import ArgumentError, missing_extra, quote, unknown_argument, unknown_name
+
+PartT = TypeVar("PartT")
+
+REGISTRIES: dict[str, Registry[Any]] = {}  # all registries of this process by the kind of their parts
+_NAME = re.compile(r"\w[\w.-]*")
+_LONGEST_LABEL_VALUE, _LONGEST_ERROR = 80, 300  # characters
+
+
+@cache
+def find_entry_points(group: str) -> dict[str, EntryPoint]:
+    """The entry points of a group by name, read once; of two with one name, that of this package or the first."""
+    found: dict[str, EntryPoint] = {}
+    for point in sorted(entry_points(group=group), key=lambda point: point.dist is None or point.dist.name != "usnet"):
+        taken = found.setdefault(point.name, point)
+        if taken.value != point.value:
+            warnings.warn(
+                f"entry point {point.name} = {point.value} is ignored: {taken.value} has its name.", stacklevel=2
+            )
+    return found
+
+
+class Registry(Mapping[str, PartT], Generic[PartT]):
+    """The parts of one kind by name, in the order: this package, installed distributions, this process.
+
+    An entry point is loaded when its part is looked up for the first time.
+
+    Args:
+        kind: what a part is, for sentences: ``"follow strategy"``.
+        argument: the argument that selects a part by name: ``"follow"``.
+        group: the group of entry points.
+        home: the module that creates this registry; another process imports it to register the same parts.
+        accept: checks what a program registers or an entry point names, and returns the part; called with the object
+            and, for an entry point, the subject of a refusal.
+        own: the parts of this package.
+        reserved: further values of the argument, which no part may have as its name.
+        classes: whether a part is a class or function that is called later; otherwise an entry point that names a
+            class declares an instance of it.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        argument: str,
+        group: str,
+        home: str,
+        accept: Callable[..., PartT],
+        own: Mapping[str, PartT] | None = None,
+        *,
+        reserved: tuple[str, ...] = (),
+        classes: bool = False,
+    ) -> None:
+        self.kind, self.argument, self.group, self.home = kind, argument, group, home
+        self.registered: dict[str, PartT] = {}
+        self._accept, self._reserved, self._classes = accept, reserved, classes
+        self._own = dict(own or {})
+        self._loaded: dict[str, PartT] = {}
+        REGISTRIES[kind] = self
+
+    def register(self, name: str, part: Any, *, replace: bool = False) -> None:
+        """Register a part in this process; registering the same part again changes nothing.
+
+        Args:
+            name: a new name of letters, digits, ``_``, ``.`` and ``-``.
+            part: the part.
+            replace: whether to replace a part that was registered under this name before, as a notebook does when a
+                cell is run again. The parts of this package and of installed distributions can't be replaced.
+
+        Raises:
+            ArgumentError: another part has the name, the name has another form, or the part is of another kind.
+        """
+        if not isinstance(name, str) or not _NAME.fullmatch(name) or name in self._reserved:
+            raise ArgumentError(f"name must consist of letters, digits, '_', '.' and '-', got {quote(name)}.")
+        accepted = self._accept(part)
+        fixed = name in self._own or name in self.entry_points()
+        taken = self[name] if fixed or (name in self.registered and not replace) else accepted
+        if not are_equal(taken, accepted):
+            hint = f"the name of an installed {self.kind}" if fixed else "registered already (replace=True replaces it)"
+            raise ArgumentError(f"name must be a new one, got {name!r}, which is {hint}.")
+        if not fixed:
+            self.registered[name] = accepted
+
+    def find(self, name: object) -> PartT:
+        """The part of this name.
+
+        Raises:
+            ArgumentError: there is none, or its entry point can't be loaded.
+            MissingExtraError: it needs a package that is not installed.
+        """
+        if not isinstance(name, str) or name not in self:
+            raise unknown_name(self.argument, name, [*self, *self._reserved])
+        return self[name]
+
+    def load(self, name: str, load: Callable[[], Any]) -> PartT:
+        """Import a part; whatever goes wrong is one sentence, as for :meth:`find`."""
+        subject = f"{self.kind} {name!r}"
+        try:
+            found = load()
+            found = found() if isinstance(found, type) and not self._classes else found
+        except (Exception, SystemExit) as error:  # importing a foreign module may raise anything
+            missing = missing_extra(subject, error)
+            raise missing or ArgumentError(f"{subject} can't be loaded: {describe_error(error)}.") from error
+        return self._accept(found, subject)
+
+    def entry_points(self) -> dict[str, EntryPoint]:
+        """The entry points of the group by name; none of them is imported. The names of this package stay its own."""
+        fixed = (*self._own, *self._reserved)
+        return {name: point for name, point in find_entry_points(self.group).items() if name not in fixed}
+
+    def __getitem__(self, name: str) -> PartT:
+        if name in self._own:
+            return self._own[name]
+        if name in self.registered:
+            return self.registered[name]
+        if name not in self._loaded:
+            self._loaded[name] = self.load(name, self.entry_points()[name].load)
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys([*self._own, *self.entry_points(), *self.registered]))
+
+    def __contains__(self, name: object) -> bool:  # without loading it
+        return name in self._own or name in self.registered or name in self.entry_points()
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+
+def are_equal(one: Any, other: Any) -> bool:
+    """Compare two values of any type; values whose comparison is not a single truth value are not equal."""
+    try:
+        return one is other or (type(one) is type(other) and bool(one == other))
+    except ValueError:  # of arrays
+        return False
+
+
+def describe_error(error: BaseException) -> str:
+    """Describe an exception on one line of some hundred characters."""
+    text = " ".join(str(error).split()).rstrip(".")
+    text = text if len(text) <= _LONGEST_ERROR else f"{text[:_LONGEST_ERROR]}…"
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def named_parameters(factory: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """The parameters that can be given by name; none if the signature of a class in C can't be read."""
+    try:
+        parameters = inspect.signature(factory).parameters
+    except (TypeError, ValueError):
+        return {}
+    by_name = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+    return {name: parameter for name, parameter in parameters.items() if parameter.kind in by_name}
+
+
+def check_call(subject: str, factory: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
+    """Refuse keyword arguments that a class or function does not take, and a call without one that it needs.
+
+    The refusal has a subject, such as ``"detector 'random'"``.
+    """
+    try:
+        signature = inspect.signature(factory)
+    except (TypeError, ValueError):  # a class written in C may have no signature: the call then reports wrong arguments
+        return
+    try:
+        signature.bind(**arguments)
+    except TypeError as error:
+        known = named_parameters(factory)
+        for name in arguments.keys() - known.keys():
+            raise unknown_argument(name, subject, known) from None
+        raise ArgumentError(f"{subject} is {error}; it takes {', '.join(known)}.") from None
+
+
+def format_label(name: str, arguments: Mapping[str, Any]) -> str:
+    """Format a name and arguments; without arguments, the name alone."""
+    listed = ", ".join(f"{key}={_format_value(arguments[key])}" for key in sorted(arguments))
+    return f"{name}({listed})" if listed else name
+
+
+def _format_value(value: Any) -> str:
+    """Format a value: a literal in full, since it may be typed again; another one short, with a hash if it was cut."""
+    if isinstance(value, FunctionType):
+        return value.__qualname__  # its address differs from run to run
+    text = repr(value)
+    if isinstance(value, str | bytes | list | tuple | set | dict):
+        return text
+    line = " ".join(text.split())
+    if len(line) <= _LONGEST_LABEL_VALUE:
+        return line
+    return f"{line[:_LONGEST_LABEL_VALUE]}…#{sha256(text.encode()).hexdigest()[:8]}"
+
+
+def parse_label(text: Any, more: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Parse ``name(key=literal, ...)`` into the name and its arguments, and add further arguments."""
+    if not isinstance(text, str) or not text.strip():
+        raise ArgumentError(f"detector must be a name, got {quote(text)}.")
+    name, bracket, inner = text.strip().partition("(")
+    arguments = _parse_arguments(text, inner) if bracket else {}
+    if twice := arguments.keys() & more.keys():
+        raise ArgumentError(f"{min(twice)} must be given once, got it in {quote(text)} and as a further argument.")
+    return name.strip(), {**arguments, **more}
+
+
+def _parse_arguments(text: str, inner: str) -> dict[str, Any]:
+    """Parse the arguments in ``inner``, the part of ``text`` after the opening bracket; this runs no code."""
+    try:
+        call = ast.parse(f"name({inner}", mode="eval").body
+        if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Name) or call.args:
+            raise ValueError
+        arguments = {keyword.arg or "**": ast.literal_eval(keyword.value) for keyword in call.keywords}
+        if "**" in arguments or len(arguments) < len(call.keywords):
+            raise ValueError
+    except (SyntaxError, ValueError, TypeError, MemoryError, RecursionError):
+        form = "name(argument=value, ...) with Python literals as values"
+        raise ArgumentError(f"detector must be written {form}, got {quote(text)}.") from None
+    return arguments
