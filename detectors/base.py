@@ -18,12 +18,12 @@ from usnet_env.window import Window
 
 def _refuse_observations(detect: Callable[..., Detection]) -> Callable[..., Detection]:
     @wraps(detect)
-    def checked(self: Any, window: Any, *more: Any, **named: Any) -> Detection:
+    def checked(self: Any, window: Any, *others: Any, **named: Any) -> Detection:
         if isinstance(window, Mapping):
             raise ArgumentError(
                 "window must be a usnet_env.Window, got a mapping; Window.from_observation(observation) makes one."
             )
-        return detect(self, window, *more, **named)
+        return detect(self, window, *others, **named)
 
     return checked
 
@@ -33,9 +33,9 @@ class Detector(Parameters):
 
     A subclass defines :meth:`detect`, and declares the arguments of its constructor as in
     :class:`detectors.parameters.Parameters`. A class without this base works as well if it has the methods ``reset``
-    and ``detect``. The constructor stores its keyword arguments and does nothing else (scikit-learn's rule); so
-    ``get_params``, ``set_params`` and ``sklearn.base.clone`` work. State that is kept between the rounds of an episode
-    is a ``cached_property``: :meth:`reset` clears it, and its first use makes it, also without a :meth:`reset`.
+    and ``detect``. The constructor stores its keyword arguments and does nothing else (scikit-learn's rule). State that
+    is kept between the rounds of an episode is a ``cached_property``: :meth:`reset` clears it, and its first use makes
+    it, also without a :meth:`reset`.
 
     Attributes:
         tags: what the detector needs and uses; :func:`usnet_env.plugins.list_detectors` shows it and
@@ -69,10 +69,9 @@ class Detector(Parameters):
             ArgumentError: an argument of the constructor is refused, or the seed is not a whole number from 0.
         """
         self.check_arguments()
-        for kind in type(self).__mro__:
-            for name, value in vars(kind).items():
-                if isinstance(value, cached_property):
-                    vars(self).pop(name, None)
+        for name in list(vars(self)):
+            if isinstance(getattr(type(self), name, None), cached_property):
+                del vars(self)[name]
         self.rng = np.random.default_rng(optional_seed("seed", seed))
         if self._made_by_reset is not None:
             getattr(self, self._made_by_reset)
