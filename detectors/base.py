@@ -40,12 +40,9 @@ class Detector(Parameters):
     Attributes:
         tags: what the detector needs and uses; :func:`usnet_env.plugins.list_detectors` shows it and
             :func:`detectors.checks.check_detector` chooses its windows by it.
-        side_by_side: whether :meth:`detect_batch` trains on all windows together, so that an answer depends on the
-            windows that it is given with. A table of results records the batch of such a detector.
     """
 
     tags: ClassVar[Tags] = Tags()
-    side_by_side: ClassVar[bool] = False
     _made_by_reset: ClassVar[str | None] = None  # the name of a cached property whose draws are the first of an episode
 
     def __init_subclass__(cls, **values: Any) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -61,8 +60,6 @@ class NeuralGranger(Detector):
             window has no more than T_0 velocities or more than 10,000 UAVs.
     """
 
-    side_by_side: ClassVar[bool] = True
-
     tags = Tags(needs=("torch",), most_uavs=10_000, least_steps=5, needs_unit_speed=True)
     top_k: Count = 1
     gate: bool = False
@@ -99,56 +96,28 @@ class NeuralGranger(Detector):
             With fewer than 3 living UAVs, or where no velocity was seen, nothing can be learned: then ``top_k`` living
             UAVs are named at random (none with the gate) and all scores are 0.
         """
-        return self.detect_batch([window])[0]
-
-    def detect_batch(self, windows: Sequence[Window]) -> list[Detection]:
-        """Train on several windows side by side, which is much faster for small swarms than one after another.
-
-        Windows with equal T_ob and equal numbers of living UAVs share a batch. All random numbers of a batch come from
-        one generator, so the answer for a window depends on the batch that it is in.
-        """
-        self.check_arguments()
-        groups: dict[tuple[int, int, bool], list[int]] = {}
-        for number, window in enumerate(windows):
-            check_window(window, self.memory)
-            living = np.flatnonzero(window.alive)
-            key = len(living), window.observation_steps, shows_evidence(window, living)
-            groups.setdefault(key, []).append(number)
-        answers: dict[int, Detection] = {}
-        for (_, _, shown), numbers in groups.items():
-            group = [windows[number] for number in numbers]
-            found = self._fit_group(group) if shown else [self._name_at_random(window) for window in group]
-            answers.update(zip(numbers, found, strict=True))
-        return [answers[number] for number in range(len(windows))]
-
-    def _name_at_random(self, window: Window) -> Detection:
-        count = 0 if self.gate else self.top_k
-        candidates = name_at_random(np.flatnonzero(window.alive), count, window.uavs, self.rng)
-        return Detection(candidates, np.zeros(window.uavs), extras={"followed": False})
-
-    def _fit_group(self, windows: list[Window]) -> list[Detection]:
-        members = [np.flatnonzero(window.alive) for window in windows]
+        settings, living = self.check_arguments(), np.flatnonzero(window.alive)
+        check_window(window, self.memory)
+        if not shows_evidence(window, living):
+            candidates = name_at_random(living, 0 if self.gate else self.top_k, window.uavs, self.rng)
+            return Detection(candidates, np.zeros(window.uavs), extras={"followed": False})
         device = torch.device("cuda" if self.device != "cpu" and torch.cuda.is_available() else "cpu")
-        samples = build_samples(windows, members, self.memory, device)
         generator = torch.Generator(device).manual_seed(int(self.rng.integers(2**63)))
-        fit = fit_networks(samples, self.check_arguments(), generator)
-        second = fit.held_out_gain.sort(dim=1, descending=True).values[:, 1]
-        arrays = (values.double().cpu().numpy() for values in (fit.attention, second, fit.explained))
-        found = []
-        for window, index, winner, attention, gain, explained in zip(
-            windows, members, fit.winner.tolist(), *arrays, strict=True
-        ):
-            choice, other = choose_heads(attention, False, self.rng), choose_heads(attention, True, self.rng)
-            c = attention.copy()
-            np.fill_diagonal(c, 0.0)
-            c = c.sum(axis=0) / len(attention)
-            followed = bool(gain[winner] >= self.gate_threshold)
-            named = np.zeros(len(index), bool)
-            if not self.gate or followed:
-                named[select_top(c, self.top_k, self.rng)] = True
-            wide = partial(spread, members=index, uavs=window.uavs)
-            extras: dict[str, Any] = {"choice": wide(index[choice], fill=-1), "gain": wide(gain), "followed": followed}
-            extras["explained"] = wide(explained)
-            leader, whole = wide(index[other], fill=-1), wide(attention, pairs=True)
-            found.append(Detection(wide(named), wide(c), leader=leader, attention=whole, extras=extras))
-        return found
+        fit = fit_networks(build_samples(window, living, self.memory, device), settings, generator)
+        second = fit.held_out_gain.sort(dim=0, descending=True).values[1]
+        attention, gain, explained = (
+            values.double().cpu().numpy() for values in (fit.attention, second, fit.explained)
+        )
+        choice, other = choose_heads(attention, False, self.rng), choose_heads(attention, True, self.rng)
+        c = attention.copy()
+        np.fill_diagonal(c, 0.0)
+        c = c.sum(axis=0) / len(attention)
+        followed = bool(gain[fit.winner] >= self.gate_threshold)
+        named = np.zeros(len(living), bool)
+        if not self.gate or followed:
+            named[select_top(c, self.top_k, self.rng)] = True
+        wide = partial(spread, members=living, uavs=window.uavs)
+        extras: dict[str, Any] = {"choice": wide(living[choice], fill=-1), "gain": wide(gain), "followed": followed}
+        extras["explained"] = wide(explained)
+        leader, whole = wide(living[other], fill=-1), wide(attention, pairs=True)
+        return Detection(wide(named), wide(c), leader=leader, attention=whole, extras=extras)

@@ -1,14 +1,10 @@
 """One network for each candidate head, and attention from how well each network predicts each UAV.
 
-The paper's GASSL pools inputs: its attention averages the velocities of all UAVs, and one network predicts from the
-average. An average of velocities no longer contains the squares that f4 and f5 need. Here each candidate j has a
-network of its own, which predicts all other UAVs from the past of j alone. The null model predicts a UAV from its own
-past.
-
-All networks are trained at the same time. They are additive over the coordinates of the candidate's past, because a
-window has only about a hundred samples. The candidate whose network predicts the other UAVs best, compared with the
-null model, is the winner: times that the network was trained on count once, all other times twice. The gate looks at
-held-out times only, with gaps around them.
+The paper's GASSL pools inputs: its attention averages the velocities of all UAVs, and an average no longer contains the
+squares that f4 and f5 need. Here each candidate j has a network of its own, which predicts all other UAVs from the past
+of j alone. All networks are trained at the same time. They are additive over the coordinates of the candidate's past,
+because a window has only about a hundred samples. The candidate whose network predicts the other UAVs best, compared
+with a null model that predicts a UAV from its own past, is the winner.
 
 The winner's network is then applied to the past of every UAV, as all followers use the same strategy. Attention that
 does not vary with time has a closed form: alpha_ij is the softmax over j of the log-likelihoods of the flight of UAV i,
@@ -17,7 +13,7 @@ with the null model in the place of j = i.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,13 +35,13 @@ _CHUNK_ENTRIES = 4_000_000  # pair errors formed at once where no gradient is ke
 
 @dataclass(frozen=True)
 class Samples:
-    """Inputs and targets of E windows with n UAVs each, at R = T_ob - T_0 times t.
+    """Inputs and targets of n UAVs at R = T_ob - T_0 times t.
 
     Args:
-        velocity: ``(E, n, R, T_0, 3)`` metres per step, V_{i,t}: v_{i,t}, ..., v_{i,t-T_0+1}.
-        position: ``(E, n, R, 3)`` metres, p_{i,t}.
-        target: ``(E, n, R, 3)`` metres per step, v_{i,t+1}; 0 where unseen.
-        weight: ``(E, n, R)``, 1 where the target was seen.
+        velocity: ``(n, R, T_0, 3)`` metres per step, V_{i,t}: v_{i,t}, ..., v_{i,t-T_0+1}.
+        position: ``(n, R, 3)`` metres, p_{i,t}.
+        target: ``(n, R, 3)`` metres per step, v_{i,t+1}; 0 where unseen.
+        weight: ``(n, R)``, 1 where the target was seen.
 
     What was not seen is filled in by :func:`detectors.series.gaps.fill_gaps`, except for the target.
     """
@@ -55,28 +51,21 @@ class Samples:
     target: Tensor
     weight: Tensor
 
-    windows = AxisLength("target", 0)  #: E
-    uavs = AxisLength("target", 1)  #: n, living UAVs
-    times = AxisLength("target", 2)  #: R
+    uavs = AxisLength("target", 0)  #: n, living UAVs
+    times = AxisLength("target", 1)  #: R
 
 
-def build_samples(
-    windows: Sequence[Window], members: Sequence[NDArray[np.intp]], memory: int, device: torch.device
-) -> Samples:
-    """Build the samples of E windows of one T_ob, each of the n UAVs with the indices in ``members``."""
-    stacked = []
-    for window, index in zip(windows, members, strict=True):
-        whole = fill_gaps(window)
-        velocity, seen = whole.velocity[:, index], window.velocity_seen[memory:, index]
-        parts = (
-            stack_past(velocity, memory),
-            whole.position[memory - 1 : -2, index].swapaxes(0, 1),
-            np.where(seen[..., None], velocity[memory:], np.float32(0)).swapaxes(0, 1),
-            seen.T.astype(np.float32),
-        )
-        stacked.append(parts)
-    tensors = (torch.from_numpy(np.ascontiguousarray(np.stack(part))).to(device) for part in zip(*stacked, strict=True))
-    return Samples(*tensors)
+def build_samples(window: Window, members: NDArray[np.intp], memory: int, device: torch.device) -> Samples:
+    """Build the samples of the n UAVs with the indices in ``members``."""
+    whole = fill_gaps(window)
+    velocity, seen = whole.velocity[:, members], window.velocity_seen[memory:, members]
+    parts = (
+        stack_past(velocity, memory),
+        whole.position[memory - 1 : -2, members].swapaxes(0, 1),
+        np.where(seen[..., None], velocity[memory:], np.float32(0)).swapaxes(0, 1),
+        seen.T.astype(np.float32),
+    )
+    return Samples(*(torch.from_numpy(np.ascontiguousarray(part)).to(device) for part in parts))
 
 
 class AdditiveNetwork:
@@ -128,10 +117,8 @@ class AdditiveNetwork:
     def predict(self, source: Tensor, offset: Tensor, null: Tensor) -> Tensor:
         """Predict the velocities ``(S, v, t, 3)`` of v UAVs.
 
-        Args:
-            source: ``(S, t, 3)`` from :meth:`encode_source`.
-            offset: ``(S, v, t, 3)`` p_j - p_i, metres.
-            null: ``(S, v, t, 3)`` predictions of the null model.
+        ``source`` ``(S, t, 3)`` is of :meth:`encode_source`, ``offset`` ``(S, v, t, 3)`` p_j - p_i in metres, ``null``
+        ``(S, v, t, 3)`` the predictions of the null model.
         """
         networks, voters, times, _ = offset.shape
         distance = offset.norm(dim=-1, keepdim=True)
@@ -166,11 +153,11 @@ def split_times(times: int, blocks: int, gap: int, device: torch.device) -> tupl
 
 
 def _predict_from_own_history(samples: Samples, ridge: float) -> Tensor:
-    """Predict each UAV's next velocity ``(E, n, R, 3)`` from its own last ones, without those times: the null model."""
-    past = (_VELOCITY_SCALE * samples.velocity.flatten(3)).cpu().numpy()
+    """Predict each UAV's next velocity ``(n, R, 3)`` from its own last ones, without those times: the null model."""
+    past = (_VELOCITY_SCALE * samples.velocity.flatten(2)).cpu().numpy()
     past = np.concatenate([past, np.ones_like(past[..., :1])], axis=-1)
     target, weight = samples.target.cpu().numpy(), samples.weight.cpu().numpy()
-    found = predict_from_own_past(past, target, weight, ridge, gap=samples.velocity.shape[3])
+    found = predict_from_own_past(past, target, weight, ridge, gap=samples.velocity.shape[2])
     return torch.from_numpy(found).to(samples.target.device)
 
 
@@ -180,7 +167,7 @@ def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
 
 
 class Problem:
-    """The tensors of one fit of E windows of n UAVs, and the prediction errors of pairs of UAVs.
+    """The tensors of one fit of n UAVs, and the prediction errors of pairs of UAVs.
 
     ``settings`` are the arguments of :class:`detectors.neural_granger.NeuralGranger`.
     """
@@ -188,10 +175,10 @@ class Problem:
     def __init__(self, samples: Samples, settings: Any) -> None:
         self.samples, self.settings = samples, settings
         self.null = _predict_from_own_history(samples, settings.ridge)
-        self.null_error = ((self.null - samples.target) ** 2).sum(-1)  # (E, n, R)
+        self.null_error = ((self.null - samples.target) ** 2).sum(-1)  # (n, R)
         # The mean velocity of a UAV that flies nearly straight would dominate the inputs; biases replace it.
-        velocity = samples.velocity - samples.velocity.mean((2, 3), keepdim=True)
-        self.source = _VELOCITY_SCALE * velocity.reshape(samples.windows * samples.uavs, samples.times, -1)
+        velocity = samples.velocity - samples.velocity.mean((1, 2), keepdim=True)
+        self.source = _VELOCITY_SCALE * velocity.flatten(2)
         surprise = (_weighted_mean(self.null_error, samples.weight) / 3.0).sqrt()
         self.noise = (settings.input_noise * _VELOCITY_SCALE * surprise).reshape(-1, 1, 1)
 
@@ -203,95 +190,88 @@ class Problem:
         times: Tensor,
         generator: torch.Generator | None = None,
     ) -> Tensor:
-        """Squared errors ``(E, c, v, t)`` of predicting the voters from the columns.
+        """Squared errors ``(c, v, t)`` of predicting the voters from the columns.
 
         Args:
-            network: E * c networks.
+            network: c networks.
             columns: ``(c,)`` indices of the sources.
             voters: ``(v,)`` indices of the predicted UAVs.
             times: ``(t,)`` indices of times.
             generator: of the noise on the sources; ``None`` for no noise.
         """
-        samples, windows = self.samples, self.samples.windows
-        count, shape = len(columns), (len(voters), len(times), 3)
-        rows = (torch.arange(windows, device=columns.device)[:, None] * samples.uavs + columns).reshape(-1)
-        source = self.source[rows][:, times]
+        samples, shape = self.samples, (len(columns), len(voters), len(times), 3)
+        source = self.source[columns][:, times]
         if generator is not None:
             noise = torch.randn(source.shape, generator=generator, device=source.device)
-            source = source + self.noise[rows] * noise
-        theirs = samples.position.flatten(0, 1)[rows][:, times].view(windows, count, 1, len(times), 3)
-        offset = (theirs - samples.position[:, voters][:, :, times].unsqueeze(1)).reshape(windows * count, *shape)
-        null = self.null[:, voters][:, :, times].unsqueeze(1).expand(windows, count, *shape)
-        predicted = network.predict(network.encode_source(source), offset, null.reshape(windows * count, *shape))
-        target = samples.target[:, voters][:, :, times].unsqueeze(1)
-        return ((predicted.view(windows, count, *shape) - target) ** 2).sum(-1)
+            source = source + self.noise[columns] * noise
+        offset = samples.position[columns][:, None, times] - samples.position[voters][:, times]
+        null = self.null[voters][:, times].expand(shape)
+        predicted = network.predict(network.encode_source(source), offset, null)
+        return ((predicted - samples.target[voters][:, times]) ** 2).sum(-1)
 
     def compute_all_errors(self, select: Callable[[Tensor], AdditiveNetwork], times: Tensor) -> Tensor:
-        """Mean squared errors ``(E, n, n)`` of UAV i, predicted from UAV j, in bounded memory.
+        """Mean squared errors ``(n, n)`` of UAV i, predicted from UAV j, in bounded memory.
 
-        ``select`` takes the candidates ``(c,)`` and returns their E * c networks.
+        ``select`` takes the candidates ``(c,)`` and returns their networks.
         """
-        samples = self.samples
-        everyone = torch.arange(samples.uavs, device=times.device)
-        step = max(1, _CHUNK_ENTRIES // max(1, samples.windows * samples.uavs * len(times) * 3))
-        weight = samples.weight[:, :, times].unsqueeze(1)
+        everyone = torch.arange(self.samples.uavs, device=times.device)
+        step = max(1, _CHUNK_ENTRIES // max(1, self.samples.uavs * len(times) * 3))
+        weight = self.samples.weight[:, times]
         parts = [
             _weighted_mean(self.compute_errors(select(columns), columns, everyone, times), weight)
             for columns in torch.split(everyone, step)
         ]
-        return torch.cat(parts, dim=1).transpose(1, 2)
+        return torch.cat(parts).T
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The result of training, for E windows of n UAVs.
+    """The result of training, for n UAVs.
 
     Args:
-        held_out_gain: ``(E, n, n)`` entry (i, j): logarithm of the null model's error for UAV i, divided by the error
-            of candidate j's network for UAV i, on the held-out times.
-        attention: ``(E, n, n)`` entry (i, j): alpha_ij; the diagonal is the weight of the null model.
-        winner: ``(E,)`` the candidate whose network predicts best.
-        explained: ``(E, n)`` fraction of the squared velocity of UAV i that is explained on held-out times by the
+        held_out_gain: ``(n, n)`` entry (i, j): logarithm of the null model's error for UAV i, divided by the error of
+            candidate j's network for UAV i, on the held-out times.
+        attention: ``(n, n)`` entry (i, j): alpha_ij; the diagonal is the weight of the null model.
+        winner: the candidate whose network predicts best.
+        explained: ``(n,)`` fraction of the squared velocity of UAV i that is explained on held-out times by the
             candidate to which i attends most.
     """
 
     held_out_gain: Tensor
     attention: Tensor
-    winner: Tensor
+    winner: int
     explained: Tensor
 
 
 def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) -> Fit:
     """Train a network for every candidate, select the winner, and compute attention with the winner's network.
 
-    ``generator``, of all random numbers, is on the same device as the samples of E windows.
+    ``generator``, of all random numbers, is on the same device as the samples.
     """
-    windows, uavs, device = samples.windows, samples.uavs, samples.target.device
+    uavs, device = samples.uavs, samples.target.device
     problem = Problem(samples, settings)
-    used, held = split_times(samples.times, settings.blocks, samples.velocity.shape[3], device)
-    network = AdditiveNetwork.draw(windows * uavs, problem.source.shape[2], settings.units, generator)
+    used, held = split_times(samples.times, settings.blocks, samples.velocity.shape[2], device)
+    network = AdditiveNetwork.draw(uavs, problem.source.shape[2], settings.units, generator)
     _train(problem, network, used, generator)
     untrained = torch.ones(samples.times, dtype=torch.bool, device=device)
     untrained[used] = False
     rest = (untrained if untrained.any() else ~untrained).nonzero()[:, 0]
 
-    rows = torch.arange(windows, device=device)[:, None] * uavs
     with torch.no_grad():
         gains = []
         for times in (used, held, rest):
-            weight = samples.weight[:, :, times]
-            null = _weighted_mean(problem.null_error[:, :, times], weight)
-            errors = problem.compute_all_errors(lambda columns: network.select((rows + columns).reshape(-1)), times)
-            gain = torch.log((null.unsqueeze(2) + settings.floor) / (errors + settings.floor))
-            gain.diagonal(dim1=1, dim2=2).zero_()
-            gains.append(gain.mul_((samples.weight.sum(-1) > 0).unsqueeze(2)))
+            null = _weighted_mean(problem.null_error[:, times], samples.weight[:, times])
+            errors = problem.compute_all_errors(network.select, times)
+            gain = torch.log((null.unsqueeze(1) + settings.floor) / (errors + settings.floor))
+            gain.diagonal().zero_()
+            gains.append(gain.mul_((samples.weight.sum(-1) > 0).unsqueeze(1)))
         # Gains are added before they are clamped, so a UAV that is fitted well and predicted badly adds nothing. The
         # other times, which include the gaps, are the stronger evidence (measured on nearly straight flight).
-        better = (gains[0] + 2.0 * gains[2]).clamp(min=0).sum(1)
-        ties = better == better.max(1, keepdim=True).values  # all candidates if none beats the null model
-        winner = (ties * (1.0 - torch.rand(ties.shape, generator=generator, device=device))).argmax(1)
-        likelihood, explained = _attend(problem, network.select(rows[:, 0] + winner), held)
-    return Fit(gains[1], torch.softmax(likelihood, dim=2), winner, explained)
+        better = (gains[0] + 2.0 * gains[2]).clamp(min=0).sum(0)
+        ties = better == better.max()  # all candidates if none beats the null model
+        winner = int((ties * (1.0 - torch.rand(ties.shape, generator=generator, device=device))).argmax())
+        likelihood, explained = _attend(problem, network, winner, held)
+    return Fit(gains[1], torch.softmax(likelihood, dim=1), winner, explained)
 
 
 def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: torch.Generator) -> None:
@@ -314,7 +294,7 @@ def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: 
     for _ in range(settings.steps):
         times, voters = draw(used, settings.times), draw(everyone, settings.voters)
         errors = problem.compute_errors(network, everyone, voters, times, generator)
-        weight = samples.weight[:, voters][:, :, times].unsqueeze(1)
+        weight = samples.weight[voters][:, times]
         counted = others[:, voters] & (weight.sum(-1) > 0)
         loss = (torch.log(_weighted_mean(errors, weight) + settings.floor) * counted).sum() / len(voters)
         optimiser.zero_grad()
@@ -323,22 +303,18 @@ def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: 
         schedule.step()
 
 
-def _attend(problem: Problem, winners: AdditiveNetwork, held: Tensor) -> tuple[Tensor, Tensor]:
-    """Log-likelihoods ``(E, n, n)`` of all pairs by the winners' networks, and the explained fractions ``(E, n)``."""
+def _attend(problem: Problem, network: AdditiveNetwork, winner: int, held: Tensor) -> tuple[Tensor, Tensor]:
+    """Log-likelihoods ``(n, n)`` of all pairs by the winner's network, and the explained fractions ``(n,)``."""
     samples, floor = problem.samples, problem.settings.floor
-    windows = torch.arange(samples.windows, device=held.device)
 
     def measure(times: Tensor) -> Tensor:
-        """Errors ``(E, n, n)`` by the winner's network at these times; on the diagonal those of the null model."""
-        errors = problem.compute_all_errors(
-            lambda columns: winners.select(windows.repeat_interleave(len(columns))), times
-        )
-        null = _weighted_mean(problem.null_error[:, :, times], samples.weight[:, :, times])
-        errors.diagonal(dim1=1, dim2=2).copy_(null)
+        """Errors ``(n, n)`` by the winner's network at these times; on the diagonal those of the null model."""
+        errors = problem.compute_all_errors(lambda columns: network.select(torch.full_like(columns, winner)), times)
+        errors.diagonal().copy_(_weighted_mean(problem.null_error[:, times], samples.weight[:, times]))
         return errors
 
     errors = measure(torch.arange(samples.times, device=held.device))
-    likelihood = -1.5 * samples.weight.sum(-1).unsqueeze(2) * torch.log(errors + floor)
-    power = _weighted_mean((samples.target[:, :, held] ** 2).sum(-1), samples.weight[:, :, held])
-    chosen = measure(held).gather(2, likelihood.argmax(2).unsqueeze(2)).squeeze(2)
+    likelihood = -1.5 * samples.weight.sum(-1).unsqueeze(1) * torch.log(errors + floor)
+    power = _weighted_mean((samples.target[:, held] ** 2).sum(-1), samples.weight[:, held])
+    chosen = measure(held).gather(1, likelihood.argmax(1, keepdim=True)).squeeze(1)
     return likelihood, 1.0 - chosen / power.clamp(min=1e-12)
