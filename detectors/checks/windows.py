@@ -25,11 +25,7 @@ def draw_window(
     round: int = 1,
     **config: Any,
 ) -> Window:
-    """Simulate a window, of a size that the detector takes by its tags.
-
-    Of the ``destroyed`` UAVs, heads included, there are at most N - 3; one head always survives. ``config`` are further
-    arguments of :class:`usnet_env.swarm.SwarmConfig`, which simulates at least 3 UAVs.
-    """
+    """Simulate a window of a size that the detector takes by its tags; at least one head and 3 UAVs survive."""
     tags = read_tags(detector)
     uavs = max(3, min(uavs, tags.most_uavs or uavs))
     steps = max(STEPS, tags.least_steps)

@@ -112,8 +112,8 @@ class Clusterer(Parameters):
             (:func:`detectors.clustering.estimate_count_by_eigengap` of the affinity).
         features: ``"raw"``, ``"scaled"`` or ``"velocities"`` (see :mod:`detectors.clustering.features`), or a callable
             from a window to ``(N, d)`` or a time series ``(N, T, d)``.
-        affinity: ``"lag"`` (time series only), ``"rbf"`` or ``"cosine"`` (see :mod:`detectors.clustering.features`), or
-            a callable from the features of n UAVs to ``(n, n)``; ``None``: ``"lag"`` for a time series, else ``"rbf"``.
+        affinity: ``"lag"`` (time series only) or ``"rbf"`` (see :mod:`detectors.clustering.features`), or a callable
+            from the features of n UAVs to ``(n, n)``; ``None``: ``"lag"`` for a time series, else ``"rbf"``.
         max_lag: L, the longest lag of ``"lag"``, in samples, at least 0.
         memory: T_0, the number of samples in ``"raw"`` and ``"scaled"``.
 

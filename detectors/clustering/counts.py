@@ -46,10 +46,7 @@ def compute_max_count(uavs: int) -> int:
 class GapStatistic:
     """The estimated number of clusters and the values that it was chosen by.
 
-    Args:
-        count: M̂.
-        gap: ``(K,)``, Gap(k) for k = 1, ..., K. K is the last k that the rule had to look at.
-        deviation: ``(K,)``, s_k.
+    ``count`` is M̂; ``gap`` and ``deviation`` ``(K,)`` are Gap(k) and s_k for k = 1 to the last that the rule looked at.
     """
 
     count: int
@@ -74,8 +71,7 @@ def compute_gap_statistic(
     Args:
         features: ``(n, d)``, n of at least 1.
         rng: generator of the reference sets and of the starts of K-Means.
-        max_count: K_max, the largest M̂; ``None``: :func:`compute_max_count`. It is lowered to the number of
-            distinct rows.
+        max_count: K_max, the largest M̂; ``None``: :func:`compute_max_count`.
         references: B, the number of reference sets.
         margin: how much higher a later gap must be, in units of its s.
 
@@ -107,7 +103,7 @@ def compute_gap_statistic(
 
 
 def _last_compared(k: int, margin: float) -> int:
-    """Return the number of gaps that must be known before k can be chosen."""
+    """The number of gaps that must be known before k can be chosen."""
     return k + 1 if np.isinf(margin) else 2 * k + 8
 
 
@@ -135,10 +131,9 @@ def compute_dispersions(sets: Floats, rng: np.random.Generator) -> Iterator[Floa
     """Yield the within-cluster dispersions W_k ``(S,)`` of S data sets for k = 1, ..., n clusters.
 
     K-Means with k + 1 clusters starts from the centres that it found with k and one new centre (Likas, Vlassis and
-    Verbeek, Pattern Recognit. 36, 2003). The new centre is the best of a few points that are drawn in proportion to
-    their squared distance to the nearest centre (greedy K-Means++, Arthur and Vassilvitskii, SODA 2007). Each data set
-    has ``CHAINS`` such sequences, which start at random points. The ``sets`` are ``(S, n, d)``; centred values lose the
-    least by the single precision that is used inside.
+    Verbeek, Pattern Recognit. 36, 2003): the best of a few points that are drawn in proportion to their squared
+    distance to the nearest centre. Each data set ``(n, d)`` of the ``sets`` ``(S, n, d)`` has ``CHAINS`` such
+    sequences. All sets are clustered at once, which scikit-learn can't do.
     """
     yield ((sets - sets.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2))
     chains: Singles = np.repeat(sets.astype(np.float32), CHAINS, axis=0)  # log W_k needs no more digits

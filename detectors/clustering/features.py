@@ -93,17 +93,11 @@ def compute_lag_affinity(features: Floats, max_lag: int) -> Floats:
     swarm. ``features`` are ``(n, T, d)``, and ``max_lag`` is L, in samples.
     """
     if features.ndim != 3:
-        raise ArgumentError("affinity must be 'rbf', 'cosine' or None for features without a time axis, got 'lag'.")
+        raise ArgumentError("affinity must be 'rbf' or None for features without a time axis, got 'lag'.")
     by_chance = correlate_both_ways(features, max_lag, surrogate=True)
     np.fill_diagonal(by_chance, -1.0)
     chance = float(np.clip(compute_chance(by_chance), 0.0, 0.99))
     return np.clip((correlate_both_ways(features, max_lag) - chance) / (1.0 - chance), 0.0, 1.0)
-
-
-def _centre_rows(features: Floats) -> Floats:
-    """``(n, d)``: one row for each UAV, less the mean row."""
-    flat = features.reshape(len(features), -1)
-    return np.asarray(flat - flat.mean(axis=0))
 
 
 def compute_rbf_affinity(features: Floats, max_lag: int) -> Floats:
@@ -112,7 +106,8 @@ def compute_rbf_affinity(features: Floats, max_lag: int) -> Floats:
     This is the local scaling of Zelnik-Manor and Perona (NIPS 2004). A fixed width does not fit all windows, and a
     width from all distances is dominated by the distances between clusters. ``max_lag`` is not used.
     """
-    flat = _centre_rows(features)
+    flat = features.reshape(len(features), -1)
+    flat = flat - flat.mean(axis=0)
     length = (flat**2).sum(axis=1)
     squared = np.maximum(length[:, None] + length - 2.0 * flat @ flat.T, 0.0)
     np.fill_diagonal(squared, 0.0)
@@ -121,21 +116,10 @@ def compute_rbf_affinity(features: Floats, max_lag: int) -> Floats:
     return np.asarray(np.exp(-squared / np.maximum(width * width[:, None], 1e-12)))
 
 
-def compute_cosine_affinity(features: Floats, max_lag: int) -> Floats:
-    """Compute max(0, cos(x_i - x̄, x_j - x̄)), ``(n, n)``, where x̄ is the mean over the UAVs; no ``max_lag`` is used."""
-    flat = _centre_rows(features)
-    length = np.sqrt((flat**2).sum(axis=1))
-    flat /= np.where(length > 1e-9, length, np.inf)[:, None]
-    affinity = np.clip(flat @ flat.T, 0.0, 1.0)
-    np.fill_diagonal(affinity, 1.0)
-    return affinity
-
-
 #: The built-in affinities by name: functions of features and L.
 AFFINITIES: dict[str, Callable[[Floats, int], Floats]] = {
     "lag": compute_lag_affinity,
     "rbf": compute_rbf_affinity,
-    "cosine": compute_cosine_affinity,
 }
 
 

@@ -17,7 +17,7 @@ import torch
 from pydantic import Field
 
 from detectors.mc_gassl.features import inputs_of
-from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_parameters, parameters_of
+from detectors.mc_gassl.gru import ARENA_SCALE, GruParameters, Scale, draw_parameters, read_parameters
 from detectors.mc_gassl.training_steps import Clustered, OnlineTraining, Task, joint_step, meta_step, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
 from detectors.weights import Checkpoint, record_training, write_losses, write_weights
@@ -188,7 +188,7 @@ def train_meta(
             f"episodes must be at least the {len(losses)} of the checkpoint in {quote(str(checkpoint.folder))}, "
             f"got {training.episodes}."
         )
-    parameters = parameters_of(str(checkpoint.path), arrays) if arrays else start_of(training)
+    parameters = read_parameters(arrays) if arrays else start_of(training)
     tasks = []
     draw = partial(_draw_windows, training)
     for windows in map_tasks(draw, range(training.strategies), workers=workers, backend=backend):

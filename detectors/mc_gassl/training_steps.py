@@ -52,9 +52,6 @@ def train_online(
     Returns:
         The trained parameters, and the loss before each step. Where no triplet can be drawn (one cluster, or
         clusters of one UAV only), the parameters are returned unchanged and the losses are 0.
-
-    Raises:
-        ArgumentError: ``labels`` has another length than n.
     """
     losses: list[float] = []
     for _ in range(settings.steps):

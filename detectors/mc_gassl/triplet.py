@@ -10,7 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from detectors.mc_gassl.gru import ARENA_SCALE, GruInputs, GruParameters, Scale, embed, gru
-from usnet_env.config import ArgumentError, Config
+from usnet_env.config import Config
 
 
 class Metric(Config):
@@ -119,12 +119,7 @@ def batch_loss(
     """Equation (33) of one random batch, as a mean, so that rates and losses do not depend on B.
 
     The arguments are those of :func:`draw_triplets`. The loss is 0 where no triplet can be drawn.
-
-    Raises:
-        ArgumentError: ``labels`` has another length than n.
     """
-    if labels.shape != (inputs.uavs,):
-        raise ArgumentError(f"labels must have shape ({inputs.uavs},), got {tuple(labels.shape)}.")
     batch = inputs.at(torch.randperm(inputs.times, generator=generator)[: metric.times])
     time, *three = draw_triplets(metric, parameters, batch, labels, generator)
     # The Siamese network: the same cells for anchors, positives and negatives, and for no other UAV.

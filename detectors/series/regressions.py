@@ -25,14 +25,9 @@ def whiten(features: NDArray[RealT], ridge: float = RIDGE, fitted: bool = False)
     With X = U S Vᵀ, λ the ``ridge`` times the mean of s², and d = s² / (s² + λ), a ridge regression of y on X has the
     fit ŷ = U d Uᵀ y. Then Q = U √d, |Qᵀ y|² = yᵀ ŷ. With ``fitted``, Q = U √(d (2 - d)), |Qᵀ y|² = |y|² - |y - ŷ|².
 
-    Args:
-        features: ``(n, R, p)``, a block per UAV.
-        ridge: at least 0.
-        fitted: which of the two; they agree for small λ.
-
     Returns:
-        Q of the shape and type of ``features``, 0 for a UAV without motion; and ``(n,)``, the sums of d, the degrees
-        of freedom of the fits.
+        Q of the shape and type of ``features`` ``(n, R, p)``, 0 for a UAV without motion; and ``(n,)``, the sums of d,
+        the degrees of freedom of the fits.
     """
     wide = features.astype(np.float64, copy=False)  # a Gram matrix has the square of the features' condition number
     gram = wide.transpose(0, 2, 1) @ wide

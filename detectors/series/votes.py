@@ -19,10 +19,7 @@ LEAST_VOTERS = 1.5  # voters that a head must add: m_j >= 2 followers, of which 
 def choose_heads(attention: NDArray[np.floating[Any]], exclude_self: bool, rng: np.random.Generator) -> Indices:
     """Choose the UAV that each UAV attends to most, ``(n,)``: i_L^{(i)} of equation (19).
 
-    Args:
-        attention: ``(n, n)`` alpha_{i,i'}.
-        exclude_self: whether a UAV may not choose itself.
-        rng: breaks ties, so that they don't favour low indices.
+    ``attention`` ``(n, n)`` is alpha_{i,i'}; with ``exclude_self``, no UAV chooses itself; ``rng`` breaks ties.
     """
     weight = attention.copy()
     if exclude_self:
@@ -34,8 +31,7 @@ def choose_heads(attention: NDArray[np.floating[Any]], exclude_self: bool, rng: 
 def count_votes(chosen: Indices) -> Floats:
     """Count the votes c_i = (1/n) sum_{i' != i} 1{i_L^{(i')} = i} of every UAV, ``(n,)``: equation (20).
 
-    Args:
-        chosen: ``(n,)`` from :func:`choose_heads`. A UAV that chose itself counts for no UAV.
+    ``chosen`` ``(n,)`` is from :func:`choose_heads`. A UAV that chose itself counts for no UAV.
     """
     uavs = len(chosen)
     others = chosen[chosen != np.arange(uavs)]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic_windows import unit, window_of
-from test_checks_registered import NAMES, made
+from registered import NAMES, made
 
 from usnet_env import ArgumentError, Window
 
@@ -70,17 +70,9 @@ def answers_or_refuses(name, window):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=3)
+@settings(max_examples=4)
 @given(window=windows())
 def test_a_detector_answers_tracks_that_come_and_go(name, window):
-    answers_or_refuses(name, window)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=200)
-@given(window=windows())
-def test_a_detector_answers_two_hundred_more(name, window):
     answers_or_refuses(name, window)
 
 
@@ -92,7 +84,7 @@ def test_a_swarm_with_too_many_pairs_is_refused(name):
     )
     detector = made(name)
     detector.reset(0)
-    with pytest.raises(ArgumentError, match=r"^window must hold at most 10000 UAVs .*, got 10001: .* 0\.7 GiB\.$"):
+    with pytest.raises(ArgumentError, match=r"^window must hold at most 10000 UAVs .*, got 10001"):
         detector.detect(window)
 
 
@@ -108,8 +100,6 @@ def small_windows():
 def test_an_answer_does_not_depend_on_its_batch(name):
     """A batch is the windows one after another: the answer does not depend on the windows that come later."""
     detector = made(name)
-    if detector.side_by_side:
-        pytest.skip("it declares that it trains on all windows of a batch together")
     first, second, third = small_windows()
 
     def answers(*batches):

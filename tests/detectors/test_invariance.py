@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import special_ortho_group
 from synthetic_windows import flight, window_of
-from test_checks_registered import NAMES, made
+from registered import NAMES, made
 
 from usnet_env import Window
 from usnet_env.detection import read_tags
@@ -13,7 +13,7 @@ from usnet_env.envs import MultiClusterEnv
 TURN = special_ortho_group.rvs(3, random_state=1)
 PLANAR_TURN = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]])
 # They square each axis by itself, or train a network on the axes.
-ON_AXES = {"gassl", "mc-gassl", "neural-granger", "lead-votes", "lagged-regression", "one-per-round"}
+ON_AXES = {"gassl", "mc-gassl", "neural-granger", "lagged-regression", "one-per-round"}
 
 
 def answer(name, window):
@@ -76,4 +76,4 @@ def test_a_pair_is_answered(name):
 
 def test_what_was_made_for_unit_speed_says_so():
     named = {name for name in NAMES if read_tags(made(name)).needs_unit_speed}
-    assert named == {"gassl", "mc-gassl", "neural-granger", "lead-votes", "lagged-regression", "one-per-round"}
+    assert named == {"gassl", "mc-gassl", "neural-granger", "lagged-regression", "one-per-round"}
