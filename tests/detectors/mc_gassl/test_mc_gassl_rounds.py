@@ -109,15 +109,3 @@ def test_the_gru_network_is_carried_on_and_forgotten_by_reset():
     frozen.reset(4)
     frozen.detect(first)
     assert frozen.detect(second).extras["online_loss"] != after.extras["online_loss"]
-
-
-def test_the_defaults_are_the_papers_stages():
-    arguments = McGassl().get_params()
-    stages = {name: arguments[name] for name in ("clusterer", "features", "gru_mode", "count", "gassl", "sampling")}
-    assert stages == {
-        "clusterer": "kmeans", "features": "gru", "gru_mode": "single", "count": "gap-one-se", "gassl": None,
-        "sampling": "hard",
-    }  # fmt: skip
-    assert arguments["online_steps"] == 1
-    assert arguments["start"] == "meta"
-    assert Gassl().get_params()["rule"] == "paper"
