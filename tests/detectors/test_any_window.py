@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic_windows import unit, window_of
 from registered import NAMES, made
+from synthetic_windows import unit, window_of
 
 from usnet_env import ArgumentError, Window
 

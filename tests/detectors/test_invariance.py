@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from registered import NAMES, made
 from scipy.stats import special_ortho_group
 from synthetic_windows import flight, window_of
-from registered import NAMES, made
 
 from usnet_env import Window
 from usnet_env.detection import read_tags

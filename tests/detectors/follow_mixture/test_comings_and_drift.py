@@ -96,16 +96,6 @@ def test_the_drift_of_uavs_of_one_speed_is_found_exactly(mobility, drift):
     np.testing.assert_allclose(moved.velocity, still.velocity, atol=1e-3)
 
 
-def test_a_slow_drift_is_left_in_and_one_of_unequal_speeds_is_the_mean():
-    window, _ = swarm_window(22, uavs=24, position_noise=0.3)
-    slow = read_motion(drifting(window, [0.5, 0.0, 0.0]), np.arange(24))
-    assert not slow.drift.any()
-    fast = drifting(window, [0.0, 40.0, 0.0])
-    motion = read_motion(fast, np.arange(24))
-    assert not motion.unit
-    np.testing.assert_allclose(motion.drift, fast.velocity.reshape(-1, 3).mean(axis=0), atol=1e-4)
-
-
 def flatten(window, axes):
     """The window with motion along some axes only, which become the last ones."""
     position, velocity = (np.zeros_like(values) for values in (window.position, window.velocity))
@@ -121,11 +111,3 @@ def test_an_axis_without_motion_adds_no_evidence():
         window, truth = swarm_window(seed, position_noise=0.2, **noisy)
         exact += np.array_equal(answer(flatten(window, [0]), policy="map").candidates, truth.head)
     assert exact >= 9
-
-
-def test_the_plane_of_a_swarm_does_not_matter():
-    window, truth = swarm_window(3, position_noise=0.1, follow="f2", clusters=3, uavs=30)
-    last, first = answer(flatten(window, [0, 1])), answer(flatten(window, [1, 0]))
-    np.testing.assert_allclose(last.extras["probability"], first.extras["probability"], atol=1e-6)
-    assert np.array_equal(last.candidates, truth.head)
-    assert last.extras["strategy"]["law"].shape[1] == 2

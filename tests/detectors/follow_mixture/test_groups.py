@@ -52,12 +52,6 @@ def test_filtered_tracks_are_expectations_given_one_side_of_time():
         np.testing.assert_allclose(future[place, -1 - step], expect(turned, spectra, uav, step + 1, 1), atol=1e-8)
 
 
-def test_without_noise_tracks_are_known():
-    motion, spectra = flown(6)
-    for known in filter_tracks(motion.velocity, spectra, np.array([3])):
-        np.testing.assert_array_equal(known, motion.velocity[[3]])
-
-
 @pytest.mark.parametrize("steps", [9, 10])
 def test_fourier_coordinates_keep_lengths_and_angles(steps):
     velocity = np.random.default_rng(0).standard_normal((4, steps, 3))

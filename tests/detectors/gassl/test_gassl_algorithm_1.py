@@ -98,21 +98,6 @@ def test_one_gamma_is_handed_from_uav_to_uav():
     assert fit.loss[1, 0] != pytest.approx(gradient(phi[1], gamma, *second)[0], rel=1e-5)
 
 
-def test_initial_values_and_gamma_are_left_as_they_are():
-    inputs, phi, gamma, agat, _ = problem(followers=2)
-    kept = phi.copy(), gamma.copy()
-    train(inputs, phi, gamma, agat, 2, RATE)
-    np.testing.assert_array_equal(phi, kept[0])
-    np.testing.assert_array_equal(gamma, kept[1])
-
-
-def test_the_literal_vote_is_equations_19_and_20():
-    attention = torch.tensor([[0.1, 0.6, 0.3], [0.2, 0.5, 0.3], [0.1, 0.7, 0.2]])
-    chosen, c = literal.vote(attention)
-    assert chosen.tolist() == [1, 1, 1]
-    np.testing.assert_allclose(c, [0, 2 / 3, 0], atol=1e-6)  # UAV 1 chose itself, which is no vote
-
-
 @pytest.mark.parametrize("memory", [4, 2])
 def test_both_implementations_name_the_same_candidates(memory):
     answers = []
@@ -124,10 +109,3 @@ def test_both_implementations_name_the_same_candidates(memory):
         np.testing.assert_array_equal(fast.candidates, slow.candidates)
         np.testing.assert_array_equal(fast.extras["choice"], slow.extras["choice"])
         np.testing.assert_allclose(fast.attention, slow.attention, atol=1e-4)
-
-
-def test_steps_lower_the_loss():
-    inputs, phi, gamma, agat, _ = problem(followers=4, steps=60)
-    fit = train(inputs, phi, gamma, agat, 60, RATE)
-    assert (fit.loss[:, -1] < fit.loss[:, 0]).all()
-    assert fit.explained.mean() > 0.1

@@ -33,7 +33,7 @@ def test_interrupted_training_goes_on_to_the_identical_result(tmp_path, method):
 def test_training_can_be_prolonged_but_not_cut_short_or_changed(tmp_path):
     long = train_meta(tmp_path / "long", MetaTraining(**SMALL))
     short = {**SMALL, "episodes": 7}
-    train_meta(tmp_path / "grown", MetaTraining(**short), workers=2)
+    train_meta(tmp_path / "grown", MetaTraining(**short))
     grown = train_meta(tmp_path / "grown", MetaTraining(**SMALL))
     assert long.read_bytes() == grown.read_bytes()
     with pytest.raises(ArgumentError, match="episodes must be at least the 12"):
@@ -58,14 +58,9 @@ def test_a_task_is_two_swarms_of_one_strategy():
 def test_training_beats_a_random_start_on_strategies_it_has_not_seen_and_is_recorded(tmp_path):
     training = MetaTraining(**{**SMALL, "episodes": 60, "anchors": 60})
     path = train_meta(tmp_path, training)
-    record, losses = (
-        json.loads(path.with_suffix(".json").read_text()),
-        [float(row["loss"]) for row in read_losses(tmp_path)],
-    )
-    assert record["training"] == training.model_dump(mode="json") | {
-        "torch": torch.__version__,
-        "numpy": np.__version__,
-    }
+    record = json.loads(path.with_suffix(".json").read_text())
+    losses = [float(row["loss"]) for row in read_losses(tmp_path)]
+    assert record["training"].items() >= training.model_dump(mode="json").items()
     assert len(losses) == 60
     metrics = record["metrics"]
     assert metrics["last_loss"] == pytest.approx(np.mean(losses[-30:]))

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from series_windows import flight, gaps
 
-from detectors.series.designs import centre_columns, centre_past, check_window, count_lags, scale_to_unit, stack_past
-from usnet_env import ArgumentError, Window
+from detectors.series.designs import centre_columns, centre_past, count_lags, stack_past
 
 
 @given(st.integers(1, 120), st.integers(1, 12), st.sampled_from([3, 6, 9]), st.sampled_from([1.5, 2.5]))
@@ -46,19 +45,3 @@ def test_the_centred_past_is_centred_lag_by_lag(lags):
         part = slice(lags - lag, 15 - lag)
         want = centre_columns(values[part], seen[part]).swapaxes(0, 1)
         np.testing.assert_allclose(past[:, :, 3 * (lag - 1) : 3 * lag], want, atol=1e-12)
-
-
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_a_unit_series_has_a_squared_sum_of_1_or_0(kind):
-    values = flight(3).astype(kind)
-    values[:, 2] = 0.0
-    scaled = scale_to_unit(values)
-    assert scaled.dtype == kind
-    np.testing.assert_allclose((scaled**2).sum(axis=(0, 2)), [1, 1, 0, 1, 1, 1], rtol=1e-5)
-
-
-def test_a_window_needs_more_velocities_than_the_memory():
-    window = Window(np.zeros((6, 2, 3)), np.zeros((5, 2, 3)), np.ones((6, 2)), np.ones(2))
-    check_window(window, 4)
-    with pytest.raises(ArgumentError, match=r"^window must hold more than memory = 5 velocities, got 5\.$"):
-        check_window(window, 5)

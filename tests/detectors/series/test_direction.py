@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import t as student
 
-from detectors.series.direction import compare_directions, lead_probabilities
+from detectors.series.direction import _log_density, compare_directions, lead_probabilities
 
 STEPS, DELAY, FOLLOWERS = 100, 3, 4
 
@@ -62,14 +63,6 @@ def test_a_law_of_squares_is_a_lead_too():
     assert np.mean(np.array(ratios) > 1) >= 0.9
 
 
-def test_a_leader_for_a_part_of_the_time_is_less_certain():
-    whole, part = (
-        np.median([compare(led_group(np.random.default_rng(seed), share=share)) for seed in range(20)])
-        for share in (1.0, 0.6)
-    )
-    assert whole > part > 0
-
-
 def test_the_one_that_follows_does_not_lead():
     for seed in range(5):
         leader, follower = led_group(np.random.default_rng(seed))[:2]
@@ -101,7 +94,7 @@ def test_heads_are_compared_with_their_own_followers():
     root = np.repeat([0, count], count)
     velocity, heads = np.concatenate([leader, driven]), np.array([0, count])
     both = compare_directions(velocity, (velocity[heads], velocity[heads]), label, root, heads, 12, False)
-    np.testing.assert_allclose(both, [compare(leader), compare(driven)], rtol=1e-9)
+    np.testing.assert_allclose(both, [compare(leader), compare(driven)], rtol=1e-9, atol=1e-9)
 
 
 def test_nothing_is_compared_in_a_short_window_or_without_followers():
@@ -112,10 +105,6 @@ def test_nothing_is_compared_in_a_short_window_or_without_followers():
         flight, (flight[:0], flight[:0]), np.arange(5), np.full(5, -1), np.array([], np.int64), 12, False
     )
     assert alone.shape == (0,)
-
-
-def test_still_uavs_have_no_lead():
-    assert abs(compare(np.zeros((5, STEPS, 3)))) < 1e-6
 
 
 @given(st.lists(st.floats(-30.0, 30.0), min_size=1, max_size=6))
@@ -134,3 +123,9 @@ def test_other_heads_that_lead_make_a_doubtful_head_a_leader():
     assert lead_probabilities(np.array([-0.2]))[0] < 0.5 < lead_probabilities(np.array([-0.2, 8.0, 8.0]))[0]
     assert lead_probabilities(np.array([0.2]))[0] > 0.5 > lead_probabilities(np.array([0.2, -8.0, -8.0]))[0]
     np.testing.assert_allclose(lead_probabilities(np.full(3, np.inf)), 1.0)
+
+
+def test_a_lead_of_eight_blocks_has_a_t_distribution_with_seven_degrees_of_freedom():
+    values = np.array([-30.0, -1.0, 0.0, 0.5, 4.0])
+    expected = student(7).logpdf(values) - student(7).logpdf(0.0)
+    np.testing.assert_allclose(_log_density(values), expected, atol=1e-9)

@@ -32,9 +32,7 @@ def directions(seed, steps=60, uavs=5):
 
 
 @pytest.mark.parametrize("make", [flight, directions])
-@pytest.mark.parametrize(
-    ("lags", "squares", "ridge"), [(4, True, 1e-3), (1, False, 0.0), (2, True, 0.3), (3, False, 1e-2)]
-)
+@pytest.mark.parametrize(("lags", "squares", "ridge"), [(4, True, 1e-3), (1, False, 0.0), (2, True, 0.3)])
 def test_shares_are_those_of_one_ridge_per_pair(make, lags, squares, ridge):
     velocity = make(1, steps=60, uavs=5)
     target, past = design(velocity, np.ones(velocity.shape[:2], bool), lags, squares)
@@ -63,12 +61,6 @@ def test_chunks_do_not_change_the_result(monkeypatch):
     np.testing.assert_allclose(same, freedom)
 
 
-def test_some_targets_are_rows_of_the_whole():
-    target, past = design(flight(3), gaps(3), 2)
-    whole = explain_pairs(past, (target,))[0][0]
-    np.testing.assert_allclose(explain_pairs(past, (target[:, [4, 1]],))[0][0], whole[[4, 1]], atol=1e-6)
-
-
 def test_white_features_of_full_rank_are_orthonormal_and_leave_the_residuals_of_least_squares():
     target, past = design(flight(4), gaps(4), 3)
     white, freedom = whiten(past, ridge=0.0)
@@ -78,17 +70,6 @@ def test_white_features_of_full_rank_are_orthonormal_and_leave_the_residuals_of_
     for i in range(6):
         want = target[:, i] - past[i] @ np.linalg.lstsq(past[i], target[:, i], rcond=None)[0]
         np.testing.assert_allclose(left[i], want, atol=1e-6)
-
-
-@pytest.mark.parametrize("fitted", [False, True])
-def test_a_uav_that_never_moves_explains_nothing_and_is_not_explained(fitted):
-    velocity = flight(5)
-    velocity[:, 3] = [1.0, -2.0, 0.5]
-    target, past = design(velocity, np.ones(velocity.shape[:2], bool), 2)
-    (shares,), freedom = explain_pairs(past, (target,), fitted=fitted)
-    assert not shares[3].any()
-    assert not shares[:, 3].any()
-    assert freedom[3] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_unseen_samples_are_not_read():
@@ -162,10 +143,3 @@ def test_evidence_is_about_zero_where_no_uav_follows(name):
         assert abs(values.mean()) < 0.005
         if name == "regression":  # for the correlation it is a lower bound
             assert values.std() == pytest.approx(evidence.spread, rel=0.35)
-
-
-@pytest.mark.parametrize("name", MEASURES)
-def test_too_short_windows_and_single_uavs_have_no_evidence(name):
-    velocity = flight(10)
-    assert MEASURES[name](velocity[:6], np.ones((6, 6), bool)) is None
-    assert MEASURES[name](velocity[:, :1], np.ones((40, 1), bool)) is None
