@@ -86,29 +86,3 @@ def test_a_swarm_with_too_many_pairs_is_refused(name):
     detector.reset(0)
     with pytest.raises(ArgumentError, match=r"^window must hold at most 10000 UAVs .*, got 10001"):
         detector.detect(window)
-
-
-def small_windows():
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        velocity = unit(rng.standard_normal((11, 7, 3)))
-        velocity[1:, 2:] = unit(velocity[:-1, :1] + 0.1 * rng.standard_normal((10, 5, 3)))
-        yield window_of(velocity[1:], rng.random((11, 7)) < 0.95)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_an_answer_does_not_depend_on_its_batch(name):
-    """A batch is the windows one after another: the answer does not depend on the windows that come later."""
-    detector = made(name)
-    first, second, third = small_windows()
-
-    def answers(*batches):
-        detector.reset(3)
-        return [answer for batch in batches for answer in detector.detect_batch(batch)]
-
-    for order in ([first, second, third], [third, first, second]):
-        alone = answers(*([window] for window in order))
-        for batches in ([order], [order[:2], order[2:]]):
-            for one, other in zip(alone, answers(*batches), strict=True):
-                np.testing.assert_array_equal(one.candidates, other.candidates)
-                np.testing.assert_array_equal(one.scores, other.scores)

@@ -64,16 +64,3 @@ def test_a_network_does_not_depend_on_the_order_of_the_uavs(name):
         one, two = answer(name, window), answer(name, shuffled)
         np.testing.assert_array_equal(one.candidates[order], two.candidates)
         np.testing.assert_allclose(one.scores[order], two.scores, atol=1e-5 * np.abs(one.scores).max())  # of float32
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_pair_is_answered(name):
-    velocity, _ = flight(np.random.default_rng(1), (1,), steps=40)
-    for window in (window_of(velocity), window_of(velocity * (1, 1, 0))):
-        found = answer(name, window)
-        assert np.isfinite(found.scores).all()
-
-
-def test_what_was_made_for_unit_speed_says_so():
-    named = {name for name in NAMES if read_tags(made(name)).needs_unit_speed}
-    assert named == {"gassl", "mc-gassl", "neural-granger", "lagged-regression", "one-per-round"}

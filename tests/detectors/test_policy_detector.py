@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from synthetic_windows import flight, window_of
 
-import usnet_env
 from detectors.checks import check_detector
 from detectors.checks.windows import STEPS
 from detectors.policy_detector import PolicyDetector, observation_of
@@ -43,13 +42,6 @@ class One:
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         return self.answer, None
-
-
-class Masked(One):
-    def predict(self, observation, state=None, episode_start=None, deterministic=False, action_masks=None):
-        may_be_zero, may_be_one = action_masks.reshape(-1, 2).T
-        assert may_be_zero.all()
-        return may_be_one.astype(np.int8), None
 
 
 def test_the_step_of_recorded_tracks_is_kept_for_policies_that_know_it():
@@ -95,11 +87,6 @@ def test_the_state_lives_for_an_episode():
 def test_a_number_is_one_candidate(answer):
     found = PolicyDetector(One(answer)).detect(a_window())
     assert np.flatnonzero(found.candidates).tolist() == [4]
-
-
-def test_policies_that_take_masks_receive_them():
-    alive = np.arange(UAVS) > 3
-    np.testing.assert_array_equal(PolicyDetector(Masked(None)).detect(a_window(alive)).candidates, alive)
 
 
 @pytest.mark.parametrize(
@@ -176,12 +163,6 @@ def test_a_plain_module_is_asked_without_gradients_in_the_mode_of_use():
     check_detector(detector)
 
 
-def test_a_module_with_another_observation():
-    detector = PolicyDetector(torch.nn.Flatten(), observe=lambda window: window.velocity[:, :, 0].sum(axis=0))
-    window = a_window()
-    np.testing.assert_allclose(detector.detect(window).scores, window.velocity[:, :, 0].sum(axis=0), rtol=1e-6)
-
-
 # Stable-Baselines3
 
 
@@ -210,22 +191,6 @@ def test_a_trained_model_gives_its_policy_and_not_itself(trained):
     np.testing.assert_array_equal(answer.candidates, action.astype(bool))
     np.testing.assert_array_equal(answer.candidates, answer.scores > 0.5)
     assert np.unique(answer.scores).size > 2, "scores are the distribution's probabilities"
-
-
-def test_a_trained_policy_is_evaluated_beside_detectors(trained):
-    result = usnet_env.evaluate(
-        "USNET/MultiCluster-v0", [PolicyDetector(trained.policy), "random"], episodes=3, env_kwargs=SMALL
-    )
-    assert [entry["episodes"] for entry in result.summary] == [3, 3]
-
-
-def test_a_maskable_policy(trained):
-    contrib = pytest.importorskip("sb3_contrib")
-    env = gym.make("USNET/MultiCluster-v0", **SMALL)
-    model = contrib.MaskablePPO("MultiInputPolicy", env, n_steps=16, batch_size=16, n_epochs=1, seed=0)
-    answer = PolicyDetector(model.policy).detect(a_window(np.arange(UAVS) > 2))
-    assert not answer.candidates[:3].any()
-    assert np.unique(answer.scores).size > 2
 
 
 # TorchRL

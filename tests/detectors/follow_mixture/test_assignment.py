@@ -94,16 +94,6 @@ def test_among_random_gains_most_searches_end_at_the_best_set():
     assert np.mean(np.array(short) > 1e-9) <= 0.1
 
 
-@given(seeds, st.integers(1, 3))
-@settings(max_examples=25)
-def test_no_more_heads_than_allowed(seed, most):
-    gain, itself, sizes = make_problem(seed, planted=True)
-    found = assign(gain, itself, sizes, most)
-    assert len(found.heads) <= most
-    check_definition(found, gain, itself, sizes)
-    assert found.value == pytest.approx(try_all(gain, itself, sizes, most)[0], abs=1e-9)
-
-
 def test_without_gain_or_candidates_there_are_no_heads():
     sizes = np.array([2, 3])
     for gain in (np.zeros((2, 4)), np.full((2, 4), -np.inf), np.zeros((2, 0))):

@@ -39,11 +39,6 @@ def test_probabilities_rise_with_the_log_odds(slope, offset, odds):
     assert (np.diff(mapped) >= 0).all()
 
 
-def test_the_map_is_a_logistic_function():
-    odds = np.array([-3.0, 0.0, 0.5, 13.0])
-    np.testing.assert_allclose(Calibration(slope=0.5, offset=1.0)(odds), 1.0 / (1.0 + np.exp(-0.5 * odds - 1.0)))
-
-
 def test_the_detector_returns_calibrated_probabilities():
     extras = answer(swarm_window(2, uavs=20, observation_steps=20)[0]).extras
     least, most = shipped_calibration()(np.array([-np.inf, np.inf]))

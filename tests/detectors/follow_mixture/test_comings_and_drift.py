@@ -66,24 +66,6 @@ def test_a_common_drift_is_not_taken_for_one_speed(drift, config):
     assert np.array_equal(detection.candidates, truth.head)
 
 
-@pytest.mark.parametrize("drift", [0.0, 30.0])
-def test_gaps_are_interpolated_within_the_drifting_swarm(drift):
-    window, _ = swarm_window(20, uavs=12)
-    seen = np.ones_like(window.seen)
-    seen[[20, 21, 22, 50], 3] = False
-    seen[:7, 4], seen[60:, 4] = False, False
-    both = seen[:-1] & seen[1:]
-    moving = drifting(window, [drift, 0.0, 0.0])
-    gappy = Window(moving.position * seen[..., None], moving.velocity * both[..., None], seen, moving.alive)
-    motion = read_motion(gappy, np.arange(12))
-    velocity = motion.velocity * motion.speed
-    np.testing.assert_allclose(velocity.swapaxes(0, 1)[both], window.velocity[both], atol=1e-3)
-    track = window.position
-    np.testing.assert_allclose(velocity[3, 19:23], np.tile((track[23, 3] - track[19, 3]) / 4, (4, 1)), atol=1e-3)
-    np.testing.assert_allclose(velocity[4, :7], 0.0, atol=1e-3)  # relative to the swarm
-    np.testing.assert_allclose(velocity[4, 59:], 0.0, atol=1e-3)
-
-
 @pytest.mark.parametrize("mobility", ["iid", "smooth_turn"])
 @pytest.mark.parametrize("drift", [[30.0, 0.0, 0.0], [0.0, -60.0, 80.0]])
 def test_the_drift_of_uavs_of_one_speed_is_found_exactly(mobility, drift):
@@ -94,20 +76,3 @@ def test_the_drift_of_uavs_of_one_speed_is_found_exactly(mobility, drift):
     assert not still.drift.any()
     np.testing.assert_allclose(moved.drift, drift, atol=1e-3)
     np.testing.assert_allclose(moved.velocity, still.velocity, atol=1e-3)
-
-
-def flatten(window, axes):
-    """The window with motion along some axes only, which become the last ones."""
-    position, velocity = (np.zeros_like(values) for values in (window.position, window.velocity))
-    position[..., -len(axes) :], velocity[..., -len(axes) :] = window.position[..., axes], window.velocity[..., axes]
-    return Window(position, velocity, window.seen, window.alive, window.round)
-
-
-def test_an_axis_without_motion_adds_no_evidence():
-    """Heads on a line, behind noise: with the weight of three axes, the evidence of one axis was overrated."""
-    noisy = {"follow": "f2", "clusters": 3, "uavs": 30, "mobility": "gauss_markov", "head_jitter": True}
-    exact = 0
-    for seed in range(12):
-        window, truth = swarm_window(seed, position_noise=0.2, **noisy)
-        exact += np.array_equal(answer(flatten(window, [0]), policy="map").candidates, truth.head)
-    assert exact >= 9

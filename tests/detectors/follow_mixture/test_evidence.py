@@ -9,8 +9,6 @@ from scipy.optimize import minimize_scalar
 from detectors.follow_mixture.evidence import (
     add_rests,
     bayes_factor,
-    fit_law,
-    gain_by_law,
     gather_statistics,
     make_targets,
     own_evidence,
@@ -115,41 +113,6 @@ def test_the_bayes_factor_is_the_largest_of_a_g_prior(seed, width, strength, axe
     best = max(0.0, -minimize_scalar(lambda x: -evidence(np.exp(x)), (-3.0, 3.0), tol=1e-10).fun)
     share = ((features.T @ y) ** 2).sum() / (y**2).sum()
     assert float(bayes_factor(share, np.float64(rows), width, axes)) == pytest.approx(best, rel=1e-6, abs=1e-6)
-
-
-def test_a_share_of_1_in_single_precision_is_finite_evidence():
-    shares = np.array([[1.0, 1.1, 0.5]], np.float32)
-    found = bayes_factor(shares, np.array([[40.0]]), 3, 3)
-    assert np.isfinite(found).all()
-    assert found[0, 0] == found[0, 1] > found[0, 2]
-
-
-@pytest.mark.parametrize("name", [0, 1, 3])
-def test_a_shared_law_is_a_stacked_weighted_regression(name):
-    velocity, past = make_problem(2)
-    targets, pairs = all_pairs(velocity)
-    (statistics,) = gather_statistics(targets, past, pairs, [NAMES[name]])
-    features = make_features(past, [NAMES[name]])[0].swapaxes(1, 2)
-    used = np.array([np.flatnonzero((pairs.group == g) & (pairs.uav == h))[0] for g, h in [*HEAD_OF.items(), (2, 5)]])
-    variance = np.array([0.5, 1.0, 3.0])
-    design, target = [], []
-    for place, (group, uav) in enumerate([*HEAD_OF.items(), (2, 5)]):
-        y, known, weight = weighted_parts(velocity, members_of(group, uav))
-        own = [known if k == place else np.zeros_like(known) for k in range(3)]
-        design.append(np.column_stack([*own, features[uav] * weight[:, None]]) / np.sqrt(variance[place]))
-        target.append(y / np.sqrt(variance[place]))
-    expected = np.linalg.lstsq(np.concatenate(design), np.concatenate(target), rcond=None)[0][-statistics.width :]
-    law = fit_law(statistics, used, variance)
-    np.testing.assert_allclose(law, expected, atol=2e-3)
-    gained, left = gain_by_law(targets, pairs, statistics, law)
-    for group, uav in ((1, 0), (2, 6), (1, 3), (0, 5)):
-        (place,) = np.flatnonzero((pairs.group == group) & (pairs.uav == uav))
-        y, known, weight = weighted_parts(velocity, members_of(group, uav))
-        energy = (regress(known, y) ** 2).sum()
-        error = (regress(known, y - (features[uav] * weight[:, None]) @ law) ** 2).sum()
-        rows = targets.rows[pairs.target[place]]
-        assert gained[place] == pytest.approx(-1.5 * rows * np.log(error / energy), rel=1e-3, abs=1e-2)
-        assert left[place] == pytest.approx(error / (3.0 * rows), rel=1e-3)
 
 
 def test_features_of_a_row_are_functions_of_its_past():

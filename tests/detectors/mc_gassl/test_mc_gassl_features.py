@@ -3,7 +3,6 @@
 from typing import get_args
 
 import numpy as np
-import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,13 +20,6 @@ def weights(width=3):
 def changed(window, **arrays):
     parts = {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round")}
     return Window(**{**parts, **arrays})
-
-
-def without(window, gone):
-    alive = window.alive.copy()
-    alive[gone] = False
-    position, velocity = (np.where(alive[:, None], a, 0) for a in (window.position, window.velocity))
-    return changed(window, position=position, velocity=velocity, seen=window.seen & alive, alive=alive)
 
 
 @settings(max_examples=25, deadline=None)
@@ -82,14 +74,3 @@ def test_the_mean_leaves_out_times_that_were_not_seen():
     np.testing.assert_allclose(mean[7], np.delete(whole[7], range(6, 11), axis=0).mean(axis=0), atol=1e-6)
     others = np.arange(20) != 7
     np.testing.assert_array_equal(mean[others], gru_features(window, weights(), "mean")[others])
-
-
-@pytest.mark.parametrize("mode", get_args(Mode))
-def test_the_destroyed_are_zero_and_change_nobody(mode):
-    window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
-    fewer = without(window, [3, 11])
-    values = gru_features(fewer, weights(), mode)
-    assert not values[[3, 11]].any()
-    rest = np.delete(np.arange(20), [3, 11])
-    np.testing.assert_array_equal(values[rest], gru_features(window, weights(), mode)[rest])
-    assert not bool(inputs_of(fewer).seen[:, [3, 11]].any())

@@ -5,7 +5,7 @@ import torch
 from mc_gassl_inputs import clustered, generator, parameters
 
 from detectors.mc_gassl.gru import GruParameters
-from detectors.mc_gassl.training_steps import OnlineTraining, Task, joint_step, meta_step, train_online
+from detectors.mc_gassl.training_steps import OnlineTraining, Task, meta_step, train_online
 from detectors.mc_gassl.triplet import Metric, batch_loss
 
 # Every hinge is far from its kink, so that differences are derivatives; hard triplets don't depend on the weights.
@@ -80,15 +80,6 @@ def through_both(support, query, at, rate):
     return query(less(at, rate, gradients))
 
 
-def test_the_joint_step_descends_the_mean_of_both_losses():
-    drawn, at = task(3), parameters(seed=4)
-    support, query = losses_of(drawn, SMOOTH, generator(6))
-    gradients = numerical_gradient(lambda weights: 0.5 * (support(weights) + query(weights)), at)
-    found, loss = joint_step(at, drawn, SMOOTH, 0.2, generator(6))
-    assert_equal_parameters(found, less(at, 0.2, gradients), 1e-7)
-    assert loss == pytest.approx(float(query(at)))
-
-
 def separable(seed=0):
     """Clusters whose UAVs share their velocities but for a little noise, at positions that tell nothing."""
     swarm = clustered(times=30, uavs=12, clusters=3, seed=seed)
@@ -114,15 +105,6 @@ def test_online_training_parts_the_clusters(sampling):
     assert again[1] == same[1] == losses[:5]
     assert_equal_parameters(again[0], same[0])
     assert torch.equal(before, torch.random.get_rng_state())
-
-
-def test_one_online_step_is_equation_39():
-    swarm, at = clustered(), parameters()
-    loss = losses_of(Task(swarm, swarm), SMOOTH, generator(2))[0]
-    settings = OnlineTraining(steps=1, rate=0.4, metric=SMOOTH)
-    found, losses = train_online(at, swarm.inputs, swarm.labels, settings, generator(2))
-    assert_equal_parameters(found, less(at, 0.4, numerical_gradient(loss, at)), 1e-7)
-    assert losses == [pytest.approx(float(loss(at)))]
 
 
 @pytest.mark.parametrize("labels", [[0] * 9, list(range(9)), [-1] * 9])

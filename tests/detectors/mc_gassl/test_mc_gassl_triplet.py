@@ -111,15 +111,6 @@ def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences(
     assert torch.autograd.gradcheck(loss, tuple(tensor.requires_grad_(True) for tensor in arrays))
 
 
-def test_collapsed_features_have_the_margin_as_loss_and_a_finite_gradient():
-    inputs, labels = random_inputs(), torch.arange(9) % 3
-    inputs.position.zero_()
-    at = GruParameters(*map(torch.zeros_like, parameters().tensors())).trainable()
-    loss = batch_loss(at, inputs, labels, Metric(margin=0.7, scale=1.0), generator())
-    assert loss.item() == pytest.approx(0.7)
-    assert all(bool(gradient.isfinite().all()) for gradient in torch.autograd.grad(loss, at.tensors()))
-
-
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 @pytest.mark.parametrize("labels", [[0] * 9, list(range(9)), [-1] * 9, [0, 0, *[-1] * 7]])
 def test_without_a_triplet_the_loss_and_its_gradient_are_nothing(sampling, labels):
