@@ -113,16 +113,10 @@ class DetectorPolicy:
         episode_start: Mask | None = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.int8], tuple[NDArray[Any], ...] | None]:
-        """Return the candidates for one observation as an action.
+        """Return the candidates for one observation, a mapping, as an action ``(N,)`` int8, and ``state`` unchanged.
 
-        Args:
-            observation: one observation of a USNET environment (a mapping).
-            state: returned unchanged; a detector keeps its state itself.
-            episode_start: true at the first step of an episode. The first call always starts an episode.
-            deterministic: ignored; a detector draws from its own generator.
-
-        Returns:
-            The action ``(N,)`` int8 and ``state``.
+        The first call and a true ``episode_start`` start an episode. ``deterministic`` is ignored: a detector draws
+        from its own generator.
         """
         if not self._begun or (episode_start is not None and bool(np.any(episode_start))):
             self.detector.reset(int(self._seeds.integers(2**31)))

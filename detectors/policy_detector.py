@@ -26,10 +26,7 @@ _SCORES = ("logits", "probs", "probability", "loc", "scores")  # keys under whic
 def observation_of(window: Window) -> Observation:
     """Convert a window to the observation of an environment, the inverse of ``Window.from_observation``.
 
-    Returns:
-        ``position`` ``(T_ob + 1, N, 3)`` and ``velocity`` ``(T_ob, N, 3)`` float32, ``seen`` ``(T_ob + 1, N)`` and
-        ``alive`` ``(N,)`` int8, ``round`` ``(1,)`` float32, and for recorded tracks ``step`` ``(1,)`` float32, seconds.
-        All arrays are writable copies.
+    The arrays are writable copies; recorded tracks also have ``step`` ``(1,)``, seconds.
     """
     step = {} if window.step is None else {"step": np.array([window.step], np.float32)}
     return {
@@ -48,16 +45,14 @@ class PolicyDetector(Detector):
     The attributes of the policy decide which of three interfaces is used:
 
     * ``predict(observation, state, episode_start, deterministic)`` (Stable-Baselines3, and ``as_policy``): a binary
-      action ``(N,)`` marks the candidates; an integer action (``Discrete(N)``) is the index of the only candidate.
-      Scores are the probabilities of the policy's distribution if it has ``get_distribution``, and the action
-      otherwise. A ``predict`` with the argument ``action_masks`` receives the mask of living UAVs. The state that it
-      returns is passed to the next call of the episode.
+      action ``(N,)`` marks the candidates, an integer (``Discrete(N)``) is the index of the only one. Scores are the
+      probabilities of ``get_distribution``, if there is one, or the action. ``action_masks`` are passed if it takes
+      them, and the state that it returns is passed to the next call of the episode.
     * ``in_keys`` and ``out_keys`` (TorchRL): the policy is called with a ``TensorDict`` of the observation. The entry
       ``"action"`` is read as above; scores come from ``"logits"``, ``"probs"``, ``"probability"``, ``"loc"`` or
       ``"scores"``.
     * any other callable, such as a ``torch.nn.Module``: it is called with the observation as tensors with a leading
-      axis of length 1 and returns one score per UAV, ``(N,)`` or ``(1, N)``. UAVs with a score above ``threshold`` are
-      candidates.
+      axis of length 1 and returns N scores; UAVs with a score above ``threshold`` are candidates.
 
     The policy always acts deterministically. Destroyed UAVs are never candidates.
 

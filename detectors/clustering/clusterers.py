@@ -43,11 +43,9 @@ class Clustering:
     Args:
         labels: ``(N,)`` int64, 0 to ``count`` - 1 for living UAVs, -1 for destroyed ones.
         count: the number of clusters; 0 if no UAV is alive.
-        features: ``(N, d)`` or ``(N, T, d)``, the features (0 for destroyed UAVs), or ``None``.
-        affinity: ``(N, N)``, the similarity of every two UAVs from 0 to 1 (0 for destroyed UAVs), or ``None`` if it
-            was not computed.
-        extras: other values by name; ``"estimate"`` is the number of clusters that was given or estimated before
-            clustering.
+        features: ``(N, d)`` or ``(N, T, d)``, 0 for destroyed UAVs, or ``None``.
+        affinity: ``(N, N)``, the similarity of every two UAVs from 0 to 1, or ``None`` if it was not computed.
+        extras: ``"estimate"`` is the number of clusters that was given or estimated before clustering.
     """
 
     labels: Indices
@@ -59,12 +57,7 @@ class Clustering:
 
 @dataclass(frozen=True, eq=False)
 class Living:
-    """Features and affinity of the n living UAVs of a window, computed at first use.
-
-    Args:
-        window: the whole window, with all N UAVs.
-        arguments: the checked arguments of the clusterer.
-    """
+    """Features and affinity of the n living UAVs of a window, computed at first use by a clusterer's arguments."""
 
     window: Window
     arguments: Any
@@ -188,7 +181,7 @@ class Spectral(Clusterer):
     """Spectral clustering of the regularised affinity."""
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
-        """Return labels ``(n,)`` by scikit-learn."""
+        """Return labels ``(n,)``."""
         if count is None or count in (1, len(living.index)):
             return np.arange(len(living.index)) % (count or 1)
         # K-Means on the embedding sometimes makes a cluster of one head that is similar to no UAV; cluster_qr does not.
@@ -199,19 +192,15 @@ class Spectral(Clusterer):
 class SymmetricNMF(Clusterer):
     """Symmetric non-negative matrix factorisation of the normalised affinity, A ≈ H Hᵀ.
 
-    The label of a UAV is the column of the largest entry in its row of H.
-
-    Args:
-        count, features, affinity, max_lag, memory: as in :class:`detectors.clustering.Clusterer`.
-        starts: the number of random starts; the one with the lowest loss is used.
-        steps: the largest number of updates of each start.
+    The label of a UAV is the column of the largest entry in its row of H. Of several random ``starts`` with at most
+    ``steps`` updates each, the one with the lowest loss is used. The other arguments are those of :class:`Clusterer`.
     """
 
     starts: Annotated[int, Field(ge=1, le=1_000_000)] = 5
     steps: Annotated[int, Field(ge=1, le=1_000_000)] = 300
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
-        """Return labels ``(n,)`` of the best start."""
+        """Return labels ``(n,)``."""
         matrix = normalise_affinity(living.affinity)
         fits = [factorise_affinity(matrix, count or 1, rng, self.steps) for _ in range(living.arguments.starts)]
         return min(fits, key=lambda fit: float(fit[1][-1]))[0].argmax(axis=1).astype(np.int64)
@@ -220,29 +209,22 @@ class SymmetricNMF(Clusterer):
 class Agglomerative(Clusterer):
     """Agglomerative clustering of the distances 1 - affinity.
 
-    Args:
-        count, features, affinity, max_lag, memory: as in :class:`detectors.clustering.Clusterer`.
-        linkage: ``"average"``, ``"complete"`` or ``"single"``.
+    The ``linkage`` is ``"average"``, ``"complete"`` or ``"single"``; other arguments are those of :class:`Clusterer`.
     """
 
     linkage: Literal["average", "complete", "single"] = "complete"
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
-        """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
+        """Return labels ``(n,)``."""
         model = AgglomerativeClustering(count, metric="precomputed", linkage=self.linkage)
         return model.fit_predict(1.0 - living.affinity)
 
 
 class Hdbscan(Clusterer):
-    """HDBSCAN on the distances 1 - affinity, which also estimates the number of clusters.
+    """HDBSCAN on the distances 1 - affinity, which also finds the number of clusters: ``count`` is ``"own"``.
 
-    A UAV that HDBSCAN labels as noise joins the cluster of the UAV that it is most similar to among those with a
-    cluster. If all UAVs are noise, they are one cluster.
-
-    Args:
-        count: ``"own"``, the only value.
-        features, affinity, max_lag, memory: as in :class:`detectors.clustering.Clusterer`.
-        least: the smallest number of members of a cluster, at least 2.
+    A cluster has at least ``least`` members. A UAV that HDBSCAN labels as noise joins the cluster of the UAV that it is
+    most similar to; if all are noise, they are one cluster. Other arguments are those of :class:`Clusterer`.
     """
 
     counts: ClassVar[tuple[str, ...]] = (OWN,)
@@ -251,7 +233,7 @@ class Hdbscan(Clusterer):
     least: Annotated[int, Field(ge=2, le=100_000)] = 3
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:
-        """Return labels ``(n,)`` by scikit-learn; ``rng`` is not used."""
+        """Return labels ``(n,)``."""
         n, least = len(living.index), living.arguments.least
         if n < least:
             return np.zeros(n, np.int64)
@@ -265,17 +247,11 @@ class Hdbscan(Clusterer):
 
 
 class LeadVotes(Clusterer):
-    """Clusters of the UAVs that vote for the same leader, with the votes of ``lagged-regression``.
+    """Clusters of the UAVs that vote for the same leader, with the votes of :class:`detectors.lagged.LaggedRegression`.
 
-    Each UAV votes for the UAV whose past velocities explain its velocities best, by the adjusted R² of pairwise lagged
-    regression. The UAVs with the most votes are the leaders, and each UAV joins the leader with the highest R².
-    ``count="own"`` takes as many leaders as are needed to cover the significant votes. The votes always use the
-    velocities of the window; ``features`` and ``affinity`` only serve ``"gap"`` and ``"eigengap"``.
-
-    Args:
-        count: a whole number, ``"gap"``, ``"gap-one-se"``, ``"eigengap"`` or ``"own"``.
-        features, affinity, max_lag, memory: as in :class:`detectors.clustering.Clusterer`.
-        lags, squares, ridge: as in :class:`detectors.lagged.LaggedRegression`.
+    The UAVs with the most votes are the leaders, and each UAV joins the leader with the highest R². ``count="own"``
+    takes as many leaders as are needed to cover the significant votes. The votes always use the velocities of the
+    window; ``features`` and ``affinity`` only serve ``"gap"`` and ``"eigengap"``.
     """
 
     counts: ClassVar[tuple[str, ...]] = (*COUNTS, OWN)

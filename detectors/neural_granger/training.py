@@ -190,14 +190,9 @@ class Problem:
         times: Tensor,
         generator: torch.Generator | None = None,
     ) -> Tensor:
-        """Squared errors ``(c, v, t)`` of predicting the voters from the columns.
+        """Squared errors ``(c, v, t)`` of predicting the ``voters`` ``(v,)`` from the ``columns`` ``(c,)`` at some times.
 
-        Args:
-            network: c networks.
-            columns: ``(c,)`` indices of the sources.
-            voters: ``(v,)`` indices of the predicted UAVs.
-            times: ``(t,)`` indices of times.
-            generator: of the noise on the sources; ``None`` for no noise.
+        ``network`` are c networks; the generator, if there is one, draws noise on the sources.
         """
         samples, shape = self.samples, (len(columns), len(voters), len(times), 3)
         source = self.source[columns][:, times]
@@ -230,11 +225,10 @@ class Fit:
 
     Args:
         held_out_gain: ``(n, n)`` entry (i, j): logarithm of the null model's error for UAV i, divided by the error of
-            candidate j's network for UAV i, on the held-out times.
+            candidate j's network, on the held-out times.
         attention: ``(n, n)`` entry (i, j): alpha_ij; the diagonal is the weight of the null model.
         winner: the candidate whose network predicts best.
-        explained: ``(n,)`` fraction of the squared velocity of UAV i that is explained on held-out times by the
-            candidate to which i attends most.
+        explained: ``(n,)`` fraction of UAV i's squared velocity that its choice explains on held-out times.
     """
 
     held_out_gain: Tensor
