@@ -190,7 +190,7 @@ class Problem:
         times: Tensor,
         generator: torch.Generator | None = None,
     ) -> Tensor:
-        """Squared errors ``(c, v, t)`` of predicting the ``voters`` ``(v,)`` from the ``columns`` ``(c,)`` at some times.
+        """Squared errors ``(c, v, t)`` of predicting the ``voters`` ``(v,)`` from the ``columns`` ``(c,)``.
 
         ``network`` are c networks; the generator, if there is one, draws noise on the sources.
         """

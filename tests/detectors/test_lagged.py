@@ -31,17 +31,6 @@ def test_finds_heads_and_clusters_of_f1(kind, clusters):
         assert detection.extras["heads_found"] == 3
 
 
-@pytest.mark.parametrize("kind", BOTH)
-def test_finds_no_head_but_names_one_where_no_uav_follows(kind):
-    found = 0
-    for seed in range(20):
-        velocity, _ = flight(np.random.default_rng(seed), sizes=(15, 15, 15), kind="none")
-        detection = answer(kind(), window_of(velocity))
-        assert detection.candidates.sum() >= 1
-        found += detection.extras["heads_found"]
-    assert found <= 2
-
-
 def test_one_per_round_names_one_true_head():
     for seed in range(4):
         velocity, leader = flight(np.random.default_rng(seed), kind="f4")
@@ -83,18 +72,6 @@ def test_a_window_too_short_for_evidence_names_one_at_random(kind):
             assert candidates.sum() == 1
             named.add(int(candidates.argmax()))
         assert len(named) > len(leader) / 2  # ties don't favour low indices
-
-
-@pytest.mark.parametrize("kind", BOTH)
-def test_a_short_window_is_not_explained_by_all_uavs(kind):
-    # with 4 lags and squares, 24 features would fit any 20 samples
-    velocity, leader = flight(np.random.default_rng(10), steps=20)
-    detection = answer(kind(), window_of(velocity))
-    truth = detection.attention[np.arange(len(leader)), leader][~heads_of(leader)]
-    others = detection.attention[leader[:, None] != leader]
-    assert np.median(truth) > 0.8
-    assert np.median(others) < 0.4
-    assert np.array_equal(detection.candidates, heads_of(leader))
 
 
 @pytest.mark.parametrize("kind", BOTH)

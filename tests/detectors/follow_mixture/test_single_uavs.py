@@ -81,18 +81,6 @@ def test_followers_that_no_regression_finds_alone_are_found_together():
     assert heads == 3
 
 
-@pytest.mark.parametrize("pairs", [1, 3])
-def test_one_follower_makes_a_head(pairs):
-    velocity = np.random.default_rng(4).normal(size=(12, 100, 3))
-    for head in range(pairs):
-        follower = pairs + head
-        velocity[follower, 1:] = velocity[head, :-1] + 0.1 * velocity[follower, 1:]
-    found = fit(velocity)
-    assert np.flatnonzero(found.candidates).tolist() == list(range(pairs))
-    assert found.leader.tolist() == [*range(pairs), *range(pairs), *[-1] * (12 - 2 * pairs)]
-    assert found.extras["probability"][:pairs].min() > 0.99
-
-
 @pytest.mark.parametrize(("uavs", "longest"), [(5, 2), (5, 9), (12, 9)])
 def test_the_log_odds_of_a_delay_pay_for_every_law_and_leader_that_was_tried(uavs, longest):
     """Three classes of features, and one law for each delay beyond the memory; each of the other UAVs may lead."""

@@ -11,7 +11,6 @@ from detectors.learned import Learned
 from detectors.learned.detector import MOST_UAVS
 from detectors.learned.features import PAIR_FEATURES, make_inputs, pair_features
 from detectors.learned.network import NetworkSizes, draw_network
-from detectors.learned.train import HeadTraining, draw_example
 from usnet_env import ArgumentError, Window
 from usnet_env.swarm import SwarmConfig, advance, start
 from usnet_env.swarm.random_follow import random_follow_strategy
@@ -157,19 +156,6 @@ def test_a_network_reads_its_inputs_whatever_the_size():
     before = torch.random.get_rng_state()
     draw_network(NetworkSizes(), 1)
     assert torch.equal(before, torch.random.get_rng_state())
-
-
-def test_drawn_swarms_are_never_of_the_table():
-    """Every follow strategy that the network is shown comes from the random grammar, which holds none of f1 to f7."""
-    drawn = [draw_example(HeadTraining(), np.random.default_rng(seed)) for seed in range(12)]
-    for example in drawn:
-        living = len(example.head)
-        own = example.leader == torch.arange(living)
-        assert example.features.shape == (living, living, PAIR_FEATURES)
-        assert torch.isfinite(example.features).all()
-        assert not example.head[~own].any()  # a head follows no UAV
-        assert set(example.leader[~own].tolist()) == set(torch.nonzero(example.head)[:, 0].tolist())
-    assert len({len(example.head) for example in drawn}) > 10
 
 
 def test_the_network_is_told_the_size_of_the_window_and_the_share_of_missing_samples():

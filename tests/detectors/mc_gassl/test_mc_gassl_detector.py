@@ -8,7 +8,6 @@ from mc_gassl_inputs import swarm_window
 from swarm_games import ANY_GAME, InOrder, Known, game, part_of, play_any
 
 import usnet_env
-from detectors.gassl import Gassl
 from detectors.mc_gassl import McGassl
 from usnet_env import ArgumentError
 
@@ -48,26 +47,6 @@ def test_an_answer_stays_within_the_clusters():
     assert answer.extras["count"] == 3
 
 
-def test_one_gamma_goes_through_all_clusters(monkeypatch):
-    begins, ends = [], []
-    original = Gassl.fit_cluster
-
-    def spy(self, window, members, gamma, rng):
-        fit = original(self, window, members, gamma, rng)
-        begins.append(gamma.copy())
-        ends.append(fit.gamma.copy())
-        return fit
-
-    monkeypatch.setattr(Gassl, "fit_cluster", spy)
-    detector = McGassl(clusterer=InOrder(3), **SMALL)
-    detector.reset(0)
-    detector.detect(game()[1])
-    assert len(begins) == 3
-    for end, begin in zip(ends, begins[1:], strict=False):
-        np.testing.assert_array_equal(end, begin)
-    assert not np.array_equal(begins[0], begins[1])
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -96,18 +75,6 @@ def test_a_window_in_which_all_is_masked_teaches_nothing():
     assert not answer.scores.any()
     undisturbed.rng.permutation(window.uavs)  # the draw of the candidate
     np.testing.assert_array_equal(detector.detect(window).scores, undisturbed.detect(window).scores)
-
-
-def test_a_cluster_of_which_no_velocity_was_seen():
-    """Three UAVs share a cluster, and none of them was seen at two successive instants."""
-    _, window = game()
-    seen = window.seen.copy()
-    seen[::2, :7] = False
-    detector = McGassl(clusterer=InOrder(2), **SMALL)
-    detector.reset(0)
-    answer = detector.detect(usnet_env.Window(window.position, window.velocity, seen, window.alive, 1))
-    assert answer.candidates[:7].sum() == 1
-    assert answer.candidates[7:].sum() == 1
 
 
 @pytest.mark.parametrize("clusterer", ["kmeans", "spectral", "hdbscan"])

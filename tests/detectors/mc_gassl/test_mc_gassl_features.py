@@ -17,11 +17,6 @@ def weights(width=3):
     return parameters(width, dtype=torch.float32)
 
 
-def changed(window, **arrays):
-    parts = {name: getattr(window, name) for name in ("position", "velocity", "seen", "alive", "round")}
-    return Window(**{**parts, **arrays})
-
-
 @settings(max_examples=25, deadline=None)
 @given(
     steps=st.integers(1, 12), uavs=st.integers(1, 7), memory=st.integers(1, 6), seed=st.integers(0, 1000),
@@ -55,22 +50,3 @@ def test_the_modes_are_the_newest_the_mean_and_all_of_one_series():
     np.testing.assert_allclose(single, series[:, -1], atol=1e-6)
     mean = gru_features(window, weights(), "mean", scale=(500.0, 500.0, 50.0))
     np.testing.assert_allclose(mean, series.mean(axis=1), atol=1e-12)
-
-
-def test_the_mean_leaves_out_times_that_were_not_seen():
-    window, _ = swarm_window(uavs=20, clusters=3, observation_steps=30)
-    whole = gru_features(window, weights(), "series")
-    seen = window.seen.copy()
-    seen[10, 7] = False  # velocities 9 and 10, and so the times 6 to 10
-    hidden = seen[..., None]
-    velocity_seen = (seen[:-1] & seen[1:])[..., None]
-    holed = changed(
-        window,
-        position=np.where(hidden, window.position, 0),
-        velocity=np.where(velocity_seen, window.velocity, 0),
-        seen=seen,
-    )
-    mean = gru_features(holed, weights(), "mean")
-    np.testing.assert_allclose(mean[7], np.delete(whole[7], range(6, 11), axis=0).mean(axis=0), atol=1e-6)
-    others = np.arange(20) != 7
-    np.testing.assert_array_equal(mean[others], gru_features(window, weights(), "mean")[others])

@@ -3,12 +3,11 @@
 import math
 
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mc_gassl_inputs import parameters, random_inputs
 
-from detectors.mc_gassl.gru import GruParameters, embed, gru
+from detectors.mc_gassl.gru import embed
 
 
 def literal_cell(weights, h, v):
@@ -41,23 +40,3 @@ def test_the_network_is_the_equations_one_after_another(width, memory, seed):
             x, y, z = inputs.position[t, i].tolist()
             want = literal(rows, [x / 2.0, y / 3.0, z / 0.5], inputs.velocity[t, i].tolist(), width)
             assert features[t, i].tolist() == pytest.approx(want, abs=1e-12)
-
-
-def test_the_reset_gate_acts_before_the_weights():
-    """``torch.nn.GRU`` resets what W_h has made of h instead; the two differ on the same weights."""
-    weights = parameters(3, 1)
-    w_r, w_u, w_h = weights.tensors()
-    inputs = random_inputs(times=1, uavs=6, memory=1)
-    theirs = torch.nn.GRUCell(3, 3, bias=False, dtype=torch.float64)
-    with torch.no_grad():
-        # Theirs mixes (1 - z) n + z h, so z is 1 - g_u.
-        theirs.weight_ih.copy_(torch.cat([w_r[:, 3:], -w_u[:, 3:], w_h[:, :3]]))
-        theirs.weight_hh.copy_(torch.cat([w_r[:, :3], -w_u[:, :3], w_h[:, 3:]]))
-        other = theirs(inputs.velocity[0, :, 0], inputs.position[0])
-        ours = gru(weights, inputs.position[0], inputs.velocity[0])
-    assert (ours - other).abs().max() > 0.05
-    diagonal = GruParameters(w_r, w_u, torch.cat([w_h[:, :3], torch.diag(w_h.diagonal())], dim=1))
-    with torch.no_grad():  # where W_h mixes no entries of h, both are the same
-        theirs.weight_hh.copy_(torch.cat([w_r[:, :3], -w_u[:, :3], torch.diag(w_h.diagonal())]))
-        other = theirs(inputs.velocity[0, :, 0], inputs.position[0])
-        torch.testing.assert_close(gru(diagonal, inputs.position[0], inputs.velocity[0]), other)

@@ -109,12 +109,3 @@ def test_the_batch_loss_is_the_mean_and_its_gradient_that_of_finite_differences(
     features, triplets = drawn("hard", inputs, labels)
     assert loss(*arrays).item() == pytest.approx(loss_of(features, triplets, 5.0).mean().item())
     assert torch.autograd.gradcheck(loss, tuple(tensor.requires_grad_(True) for tensor in arrays))
-
-
-@pytest.mark.parametrize("sampling", SAMPLINGS)
-@pytest.mark.parametrize("labels", [[0] * 9, list(range(9)), [-1] * 9, [0, 0, *[-1] * 7]])
-def test_without_a_triplet_the_loss_and_its_gradient_are_nothing(sampling, labels):
-    at = parameters().trainable()
-    loss = batch_loss(at, random_inputs(), torch.tensor(labels), Metric(sampling=sampling), generator())
-    assert loss.item() == 0.0
-    assert all(not gradient.any() for gradient in torch.autograd.grad(loss, at.tensors()))

@@ -75,17 +75,6 @@ def test_scale_and_order_do_not_matter(seed, scale, axes):
     np.testing.assert_allclose([compare(scale * flight), compare(mixed)], ratio, rtol=1e-3, atol=1e-3)
 
 
-def test_heads_are_compared_with_their_own_followers():
-    rng = np.random.default_rng(3)
-    leader, driven = led_group(rng), driven_group(rng)
-    count = 1 + FOLLOWERS
-    label = np.repeat([0, 1, 2, 3], [1, FOLLOWERS, 1, FOLLOWERS])
-    root = np.repeat([0, count], count)
-    velocity, heads = np.concatenate([leader, driven]), np.array([0, count])
-    both = compare_directions(velocity, (velocity[heads], velocity[heads]), label, root, heads, 12, False)
-    np.testing.assert_allclose(both, [compare(leader), compare(driven)], rtol=1e-9, atol=1e-9)
-
-
 def test_nothing_is_compared_in_a_short_window_or_without_followers():
     flight = led_group(np.random.default_rng(0))
     assert compare(flight[:, :31]) == np.inf

@@ -6,7 +6,6 @@ from hypothesis import given
 from series_windows import flight, flights, gaps
 from sklearn.linear_model import Ridge
 
-from detectors.series import regressions
 from detectors.series.designs import centre_columns, centre_past
 from detectors.series.evidence import correlation_evidence, granger_evidence, regression_evidence
 from detectors.series.regressions import (
@@ -49,15 +48,6 @@ def test_shares_are_those_of_one_ridge_per_pair(make, lags, squares, ridge):
         singular = np.linalg.svd(x, compute_uv=False) ** 2
         if ridge:
             assert freedom[j] == pytest.approx(np.sum(singular / (singular + model.alpha)), abs=1e-6)
-
-
-def test_chunks_do_not_change_the_result(monkeypatch):
-    target, past = design(flight(2), gaps(2), 4, True)
-    whole, freedom = explain_pairs(past, (target,))
-    monkeypatch.setattr(regressions, "_CHUNK_ENTRIES", 1)
-    pieces, same = explain_pairs(past, (target,))
-    np.testing.assert_allclose(pieces, whole, atol=1e-6)
-    np.testing.assert_allclose(same, freedom)
 
 
 def test_unseen_samples_are_not_read():
