@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from usnet_env.files import reserve_folder
 from usnet_env.progress import progress_bar
 
 Option = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -32,6 +33,7 @@ def _training(folder: str, what: str, unit: str, most_seed: int, resume_from: st
     def with_options(command: Callable[..., Path]) -> Callable[..., Any]:
         @wraps(command)
         def called(**values: Any) -> None:
+            reserve_folder(Path(values["out"]))  # before libraries that take seconds are imported
             with progress_bar(unit) as progress:
                 click.echo(str(command(progress=progress, **values)))
 

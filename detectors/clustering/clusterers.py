@@ -14,7 +14,7 @@ from pydantic import Field
 from sklearn.cluster import HDBSCAN, AgglomerativeClustering, spectral_clustering
 from sklearn.cluster import KMeans as SklearnKMeans
 
-from detectors.clustering.counts import compute_gap_statistic, estimate_count_by_eigengap
+from detectors.clustering.counts import MARGIN, compute_gap_statistic, estimate_count_by_eigengap
 from detectors.clustering.factorisation import factorise_affinity
 from detectors.clustering.features import (
     AFFINITIES,
@@ -151,8 +151,7 @@ class Clusterer(Parameters):
     def _estimate_count(self, living: Living, rng: np.random.Generator) -> int | None:
         count = living.arguments.count
         if count in ("gap", "gap-one-se"):
-            margin = {} if count == "gap" else {"margin": np.inf}
-            return compute_gap_statistic(living.flat, rng, **margin).count
+            return compute_gap_statistic(living.flat, rng, margin=MARGIN if count == "gap" else np.inf).count
         if count == "eigengap":
             return estimate_count_by_eigengap(living.affinity)
         return None if count == OWN else count
@@ -229,7 +228,7 @@ class Hdbscan(Clusterer):
 
     counts: ClassVar[tuple[str, ...]] = (OWN,)
 
-    count: Literal["own"] = OWN
+    count: Literal["own"] = "own"
     least: Annotated[int, Field(ge=2, le=100_000)] = 3
 
     def partition(self, living: Living, count: int | None, rng: np.random.Generator) -> Indices:

@@ -29,30 +29,23 @@ class NeuralGranger(Detector):
     that is best, compared with the null model, wins; the null model is a ridge regression on the UAV's own past.
     Then the winner's network predicts each UAV i from the past of each other UAV j, and i attends to j in proportion to
     the likelihood of its flight; to itself by the likelihood of the null model. The score of a UAV is the attention
-    that it receives. Made for one cluster (P1).
-
-    The idea is that of Tank, Covert, Foti, Shojaie and Fox, "Neural Granger causality", IEEE Transactions on Pattern
-    Analysis and Machine Intelligence 44(8), 2022. The training on the observed window itself and the votes are those of
-    the paper's GASSL (:mod:`detectors.gassl`), which pools inputs; this detector pools predictions.
+    that it receives. Made for one cluster (P1). The idea is that of Tank, Covert, Foti, Shojaie and Fox, "Neural
+    Granger causality", IEEE Transactions on Pattern Analysis and Machine Intelligence 44(8), 2022.
 
     Args:
         top_k: the number of candidates.
-        gate: whether the answer is empty if no UAV seems to be followed. Without the gate, ``top_k`` UAVs are named in
-            every window.
-        gate_threshold: the gain that at least two UAVs must have from the best candidate for the gate to open. A gain
-            is the logarithm of the null model's error divided by the network's error, on held-out times.
+        gate: whether the answer is empty unless at least two UAVs have a gain of ``gate_threshold`` from the best
+            candidate: the logarithm of the null model's error divided by the network's error, on held-out times.
+        gate_threshold: see ``gate``.
         device: ``"cpu"``, ``"cuda"`` or ``"auto"`` (a GPU if there is one).
         memory: T_0.
-        steps: training steps.
-        times: random times a step.
-        voters: random UAVs a step that each candidate's network must predict.
+        steps, times, voters: training steps; random times and random UAVs that each network must predict in a step.
         units: tanh units for each coordinate of the candidate's past.
-        learning_rate: of AdamW; a cosine schedule lowers it to 0.
-        weight_decay: of all weights except biases, the gain of the null model and the scale of the output.
+        learning_rate, weight_decay: of AdamW, with a cosine schedule; biases and gains do not decay.
         input_noise: standard deviation of the noise on a candidate's velocities, as a fraction of the root mean
             square error of its null model (so that the noise stays small for smooth flight).
         blocks: contiguous blocks of times that are held out, a fifth of all times, with gaps of T_0 on both sides.
-        ridge: penalty of the null model, a ridge regression of a UAV's velocity on its own past.
+        ridge: penalty of the null model.
         floor: squared error, in (metres per step)², that is added to all errors before their logarithm is taken.
 
     Raises:
@@ -91,10 +84,9 @@ class NeuralGranger(Detector):
             the others, divided by the number n of living UAVs), ``leader`` (the other UAV to which each UAV attends
             most), attention alpha, and in ``extras``: ``choice`` ``(N,)``, as ``leader``, but a UAV's own index if it
             attends most to its own past; ``explained`` ``(N,)``, the fraction of the squared velocity that the fit
-            explains on held-out times; ``gain`` ``(N,)``, the second largest gain that other UAVs have from each UAV,
-            which the gate compares with ``gate_threshold``; ``followed`` (bool), whether it reaches the threshold.
-            With fewer than 3 living UAVs, or where no velocity was seen, nothing can be learned: then ``top_k`` living
-            UAVs are named at random (none with the gate) and all scores are 0.
+            explains on held-out times; ``gain`` ``(N,)``, which the gate compares with its threshold; ``followed``
+            (bool), whether it reaches it. With fewer than 3 living UAVs, or where no velocity was seen, ``top_k``
+            living UAVs are named at random (none with the gate) and all scores are 0.
         """
         settings, living = self.check_arguments(), np.flatnonzero(window.alive)
         check_window(window, self.memory)
@@ -105,9 +97,7 @@ class NeuralGranger(Detector):
         generator = torch.Generator(device).manual_seed(int(self.rng.integers(2**63)))
         fit = fit_networks(build_samples(window, living, self.memory, device), settings, generator)
         second = fit.held_out_gain.sort(dim=0, descending=True).values[1]
-        attention, gain, explained = (
-            values.double().cpu().numpy() for values in (fit.attention, second, fit.explained)
-        )
+        attention, gain, explained = (part.double().cpu().numpy() for part in (fit.attention, second, fit.explained))
         choice, other = choose_heads(attention, False, self.rng), choose_heads(attention, True, self.rng)
         c = attention.copy()
         np.fill_diagonal(c, 0.0)
@@ -117,7 +107,6 @@ class NeuralGranger(Detector):
         if not self.gate or followed:
             named[select_top(c, self.top_k, self.rng)] = True
         wide = partial(spread, members=living, uavs=window.uavs)
-        extras: dict[str, Any] = {"choice": wide(living[choice], fill=-1), "gain": wide(gain), "followed": followed}
-        extras["explained"] = wide(explained)
+        extras = {"choice": wide(living[choice], fill=-1), "gain": wide(gain), "explained": wide(explained)}
         leader, whole = wide(living[other], fill=-1), wide(attention, pairs=True)
-        return Detection(wide(named), wide(c), leader=leader, attention=whole, extras=extras)
+        return Detection(wide(named), wide(c), leader=leader, attention=whole, extras={**extras, "followed": followed})

@@ -1,14 +1,10 @@
 """One network for each candidate head, and attention from how well each network predicts each UAV.
 
-The paper's GASSL pools inputs: its attention averages the velocities of all UAVs, and an average no longer contains the
-squares that f4 and f5 need. Here each candidate j has a network of its own, which predicts all other UAVs from the past
-of j alone. All networks are trained at the same time. They are additive over the coordinates of the candidate's past,
-because a window has only about a hundred samples. The candidate whose network predicts the other UAVs best, compared
-with a null model that predicts a UAV from its own past, is the winner.
-
-The winner's network is then applied to the past of every UAV, as all followers use the same strategy. Attention that
-does not vary with time has a closed form: alpha_ij is the softmax over j of the log-likelihoods of the flight of UAV i,
-with the null model in the place of j = i.
+Each candidate j has a network of its own, which predicts all other UAVs from the past of j alone, because an average of
+velocities, which the paper's GASSL forms, no longer contains the squares that f4 and f5 need. The networks are additive
+over the coordinates of the past, because a window has only about a hundred samples. The winner's network is applied to
+the past of every UAV, as all followers use the same strategy. Attention that does not vary with time has a closed form:
+alpha_ij is the softmax over j of the log-likelihoods of the flight of UAV i, with the null model in the place of j = i.
 """
 
 from __future__ import annotations
@@ -37,13 +33,9 @@ _CHUNK_ENTRIES = 4_000_000  # pair errors formed at once where no gradient is ke
 class Samples:
     """Inputs and targets of n UAVs at R = T_ob - T_0 times t.
 
-    Args:
-        velocity: ``(n, R, T_0, 3)`` metres per step, V_{i,t}: v_{i,t}, ..., v_{i,t-T_0+1}.
-        position: ``(n, R, 3)`` metres, p_{i,t}.
-        target: ``(n, R, 3)`` metres per step, v_{i,t+1}; 0 where unseen.
-        weight: ``(n, R)``, 1 where the target was seen.
-
-    What was not seen is filled in by :func:`detectors.series.gaps.fill_gaps`, except for the target.
+    These are V_{i,t}, newest first, ``(n, R, T_0, 3)``, p_{i,t} and v_{i,t+1} ``(n, R, 3)``, in metres and metres per
+    step, and whether the target was seen, ``(n, R)``. What was not seen is filled in
+    (:func:`detectors.series.gaps.fill_gaps`), except for the target, which is 0 then.
     """
 
     velocity: Tensor
@@ -115,11 +107,7 @@ class AdditiveNetwork:
         return torch.baddbmm(torch.baddbmm(bias, hidden, readout), window, linear)
 
     def predict(self, source: Tensor, offset: Tensor, null: Tensor) -> Tensor:
-        """Predict the velocities ``(S, v, t, 3)`` of v UAVs.
-
-        ``source`` ``(S, t, 3)`` is of :meth:`encode_source`, ``offset`` ``(S, v, t, 3)`` p_j - p_i in metres, ``null``
-        ``(S, v, t, 3)`` the predictions of the null model.
-        """
+        """Predict velocities ``(S, v, t, 3)`` from the source ``(S, t, 3)``, offsets p_j - p_i and the null model's."""
         networks, voters, times, _ = offset.shape
         distance = offset.norm(dim=-1, keepdim=True)
         where = torch.cat([offset / _DISTANCE_SCALE, offset / (distance + 1e-6), null], dim=-1)
@@ -132,9 +120,8 @@ class AdditiveNetwork:
 def split_times(times: int, blocks: int, gap: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """Split the times into training times and held-out times.
 
-    A fifth of all times is held out, in evenly spread blocks with gaps on both sides. If less than a third of the times
-    would remain for training, there are fewer and longer blocks, because every block costs two gaps. If even one block
-    leaves too few times, there are no gaps.
+    A fifth of all times is held out, in evenly spread blocks with gaps on both sides; in fewer and longer blocks, and
+    at last without gaps, if less than a third of the times would remain for training.
 
     Returns:
         Indices of the training times and of the held-out times; the ``gap`` times on each side of a block are neither.
@@ -167,10 +154,7 @@ def _weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
 
 
 class Problem:
-    """The tensors of one fit of n UAVs, and the prediction errors of pairs of UAVs.
-
-    ``settings`` are the arguments of :class:`detectors.neural_granger.NeuralGranger`.
-    """
+    """The tensors of one fit of n UAVs by the arguments of the detector, and the prediction errors of pairs of UAVs."""
 
     def __init__(self, samples: Samples, settings: Any) -> None:
         self.samples, self.settings = samples, settings
@@ -190,10 +174,7 @@ class Problem:
         times: Tensor,
         generator: torch.Generator | None = None,
     ) -> Tensor:
-        """Squared errors ``(c, v, t)`` of predicting the ``voters`` ``(v,)`` from the ``columns`` ``(c,)``.
-
-        ``network`` are c networks; the generator, if there is one, draws noise on the sources.
-        """
+        """Squared errors ``(c, v, t)`` of c networks that predict v voters from c columns, with noise or not."""
         samples, shape = self.samples, (len(columns), len(voters), len(times), 3)
         source = self.source[columns][:, times]
         if generator is not None:
@@ -205,10 +186,7 @@ class Problem:
         return ((predicted - samples.target[voters][:, times]) ** 2).sum(-1)
 
     def compute_all_errors(self, select: Callable[[Tensor], AdditiveNetwork], times: Tensor) -> Tensor:
-        """Mean squared errors ``(n, n)`` of UAV i, predicted from UAV j, in bounded memory.
-
-        ``select`` takes the candidates ``(c,)`` and returns their networks.
-        """
+        """Mean squared errors ``(n, n)`` of UAV i, predicted from UAV j by its network of ``select``; in chunks."""
         everyone = torch.arange(self.samples.uavs, device=times.device)
         step = max(1, _CHUNK_ENTRIES // max(1, self.samples.uavs * len(times) * 3))
         weight = self.samples.weight[:, times]
@@ -224,9 +202,8 @@ class Fit:
     """The result of training, for n UAVs.
 
     Args:
-        held_out_gain: ``(n, n)`` entry (i, j): logarithm of the null model's error for UAV i, divided by the error of
-            candidate j's network, on the held-out times.
-        attention: ``(n, n)`` entry (i, j): alpha_ij; the diagonal is the weight of the null model.
+        held_out_gain: ``(n, n)`` log ratio of the null model's error for UAV i and that of candidate j's network.
+        attention: ``(n, n)`` alpha_ij; the diagonal is the weight of the null model.
         winner: the candidate whose network predicts best.
         explained: ``(n,)`` fraction of UAV i's squared velocity that its choice explains on held-out times.
     """
@@ -238,19 +215,13 @@ class Fit:
 
 
 def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) -> Fit:
-    """Train a network for every candidate, select the winner, and compute attention with the winner's network.
-
-    ``generator``, of all random numbers, is on the same device as the samples.
-    """
+    """Train a network for every candidate, select the winner, and compute attention with the winner's network."""
     uavs, device = samples.uavs, samples.target.device
     problem = Problem(samples, settings)
     used, held = split_times(samples.times, settings.blocks, samples.velocity.shape[2], device)
     network = AdditiveNetwork.draw(uavs, problem.source.shape[2], settings.units, generator)
     _train(problem, network, used, generator)
-    untrained = torch.ones(samples.times, dtype=torch.bool, device=device)
-    untrained[used] = False
-    rest = (untrained if untrained.any() else ~untrained).nonzero()[:, 0]
-
+    rest = torch.tensor(sorted(set(range(samples.times)) - set(used.tolist())) or used.tolist(), device=device)
     with torch.no_grad():
         gains = []
         for times in (used, held, rest):
@@ -259,8 +230,7 @@ def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) ->
             gain = torch.log((null.unsqueeze(1) + settings.floor) / (errors + settings.floor))
             gain.diagonal().zero_()
             gains.append(gain.mul_((samples.weight.sum(-1) > 0).unsqueeze(1)))
-        # Gains are added before they are clamped, so a UAV that is fitted well and predicted badly adds nothing. The
-        # other times, which include the gaps, are the stronger evidence (measured on nearly straight flight).
+        # Added before they are clamped: a UAV that is fitted well and predicted badly adds nothing.
         better = (gains[0] + 2.0 * gains[2]).clamp(min=0).sum(0)
         ties = better == better.max()  # all candidates if none beats the null model
         winner = int((ties * (1.0 - torch.rand(ties.shape, generator=generator, device=device))).argmax())
@@ -269,11 +239,10 @@ def fit_networks(samples: Samples, settings: Any, generator: torch.Generator) ->
 
 
 def _train(problem: Problem, network: AdditiveNetwork, used: Tensor, generator: torch.Generator) -> None:
-    """Train by AdamW to predict UAVs from all others; the loss is the mean logarithm of the UAVs' errors.
+    """Train by AdamW at the times ``used`` to predict UAVs from all others; the loss is the mean log error of the UAVs.
 
-    The logarithm of a UAV's mean error is a Gaussian log-likelihood in which each UAV has its own variance. A UAV that
-    no network can predict, such as a decoy, then has no more weight than the others. ``used`` ``(t,)`` are the indices
-    of the training times.
+    That is a Gaussian log-likelihood in which each UAV has its own variance. A UAV that no network can predict, such as
+    a decoy, then has no more weight than the others.
     """
     samples, settings = problem.samples, problem.settings
     everyone = torch.arange(samples.uavs, device=used.device)
