@@ -22,15 +22,7 @@ Status = Literal["passed", "failed", "expected failure", "skipped"]
 
 @dataclass(frozen=True)
 class CheckResult:
-    """The result of one check.
-
-    Args:
-        check: the name of the check.
-        status: ``"passed"``, ``"failed"``, ``"expected failure"`` or ``"skipped"``.
-        reason: why the check failed, was expected to fail or was skipped; empty if it passed.
-        seconds: the duration.
-        error: the exception that the check raised, with its traceback.
-    """
+    """The result of one check: its name, status, ``reason`` (empty if it passed), duration and the exception raised."""
 
     check: str
     status: Status

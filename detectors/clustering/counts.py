@@ -76,7 +76,7 @@ def compute_gap_statistic(
         margin: how much higher a later gap must be, in units of its s.
 
     Returns:
-        M̂, Gap(k) and s_k. M̂ is K_max if no k satisfies the rule, and 1 if all rows are equal.
+        M̂, K_max if no k satisfies the rule, and 1 if all rows are equal; Gap(k) and s_k.
     """
     distinct = len(np.unique(features, axis=0))
     max_count = min(compute_max_count(len(features)) if max_count is None else max_count, distinct)
@@ -176,17 +176,10 @@ def _draw_centre(sets: Singles, squared_norm: Singles, distance: Singles, rng: n
 def estimate_count_by_eigengap(affinity: Floats, max_count: int | None = None) -> int:
     """Estimate the number of clusters by the largest gap between neighbouring eigenvalues.
 
-    Let λ_1 ≥ λ_2 ≥ ... be the eigenvalues of the affinity after
-    :func:`detectors.clustering.features.normalise_affinity`, with negative ones replaced by 0. Then M̂ is the k of 1 to
-    K_max with the largest λ_k - λ_{k+1}; the smallest such k if there are several. These are the gaps between the
-    lowest eigenvalues 1 - λ_k of the normalised graph Laplacian.
-
-    Args:
-        affinity: ``(n, n)`` symmetric, from 0 to 1.
-        max_count: K_max; ``None``: :func:`compute_max_count`.
-
-    Returns:
-        M̂. It is 1 if all affinities between different UAVs are equal.
+    Let λ_1 ≥ λ_2 ≥ ... be the eigenvalues of the ``affinity`` ``(n, n)`` after
+    :func:`detectors.clustering.features.normalise_affinity`, with negative ones replaced by 0. Then M̂ is the smallest k
+    of 1 to K_max with the largest λ_k - λ_{k+1}. These are the gaps between the lowest eigenvalues 1 - λ_k of the
+    normalised graph Laplacian.
     """
     values = np.maximum(np.linalg.eigvalsh(normalise_affinity(affinity))[::-1], 0.0)
     gaps = values - np.append(values[1:], 0.0)

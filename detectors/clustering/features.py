@@ -62,16 +62,10 @@ FEATURES: dict[str, Callable[[Window, int], Floats]] = {
 
 
 def correlate_both_ways(series: Floats, max_lag: int, surrogate: bool = False) -> Floats:
-    """Compute the highest correlation of every two series over the lags -L to L.
+    """Compute the highest correlation of every two series ``(n, T, d)`` over the lags -L to L, ``(n, n)``.
 
-    Args:
-        series: ``(n, T, d)``. Each coordinate is centred; the sums run over time and over the d coordinates.
-        max_lag: L, in samples, at least 0; at most T - 1 are used.
-        surrogate: shift the second series circularly by T/2, which leaves only correlation by chance.
-
-    Returns:
-        ``(n, n)`` symmetric, from -1 to 1, with 1 on the diagonal unless ``surrogate``. The correlation with a
-        constant series is 0.
+    Each coordinate is centred; the sums run over time and coordinates. That with a constant series is 0. With
+    ``surrogate``, the second series is shifted circularly by T/2, which leaves only correlation by chance.
     """
     flight = scale_to_unit(centre_columns(series.swapaxes(0, 1), np.ones(series.shape[1::-1], bool)))
     other = shift_in_time(flight) if surrogate else flight

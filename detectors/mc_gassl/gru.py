@@ -58,7 +58,7 @@ class GruInputs:
 
     Args:
         position: ``(R, n, 3)`` metres, p_{i,t-T_0+1}, where the first of the velocities starts.
-        velocity: ``(R, n, T_0, 3)`` metres per step, v_{i,t-T_0+1}, ..., v_{i,t}: oldest first.
+        velocity: ``(R, n, T_0, 3)`` metres per step, oldest first.
         seen: ``(R, n)`` bool, all of the T_0 velocities were seen. What was not seen is filled in.
     """
 

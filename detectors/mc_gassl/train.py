@@ -133,12 +133,9 @@ def _train(
 def online_losses(
     parameters: GruParameters, window: Window, labels: Indices, steps: int, training: MetaTraining
 ) -> tuple[GruParameters, list[float]]:
-    """On-line training by some steps on a window of N UAVs whose clusters, the ``labels`` ``(N,)``, are known.
+    """On-line training on a window with known ``labels`` ``(N,)``: the parameters and the loss before each step.
 
     The batches are those of the training, and its seed decides the draws.
-
-    Returns:
-        The trained parameters, and the loss before each step.
     """
     settings = OnlineTraining(steps=steps, metric=training.part(Metric))
     generator = _generator(training, _ONLINE)
@@ -173,8 +170,7 @@ def train_meta(
         The weights file.
 
     Raises:
-        ArgumentError: an argument is refused, ``out`` can't be written to, or its checkpoint is of another training
-            or of more episodes.
+        ArgumentError: ``out`` can't be written to, or its checkpoint is of another training or of more episodes.
     """
     training = MetaTraining() if training is None else training
     # A training can be prolonged: a checkpoint may be of fewer episodes.

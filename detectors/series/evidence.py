@@ -34,11 +34,9 @@ class Evidence:
     """Pairwise evidence among the n living UAVs.
 
     Args:
-        pairs: ``(n, n)``; entry (i, j) is the evidence that i follows j, about 0 or below if it doesn't. The diagonal
-            is -inf.
+        pairs: ``(n, n)``; entry (i, j) is the evidence that i follows j, about 0 or below if not; -inf for i = j.
         surrogate: ``(n, n)``, the same with the voters (rows) shifted in time.
-        spread: lower bound of the standard deviation of an entry by chance; the surrogate of very few UAVs would
-            underestimate it.
+        spread: lower bound of the standard deviation of an entry by chance, for very few UAVs.
     """
 
     pairs: Floats
